@@ -65,6 +65,8 @@ if TYPE_CHECKING:
         save_cameras,
         save_config,
     )
+    from lumisplat.io.document.entries import SceneEntry
+    from lumisplat.io.document.scene_document import SceneDocument
     from lumisplat.metrics.images import flip, psnr, ssim
     from lumisplat.metrics.lighting import apf_y, ncm_ab, paa_y
     from lumisplat.metrics.lit_points import LitPoints
@@ -175,6 +177,8 @@ _MODULE_OF = {
     "Rig": "scene.animation.rig",
     "RiggedGaussians": "scene.animation.rigged_gaussians",
     "Scene": "scene.scene",
+    "SceneDocument": "io.document.scene_document",
+    "SceneEntry": "io.document.entries",
     "SceneError": "errors",
     "ShadowConfig": "config",
     "ShadowMethod": "config",
@@ -302,6 +306,8 @@ __all__ = [
     "Rig",
     "RiggedGaussians",
     "Scene",
+    "SceneDocument",
+    "SceneEntry",
     "SceneError",
     "ShadowConfig",
     "ShadowMethod",

@@ -175,7 +175,7 @@ class ShadowConfig:
     """A shadow ray ends where its transmittance falls to this, 0..1, and counts as black: an early exit. To darken
     shadows on purpose, raise ``transmittance_threshold``."""
     transmittance_threshold: float = 0.0
-    """A transmittance below this counts as black, and the rest is stretched to 0..1; 0 (none) to 0.99."""
+    """A transmittance below this counts as black, and the rest is stretched to all of the range; 0 (none) to 0.99."""
     acceptance_scale: float = 1.0
     """Random numbers of ``STOCHASTIC`` are scaled by this, 0.001 to 1: below 1, Gaussians block sooner, with their
     alpha over this as probability, which is faster and darker than exact (Hu et al. 2025, figure 4)."""

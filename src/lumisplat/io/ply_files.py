@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lumisplat.io.ply.header import read_ply_header
+from lumisplat.errors import FormatError
+from lumisplat.io.ply.header import PlyHeader, read_ply_header
 from lumisplat.io.splats.compressed_ply import is_compressed_header, read_compressed_ply
 from lumisplat.io.splats.splat_ply import is_gaussian_element, read_splat_ply
 
@@ -29,9 +30,27 @@ def read_ply(path: Path, progress: Callable[[float], None] | None) -> SplatColum
     header = read_ply_header(path)
     if is_compressed_header(header):
         return read_compressed_ply(header)
-    vertex, face = header.element("vertex"), header.element("face")
-    if face is not None and face.count and not (vertex and is_gaussian_element(vertex)):
+    if _has_faces(header):
         from lumisplat.io.meshes.mesh_ply import read_ply_mesh
 
         return read_ply_mesh(header)
     return read_splat_ply(header, progress)
+
+
+def holds_mesh(path: Path) -> bool:
+    """Whether a file is a mesh, not a capture; False if it cannot be read.
+
+    Args:
+        path: A ``.ply`` file.
+    """
+    try:
+        header = read_ply_header(path)
+    except (OSError, FormatError):
+        return False
+    return not is_compressed_header(header) and _has_faces(header)
+
+
+def _has_faces(header: PlyHeader) -> bool:
+    """Whether there are faces, and no Gaussians."""
+    vertex, face = header.element("vertex"), header.element("face")
+    return face is not None and bool(face.count) and not (vertex and is_gaussian_element(vertex))

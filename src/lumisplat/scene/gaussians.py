@@ -28,7 +28,7 @@ _REQUIRED = ("means", "rotations_wxyz", "scales", "opacities", "sh")
 _OPTIONAL = ("normals", "albedo", "roughness", "metallic")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Gaussians:
     """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
 

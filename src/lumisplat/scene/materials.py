@@ -52,7 +52,7 @@ class MaterialPbr:
     base_color: Color = (0.8, 0.8, 0.8)
     """Linear Rec.709, 0..1."""
     metallic: float = 0.0
-    """0: dielectric, 1: metal."""
+    """0..1: 0 is a dielectric, 1 a metal."""
     roughness: float = 0.5
     """Perceptual roughness, 0..1; exactly 0 is smooth. The roughness of splats is at least 0.03."""
     specular: float = 1.0

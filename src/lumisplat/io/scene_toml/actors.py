@@ -53,6 +53,7 @@ ACTOR_KEYS = {
     "speed": NUMBER,
     "casts_shadow": FLAG,
     "relight": FLAG,
+    "hidden": FLAG,
     "keyframes": TABLES,
 }
 KEYFRAME_KEYS = {"time": NUMBER, **PLACEMENT}
@@ -69,7 +70,7 @@ Load = Callable[[Path], Gaussians | Mesh | Scene]
 
 
 def read_actors(document: TomlTable, load: Load) -> list[Actor]:
-    """The actors of a scene file, in order. A file named twice in the same form is loaded once.
+    """The actors of a scene file that are not hidden, in order. A file named twice in the same form is loaded once.
 
     Args:
         document: Top table of the scene file.
@@ -78,11 +79,22 @@ def read_actors(document: TomlTable, load: Load) -> list[Actor]:
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
     """
-    subjects, up = _Subjects(load), scene_up(document)
-    return [_actor(table, subjects, up) for table in document.tables("actors")]
+    subjects, up = Subjects(load), scene_up(document)
+    actors = [(read_actor(table, subjects, up), table) for table in document.tables("actors")]
+    return [actor for actor, table in actors if not table.values.get("hidden", False)]
 
 
-def _actor(table: TomlTable, subjects: _Subjects, up: Vector) -> Actor:
+def read_actor(table: TomlTable, subjects: Subjects, up: Vector) -> Actor:
+    """The actor of an entry.
+
+    Args:
+        table: The entry.
+        subjects: Makes what it shows.
+        up: Unit vector that points up in the scene.
+
+    Raises:
+        FormatError: A key is unknown, a value is invalid, or a file cannot be read.
+    """
     given = table.take(ACTOR_KEYS, required=("path",))
     world_from_file = placement(table, up)
     motion = _motion(table)
@@ -116,7 +128,7 @@ def _motion(table: TomlTable) -> Keyframes | None:
 
 
 @dataclass(slots=True)
-class _Subjects:
+class Subjects:
     """The subjects that entries name, in the form that they ask for, each made once."""
 
     load: Load

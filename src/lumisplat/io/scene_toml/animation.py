@@ -10,6 +10,9 @@ direct = 0.7
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.scene_toml.actors import Load, read_actors
@@ -19,6 +22,7 @@ from lumisplat.io.scene_toml.timing import read_timing
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
+from lumisplat.scene.scene import Scene
 
 
 def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Animation:
@@ -31,17 +35,30 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
     """
     with parsing(path, "a scene file"):
         document = read_document(path)
-        moving = read_camera_path(document)
-        if not document.tables("actors") and moving is None:
+        if not document.tables("actors") and read_camera_path(document) is None:
             raise document.error("lists no [[actors]]: there is nothing to animate, nor a camera with keyframes")
-        fps, lighting = read_timing(document)
-        actors = read_actors(document, load)
-        count = _frame_count(document.table("animation"), fps, actors, moving)
-        cameras = read_scene_cameras(document, load_cameras)
-        return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting, moving)
+        animation = animation_of(document, static_scene(document, load), read_actors(document, load))
+        return replace(animation, cameras=tuple(read_scene_cameras(document, load_cameras)))
 
 
-def _frame_count(table: TomlTable, fps: float, actors: list[Actor], moving: CameraPath | None) -> int:
+def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> Animation:
+    """How a scene moves, without the cameras that stand still.
+
+    Args:
+        document: Top table of the scene file.
+        scene: What stands still.
+        actors: What moves.
+
+    Raises:
+        FormatError: ``[animation]`` or a camera is wrong.
+    """
+    moving = read_camera_path(document)
+    fps, lighting = read_timing(document)
+    count = _frame_count(document.table("animation"), fps, actors, moving)
+    return Animation(scene, tuple(actors), (), fps, count, lighting, moving)
+
+
+def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: CameraPath | None) -> int:
     """Number of frames, from ``frames``, from ``duration``, or from what takes longest: an actor, or the camera."""
     given = table.values
     if "frames" in given:

@@ -16,9 +16,7 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, cast, get_args, get_origin, get_type_hints
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.renamed import RENAMED
@@ -26,6 +24,7 @@ from lumisplat.errors import ConfigError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.scene_toml.toml_table import FLAG, TABLE, TomlTable, suggestion
+from lumisplat.io.scene_toml.toml_text import toml_value
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -129,24 +128,30 @@ def _lines(config: DataclassInstance, name: str) -> Iterator[str]:
         if is_dataclass(value):
             groups.append(field.name)
         else:
-            yield f"{field.name} = {_toml(_WORD_FOR_NONE.get(field.name, 'auto') if value is None else value)}"
+            yield f"{field.name} = {toml_value(_written(field.name, value))}"
     for group in groups:
         yield ""
         yield from _lines(getattr(config, group), f"{name}.{group}")
 
 
-def _toml(value: object) -> str:
-    """A value as TOML writes it."""
-    match value:
-        case Enum():
-            return f'"{value.value}"'
-        case str():
-            return f'"{value}"'
-        case bool() | np.bool_():
-            return str(bool(value)).lower()
-        case tuple():
-            return f"[{', '.join(map(_toml, cast(tuple[object, ...], value)))}]"
-        case np.generic():
-            return repr(cast(object, value.item()))  # a number of NumPy as Python writes it
-        case _:
-            return repr(value)
+def changed_settings(config: DataclassInstance) -> dict[str, Any]:
+    """The settings that differ from the defaults, as a table of a scene file has them; those of groups in tables."""
+    base = type(config)()
+    table: dict[str, Any] = {}
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if is_dataclass(value) and not isinstance(value, type):
+            if changes := changed_settings(value):
+                table[field.name] = changes
+        elif value != getattr(base, field.name):
+            table[field.name] = _written(field.name, value)
+    return table
+
+
+def _written(name: str, value: object) -> object:
+    """The value of a setting as a table has it."""
+    if value is None:
+        return _WORD_FOR_NONE.get(name, "auto")
+    if isinstance(value, tuple):
+        return list(cast(tuple[object, ...], value))
+    return value.value if isinstance(value, Enum) else value

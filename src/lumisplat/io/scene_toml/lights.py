@@ -37,13 +37,14 @@ from lumisplat.scene.lights import (
 
 _Light = TypeVar("_Light", bound=Light)
 
-_KINDS: dict[str, type[Light]] = {
+LIGHT_KINDS: dict[str, type[Light]] = {
     "point": LightPoint,
     "spot": LightSpot,
     "directional": LightDirectional,
     "sphere": LightSphere,
     "rect": LightRect,
 }
+"""Lights by their type in a scene file."""
 
 
 _WORDS: dict[type[Light], dict[str, Kind]] = {
@@ -67,11 +68,11 @@ def read_light(table: TomlTable) -> Light:
         FormatError: The type or a key is unknown, or a value is invalid.
     """
     name = table.values.get("type")
-    kind = _KINDS.get(name) if isinstance(name, str) else None
+    kind = LIGHT_KINDS.get(name) if isinstance(name, str) else None
     if name == "environment":
         raise table.error("type is 'environment': write it as a table of its own, [environment]", "type")
     if kind is None:
-        meant = suggestion(name, _KINDS) if isinstance(name, str) else f"expected {', '.join(_KINDS)}"
+        meant = suggestion(name, LIGHT_KINDS) if isinstance(name, str) else f"expected {', '.join(LIGHT_KINDS)}"
         raise table.error(f"type is {name!r}, {meant}" if "type" in table.values else f"lacks type, {meant}", "type")
     given = table.take({"type": TEXT, **schema(kind), **_WORDS.get(kind, {})}, _required(kind, table))
     del given["type"]

@@ -21,7 +21,8 @@ from lumisplat.io.scene_toml.fields import schema
 from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, is_table, suggestion
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 
-_KINDS = {"pbr": MaterialPbr, "simple": MaterialSimple}
+MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
+"""Materials by their type in a scene file."""
 _SHARED = ("base_color", "base_color_texture", "name")
 """Properties that both kinds of material have, and that stay when the kind changes."""
 
@@ -66,9 +67,9 @@ def read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
         FormatError: The type or a key is unknown, a value is invalid, a texture cannot be read, or all are too large.
     """
     type_name = table.values.get("type", "pbr")
-    kind = _KINDS.get(type_name) if isinstance(type_name, str) else None
+    kind = MATERIAL_KINDS.get(type_name) if isinstance(type_name, str) else None
     if kind is None:
-        raise table.wrong("type", " or ".join(_KINDS))
+        raise table.wrong("type", " or ".join(MATERIAL_KINDS))
     values = table.take({"type": TEXT, **schema(kind)})
     values.pop("type", None)
     if name is not None:

@@ -76,6 +76,7 @@ QUATERNION = Kind("four numbers, w x y z", _is_vector(4))
 COLOR = Kind("a number or three", _is_color)
 TABLE = Kind("a table", is_table)
 TABLES = Kind("tables, written with double brackets", is_array_of_tables)
+NAME_OR_NUMBER = Kind("a name or a whole number", lambda value: isinstance(value, str) or _is_whole(value))
 TEXT_OR_TABLE = Kind("a name or a table", _is_instance(str | dict))
 
 
@@ -122,6 +123,17 @@ class TomlTable:
             raise FormatError(path, f"is not valid TOML: {error}") from None
         except (UnicodeDecodeError, RecursionError):
             raise FormatError(path, f"is not {kind}: expected TOML text") from None
+
+    @classmethod
+    def of(cls, path: Path, values: dict[str, Any], *where: str) -> TomlTable:
+        """A table that no file has yet, as if it were in one.
+
+        Args:
+            path: The file, from whose folder paths start.
+            values: Its values.
+            *where: Its place, for messages.
+        """
+        return cls(values, _Source(path, "", TextureBytes(path)), where)
 
     @property
     def path(self) -> Path:

@@ -1,0 +1,155 @@
+"""Entries of an editable scene, and what reads them: the readers of scene files, table by table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from lumisplat.io.scene_toml.actors import Load, Subjects, read_actor
+from lumisplat.io.scene_toml.assets import Assets
+from lumisplat.io.scene_toml.lights import read_environment, read_light
+from lumisplat.io.scene_toml.materials import read_materials
+from lumisplat.io.scene_toml.toml_table import TomlTable
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.scene.animation.actors import Actor
+from lumisplat.scene.lights import Light, LightEnvironment
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+from lumisplat.scene.up import Vector
+
+EntryKind = Literal["splats", "meshes", "actors", "lights", "environment"]
+"""The heading of an entry in a scene file."""
+
+KINDS: tuple[EntryKind, ...] = ("splats", "meshes", "actors", "lights", "environment")
+"""In the order in which scenes have what they put there."""
+_LIGHTS: tuple[EntryKind, ...] = ("lights", "meshes", "splats", "actors", "environment")
+"""In the order in which scenes have their lights."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneEntry:
+    """One entry of a `SceneDocument`: a table of a scene file, and what it puts into the scene."""
+
+    id: int
+    """Stays through edits; no other entry of the document has it."""
+    kind: EntryKind
+    table: Mapping[str, Any]
+    """Keys and values as in a scene file."""
+    splats: tuple[SplatInstance, ...] = ()
+    meshes: tuple[MeshInstance, ...] = ()
+    lights: tuple[Light, ...] = ()
+    actor: Actor | None = None
+    world_from_file: Doubles | None = None
+    """Where it stands, a similarity, shape (4, 4); None: of lights."""
+
+    @property
+    def name(self) -> str:
+        """What people call it: its name, else that of its file, its shape or its type."""
+        given = self.table.get("name")
+        if given:
+            return str(given)
+        path = self.table.get("path")
+        if path:
+            return Path(str(path)).name if str(path).startswith("<") else Path(str(path)).name.partition(".")[0]
+        return str(self.table.get("shape") or self.table.get("type") or self.kind)
+
+    @property
+    def hidden(self) -> bool:
+        """Whether it is left out of the scene."""
+        if self.kind in ("lights", "environment"):
+            return not self.table.get("enabled", True)
+        return bool(self.table.get("hidden", False))
+
+
+@dataclass(slots=True)
+class EntryReader:
+    """Reads entries one by one, with the files that they name read once."""
+
+    file: Path
+    """The scene file, which need not exist: paths are relative to its folder."""
+    load: Load
+    up: Vector
+    materials: Mapping[str, Any]
+    """Named materials, as tables."""
+    memory: dict[str, Scene] = field(default_factory=dict[str, Scene])
+    """Assets that are not from files, by what entries give as their path."""
+    skies: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    """Images of environments by path, read or from memory."""
+    next_id: int = 0
+    """Least id that no entry has had, also of those that are removed."""
+    _assets: Assets | None = None
+    _subjects: Subjects | None = None
+
+    def read(self, number: int, kind: EntryKind, values: Mapping[str, Any]) -> SceneEntry:
+        """The entry of a table.
+
+        Raises:
+            FormatError: An entry is unknown or invalid, or a file cannot be read.
+        """
+        table = TomlTable.of(self.file, dict(values), kind)
+        entry = SceneEntry(number, kind, values)
+        if kind == "lights":
+            return replace(entry, lights=(read_light(table),))
+        if kind == "environment":
+            return replace(entry, lights=(self._environment(table),))
+        if kind == "actors":
+            if self._subjects is None:
+                self._subjects = Subjects(self.load)
+            actor = read_actor(table, self._subjects, self.up)
+            return replace(entry, actor=actor, world_from_file=actor.world_from_object)
+        placed = self.assets.splats(table) if kind == "splats" else self.assets.meshes(table)
+        return replace(
+            entry,
+            splats=placed.splats,
+            meshes=placed.meshes,
+            lights=placed.lights,
+            world_from_file=placed.world_from_file,
+        )
+
+    def part_names(self, entry: SceneEntry) -> list[str]:
+        """The names of the meshes of an entry's file."""
+        return self.assets.part_names(TomlTable.of(self.file, dict(entry.table), entry.kind))
+
+    @property
+    def assets(self) -> Assets:
+        """What captures and meshes are read by."""
+        if self._assets is None:
+            named = read_materials(TomlTable.of(self.file, {"materials": dict(self.materials)}))
+            self._assets = Assets(self.load, named, self.up, self.memory)
+        return self._assets
+
+    def _environment(self, table: TomlTable) -> LightEnvironment:
+        """The environment of a table; its image is read once."""
+        path = table.values.get("path")
+        if path is None:
+            return read_environment(table)
+        rest = {key: value for key, value in table.values.items() if key != "path"}
+        light = read_environment(TomlTable.of(self.file, rest, "environment"))
+        if path not in self.skies:
+            read = read_environment(table)
+            assert read.image is not None
+            self.skies[path] = read.image
+        return replace(light, image=self.skies[path])
+
+
+def shown_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple[Scene, list[SceneEntry]]:
+    """The scene of entries at a time, and the entry of each of its instances, captures first.
+
+    Raises:
+        FormatError: A frame of an actor cannot be read.
+    """
+    shown = [entry for kind in KINDS for entry in entries if entry.kind == kind and not entry.hidden]
+    splats: list[tuple[SplatInstance, SceneEntry]] = []
+    meshes: list[tuple[MeshInstance, SceneEntry]] = []
+    for entry in shown:
+        instances = (*entry.splats, *entry.meshes) if entry.actor is None else entry.actor.at(time)
+        splats += [(instance, entry) for instance in instances if isinstance(instance, SplatInstance)]
+        meshes += [(instance, entry) for instance in instances if isinstance(instance, MeshInstance)]
+    scene = Scene(
+        splats=[instance for instance, _ in splats],
+        meshes=[instance for instance, _ in meshes],
+        lights=[light for kind in _LIGHTS for entry in shown if entry.kind == kind for light in entry.lights],
+        up=up,
+    )
+    return scene, [entry for _, entry in (*splats, *meshes)]

@@ -1,0 +1,105 @@
+"""From files to the entries of a document."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry
+from lumisplat.io.files.source import parsing
+from lumisplat.io.ply_files import holds_mesh
+from lumisplat.io.scene_toml.scene_file import read_document
+from lumisplat.io.scene_toml.toml_table import TomlTable
+from lumisplat.io.scene_toml.up import scene_up
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import Scene
+from lumisplat.scene.up import up_vector
+
+_MESHES = (".obj", ".stl", ".glb", ".gltf")
+
+
+@dataclass(slots=True)
+class Listing:
+    """Tables that are not read yet."""
+
+    file: Path
+    """The scene file, from whose folder paths start; it need not exist."""
+    top: dict[str, Any] = field(default_factory=dict[str, Any])
+    """What is no entry."""
+    tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
+
+
+def listed_files(files: Sequence[Path]) -> Listing:
+    """Files as entries: those of a scene file, and one for each other file.
+
+    Raises:
+        ConfigError: There are two scene files, or no file at all.
+        FormatError: The scene file cannot be read.
+    """
+    scene_files = [file for file in files if file.suffix.lower() == ".toml"]
+    if len(scene_files) > 1:
+        raise ConfigError(f"{scene_files[0]} and {scene_files[1]} are both scene files: list in one what both list")
+    if not files:
+        raise ConfigError("no scene given: name a capture, a mesh or a scene.toml")
+    listing = Listing(scene_files[0] if scene_files else Path("scene.toml"))
+    if scene_files:
+        with parsing(listing.file, "a scene file"):
+            document = read_document(listing.file)
+            listing.top = {key: value for key, value in document.values.items() if key not in KINDS}
+            listing.tables = [(kind, table.values) for kind in KINDS[:-1] for table in document.tables(kind)]
+            if "environment" in document.values:
+                listing.tables.append(("environment", document.table("environment").values))
+    others = (file for file in files if file not in scene_files)
+    listing.tables += [("meshes" if is_mesh(file) else "splats", {"path": str(file.absolute())}) for file in others]
+    return listing
+
+
+def reader_of(listing: Listing, load: Callable[[Path], Gaussians | Mesh | Scene]) -> EntryReader:
+    """What reads the entries of a listing, whose ``up`` is then said.
+
+    Raises:
+        FormatError: ``up`` is no direction.
+    """
+    top = listing.top
+    named = {kind: [table for other, table in listing.tables if other == kind] for kind in ("splats", "actors")}
+    top["up"] = list(scene_up(TomlTable.of(listing.file, {**named, **top})))
+    return EntryReader(listing.file, load, up_vector(top["up"]), top.get("materials", {}))
+
+
+def read_entries(reader: EntryReader, listing: Listing) -> tuple[list[SceneEntry], list[str]]:
+    """The entries of a listing, and a line for each that cannot be read.
+
+    Raises:
+        FormatError: None of them can.
+    """
+    entries: list[SceneEntry] = []
+    problems: list[str] = []
+    for number, (kind, table) in enumerate(listing.tables):
+        try:
+            entries.append(read_entry(reader, number, kind, table))
+        except FormatError as error:
+            problems.append(" ".join(str(error).split()))
+            if len(listing.tables) == 1:
+                raise
+    if problems and not entries:
+        raise SceneError("; ".join(problems))
+    return entries, problems
+
+
+def read_entry(reader: EntryReader, number: int, kind: EntryKind, table: Mapping[str, Any]) -> SceneEntry:
+    """One entry.
+
+    Raises:
+        FormatError: It is invalid, or a file cannot be read.
+    """
+    with parsing(reader.file, "a scene file"):
+        return reader.read(number, kind, table)
+
+
+def is_mesh(file: Path) -> bool:
+    """Whether a file is a mesh, not a capture; of a PLY, its header says it."""
+    return file.suffix.lower() in _MESHES or (file.suffix.lower() == ".ply" and holds_mesh(file))

@@ -1,0 +1,259 @@
+"""The captures and meshes that entries of a scene file name, changed and placed as these say.
+
+[[meshes]]
+path = "table.glb"
+part = "leg"                        # of a file with several meshes, this one alone, by its name or number
+hidden = true                       # read and checked, but not shown
+
+[[splats]]
+path = "garden.ply"
+crop_low = [-2.0, -3.0, -2.0]       # corners of a box in the file's coordinates: only Gaussians inside it are shown
+crop_high = [2.0, 0.5, 2.0]
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.config.checks import suggestion
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.meshes.mesh_arrays import drop_unplaced_textures
+from lumisplat.io.scene_toml.actors import Load
+from lumisplat.io.scene_toml.lights import move_light
+from lumisplat.io.scene_toml.materials import MaterialTable, entry_material
+from lumisplat.io.scene_toml.placement import PLACEMENT, STANDING, placement
+from lumisplat.io.scene_toml.shapes import SIZE, shape_mesh
+from lumisplat.io.scene_toml.toml_table import (
+    FLAG,
+    NAME_OR_NUMBER,
+    NUMBER,
+    TEXT,
+    TEXT_OR_TABLE,
+    VECTOR,
+    WHOLE,
+    TomlTable,
+    Values,
+)
+from lumisplat.math.arrays import Doubles
+from lumisplat.scene.editing.crop import crop
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.lights import Light
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.ops.ground import lowest
+from lumisplat.scene.ops.smooth_normals import smooth_normals
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+from lumisplat.scene.up import Vector
+
+_ENTRY = {
+    "path": TEXT,
+    **PLACEMENT,
+    **STANDING,
+    "ground": NUMBER,
+    "name": TEXT,
+    "material": TEXT_OR_TABLE,
+    "hidden": FLAG,
+}
+_KEYS = {
+    "splats": {
+        **_ENTRY,
+        "kernel_degree": WHOLE,
+        "sh_degree": WHOLE,
+        "shadow_only": FLAG,
+        "crop_low": VECTOR,
+        "crop_high": VECTOR,
+    },
+    "meshes": {
+        **_ENTRY,
+        "shape": TEXT,
+        "size": SIZE,
+        "lights": FLAG,
+        "crease_angle_degrees": NUMBER,
+        "part": NAME_OR_NUMBER,
+    },
+}
+
+
+_CHANGES = ("kernel_degree", "material", "crease_angle_degrees", "crop_low", "crop_high")
+"""Keys of an entry that change the asset itself, not where it stands."""
+
+CHANGED_KEPT = 64
+"""Changed assets that are kept, so that entries with equal changes share them."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedEntry:
+    """What an entry puts into the scene."""
+
+    splats: tuple[SplatInstance, ...] = ()
+    meshes: tuple[MeshInstance, ...] = ()
+    lights: tuple[Light, ...] = ()
+    world_from_file: Doubles = field(default_factory=lambda: np.eye(4))
+    """Where it stands, a similarity, shape (4, 4)."""
+
+
+@dataclass(slots=True)
+class Assets:
+    """The assets that entries name. Each file is loaded once; entries with equal changes share the changed asset."""
+
+    load: Load
+    materials: dict[str, MaterialTable]
+    up: Vector
+    """Up of the scene."""
+    memory: Mapping[str, Scene] = field(default_factory=dict[str, Scene])
+    """Assets that are not from files, by what entries give as their path."""
+    _files: dict[Path, Scene] = field(default_factory=dict[Path, Scene])
+    """By file, as loaded."""
+    _changed: OrderedDict[tuple[Path, str], Scene] = field(default_factory=OrderedDict[tuple[Path, str], Scene])
+    """By file and changes, those that were used last at the end."""
+
+    def splats(self, table: TomlTable) -> PlacedEntry:
+        """The captures of an entry in the world."""
+        given, world_from_file = _read_entry(table, "splats", self.up)
+        scene = self._scene(table, "splats", given)
+        material = entry_material(table, self.materials)
+        settings = {key: given[key] for key in ("sh_degree", "shadow_only") if key in given}
+        if material is not None:
+            settings["material"] = material.apply_to(None)
+        try:
+            splats = [
+                SplatInstance(i.gaussians, world_from_file @ i.transform, name=given.get("name") or i.name, **settings)
+                for i in scene.splats
+            ]
+            lift = self._lift(given, splats)
+            placed = (replace(splat, world_from_object=lift @ splat.transform) for splat in splats)
+            return PlacedEntry(splats=tuple(placed), world_from_file=lift @ world_from_file)
+        except SceneError as error:
+            raise table.failed(error) from None
+
+    def meshes(self, table: TomlTable) -> PlacedEntry:
+        """The meshes and lights of an entry in the world."""
+        given, world_from_file = _read_entry(table, "meshes", self.up)
+        scene = self._part(table, given, self._scene(table, "meshes", given))
+        wanted = scene.lights if given.get("lights", True) else ()
+        try:
+            meshes = [
+                MeshInstance(i.mesh, world_from_file @ i.transform, name=given.get("name") or i.name)
+                for i in scene.meshes
+            ]
+            lift = self._lift(given, meshes)
+            return PlacedEntry(
+                meshes=tuple(replace(mesh, world_from_object=lift @ mesh.transform) for mesh in meshes),
+                lights=tuple(move_light(light, lift @ world_from_file) for light in wanted),
+                world_from_file=lift @ world_from_file,
+            )
+        except SceneError as error:
+            raise table.failed(error) from None
+
+    def part_names(self, table: TomlTable) -> list[str]:
+        """The names of the meshes of an entry's file, whichever of them it shows."""
+        return [instance.name for instance in self._scene(table, "meshes", table.values).meshes]
+
+    def _part(self, table: TomlTable, given: Values, scene: Scene) -> Scene:
+        """The one mesh that an entry shows, without lights; all if it does not say."""
+        part = given.get("part")
+        if part is None:
+            return scene
+        names = [instance.name for instance in scene.meshes]
+        if isinstance(part, int) and not 0 <= part < len(names):
+            raise table.error(
+                f"part is {part}, expected 0 to {len(names) - 1}: the file has {len(names)} meshes", "part"
+            )
+        if isinstance(part, str) and part not in names:
+            raise table.error(f"part is {part!r}, {suggestion(part, names)}", "part")
+        return Scene(meshes=(scene.meshes[names.index(part) if isinstance(part, str) else part],))
+
+    def _lift(self, given: Values, placed: Sequence[SplatInstance | MeshInstance]) -> Doubles:
+        """What moves the lowest point of an entry to its ``ground``, shape (4, 4); without that, nothing."""
+        move = np.eye(4)
+        if "ground" in given and placed:
+            height = min(lowest(instance, self.up) for instance in placed)
+            move[:3, 3] = (given["ground"] - height) * np.array(self.up)
+        return move
+
+    def _scene(self, table: TomlTable, heading: str, given: Values) -> Scene:
+        """The contents of an entry's file, with the changes of the entry; or its shape."""
+        if "path" not in given:
+            return self._with_changes(as_scene(shape_mesh(table, given)), table, given)
+        if "size" in given or "shape" in given:
+            key = "shape" if "shape" in given else "size"
+            raise table.error(f"path and {key} are both given: an entry is a file or a shape", key)
+        file = Path(given["path"]) if given["path"] in self.memory else table.file("path")
+        if file.suffix.lower() == ".toml":
+            raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
+        if file not in self._files:
+            memory = self.memory.get(given["path"])
+            self._files[file] = as_scene(self.load(file)) if memory is None else memory
+        scene = self._files[file]
+        if (scene.splats and heading == "meshes") or (not scene.splats and heading == "splats"):
+            found, other = ("a capture", "splats") if scene.splats else ("a mesh", "meshes")
+            raise table.error(f"path is {given['path']!r}, which is {found}: list it under [[{other}]]", "path")
+        changes = {key: given[key] for key in _CHANGES if key in given}
+        asset = file, repr(changes)
+        if asset not in self._changed:
+            self._changed[asset] = self._with_changes(scene, table, changes)
+        self._changed.move_to_end(asset)
+        while len(self._changed) > CHANGED_KEPT:
+            self._changed.popitem(last=False)
+        return self._changed[asset]
+
+    def _with_changes(self, scene: Scene, table: TomlTable, changes: Values) -> Scene:
+        try:
+            if "kernel_degree" in changes:
+                degree = changes["kernel_degree"]
+                splats = (replace(i, gaussians=replace(i.gaussians, kernel_degree=degree)) for i in scene.splats)
+                scene = replace(scene, splats=tuple(splats))
+            if "crop_low" in changes or "crop_high" in changes:
+                box = _box(table, changes)
+                splats = (replace(i, gaussians=crop(i.gaussians, box)) for i in scene.splats)
+                scene = replace(scene, splats=tuple(splats))
+            if "crease_angle_degrees" in changes:
+                angle = np.radians(changes["crease_angle_degrees"])
+                meshes = (replace(i, mesh=smooth_normals(i.mesh, angle)) for i in scene.meshes)
+                scene = replace(scene, meshes=tuple(meshes))
+            material = entry_material(table, self.materials) if scene.meshes else None
+            if material is None:
+                return scene
+            meshes = {id(i.mesh): i.mesh for i in scene.meshes}
+            for key, mesh in meshes.items():
+                changed = replace(mesh, material=material.apply_to(mesh.material))
+                meshes[key] = drop_unplaced_textures(table.path, changed)
+        except FormatError:
+            raise
+        except SceneError as error:
+            raise table.failed(error) from None
+        return replace(scene, meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes))
+
+
+def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
+    """The corners of an entry's crop box, both of which are needed, the lower one first."""
+    for key in ("crop_low", "crop_high"):
+        if key not in given:
+            raise table.error(f"lacks {key}, three numbers: a box has two corners")
+    low, high = given["crop_low"], given["crop_high"]
+    if not (np.isfinite([low, high]).all() and (np.array(low) < np.array(high)).all()):
+        raise table.wrong("crop_low", "three finite numbers, each below that of crop_high")
+    return low, high
+
+
+def _read_entry(table: TomlTable, heading: str, up: Vector) -> tuple[Values, Doubles]:
+    """The values of an entry, and ``world_from_file``."""
+    given = table.take(_KEYS[heading], required=() if "shape" in table.values else ("path",))
+    if not np.isfinite(given.get("ground", 0.0)):
+        raise table.wrong("ground", "a height, a finite number")
+    if not 0.0 <= given.get("crease_angle_degrees", 0.0) <= 180.0:
+        raise table.wrong("crease_angle_degrees", "0 to 180 degrees")
+    return given, placement(table, up)
+
+
+def as_scene(asset: Gaussians | Mesh | Scene) -> Scene:
+    """A scene as it is; one of a single asset has it at the origin."""
+    if isinstance(asset, Scene):
+        return asset
+    if isinstance(asset, Mesh):
+        return Scene(meshes=(MeshInstance(asset),))
+    return Scene(splats=(SplatInstance(asset),))

@@ -1,0 +1,1 @@
+"""Frames of each page's camera, as fine as the time allows."""

@@ -1,0 +1,228 @@
+"""The thread that renders: what has changed first, then finer frames of views at rest."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import lumisplat as ls
+from lumisplat.viewer.frames.levels import Levels
+from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step
+from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.picture import Shown, page_depth, picture_of
+from lumisplat.viewer.frames.renderers import Progress, Renderers, frame_config
+from lumisplat.viewer.state.session import Options, Session, State
+from lumisplat.viewer.thresholds import (
+    NOISE_AT_REST,
+    QUALITY_AT_REST,
+    QUALITY_MOVING,
+    REALTIME_FRAMES_AT_REST,
+    SAMPLES_AT_REST,
+    SETTLED_S,
+)
+
+_log = logging.getLogger("lumisplat")
+
+_FOLLOWING = (ls.Pipeline.REALTIME, ls.Pipeline.PATH)
+"""Pipelines whose time goes with the pixels, or whose frames follow from those before them."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A frame to render."""
+
+    page: Page
+    key: tuple[int, int]
+    state: State
+    options: Options
+    moves: bool
+    """Whether the view moves; else it is at rest."""
+
+
+class RenderLoop:
+    """Renders for all pages, in one thread.
+
+    Args:
+        session: What to show.
+        device: Where to render.
+        progress: Told when kernels are compiled.
+        on_frame: Called after each frame with its page, its step, None at rest, and its milliseconds.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        device: str,
+        progress: Progress,
+        on_frame: Callable[[Page, Step | None, float], None],
+    ) -> None:
+        self._session, self._on_frame = session, on_frame
+        self._renderers = Renderers(device, progress)
+        self._levels = Levels(self._wake)
+        self._pages: list[Page] = []
+        self._is_open = True
+        self._thread = threading.Thread(target=self._run, name="lumisplat frames", daemon=True)
+
+    def start(self) -> None:
+        """Starts to render."""
+        self._thread.start()
+
+    def add(self, page: Page) -> None:
+        """Renders for a page, too."""
+        with self._session.changed:
+            self._pages.append(page)
+            self._session.changed.notify_all()
+
+    def remove(self, page: Page) -> None:
+        """Renders no longer for a page."""
+        with self._session.changed:
+            if page in self._pages:
+                self._pages.remove(page)
+            self._renderers.drop(page)
+        page.close()
+
+    def close(self) -> None:
+        """Ends after the frame that is being rendered."""
+        with self._session.changed:
+            self._is_open = False
+            self._session.changed.notify_all()
+            pages = list(self._pages)
+        for page in pages:
+            page.close()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._levels.close()
+
+    def _wake(self) -> None:
+        with self._session.changed:
+            self._session.changed.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._session.changed:
+                job = None
+                while self._is_open and (job := self._next_job()) is None:
+                    self._session.changed.wait(self._time_to_rest())
+                if job is None:
+                    return
+            try:
+                if job.moves:
+                    self._draw_moving(job)
+                else:
+                    self._draw_at_rest(job)
+            except Exception as error:  # a frame that fails must not end the session
+                self._give_up(job, error)
+
+    def _give_up(self, job: _Job, error: Exception) -> None:
+        """Leaves a page as it is until something changes, and says why."""
+        if not isinstance(error, ls.LumisplatError):
+            _log.error("the viewer could not render a frame:\n%s", traceback.format_exc())
+        job.page.key, job.page.is_finished = job.key, True
+        self._session.report(" ".join(str(error).split()) or type(error).__name__)
+
+    # --- What is next; the lock is held ---
+
+    def _next_job(self) -> _Job | None:
+        """A page whose view has changed, else one at rest that is not finished; None: nothing is to be done."""
+        now = time.monotonic()
+        resting: Page | None = None
+        for page in self._pages:
+            if page.pose is None or not page.is_open:
+                continue
+            key = (self._session.revision, page.pose_number)
+            if page.key != key:
+                if page.takes_frames:
+                    self._take_turn(page)
+                    return self._job(page, key, moves=True)
+            elif not page.is_finished and resting is None and now - page.changed_at >= SETTLED_S:
+                resting = page
+        if resting is None:
+            return None
+        self._take_turn(resting)
+        return self._job(resting, (self._session.revision, resting.pose_number), moves=False)
+
+    def _job(self, page: Page, key: tuple[int, int], *, moves: bool) -> _Job:
+        return _Job(page, key, self._session.state, self._session.options, moves)
+
+    def _take_turn(self, page: Page) -> None:
+        """Puts a page behind the others."""
+        self._pages.remove(page)
+        self._pages.append(page)
+
+    def _time_to_rest(self) -> float | None:
+        """Seconds until a view comes to rest; None: none will by itself."""
+        waiting = [page.changed_at + SETTLED_S for page in self._pages if page.key is not None and not page.is_finished]
+        return max(min(waiting) - time.monotonic(), 1e-3) if waiting else None
+
+    # --- Frames ---
+
+    def _draw_moving(self, job: _Job) -> None:
+        """A frame of a view that has changed, as fine as the budget allows."""
+        page, state, options = job.page, job.state, job.options
+        follows = state.config.pipeline in _FOLLOWING
+        steps = BY_PIXELS if follows else BY_GAUSSIANS
+        if page.pace.steps is not steps:
+            page.pace = Pace(steps, first=len(steps) - 2)
+        step, started = page.pace.step, time.perf_counter()
+        config = frame_config(state.config, options.view)
+        renderer = self._renderers.of(page if config.pipeline is ls.Pipeline.REALTIME else "moving", config)
+        scene = self._levels.scene(state.scene, step.level)
+        assert page.pose is not None
+        camera = page.pose.camera(max(2, round(options.height * step.scale)), state.exposure)
+        frame = renderer.render(scene, camera, encode=options.view == "color")
+        picture = picture_of(frame, options.view)
+        took = 1e3 * (time.perf_counter() - started)
+        page.pace.took(took, options.budget_ms)
+        with self._session.changed:
+            page.key, page.frame, page.noise, page.frames_at_rest = job.key, frame, None, 0
+            page.changed_at, page.is_finished = time.monotonic(), False
+        page.show(Shown(picture, QUALITY_MOVING))
+        self._on_frame(page, step, took)
+
+    def _draw_at_rest(self, job: _Job) -> None:
+        """The first full frame of a view at rest, or the next sample of it."""
+        page, state, options = job.page, job.state, job.options
+        started = time.perf_counter()
+        config = frame_config(state.config, options.view)
+        in_sequence = config.pipeline is ls.Pipeline.REALTIME
+        renderer = self._renderers.of(page if in_sequence else "at rest", config)
+        assert page.pose is not None
+        camera = page.pose.camera(options.height, state.exposure)
+        resume = page.frame if page.frames_at_rest and not in_sequence else None
+        frame = renderer.render(
+            state.scene,
+            camera,
+            resume=resume,
+            encode=options.view == "color",
+            progress=None if in_sequence else _ignore,
+        )
+        noise = None if frame.stats is None else frame.stats.noise
+        with self._session.changed:
+            page.frame, page.frames_at_rest = frame, page.frames_at_rest + 1
+            page.noise = page.noise if noise is None else noise
+            page.is_finished = _is_finished(page, state.config)
+            shows = page.takes_frames or page.is_finished
+        if shows:
+            depth = page_depth(frame, self._session.units.page_from_scene)
+            page.show(Shown(picture_of(frame, options.view), QUALITY_AT_REST, depth))
+        self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
+
+
+def _ignore(label: str, fraction: float) -> None:
+    """Progress that nobody sees: asking for it has the noise estimated."""
+
+
+def _is_finished(page: Page, config: ls.RenderConfig) -> bool:
+    """Whether a page at rest needs no further frame."""
+    assert page.frame is not None
+    if config.pipeline is ls.Pipeline.REALTIME:
+        return page.frames_at_rest >= REALTIME_FRAMES_AT_REST
+    if page.frame.samples == 0:
+        return True  # the sorted raster is exact
+    if page.noise is not None and page.noise <= (config.noise or NOISE_AT_REST):
+        return True
+    return page.frame.samples >= (config.samples or SAMPLES_AT_REST)

@@ -1,0 +1,106 @@
+"""One open page: where it looks from, what it has been shown, and what it is sent next."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import lumisplat as ls
+from lumisplat.viewer.frames.pace import Pace
+from lumisplat.viewer.frames.picture import Shown
+from lumisplat.viewer.frames.pose import Pose
+from lumisplat.viewer.state.units import Units
+from lumisplat.viewer.thresholds import ANSWER_S, PATIENCE_S
+
+if TYPE_CHECKING:
+    import viser
+
+
+class Page:
+    """A page and the thread that sends to it.
+
+    Frames wait in a place for one: the next one is sent when the page has answered that the last one is there, so that
+    no queue forms on the way.
+
+    Args:
+        client: The page's connection.
+        changed: Held while what is known of the page changes, and notified.
+    """
+
+    def __init__(self, client: viser.ClientHandle, changed: threading.Condition) -> None:
+        self.client, self._changed = client, changed
+        self.pose: Pose | None = None
+        self.pose_number = 0
+        self.changed_at = 0.0
+        """When what it should show changed last, seconds of the monotonic clock."""
+        self.key: tuple[int, int] | None = None
+        """Revision of the session and number of the pose that it is shown, or that could not be."""
+        self.pace = Pace()
+        self.frame: ls.Frame | None = None
+        """What it shows."""
+        self.is_finished = False
+        """Whether it shows all that there is to show of a view at rest."""
+        self.noise: float | None = None
+        self.frames_at_rest = 0
+        self.is_open = True
+        self._waiting: Shown | None = None
+        self._has_answered = False
+        self._answers = True
+        self._thread = threading.Thread(target=self._send, name="lumisplat page", daemon=True)
+        self._thread.start()
+
+    def look(self, camera: viser.CameraHandle, units: Units) -> None:
+        """Takes over the page's camera."""
+        pose = Pose.of(camera, units)
+        with self._changed:
+            if pose != self.pose:
+                self.pose = pose
+                self.pose_number += 1
+                self._changed.notify_all()
+
+    @property
+    def takes_frames(self) -> bool:
+        """Whether a frame that is sent now is the next one that it shows."""
+        return self.is_open and self._waiting is None
+
+    def show(self, shown: Shown) -> None:
+        """Sends a picture as soon as the last one is there, in place of one that still waits."""
+        with self._changed:
+            self._waiting = shown
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Ends the thread; the page has gone, or is to go."""
+        with self._changed:
+            self.is_open = False
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _send(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting is not None or not self.is_open)
+                if not self.is_open or self._waiting is None:
+                    return
+                shown, self._waiting = self._waiting, None
+                self._changed.notify_all()
+            self.client.scene.set_background_image(
+                shown.picture, format="jpeg", jpeg_quality=shown.quality, depth=shown.depth
+            )
+            self.client.flush()
+            self._await_answer()
+
+    def _await_answer(self) -> None:
+        """Waits until the page has taken what it was sent: it answers in order, and viser's pages answer this."""
+        until = time.monotonic() + (PATIENCE_S if self._has_answered else ANSWER_S)
+        while self._answers and self.is_open:
+            try:
+                self.client.local_storage.get_item("frame", timeout=0.2)
+                self._has_answered = True
+                return
+            except TimeoutError:
+                self._answers = self._has_answered or time.monotonic() < until
+            except RuntimeError:  # it has gone, or keeps nothing, which is an answer, too
+                return

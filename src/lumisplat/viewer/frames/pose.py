@@ -1,0 +1,82 @@
+"""Where a page looks from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+import lumisplat as ls
+from lumisplat.viewer.state.units import Units
+
+if TYPE_CHECKING:
+    import viser
+
+ASPECT_RANGE = (0.1, 10.0)
+"""Width to height of a page's canvas, beyond which it is taken for this."""
+
+_WIDTH_MULTIPLE = 2
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A page's camera, in units of the scene."""
+
+    position: tuple[float, float, float]
+    wxyz: tuple[float, float, float, float]
+    """World from camera: x right, y down, z forward."""
+    fov_y: float
+    """Vertical field of view, radians."""
+    aspect: float
+    """Width to height."""
+    focus: float
+    """Distance to the point that the camera turns about."""
+
+    @classmethod
+    def of(cls, camera: viser.CameraHandle, units: Units) -> Pose:
+        """The camera of a page, from its last message."""
+        position = np.asarray(camera.position) / units.page_from_scene
+        target = np.asarray(camera.look_at) / units.page_from_scene
+        low, high = ASPECT_RANGE
+        x, y, z = (float(value) for value in position)
+        a, b, c, d = (float(value) for value in camera.wxyz)
+        return cls(
+            (x, y, z),
+            (a, b, c, d),
+            min(max(float(camera.fov), 1e-3), math.pi - 1e-3),
+            min(max(float(camera.aspect), low), high),
+            float(np.linalg.norm(target - position)),
+        )
+
+    def camera(self, height: int, exposure: float = 0.0) -> ls.Camera:
+        """The camera of a frame of so many rows; the width follows from the page's aspect, in even numbers.
+
+        Raises:
+            SceneError: The page's numbers make no camera.
+        """
+        width = max(_WIDTH_MULTIPLE, _WIDTH_MULTIPLE * round(height * self.aspect / _WIDTH_MULTIPLE))
+        focal = 0.5 * height / math.tan(0.5 * self.fov_y)
+        return ls.Camera(
+            width=width,
+            height=height,
+            fx=focal,
+            fy=focal,
+            cx=0.5 * width,
+            cy=0.5 * height,
+            camera_from_world=self._camera_from_world(),
+            near=min(1e-3 * self.focus, 0.01) or 0.01,
+            name="view",
+            exposure=exposure,
+        )
+
+    def _camera_from_world(self) -> npt.NDArray[np.float64]:
+        from viser import transforms
+
+        rotation = transforms.SO3(np.asarray(self.wxyz)).normalize().as_matrix().T
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation
+        matrix[:3, 3] = -rotation @ np.asarray(self.position)
+        return matrix

@@ -1,0 +1,53 @@
+"""Renderers that pages share, one for each use, so that what one keeps warm no other use replaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+
+import lumisplat as ls
+
+Progress = Callable[[str, float], None]
+
+
+def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
+    """Settings of one sample of a frame, with the images that a view needs.
+
+    Args:
+        config: The settings of the scene.
+        view: ``color``, or one of `lumisplat.Frame.VIEWS`.
+    """
+    needed = ls.Frame.NEEDS.get(view)
+    samples = None if config.pipeline is ls.Pipeline.REALTIME else 1
+    limits = {"samples": samples, "noise": None, "time_limit": None, "adaptive": None}
+    return replace(config, **limits, aovs=() if needed is None else (needed,))
+
+
+class Renderers:
+    """Holds the renderers of the present settings.
+
+    Args:
+        device: As of `lumisplat.create_renderer`.
+        progress: Likewise.
+    """
+
+    def __init__(self, device: str, progress: Progress) -> None:
+        self._device, self._progress = device, progress
+        self._held: dict[Hashable, ls.Renderer] = {}
+
+    def of(self, use: Hashable, config: ls.RenderConfig) -> ls.Renderer:
+        """The renderer of a use, with settings; another one than before if these have changed.
+
+        Raises:
+            DeviceError: There is no such device, or it is out of memory.
+        """
+        held = self._held.get(use)
+        if held is None or held.config != config:
+            self._held.pop(use, None)  # its memory is free before another one takes as much
+            held = ls.create_renderer(config, self._device, progress=self._progress)
+            self._held[use] = held
+        return held
+
+    def drop(self, use: Hashable) -> None:
+        """Forgets the renderer of a use."""
+        self._held.pop(use, None)

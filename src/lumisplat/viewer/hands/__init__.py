@@ -1,0 +1,1 @@
+"""What hands do on the picture: pick, drag, turn; and the lines that show where lights are."""

@@ -1,0 +1,147 @@
+"""Lines in the picture: how large a light is, where it shines and how far, and what is selected."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw
+
+import lumisplat as ls
+
+Points = npt.NDArray[np.float64]
+"""World positions along a line, shape (N, 3)."""
+
+_CIRCLE = 48
+_PIECES = 24
+"""Parts of a straight line that are seen or hidden each by itself."""
+_HIDDEN = 0.3
+"""Strength of lines behind what is in the frame."""
+_SELECTED = (255, 176, 32)
+_OTHERS = (150, 150, 150)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Lines of one thing."""
+
+    lines: tuple[Points, ...]
+    color: tuple[int, int, int]
+
+
+def light_outline(light: object, size: float, *, is_selected: bool) -> Outline | None:
+    """The lines of a light; None: of one that is nowhere, such as a sky.
+
+    Args:
+        light: The light.
+        size: Length that marks lights without a size of their own, scene units.
+        is_selected: Whether all of it is shown, else its place alone.
+    """
+    color = _SELECTED if is_selected else _OTHERS
+    match light:
+        case ls.LightPoint() | ls.LightSphere():
+            lines = _ball(light.position, light.radius or 0.5 * size)
+            if is_selected and isinstance(light, ls.LightPoint) and math.isfinite(light.range):
+                lines += _ball(light.position, light.range)
+        case ls.LightSpot():
+            lines = _ball(light.position, light.radius or 0.35 * size) + (_cone(light, size) if is_selected else ())
+        case ls.LightRect():
+            lines = _rectangle(light)
+        case _:
+            return None
+    return Outline(lines, color)
+
+
+def box_outline(low: npt.ArrayLike, high: npt.ArrayLike) -> Outline:
+    """The edges of a box, world space."""
+    low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    corners = np.array([[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
+    pairs = [(a, a | 1 << axis) for a in range(8) for axis in range(3) if not a >> axis & 1]
+    return Outline(tuple(_straight(corners[a], corners[b]) for a, b in pairs), _SELECTED)
+
+
+def draw_outlines(
+    picture: npt.NDArray[np.uint8], frame: ls.Frame, outlines: Sequence[Outline]
+) -> npt.NDArray[np.uint8]:
+    """The picture of a frame with lines on it, dimmed where they are behind what is there."""
+    if not outlines:
+        return picture
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image, "RGBA")
+    for outline in outlines:
+        for line in outline.lines:
+            _draw_line(draw, frame, line, outline.color)
+    return np.asarray(image)
+
+
+def _draw_line(draw: ImageDraw.ImageDraw, frame: ls.Frame, line: Points, color: tuple[int, int, int]) -> None:
+    camera = frame.camera
+    local = line @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    in_front = local[:, 2] > camera.near
+    depth = np.maximum(local[:, 2], camera.near)
+    pixels = local[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    seen = _is_seen(frame, pixels, np.linalg.norm(local, axis=1))
+    for i in range(len(line) - 1):
+        if in_front[i] and in_front[i + 1] and np.abs(pixels[i : i + 2]).max() < 1e5:
+            strength = 1.0 if seen[i] and seen[i + 1] else _HIDDEN
+            draw.line([tuple(pixels[i]), tuple(pixels[i + 1])], fill=(*color, round(255 * strength)), width=1)
+
+
+def _is_seen(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[np.bool_]:
+    """Whether nothing in the frame is nearer to the eye than points."""
+    height, width = frame.alpha.shape
+    x = np.clip(pixels[:, 0], 0, width - 1).astype(int)
+    y = np.clip(pixels[:, 1], 0, height - 1).astype(int)
+    return distances <= frame.depth[y, x]
+
+
+def _straight(start: npt.ArrayLike, end: npt.ArrayLike) -> Points:
+    return np.linspace(np.asarray(start, np.float64), np.asarray(end, np.float64), _PIECES + 1)
+
+
+def _circle(center: npt.ArrayLike, radius: float, axis: npt.ArrayLike) -> Points:
+    u, v = _frame_about(axis)
+    angles = np.linspace(0.0, 2.0 * math.pi, _CIRCLE + 1)[:, None]
+    return np.asarray(center) + radius * (np.cos(angles) * u + np.sin(angles) * v)
+
+
+def _frame_about(axis: npt.ArrayLike) -> tuple[Points, Points]:
+    """Two unit vectors at right angles to an axis and to each other."""
+    along = np.asarray(axis, np.float64)
+    along = along / np.linalg.norm(along)
+    other = np.eye(3)[int(np.argmin(np.abs(along)))]
+    u = np.cross(along, other)
+    u /= np.linalg.norm(u)
+    return u, np.cross(along, u)
+
+
+def _ball(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
+    return tuple(_circle(center, radius, axis) for axis in np.eye(3))
+
+
+def _cone(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
+    """To the end of a spot's range, or a few sizes: its outer cone, and a circle of its inner one."""
+    length = light.range if math.isfinite(light.range) else 6.0 * size
+    position, along = np.array(light.position), np.array(light.direction)
+    lines: list[Points] = []
+    for angle in (light.outer_angle, light.inner_angle):
+        if angle > 0.0:
+            reach = length * math.cos(angle)
+            lines.append(_circle(position + reach * along, length * math.sin(angle), along))
+    u, v = _frame_about(along)
+    for side in (u, -u, v, -v):
+        edge = math.cos(light.outer_angle) * along + math.sin(light.outer_angle) * side
+        lines.append(_straight(position, position + length * edge))
+    return tuple(lines)
+
+
+def _rectangle(light: ls.LightRect) -> tuple[Points, ...]:
+    center, u, v = (np.array(value) for value in (light.position, light.edge_u, light.edge_v))
+    corners = [center + 0.5 * (a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    normal = np.cross(u, v)
+    normal *= 0.25 * math.sqrt(np.linalg.norm(normal)) / np.linalg.norm(normal)
+    sides = (_straight(a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
+    return (*sides, _straight(center, center + normal))

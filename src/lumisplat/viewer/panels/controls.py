@@ -1,0 +1,161 @@
+"""A control for each described field, and between the two the words and numbers that people see."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import lumisplat as ls
+from lumisplat.viewer.colors import linear_from_picked, picked_from_linear
+from lumisplat.viewer.panels.described import Described
+
+if TYPE_CHECKING:
+    import viser
+
+AUTO = "auto"
+"""What people read and type for None."""
+
+_SLIDER_SPAN = 1e4
+"""Ranges whose ends differ by a larger factor are typed, not dragged."""
+
+
+def make_control(gui: viser.GuiApi, field: Described, value: Any, put: Callable[[Any], None]) -> Control:
+    """A control in the present folder.
+
+    Args:
+        gui: Where.
+        field: What it shows.
+        value: Its value.
+        put: Called with the value that somebody has chosen, in a thread of the page server; raises a LumisplatError if
+            there is no such value.
+    """
+    return Control(gui, field, value, put)
+
+
+class Control:
+    """One field on the page."""
+
+    def __init__(self, gui: viser.GuiApi, field: Described, value: Any, put: Callable[[Any], None]) -> None:
+        self.field = field
+        self.handle: Any = _handle(gui, field, value)
+        self._shown = value
+
+        def on_update(event: Any) -> None:
+            if event.client_id is not None:  # else it was set from here
+                chosen = from_shown(field, self.handle.value)
+                if chosen != self._shown:
+                    put(chosen)
+
+        self.handle.on_update(on_update)
+
+    def show(self, value: Any) -> None:
+        """Shows another value."""
+        self._shown = value
+        self.handle.value = to_shown(self.field, value)
+
+
+def to_shown(field: Described, value: Any) -> Any:
+    """A value as its control shows it."""
+    if field.is_optional and field.kind not in ("color",):
+        return AUTO if value is None else _text(field, value)
+    match field.kind:
+        case "choice":
+            return value.value
+        case "color":
+            return _picked(field, value)
+        case "vector":
+            return tuple(float(x) for x in value)
+        case "number":
+            return float(value) if math.isfinite(value) else 0.0
+        case _:
+            return value
+
+
+def from_shown(field: Described, shown: Any) -> Any:
+    """The value that a control shows.
+
+    Raises:
+        ConfigError: A number was typed that is none.
+    """
+    if field.is_optional and field.kind not in ("color",):
+        return _parsed(field, str(shown))
+    match field.kind:
+        case "choice":
+            return next(choice for choice in field.choices if choice.value == shown)
+        case "color":
+            return linear_from_picked(shown) if field.is_linear else tuple(channel / 255.0 for channel in shown)
+        case "vector":
+            return tuple(float(x) for x in shown)
+        case _:
+            return shown
+
+
+def _picked(field: Described, color: tuple[float, float, float] | None) -> tuple[int, ...]:
+    """A colour as bytes of sRGB; black for none."""
+    if color is None:
+        return 0, 0, 0
+    return picked_from_linear(color) if field.is_linear else tuple(round(255.0 * channel) for channel in color)
+
+
+def _text(field: Described, value: Any) -> str:
+    if field.kind == "flag":
+        return "on" if value else "off"
+    return value.value if field.kind == "choice" else f"{value:g}" if field.kind == "number" else f"{value}"
+
+
+def _parsed(field: Described, text: str) -> Any:
+    """The value of a text, of a field that may be automatic."""
+    word = text.strip().lower()
+    if word in ("", AUTO):
+        return None
+    if field.kind == "flag":
+        return word == "on"
+    if field.kind == "choice":
+        return next(choice for choice in field.choices if choice.value == word)
+    if field.kind == "text":
+        return text
+    try:
+        return int(word) if field.kind == "whole" else float(word)
+    except ValueError:
+        what = "a whole number" if field.kind == "whole" else "a number"
+        raise ls.ConfigError(f"{field.label} is '{text}', expected {what}, or {AUTO}") from None
+
+
+def _handle(gui: viser.GuiApi, field: Described, value: Any) -> Any:  # noqa: PLR0911
+    """The control itself."""
+    label, shown, hint = field.label, to_shown(field, value), field.help or None
+    if field.is_optional and field.kind in ("flag", "choice"):
+        words = ("on", "off") if field.kind == "flag" else tuple(choice.value for choice in field.choices)
+        return gui.add_dropdown(label, (AUTO, *words), initial_value=shown, hint=hint)
+    if field.is_optional and field.kind != "color":
+        return gui.add_text(label, shown, hint=hint)
+    match field.kind:
+        case "flag":
+            return gui.add_checkbox(label, shown, hint=hint)
+        case "choice":
+            return gui.add_dropdown(label, [choice.value for choice in field.choices], initial_value=shown, hint=hint)
+        case "color":
+            return gui.add_rgb(label, shown, hint=hint)
+        case "vector":
+            return gui.add_vector3(label, shown, step=1e-3, hint=hint)
+        case "text":
+            return gui.add_text(label, shown, hint=hint)
+        case _:
+            return _number_handle(gui, field, shown, hint)
+
+
+def _number_handle(gui: viser.GuiApi, field: Described, shown: Any, hint: str | None) -> Any:
+    """A slider where the range is short and known, else a box to type in."""
+    whole, low, high = field.kind == "whole", field.low, field.high
+    if low is not None and high is not None and low <= shown <= high <= _SLIDER_SPAN:
+        ends = (int(low), int(high)) if whole else (low, high)
+        step = 1 if whole else _step(high - low)
+        return gui.add_slider(field.label, ends[0], ends[1], step, shown, hint=hint)
+    least = None if low is None else type(shown)(low)
+    return gui.add_number(field.label, shown, min=least, step=1 if whole else 1e-4, hint=hint)
+
+
+def _step(span: float) -> float:
+    """A thousandth of a range, as a power of ten."""
+    return 10.0 ** math.floor(math.log10(span) - 2.5)

@@ -1,0 +1,69 @@
+"""The settings of a dataclass as controls: each field by itself, groups in folders; new fields appear by themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from lumisplat.viewer.panels.controls import Control, make_control
+from lumisplat.viewer.panels.described import described
+
+if TYPE_CHECKING:
+    import viser
+    from _typeshed import DataclassInstance
+
+Settings = TypeVar("Settings", bound="DataclassInstance")
+
+
+class SettingsPanel(Generic[Settings]):
+    """Controls of one object of settings, in the present folder.
+
+    Args:
+        gui: Where.
+        settings: What they show at first.
+        put: Called with changed settings and the name of the field; raises a LumisplatError if a value is refused.
+        without: Fields that are shown elsewhere, or nowhere.
+        only: If given, these fields alone.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        settings: Settings,
+        put: Callable[[Settings, str], None],
+        without: Collection[str] = (),
+        only: Collection[str] | None = None,
+    ) -> None:
+        self._settings, self._put = settings, put
+        self._controls: dict[str, Control] = {}
+        self._groups: dict[str, SettingsPanel[Any]] = {}
+        for field in described(type(settings)):
+            if field.name in without or (only is not None and field.name not in only):
+                continue
+            value = getattr(settings, field.name)
+            if field.kind == "group":
+                with gui.add_folder(field.label, expand_by_default=False):
+                    self._groups[field.name] = SettingsPanel(gui, value, self._group_changed(field.name))
+            else:
+                self._controls[field.name] = make_control(gui, field, value, self._field_changed(field.name))
+
+    def show(self, settings: Settings) -> None:
+        """Shows other settings."""
+        self._settings = settings
+        for name, control in self._controls.items():
+            control.show(getattr(settings, name))
+        for name, group in self._groups.items():
+            group.show(getattr(settings, name))
+
+    def _field_changed(self, name: str) -> Callable[[Any], None]:
+        def put(value: Any) -> None:
+            self._put(replace(self._settings, **{name: value}), name)
+
+        return put
+
+    def _group_changed(self, name: str) -> Callable[[Any, str], None]:
+        def put(value: Any, field: str) -> None:
+            self._put(replace(self._settings, **{name: value}), f"{name}.{field}")
+
+        return put

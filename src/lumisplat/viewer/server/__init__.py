@@ -1,0 +1,1 @@
+"""Who may talk to the viewer, and what they may say."""

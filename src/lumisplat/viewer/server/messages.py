@@ -1,0 +1,137 @@
+"""What a page may say: messages that are not of the page's own kind, size and numbers are dropped and counted."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+from lumisplat.viewer.thresholds import MESSAGE_BYTES_MAX, UPLOAD_BYTES_MAX
+
+_log = logging.getLogger("lumisplat")
+
+_KINDS = frozenset(
+    {
+        "ViewerCameraMessage",
+        "GuiUpdateMessage",
+        "GuiFormSubmitMessage",
+        "GuiFormDirtyMessage",
+        "CommandTriggerMessage",
+        "ScenePointerMessage",
+        "TransformControlsUpdateMessage",
+        "TransformControlsDragStartMessage",
+        "TransformControlsDragEndMessage",
+        "FileTransferStartUpload",
+        "FileTransferPart",
+        "FileTransferPartAck",
+        "LocalStorageGetItemResponseMessage",
+        "GetRenderResponseMessage",
+    }
+)
+"""Messages that pages send; others, such as requests to be shared with the world, are nobody's business here."""
+
+_VECTORS = {
+    "ViewerCameraMessage": {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3},
+    "TransformControlsUpdateMessage": {"wxyz": 4, "position": 3},
+}
+"""Fields that are so many finite numbers."""
+
+_NUMBERS = {"ViewerCameraMessage": ("fov", "near", "far", "image_height", "image_width")}
+"""Fields that are finite numbers above 0."""
+
+
+class Inbox:
+    """Decides which messages of one page are passed on."""
+
+    def __init__(self) -> None:
+        self._left: dict[str, int] = {}
+        """Bytes that each upload may still bring."""
+        self.dropped = 0
+
+    def accepts(self, raw: object) -> bool:
+        """Whether a message is one that a page may send; the first that is not is logged."""
+        reason = self._fault(raw)
+        if reason is None:
+            return True
+        self.dropped += 1
+        if self.dropped == 1:
+            _log.warning("a page sent something that is no message of the viewer, which was dropped: %s", reason)
+        return False
+
+    def _fault(self, raw: object) -> str | None:  # noqa: PLR0911
+        """What is wrong with a message; None: nothing."""
+        import msgspec
+
+        if not isinstance(raw, bytes) or len(raw) > MESSAGE_BYTES_MAX:
+            return "it is text, or too long"
+        try:
+            message: object = msgspec.msgpack.decode(raw)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return "it cannot be decoded"
+        if not isinstance(message, dict):
+            return "it is no table"
+        fields = cast(dict[str, Any], message)
+        kind = fields.get("type")
+        if not isinstance(kind, str) or kind not in _KINDS:
+            return f"its type is {str(kind)[:40]!r}"
+        for name, count in _VECTORS.get(kind, {}).items():
+            if not _is_vector(fields.get(name), count):
+                return f"{name} of {kind} is not {count} finite numbers"
+        for name in _NUMBERS.get(kind, ()):
+            if not _is_number(fields.get(name)) or fields[name] <= 0:
+                return f"{name} of {kind} is no number above 0"
+        if kind == "GuiUpdateMessage":
+            updates = fields.get("updates")
+            return None if isinstance(updates, dict) and updates.keys() == {"value"} else "it changes more than a value"
+        return self._upload_fault(kind, fields) if kind.startswith("FileTransfer") else None
+
+    def _upload_fault(self, kind: str, fields: Mapping[str, Any]) -> str | None:
+        """What is wrong with a part of an upload: it is larger than files may be, or than was said."""
+        transfer = fields.get("transfer_uuid")
+        if not isinstance(transfer, str):
+            return "an upload has no name"
+        if kind == "FileTransferStartUpload":
+            size, parts = fields.get("size_bytes"), fields.get("part_count")
+            if not isinstance(size, int) or not 0 <= size <= UPLOAD_BYTES_MAX - sum(self._left.values()):
+                return f"uploads are larger than {UPLOAD_BYTES_MAX // 2**20} MB"
+            if not isinstance(parts, int) or not 0 <= parts <= size:
+                return "an upload has more parts than bytes"
+            self._left[transfer] = size
+        elif kind == "FileTransferPart":
+            content = fields.get("content")
+            if not isinstance(content, bytes) or len(content) > self._left.get(transfer, 0):
+                return "an upload is larger than it said"
+            self._left[transfer] -= len(content)
+            if self._left[transfer] == 0:
+                del self._left[transfer]
+        return None
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_vector(value: object, count: int) -> bool:
+    return isinstance(value, list) and len(cast(list[object], value)) == count and all(map(_is_number, value))
+
+
+class FilteredConnection:
+    """A WebSocket whose ``recv`` gives only what an `Inbox` accepts; everything else is the socket's own.
+
+    Args:
+        connection: The WebSocket.
+    """
+
+    def __init__(self, connection: Any) -> None:
+        self._connection, self._inbox = connection, Inbox()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+    async def recv(self) -> bytes:
+        """The next message that is accepted."""
+        while True:
+            raw: bytes = await self._connection.recv()
+            if self._inbox.accepts(raw):
+                return raw

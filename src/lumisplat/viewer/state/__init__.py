@@ -1,0 +1,1 @@
+"""What all pages show and edit."""

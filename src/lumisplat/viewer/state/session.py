@@ -1,0 +1,145 @@
+"""What is shown and edited: one state for all pages, with undo, and who wants to know when it changes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import lumisplat as ls
+from lumisplat.viewer.state.units import Units
+from lumisplat.viewer.thresholds import UNDO_MAX
+
+
+@dataclass(frozen=True)
+class State:
+    """All that can be undone."""
+
+    document: ls.SceneDocument = field(default_factory=lambda: ls.SceneDocument.of(ls.Scene()))
+    config: ls.RenderConfig = field(default_factory=ls.RenderConfig)
+    exposure: float = 0.0
+    """Stops, of lit frames."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How the state is shown; nothing of it is part of what is made, or undone."""
+
+    height: int = 720
+    """Rows of frames at rest."""
+    budget_ms: float = 40.0
+    """What a frame of a view that moves may take."""
+    view: str = "color"
+    """Or one of `lumisplat.Frame.VIEWS`."""
+    time: float = 0.0
+    """Of the animation, seconds."""
+    outlines: bool = True
+    """Whether lines show where lights are, and what is selected."""
+    split: float | None = None
+    """Share of the picture, from the left, that shows the state before the edits; None: none of it."""
+
+
+class Session:
+    """The state of the viewer. Safe to use from any thread.
+
+    Args:
+        options: How it is shown at first.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self.changed = threading.Condition(threading.RLock())
+        """Notified when a frame may have become old; held by whoever changes anything."""
+        self.state = self.opened = State()
+        """What is shown, and what was at first."""
+        self.selected: int | None = None
+        """Id of the entry that people edit; None: none."""
+        self.options = options
+        self.revision = 0
+        """Grows with every change of what frames show."""
+        self.units = Units()
+        self._past: list[State] = []
+        self._future: list[State] = []
+        self._merging: str | None = None
+        self._listeners: list[Callable[[], None]] = []
+        self.errors: list[Callable[[str], None]] = []
+        """Told what went wrong, in a line."""
+
+    def open(self, state: State) -> None:
+        """Starts with a state; nothing before it can be undone."""
+        with self.changed:
+            self.units, self.opened = Units.of(state.document.scene(self.options.time)), state
+            self._past, self._future, self._merging = [], [], None
+            self._show(state)
+
+    def edit(self, state: State, merge: str | None = None) -> None:
+        """Goes on to a new state.
+
+        Args:
+            state: What follows from `state`.
+            merge: Edits of the same name that follow each other are undone as one; `seal` ends such a row.
+        """
+        with self.changed:
+            if merge is None or merge != self._merging:
+                self._past = [*self._past[-UNDO_MAX:], self.state]
+            self._merging = merge
+            self._future.clear()
+            self._show(state)
+
+    def seal(self) -> None:
+        """The next edit is undone on its own."""
+        with self.changed:
+            self._merging = None
+
+    def undo(self) -> bool:
+        """Goes back by one edit; False: there is none."""
+        return self._step(self._past, self._future)
+
+    def redo(self) -> bool:
+        """Goes forward again; False: nothing was undone, or something else was done since."""
+        return self._step(self._future, self._past)
+
+    @property
+    def scene(self) -> ls.Scene:
+        """What is seen now."""
+        return self.state.document.scene(self.options.time)
+
+    def select(self, entry: int | None) -> None:
+        """Selects an entry, for all pages."""
+        with self.changed:
+            if entry != self.selected:
+                self.selected, self._merging = entry, None
+                self._show(self.state)
+
+    def set_options(self, **changes: object) -> None:
+        """Shows the same state in another way."""
+        with self.changed:
+            self.options = replace(self.options, **changes)  # pyright: ignore[reportArgumentType]
+            self._show(self.state)
+
+    def on_change(self, listener: Callable[[], None]) -> None:
+        """Calls a function after each change, in the thread that made it."""
+        self._listeners.append(listener)
+
+    def report(self, problem: str) -> None:
+        """Tells people what went wrong."""
+        for tell in self.errors:
+            tell(problem)
+
+    def _step(self, source: list[State], target: list[State]) -> bool:
+        with self.changed:
+            if not source:
+                return False
+            target.append(self.state)
+            self._merging = None
+            state = source.pop()
+            if self.selected not in {entry.id for entry in state.document.entries}:
+                self.selected = None
+            self._show(state)
+            return True
+
+    def _show(self, state: State) -> None:
+        self.state = state
+        self.revision += 1
+        self.changed.notify_all()
+        for listener in self._listeners:
+            listener()

@@ -1,0 +1,53 @@
+"""Thresholds of the viewer: what its page may send, and when frames are drawn how finely."""
+
+UPLOAD_BYTES_MAX = 2**28
+"""Largest file that a page may upload, bytes."""
+
+MESSAGE_BYTES_MAX = 2**22
+"""Largest message from a page, bytes: files come in parts of half a megabyte."""
+
+SETTLED_S = 0.25
+"""Time without a change after which a view is at rest, seconds: finer frames before would flicker while it moves."""
+
+LEVEL_FRACTIONS = (1.0, 0.25, 0.0625)
+"""Share of the Gaussians of a capture in each of its levels."""
+
+LEVEL_GAUSSIANS_MIN = 20_000
+"""Levels of captures have no fewer Gaussians than this: fewer of them take no less time."""
+
+PIXEL_SCALES = (1.0, 0.71, 0.5, 0.35)
+"""Width and height of frames while a view moves, as shares of those at rest."""
+
+PACE_HEADROOM = 0.75
+"""A finer step is tried where it is expected to take less than this share of the budget."""
+
+PACE_HOLD = 8
+"""Frames between two changes of the step, so that a view does not flicker between two of them."""
+
+SAMPLES_AT_REST = 1024
+"""Samples a pixel at which a view at rest is finished, unless the settings say how many."""
+
+REALTIME_FRAMES_AT_REST = 128
+"""Frames in real time after which a view at rest is finished."""
+
+ANSWER_S = 0.5
+"""How long a page that has never answered may take to say that a frame is there before the next one is sent, seconds:
+after that, it gets frames as they come."""
+
+PATIENCE_S = 5.0
+"""The same of a page that has answered before: it is busy, or hidden."""
+
+DEPTH_STRIDE = 4
+"""Pixels of a frame to one of its depth, along each axis, that gizmos hide behind."""
+
+NOISE_AT_REST = 0.005
+"""Relative error at which a view at rest is finished, unless the settings say another."""
+
+QUALITY_MOVING = 80
+"""Of the JPEGs of a view that moves, 1 to 95."""
+
+QUALITY_AT_REST = 95
+"""Of those of a view at rest."""
+
+UNDO_MAX = 200
+"""Edits that can be undone: what they have replaced is kept in memory."""
