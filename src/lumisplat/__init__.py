@@ -111,6 +111,8 @@ if TYPE_CHECKING:
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
     from lumisplat.scene.textures import TextureWrap
     from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
+    from lumisplat.viewer.view import view
+    from lumisplat.viewer.viewer import Viewer
 
 __version__ = "0.1.0"
 
@@ -189,6 +191,7 @@ _MODULE_OF = {
     "ToneMap": "config",
     "TraceConfig": "config",
     "TraceStrategy": "config",
+    "Viewer": "viewer.viewer",
     "apf_y": "metrics.lighting",
     "bind_gaussians": "scene.animation.rigged_gaussians",
     "boundary_f": "metrics.shadows",
@@ -242,6 +245,7 @@ _MODULE_OF = {
     "trace_rays": "renderer.one_shot",
     "transform": "scene.editing.transform",
     "transmittance": "renderer.one_shot",
+    "view": "viewer.view",
 }
 
 __all__ = [
@@ -318,6 +322,7 @@ __all__ = [
     "ToneMap",
     "TraceConfig",
     "TraceStrategy",
+    "Viewer",
     "apf_y",
     "bind_gaussians",
     "boundary_f",
@@ -371,6 +376,7 @@ __all__ = [
     "trace_rays",
     "transform",
     "transmittance",
+    "view",
 ]
 
 

@@ -186,6 +186,16 @@ CAMERA = {
 }
 
 
+UPLOAD = {
+    "type": "FileTransferStartUpload",
+    "source_component_uuid": "u",
+    "transfer_uuid": "a",
+    "filename": "a.ply",
+    "mime_type": "",
+}
+PART = {"type": "FileTransferPart", "source_component_uuid": "u", "transfer_uuid": "a"}
+
+
 def accepts(*messages: object) -> list[bool]:
     """Which of the messages of one page are passed on."""
     inbox = Inbox()
@@ -194,8 +204,8 @@ def accepts(*messages: object) -> list[bool]:
 
 def test_messages_of_the_page_pass() -> None:
     """A camera, a changed value, and a file in parts."""
-    start = {"type": "FileTransferStartUpload", "transfer_uuid": "a", "size_bytes": 5, "part_count": 2}
-    parts = [{"type": "FileTransferPart", "transfer_uuid": "a", "content": content} for content in (b"abc", b"de")]
+    start = UPLOAD | {"size_bytes": 5, "part_count": 2}
+    parts = [PART | {"part_index": number, "content": content} for number, content in enumerate((b"abc", b"de"))]
     changed = {"type": "GuiUpdateMessage", "uuid": "u", "updates": {"value": 3}}
     assert accepts(CAMERA, changed, start, *parts) == [True] * 5
 
@@ -219,6 +229,7 @@ def test_messages_of_the_page_pass() -> None:
         {"type": "FileTransferStartUpload", "transfer_uuid": "a", "size_bytes": UPLOAD_BYTES_MAX + 1, "part_count": 1},
         {"type": "FileTransferStartUpload", "transfer_uuid": "a", "size_bytes": 5, "part_count": 10**9},
         {"type": "FileTransferPart", "transfer_uuid": "a", "content": b"never announced"},
+        {"type": "ScenePointerMessage", "screen_pos": []},
     ],
 )
 def test_nonsense_is_dropped_and_named_once(message: object, caplog: pytest.LogCaptureFixture) -> None:
@@ -237,8 +248,7 @@ def test_bytes_that_are_no_message_are_dropped() -> None:
 
 def test_uploads_bring_no_more_than_they_said() -> None:
     """Nor do several at once bring more than one may."""
-    start = {"type": "FileTransferStartUpload", "transfer_uuid": "a", "size_bytes": 4, "part_count": 2}
-    part = {"type": "FileTransferPart", "transfer_uuid": "a", "content": b"abc"}
+    start, part = UPLOAD | {"size_bytes": 4, "part_count": 2}, PART | {"part_index": 0, "content": b"abc"}
     assert accepts(start, part, part) == [True, True, False]
-    large = {"type": "FileTransferStartUpload", "size_bytes": UPLOAD_BYTES_MAX // 2 + 1, "part_count": 1}
+    large = UPLOAD | {"size_bytes": UPLOAD_BYTES_MAX // 2 + 1, "part_count": 1}
     assert accepts(large | {"transfer_uuid": "a"}, large | {"transfer_uuid": "b"}) == [True, False]

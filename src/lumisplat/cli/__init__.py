@@ -1,4 +1,4 @@
-"""The command line: ``lumisplat render | orbit | animate | info | convert | demo | bench | metrics`` and more.
+"""The command line: ``lumisplat render | view | orbit | animate | info | convert | demo | bench | metrics`` and more.
 
 It uses public names of the package only. A user's mistake ends as one line on standard error and exit status 2.
 """
@@ -25,6 +25,7 @@ from lumisplat.cli.commands.orbit import Orbit
 from lumisplat.cli.commands.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
+from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.parse_errors import ArgumentsError, panels_as_errors
@@ -35,6 +36,8 @@ _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA 
 A scene to look at, nothing to download: lumisplat demo -o out
 
 A first look at a capture: lumisplat render garden.ply -o garden.png
+
+In a browser, to fly through, edit and light: lumisplat view garden.ply
 
 Once round it, as a video: lumisplat orbit garden.ply --video orbit.mp4
 
@@ -52,6 +55,7 @@ A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 
 
 _Command = (
     Annotated[Render, subcommand("render")]
+    | Annotated[View, subcommand("view")]
     | Annotated[Orbit, subcommand("orbit")]
     | Annotated[Animate, subcommand("animate")]
     | Annotated[Info, subcommand("info")]

@@ -51,3 +51,6 @@ QUALITY_AT_REST = 95
 
 UNDO_MAX = 200
 """Edits that can be undone: what they have replaced is kept in memory."""
+
+DRAG_ENDS_S = 1.0
+"""A drag that has not moved for so long, seconds, has ended: its page may be gone."""

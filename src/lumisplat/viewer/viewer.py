@@ -1,21 +1,42 @@
-"""The viewer: opens a page on a scene."""
+"""The viewer: a page on a scene, and the threads behind it."""
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 import lumisplat as ls
 from lumisplat.viewer.frames.loop import RenderLoop
-from lumisplat.viewer.frames.pace import Step
 from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.picture import Picture
+from lumisplat.viewer.hands.gizmo import Gizmo
+from lumisplat.viewer.hands.outlines import draw_outlines, light_outline
+from lumisplat.viewer.hands.picking import picked
+from lumisplat.viewer.panels.files import FilesPanel
+from lumisplat.viewer.panels.notes import tell
+from lumisplat.viewer.panels.rendering import RenderingPanel
+from lumisplat.viewer.panels.status import StatusPanel
+from lumisplat.viewer.panels.things import ThingsPanel
+from lumisplat.viewer.panels.view_options import ViewPanel
 from lumisplat.viewer.server.page_server import PageServer
+from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Options, Session, State
+
+if TYPE_CHECKING:
+    import viser
+
+_log = logging.getLogger("lumisplat")
 
 Progress = Callable[[str, float], None]
 Load = Callable[[Progress], State]
 """Loads what is to be seen."""
+
+_FOV_Y = 0.8
 
 
 class Viewer:
@@ -35,14 +56,26 @@ class Viewer:
 
     def __init__(self, load: Load, *, host: str, port: int, device: str, options: Options) -> None:
         self._server = PageServer(host, port)
+        self._viser = self._server.viser
         self._session = Session(options)
-        self._loop = RenderLoop(self._session, device, self._progress, self._on_frame)
         self._pages: dict[int, Page] = {}
-        self._closed = threading.Event()
-        self._server.viser.on_client_connect(self._open_page)
-        self._server.viser.on_client_disconnect(self._close_page)
+        self._is_closed = False
+        self._closed_or_failed = threading.Event()
+        self._failure: ls.LumisplatError | None = None
+        """Why there is nothing to see."""
+        self._build_panels(device)
+        self._gizmo = Gizmo(self._viser.scene, self._session)
+        self._session.errors.append(lambda line: tell(self._viser, "that did not work", line, is_problem=True))
+        self._loop = RenderLoop(
+            self._session, device, self._status.progress, on_frame=self._status.frame, decorate=self._decorate
+        )
+        self._viser.on_client_connect(self._open_page)
+        self._viser.on_client_disconnect(self._close_page)
         self._loader = threading.Thread(target=self._load, args=(load,), name="lumisplat loading", daemon=True)
         self._loader.start()
+
+    def __repr__(self) -> str:
+        return "Viewer(closed)" if self._is_closed else f"Viewer({self.url})"
 
     @property
     def url(self) -> str:
@@ -51,53 +84,167 @@ class Viewer:
 
     @property
     def scene(self) -> ls.Scene:
-        """What is seen; assigning another one shows that, which can be undone."""
-        return self._session.state.scene
+        """What is seen now, with all edits."""
+        return self._session.scene
 
-    @scene.setter
-    def scene(self, scene: ls.Scene) -> None:
-        self._session.edit(replace(self._session.state, scene=scene))
+    @property
+    def document(self) -> ls.SceneDocument:
+        """The scene as it is edited: `lumisplat.SceneDocument.save` saves it."""
+        return self._session.state.document
+
+    def show(self, scene: ls.Scene | ls.SceneDocument) -> None:
+        """Shows another scene, on all pages; it can be undone there.
+
+        Raises:
+            SceneError: It is none.
+        """
+        self._loader.join()
+        document = scene if isinstance(scene, ls.SceneDocument) else ls.SceneDocument.of(scene)
+        with self._session.changed:
+            self._session.edit(replace(self._session.state, document=document))
+            self._session.select(None)
 
     def wait(self) -> None:
-        """Waits until the viewer is closed."""
-        self._closed.wait()
+        """Waits until the viewer is closed.
+
+        Raises:
+            LumisplatError: There is nothing to see, as nothing could be loaded.
+        """
+        self._closed_or_failed.wait()
+        if self._failure is not None:
+            raise self._failure
 
     def close(self) -> None:
-        """Closes the page, its port and all threads; the second time does nothing."""
-        if self._closed.is_set():
+        """Closes all pages, the port and the threads; the second time does nothing."""
+        if self._is_closed:
             return
-        self._closed.set()
+        self._is_closed = True
         self._loader.join()
         self._loop.close()
         self._server.close()
+        self._closed_or_failed.set()
+
+    def _build_panels(self, device: str) -> None:
+        gui = self._viser.gui
+        gui.set_panel_label("Lumisplat")
+        self._status = StatusPanel(gui)
+        history = gui.add_button_group("", ["undo", "redo"])
+        history.on_click(lambda event: self._step(str(event.target.value)))
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Things"):
+            self._things = ThingsPanel(gui, self._session)
+        with tabs.add_tab("Light"):
+            RenderingPanel(gui, self._session)
+        with tabs.add_tab("View"):
+            ViewPanel(gui, self._session)
+            self._status.add_details(gui)
+        with tabs.add_tab("Save"):
+            self._files = FilesPanel(self._viser, self._session, self._pages, device)
+        self._add_keys()
+
+    def _add_keys(self) -> None:
+        """Commands of the palette, with their keys."""
+        add = self._viser.gui.add_command
+        add("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: self._step("undo"))
+        add("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: self._step("redo"))
+        add("Save the scene", hotkey="S", modifier="cmd/ctrl").on_trigger(lambda _: self._save())
+        add("Hide what is selected", hotkey="H").on_trigger(self._actor("hide"))
+        add("Delete what is selected", hotkey="X").on_trigger(self._actor("delete"))
+        add("Stand what is selected on the ground", hotkey="G").on_trigger(self._actor("to the ground"))
+
+    def _actor(self, action: str) -> Callable[[Any], None]:
+        return lambda _: self._things.act(action)
+
+    def _save(self) -> None:
+        self._files.save()
+
+    def _step(self, direction: str) -> None:
+        moved = self._session.undo() if direction == "undo" else self._session.redo()
+        if not moved:
+            tell(self._viser, direction, f"there is nothing to {direction}")
 
     def _load(self, load: Load) -> None:
         try:
-            state = load(self._progress)
+            state = load(self._status.progress)
         except ls.LumisplatError as error:
-            self._session.report(str(error))
+            self._failure = error
+            self._status.progress(str(error), 0.0)
+            self._closed_or_failed.set()
             return
-        self._place_camera(state.scene)
+        self._place_camera(state.document.scene())
         self._session.open(state)
+        self._files.suggest(state.document)
+        self._things.list_files()
+        for page in list(self._pages.values()):
+            page.look(page.client.camera, self._session.extent.page_from_scene)
+        for problem in state.document.problems:
+            _log.warning("%s", problem)
+            self._session.report(problem)
         self._loop.start()
 
     def _place_camera(self, scene: ls.Scene) -> None:
-        """Where new pages look from: at all of the scene, from the front."""
+        """Where pages look from at first: at all of the scene, from the front."""
+        up = scene.up_direction
+        self._viser.scene.set_up_direction(up)
+        if not (scene.splats or scene.meshes):
+            return
+        extent, camera = Extent.of(scene), ls.frame_camera(scene, fov_y=_FOV_Y)
+        world_from_camera = np.linalg.inv(camera.camera_from_world)
+        scale, initial = extent.page_from_scene, self._viser.initial_camera
+        initial.fov = _FOV_Y
+        initial.up = up
+        initial.position = scale * world_from_camera[:3, 3]
+        initial.look_at = scale * np.array(extent.center)
+        for client in self._viser.get_clients().values():  # those that were here before the scene was
+            client.camera.up_direction = up
+            client.camera.fov = _FOV_Y
+            client.camera.look_at = scale * np.array(extent.center)
+            client.camera.position = scale * world_from_camera[:3, 3]
 
-    def _open_page(self, client: object) -> None:
-        page = Page(client, self._session.changed)  # pyright: ignore[reportArgumentType]
-        self._pages[page.client.client_id] = page
-        page.client.camera.on_update(lambda camera: page.look(camera, self._session.units))
-        page.look(page.client.camera, self._session.units)
+    def _decorate(self, picture: Picture, frame: ls.Frame) -> Picture:
+        """Draws where lights are."""
+        if not self._session.options.outlines:
+            return picture
+        size, selected = 0.03 * self._session.extent.size, self._session.selected
+        document = self._session.state.document
+        entries = [entry for entry in document.entries if entry.kind == "lights" and not entry.hidden]
+        outlines = [light_outline(entry.lights[0], size, is_selected=entry.id == selected) for entry in entries]
+        return draw_outlines(picture, frame, [outline for outline in outlines if outline is not None])
+
+    # --- Pages ---
+
+    def _open_page(self, client: viser.ClientHandle) -> None:
+        page = Page(client, self._session.changed)
+        self._pages[client.client_id] = page
+
+        def look(camera: viser.CameraHandle) -> None:
+            page.look(camera, self._session.extent.page_from_scene)
+
+        client.camera.on_update(look)
+        client.scene.on_click()(lambda event: self._pick(page, event))
+        look(client.camera)
         self._loop.add(page)
 
-    def _close_page(self, client: object) -> None:
-        page = self._pages.pop(client.client_id, None)  # pyright: ignore[reportAttributeAccessIssue]
+    def _close_page(self, client: viser.ClientHandle) -> None:
+        page = self._pages.pop(client.client_id, None)
         if page is not None:
             self._loop.remove(page)
 
-    def _progress(self, label: str, fraction: float) -> None:
-        pass
-
-    def _on_frame(self, page: Page, step: Step | None, took: float) -> None:
-        pass
+    def _pick(self, page: Page, event: Any) -> None:
+        """Selects what a page shows where it was clicked."""
+        if page.frame is None:
+            return
+        across, down = (float(share) for share in event.screen_pos)
+        pick = picked(page.frame, across, down)
+        if pick is None:
+            self._session.select(None)
+            return
+        document = self._session.state.document
+        try:
+            entry = document.owner(pick.instance, self._session.options.time)
+        except ls.SceneError:  # the frame is older than the scene
+            return
+        self._session.select(entry.id)
+        place = ", ".join(f"{x:z.4g}" for x in pick.position)
+        gaussian = f"Gaussian {pick.gaussian:,}, " if pick.gaussian >= 0 else ""
+        tell(self._viser, entry.name, f"{gaussian}depth {pick.depth:.4g}, at ({place})")

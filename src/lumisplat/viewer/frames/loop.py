@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.viewer.frames.levels import Levels
 from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step
 from lumisplat.viewer.frames.page import Page
-from lumisplat.viewer.frames.picture import Shown, page_depth, picture_of
+from lumisplat.viewer.frames.picture import Picture, Shown, page_depth, picture_of
 from lumisplat.viewer.frames.renderers import Progress, Renderers, frame_config
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.thresholds import (
@@ -51,6 +51,7 @@ class RenderLoop:
         device: Where to render.
         progress: Told when kernels are compiled.
         on_frame: Called after each frame with its page, its step, None at rest, and its milliseconds.
+        decorate: Draws on pictures, such as lines that show where lights are.
     """
 
     def __init__(
@@ -59,8 +60,9 @@ class RenderLoop:
         device: str,
         progress: Progress,
         on_frame: Callable[[Page, Step | None, float], None],
+        decorate: Callable[[Picture, ls.Frame], Picture],
     ) -> None:
-        self._session, self._on_frame = session, on_frame
+        self._session, self._on_frame, self._decorate = session, on_frame, decorate
         self._renderers = Renderers(device, progress)
         self._levels = Levels(self._wake)
         self._pages: list[Page] = []
@@ -95,6 +97,7 @@ class RenderLoop:
             page.close()
         if self._thread.is_alive():
             self._thread.join()
+        self._renderers.close()
         self._levels.close()
 
     def _wake(self) -> None:
@@ -169,14 +172,17 @@ class RenderLoop:
             page.pace = Pace(steps, first=len(steps) - 2)
         step, started = page.pace.step, time.perf_counter()
         config = frame_config(state.config, options.view)
-        renderer = self._renderers.of(page if config.pipeline is ls.Pipeline.REALTIME else "moving", config)
-        scene = self._levels.scene(state.scene, step.level)
+        in_sequence = config.pipeline is ls.Pipeline.REALTIME
+        is_warm = self._renderers.has(page if in_sequence else "moving", config)
+        renderer = self._renderers.of(page if in_sequence else "moving", config)
+        scene = self._levels.scene(state.document.scene(options.time), step.level)
         assert page.pose is not None
         camera = page.pose.camera(max(2, round(options.height * step.scale)), state.exposure)
         frame = renderer.render(scene, camera, encode=options.view == "color")
-        picture = picture_of(frame, options.view)
+        picture = self._decorate(picture_of(frame, options.view), frame)
         took = 1e3 * (time.perf_counter() - started)
-        page.pace.took(took, options.budget_ms)
+        if is_warm:  # the first frame compiles and uploads
+            page.pace.took(took, options.budget_ms)
         with self._session.changed:
             page.key, page.frame, page.noise, page.frames_at_rest = job.key, frame, None, 0
             page.changed_at, page.is_finished = time.monotonic(), False
@@ -194,7 +200,7 @@ class RenderLoop:
         camera = page.pose.camera(options.height, state.exposure)
         resume = page.frame if page.frames_at_rest and not in_sequence else None
         frame = renderer.render(
-            state.scene,
+            state.document.scene(options.time),
             camera,
             resume=resume,
             encode=options.view == "color",
@@ -207,8 +213,8 @@ class RenderLoop:
             page.is_finished = _is_finished(page, state.config)
             shows = page.takes_frames or page.is_finished
         if shows:
-            depth = page_depth(frame, self._session.units.page_from_scene)
-            page.show(Shown(picture_of(frame, options.view), QUALITY_AT_REST, depth))
+            depth = page_depth(frame, self._session.extent.page_from_scene)
+            page.show(Shown(self._decorate(picture_of(frame, options.view), frame), QUALITY_AT_REST, depth))
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
 
 

@@ -10,7 +10,6 @@ import lumisplat as ls
 from lumisplat.viewer.frames.pace import Pace
 from lumisplat.viewer.frames.picture import Shown
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.state.units import Units
 from lumisplat.viewer.thresholds import ANSWER_S, PATIENCE_S
 
 if TYPE_CHECKING:
@@ -50,9 +49,9 @@ class Page:
         self._thread = threading.Thread(target=self._send, name="lumisplat page", daemon=True)
         self._thread.start()
 
-    def look(self, camera: viser.CameraHandle, units: Units) -> None:
+    def look(self, camera: viser.CameraHandle, page_from_scene: float) -> None:
         """Takes over the page's camera."""
-        pose = Pose.of(camera, units)
+        pose = Pose.of(camera, page_from_scene)
         with self._changed:
             if pose != self.pose:
                 self.pose = pose

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.viewer.state.units import Units
 
 if TYPE_CHECKING:
     import viser
@@ -36,10 +35,10 @@ class Pose:
     """Distance to the point that the camera turns about."""
 
     @classmethod
-    def of(cls, camera: viser.CameraHandle, units: Units) -> Pose:
+    def of(cls, camera: viser.CameraHandle, page_from_scene: float) -> Pose:
         """The camera of a page, from its last message."""
-        position = np.asarray(camera.position) / units.page_from_scene
-        target = np.asarray(camera.look_at) / units.page_from_scene
+        position = np.asarray(camera.position) / page_from_scene
+        target = np.asarray(camera.look_at) / page_from_scene
         low, high = ASPECT_RANGE
         x, y, z = (float(value) for value in position)
         a, b, c, d = (float(value) for value in camera.wxyz)

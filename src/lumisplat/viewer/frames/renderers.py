@@ -48,6 +48,15 @@ class Renderers:
             self._held[use] = held
         return held
 
+    def has(self, use: Hashable, config: ls.RenderConfig) -> bool:
+        """Whether a use has a renderer with settings already."""
+        held = self._held.get(use)
+        return held is not None and held.config == config
+
+    def close(self) -> None:
+        """Forgets all of them."""
+        self._held.clear()
+
     def drop(self, use: Hashable) -> None:
         """Forgets the renderer of a use."""
         self._held.pop(use, None)

@@ -20,32 +20,40 @@ _SLIDER_SPAN = 1e4
 """Ranges whose ends differ by a larger factor are typed, not dragged."""
 
 
-def make_control(gui: viser.GuiApi, field: Described, value: Any, put: Callable[[Any], None]) -> Control:
-    """A control in the present folder.
+class Control:
+    """One field on the page, in the present folder.
 
     Args:
         gui: Where.
         field: What it shows.
         value: Its value.
         put: Called with the value that somebody has chosen, in a thread of the page server; raises a LumisplatError if
-            there is no such value.
+            it is refused.
+        report: Told why a value is refused; the control then shows the last one again.
     """
-    return Control(gui, field, value, put)
 
-
-class Control:
-    """One field on the page."""
-
-    def __init__(self, gui: viser.GuiApi, field: Described, value: Any, put: Callable[[Any], None]) -> None:
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        field: Described,
+        value: Any,
+        put: Callable[[Any], None],
+        report: Callable[[str], None],
+    ) -> None:
         self.field = field
         self.handle: Any = _handle(gui, field, value)
         self._shown = value
 
         def on_update(event: Any) -> None:
-            if event.client_id is not None:  # else it was set from here
+            if event.client_id is None:  # it was set from here
+                return
+            try:
                 chosen = from_shown(field, self.handle.value)
                 if chosen != self._shown:
                     put(chosen)
+            except ls.LumisplatError as error:
+                report(" ".join(str(error).split()))
+                self.show(self._shown)
 
         self.handle.on_update(on_update)
 
@@ -82,7 +90,7 @@ def from_shown(field: Described, shown: Any) -> Any:
         return _parsed(field, str(shown))
     match field.kind:
         case "choice":
-            return next(choice for choice in field.choices if choice.value == shown)
+            return _choice(field, shown)
         case "color":
             return linear_from_picked(shown) if field.is_linear else tuple(channel / 255.0 for channel in shown)
         case "vector":
@@ -96,6 +104,13 @@ def _picked(field: Described, color: tuple[float, float, float] | None) -> tuple
     if color is None:
         return 0, 0, 0
     return picked_from_linear(color) if field.is_linear else tuple(round(255.0 * channel) for channel in color)
+
+
+def _choice(field: Described, value: object) -> Any:
+    for choice in field.choices:
+        if choice.value == value:
+            return choice
+    raise ls.ConfigError(f"{field.label} is '{value}', expected {', '.join(choice.value for choice in field.choices)}")
 
 
 def _text(field: Described, value: Any) -> str:
@@ -112,7 +127,7 @@ def _parsed(field: Described, text: str) -> Any:
     if field.kind == "flag":
         return word == "on"
     if field.kind == "choice":
-        return next(choice for choice in field.choices if choice.value == word)
+        return _choice(field, word)
     if field.kind == "text":
         return text
     try:

@@ -47,7 +47,7 @@ class Described:
     @property
     def label(self) -> str:
         """The name in words."""
-        return self.name.replace("_", " ")
+        return self.name.rpartition(".")[2].replace("_", " ")
 
 
 @cache

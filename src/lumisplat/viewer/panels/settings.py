@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from lumisplat.viewer.panels.controls import Control, make_control
+from lumisplat.viewer.panels.controls import Control
 from lumisplat.viewer.panels.described import described
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ class SettingsPanel(Generic[Settings]):
         gui: Where.
         settings: What they show at first.
         put: Called with changed settings and the name of the field; raises a LumisplatError if a value is refused.
+        report: Told why a value is refused.
         without: Fields that are shown elsewhere, or nowhere.
         only: If given, these fields alone.
     """
@@ -32,6 +33,8 @@ class SettingsPanel(Generic[Settings]):
         gui: viser.GuiApi,
         settings: Settings,
         put: Callable[[Settings, str], None],
+        report: Callable[[str], None],
+        *,
         without: Collection[str] = (),
         only: Collection[str] | None = None,
     ) -> None:
@@ -44,9 +47,9 @@ class SettingsPanel(Generic[Settings]):
             value = getattr(settings, field.name)
             if field.kind == "group":
                 with gui.add_folder(field.label, expand_by_default=False):
-                    self._groups[field.name] = SettingsPanel(gui, value, self._group_changed(field.name))
+                    self._groups[field.name] = SettingsPanel(gui, value, self._group_changed(field.name), report)
             else:
-                self._controls[field.name] = make_control(gui, field, value, self._field_changed(field.name))
+                self._controls[field.name] = Control(gui, field, value, self._field_changed(field.name), report)
 
     def show(self, settings: Settings) -> None:
         """Shows other settings."""

@@ -84,7 +84,9 @@ class Inbox:
         if kind == "GuiUpdateMessage":
             updates = fields.get("updates")
             return None if isinstance(updates, dict) and updates.keys() == {"value"} else "it changes more than a value"
-        return self._upload_fault(kind, fields) if kind.startswith("FileTransfer") else None
+        if kind.startswith("FileTransfer") and (fault := self._upload_fault(kind, fields)) is not None:
+            return fault
+        return _fault_of_fields(raw)
 
     def _upload_fault(self, kind: str, fields: Mapping[str, Any]) -> str | None:
         """What is wrong with a part of an upload: it is larger than files may be, or than was said."""
@@ -106,6 +108,17 @@ class Inbox:
             if self._left[transfer] == 0:
                 del self._left[transfer]
         return None
+
+
+def _fault_of_fields(raw: bytes) -> str | None:
+    """What viser itself would fail at, which would end the connection."""
+    from viser import _messages
+
+    try:
+        _messages.Message.deserialize(raw)
+    except Exception as error:  # whatever its many constructors raise
+        return f"its fields are wrong: {error}"
+    return None
 
 
 def _is_number(value: object) -> bool:

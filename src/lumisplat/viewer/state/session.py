@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import lumisplat as ls
-from lumisplat.viewer.state.units import Units
+from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.thresholds import UNDO_MAX
 
 
@@ -56,7 +56,8 @@ class Session:
         self.options = options
         self.revision = 0
         """Grows with every change of what frames show."""
-        self.units = Units()
+        self.extent = Extent()
+        """Of what was opened."""
         self._past: list[State] = []
         self._future: list[State] = []
         self._merging: str | None = None
@@ -67,7 +68,7 @@ class Session:
     def open(self, state: State) -> None:
         """Starts with a state; nothing before it can be undone."""
         with self.changed:
-            self.units, self.opened = Units.of(state.document.scene(self.options.time)), state
+            self.extent, self.opened = Extent.of(state.document.scene(self.options.time)), state
             self._past, self._future, self._merging = [], [], None
             self._show(state)
 
@@ -84,6 +85,29 @@ class Session:
             self._merging = merge
             self._future.clear()
             self._show(state)
+
+    def apply(self, edit: Callable[[ls.SceneDocument], ls.SceneDocument], merge: str | None = None) -> bool:
+        """Edits the document; what cannot be done is reported, and changes nothing.
+
+        Args:
+            edit: Makes the new document of the present one.
+            merge: As of `edit`.
+
+        Returns:
+            Whether it was done.
+        """
+        try:
+            with self.changed:
+                self.edit(replace(self.state, document=edit(self.state.document)), merge)
+        except ls.LumisplatError as error:
+            self.report(" ".join(str(error).split()).removeprefix(f"{self.state.document.file}: "))
+            self._tell()
+            return False
+        return True
+
+    def configure(self, config: ls.RenderConfig, merge: str | None = None) -> None:
+        """Goes on with other settings."""
+        self.edit(replace(self.state, config=config), merge)
 
     def seal(self) -> None:
         """The next edit is undone on its own."""
@@ -141,5 +165,8 @@ class Session:
         self.state = state
         self.revision += 1
         self.changed.notify_all()
+        self._tell()
+
+    def _tell(self) -> None:
         for listener in self._listeners:
             listener()

@@ -1,0 +1,249 @@
+"""The handle by which the selected thing is moved and turned on pages."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+import lumisplat as ls
+from lumisplat.viewer.state.extent import Extent
+from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.thresholds import DRAG_ENDS_S
+
+if TYPE_CHECKING:
+    import viser
+
+Matrix = npt.NDArray[np.float64]
+
+_NODE = "/selected"
+_SIZE = 0.22
+"""Length of the handle's axes as a share of the dome's radius, if what it holds is not larger."""
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Where a thing is held."""
+
+    world_from_grip: Matrix
+    """Rotation and translation, shape (4, 4)."""
+    moves: bool = True
+    turns: bool = True
+
+
+def grip_of(entry: ls.SceneEntry, middle: Matrix | None, extent: Extent) -> Grip | None:
+    """Where an entry is held: in the middle of what it shows, or where a light is; None: of a sky, or of nothing.
+
+    Args:
+        entry: The entry.
+        middle: The middle of what it shows, in its own coordinates, shape (3,).
+        extent: Of the scene: a sun is held on a dome around it.
+    """
+    if entry.kind in ("lights", "environment"):
+        return _grip_of_light(entry.lights[0], extent)
+    if entry.world_from_file is None or middle is None:
+        return None
+    grip, placed = np.eye(4), np.asarray(entry.world_from_file)
+    grip[:3, :3] = placed[:3, :3] / np.cbrt(np.linalg.det(placed[:3, :3]))
+    grip[:3, 3] = placed[:3, :3] @ middle + placed[:3, 3]
+    return Grip(grip)
+
+
+def _grip_of_light(light: Any, extent: Extent) -> Grip | None:
+    grip = np.eye(4)
+    match light:
+        case ls.LightPoint() | ls.LightSphere():
+            grip[:3, 3] = light.position
+            return Grip(grip, turns=False)
+        case ls.LightSpot():
+            grip[:3, :3], grip[:3, 3] = _rotation_to(light.direction), light.position
+            return Grip(grip)
+        case ls.LightRect():
+            grip[:3, :3], grip[:3, 3] = _rotation_of_edges(light.edge_u, light.edge_v), light.position
+            return Grip(grip)
+        case ls.LightDirectional():
+            grip[:3, 3] = np.array(extent.center) - extent.dome_radius * np.array(light.direction)
+            return Grip(grip, turns=False)
+        case _:
+            return None
+
+
+def dragged(  # noqa: PLR0911
+    document: ls.SceneDocument, number: int, start: Matrix, now: Matrix, extent: Extent
+) -> ls.SceneDocument:
+    """The document with an entry moved as its grip was.
+
+    Args:
+        document: As it was when the drag began.
+        number: Id of the entry.
+        start: ``world_from_grip`` then.
+        now: And now.
+        extent: Of the scene.
+
+    Raises:
+        FormatError: The entry cannot be there.
+    """
+    entry = document.entry(number)
+    move = now @ np.linalg.inv(start)
+    if entry.kind not in ("lights", "environment"):
+        return document.placed(number, move @ np.asarray(entry.world_from_file))
+    light = entry.lights[0]
+    position = [float(x) for x in now[:3, 3]]
+    match light:
+        case ls.LightPoint() | ls.LightSphere():
+            return document.changed(number, position=position)
+        case ls.LightSpot():
+            direction = [float(x) for x in now[:3, 2]]
+            return document.changed(number, position=position, direction=direction, target=None)
+        case ls.LightRect():
+            edges = {name: [float(x) for x in move[:3, :3] @ getattr(light, name)] for name in ("edge_u", "edge_v")}
+            return document.changed(number, position=position, **edges, target=None, size=None)
+        case ls.LightDirectional():
+            direction = np.array(extent.center) - now[:3, 3]
+            if not direction.any():
+                return document
+            return document.changed(number, direction=[float(x) for x in direction], position=None, target=None)
+        case _:
+            return document
+
+
+def _rotation_to(direction: npt.ArrayLike) -> Matrix:
+    """A rotation whose z axis is a direction."""
+    z = np.asarray(direction, np.float64) / np.linalg.norm(np.asarray(direction))
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _rotation_of_edges(edge_u: npt.ArrayLike, edge_v: npt.ArrayLike) -> Matrix:
+    """A rotation with x along one edge and z along the side to which a rectangle shines."""
+    x = np.asarray(edge_u, np.float64)
+    z = np.cross(x, np.asarray(edge_v, np.float64))
+    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+class Gizmo:
+    """The handle of the selected entry, on all pages.
+
+    Args:
+        scene_api: The pages' scene.
+        session: Knows what is selected, and is edited.
+    """
+
+    def __init__(self, scene_api: viser.SceneApi, session: Session) -> None:
+        self._api, self._session = scene_api, session
+        self._handle: viser.TransformControlsHandle | None = None
+        self._held: tuple[int, Grip] | None = None
+        """Id of the entry that it is on, and where."""
+        self._drag: tuple[ls.SceneDocument, Matrix] | None = None
+        """The document and the grip when the drag began."""
+        self._dragged_at = 0.0
+        self._middle: tuple[tuple[object, ...], Matrix] | None = None
+        """The assets of the entry that was held last, and their middle."""
+        session.on_change(self.follow)
+
+    def follow(self) -> None:
+        """Goes to what is selected, and where that is now; a hand that drags it is not disturbed."""
+        with self._session.changed:
+            if self._drag is not None and time.monotonic() - self._dragged_at < DRAG_ENDS_S:
+                return
+            self._drag = None
+            document, number = self._session.state.document, self._session.selected
+            entry = next((entry for entry in document.entries if entry.id == number), None)
+            grip = None
+            if entry is not None and not entry.hidden:
+                grip = grip_of(entry, self._middle_of(entry), self._session.extent)
+            if entry is None or grip is None:
+                self._remove()
+            else:
+                self._hold(entry, grip)
+
+    def _hold(self, entry: ls.SceneEntry, grip: Grip) -> None:
+        extent, matrix = self._session.extent, grip.world_from_grip
+        scale = extent.page_from_scene
+        position, wxyz = scale * matrix[:3, 3], _wxyz(matrix[:3, :3])
+        if self._handle is None or self._held is None or (self._held[0], self._held[1].turns) != (entry.id, grip.turns):
+            self._remove()
+            self._handle = self._api.add_transform_controls(
+                _NODE,
+                scale=scale * max(_SIZE * extent.dome_radius, self._reach_of(entry)),
+                disable_rotations=not grip.turns,
+                position=position,
+                wxyz=wxyz,
+            )
+            self._handle.on_update(self._on_update)
+        elif not np.allclose(self._held[1].world_from_grip, matrix, atol=1e-9 * extent.size):
+            self._handle.position, self._handle.wxyz = position, np.array(wxyz)
+        self._held = entry.id, grip
+
+    def _on_update(self, event: viser.TransformControlsEvent) -> None:
+        {"start": self._begin, "update": self._move, "end": self._end}[event.phase]()
+
+    def _begin(self) -> None:
+        with self._session.changed:
+            if self._held is not None:
+                self._drag = self._session.state.document, self._held[1].world_from_grip
+                self._dragged_at = time.monotonic()
+                self._session.seal()
+
+    def _move(self) -> None:
+        with self._session.changed:
+            if self._held is None or self._handle is None:
+                return
+            number, grip = self._held
+            document, start = self._drag or (self._session.state.document, grip.world_from_grip)
+            self._dragged_at, now = time.monotonic(), self._now()
+            extent = self._session.extent
+            self._session.apply(lambda _: dragged(document, number, start, now, extent), merge=f"drag {number}")
+
+    def _end(self) -> None:
+        with self._session.changed:
+            self._move()
+            self._drag = None
+            self._session.seal()
+            self.follow()
+
+    def _middle_of(self, entry: ls.SceneEntry) -> Matrix | None:
+        """The middle of what an entry shows, in its own coordinates; measured once for its assets."""
+        if not (entry.splats or entry.meshes):
+            return None
+        assets = (*(i.gaussians for i in entry.splats), *(i.mesh for i in entry.meshes))
+        same = self._middle is not None and len(self._middle[0]) == len(assets)
+        if self._middle is None or not same or any(a is not b for a, b in zip(self._middle[0], assets, strict=True)):
+            low, high = ls.Scene(entry.splats, entry.meshes).bulk_bounds()
+            file_from_world = np.linalg.inv(np.asarray(entry.world_from_file))
+            self._middle = assets, file_from_world[:3, :3] @ (0.5 * (low + high)) + file_from_world[:3, 3]
+        return self._middle[1]
+
+    def _reach_of(self, entry: ls.SceneEntry) -> float:
+        """Length at which axes come out of what an entry shows, scene units."""
+        if not (entry.splats or entry.meshes):
+            return 0.0
+        low, high = ls.Scene(entry.splats, entry.meshes).bulk_bounds()
+        return 0.6 * float(np.max(high - low))
+
+    def _now(self) -> Matrix:
+        """``world_from_grip`` of the handle, in units of the scene."""
+        from viser import transforms
+
+        assert self._handle is not None
+        matrix = np.eye(4)
+        matrix[:3, :3] = transforms.SO3(np.asarray(self._handle.wxyz)).normalize().as_matrix()
+        matrix[:3, 3] = np.asarray(self._handle.position) / self._session.extent.page_from_scene
+        return matrix
+
+    def _remove(self) -> None:
+        if self._handle is not None:
+            self._handle.remove()
+        self._handle = self._held = None
+
+
+def _wxyz(rotation: Matrix) -> tuple[float, float, float, float]:
+    from viser import transforms
+
+    w, x, y, z = (float(value) for value in transforms.SO3.from_matrix(rotation).wxyz)
+    return w, x, y, z

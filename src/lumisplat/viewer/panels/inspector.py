@@ -1,0 +1,266 @@
+"""The selected entry: where it is, what it is made of, how it shines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.viewer.colors import KELVIN_RANGE, color_of_temperature
+from lumisplat.viewer.panels.controls import Control
+from lumisplat.viewer.panels.described import Described, described
+from lumisplat.viewer.state.session import Session
+
+if TYPE_CHECKING:
+    import viser
+
+_LOOKS = ("as captured", "relit", "simple", "shadows only")
+"""How a capture is shown: its material."""
+_OF_LOOK: dict[str, dict[str, Any]] = {
+    "as captured": {"material": None, "shadow_only": None},
+    "relit": {"material": {"type": "pbr"}, "shadow_only": None},
+    "simple": {"material": {"type": "simple"}, "shadow_only": None},
+    "shadows only": {"material": None, "shadow_only": True},
+}
+_WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
+"""Fields of materials that textures alone use, or that are shown elsewhere."""
+
+
+def light_fields(light: Any) -> list[tuple[Described, Any]]:
+    """The fields of a light by their keys in a scene file, with their values; angles in degrees."""
+    found: list[tuple[Described, Any]] = []
+    for field in described(type(light)):
+        value = getattr(light, field.name)
+        if field.name.endswith("angle"):
+            text = field.help.replace("radians", "degrees")
+            degrees = replace(field, name=f"{field.name}_degrees", help=text, low=0.0, high=90.0)
+            found.append((degrees, math.degrees(value)))
+        else:
+            found.append((field, value))
+    return found
+
+
+def look_of(entry: ls.SceneEntry) -> str:
+    """How a capture is shown."""
+    splat = entry.splats[0]
+    if splat.shadow_only:
+        return "shadows only"
+    if splat.material is None:
+        return "as captured"
+    return "relit" if isinstance(splat.material, ls.MaterialPbr) else "simple"
+
+
+class Inspector:
+    """Controls of the selected entry, made anew for each.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the entry.
+        folder: Where they are.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session, folder: viser.GuiFolderHandle) -> None:
+        self._gui, self._session, self._folder = gui, session, folder
+        self._shown: tuple[Any, ...] | None = None
+        self._controls: dict[str, Control] = {}
+        self._parts: list[Any] = []
+        folder.visible = False
+        session.on_change(self.show)
+
+    def show(self) -> None:
+        """Shows what is selected."""
+        document = self._session.state.document
+        entry = next((entry for entry in document.entries if entry.id == self._session.selected), None)
+        shape = None if entry is None else self._shape(entry)
+        if shape != self._shown:
+            self._rebuild(entry)
+            self._shown = shape
+        elif entry is not None:
+            for field, value in self._fields(entry):
+                if field.name in self._controls:
+                    self._controls[field.name].show(value)
+
+    def _shape(self, entry: ls.SceneEntry) -> tuple[Any, ...]:
+        """What the set of controls depends on."""
+        look = look_of(entry) if entry.splats else None
+        return entry.id, entry.kind, look, tuple(type(light) for light in entry.lights)
+
+    def _rebuild(self, entry: ls.SceneEntry | None) -> None:
+        for part in reversed(self._parts):
+            part.remove()
+        self._parts, self._controls = [], {}
+        self._folder.visible = entry is not None
+        if entry is None:
+            return
+        with self._folder:
+            fields = self._fields(entry)
+            self._add_fields(entry, [field for field in fields if not _is_of_material(field[0])])
+            if entry.kind == "lights":
+                self._add_temperature(entry)
+            elif entry.kind == "environment":
+                self._add_turn(entry)
+            elif entry.splats:
+                self._add_look(entry)
+            if of_material := [field for field in fields if _is_of_material(field[0])]:
+                folder = self._gui.add_folder("material", expand_by_default=False)
+                with folder:
+                    self._add_fields(entry, of_material)
+                self._parts.append(folder)
+
+    def _add_fields(self, entry: ls.SceneEntry, fields: list[tuple[Described, Any]]) -> None:
+        for field, value in fields:
+            control = Control(self._gui, field, value, self._putter(entry, field), self._session.report)
+            self._controls[field.name] = control
+            self._parts.append(control.handle)
+
+    def _fields(self, entry: ls.SceneEntry) -> list[tuple[Described, Any]]:
+        """The fields of an entry, with their values."""
+        if entry.kind in ("lights", "environment"):
+            return light_fields(entry.lights[0])
+        fields: list[tuple[Described, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
+        if entry.world_from_file is not None:
+            fields += _placement(np.asarray(entry.world_from_file))
+        material: Any = None
+        if entry.splats:
+            fields.append((_whole("sh_degree", 0, 3), entry.splats[0].sh_degree))
+            material = entry.splats[0].material
+        elif entry.meshes:
+            material = entry.meshes[0].mesh.material
+        if material is not None:
+            own = [field for field in described(type(material)) if field.name not in _WITHOUT]
+            fields += [(replace(field, name=f"material.{field.name}"), getattr(material, field.name)) for field in own]
+        return fields
+
+    def _putter(self, entry: ls.SceneEntry, field: Described) -> Callable[[Any], None]:
+        number, name = entry.id, field.name
+
+        def put(value: Any) -> None:
+            self._session.apply(lambda document: put_field(document, number, name, value), merge=f"{number} {name}")
+
+        return put
+
+    def _add_look(self, entry: ls.SceneEntry) -> None:
+        number = entry.id
+        dropdown = self._gui.add_dropdown(
+            "look",
+            _LOOKS,
+            initial_value=look_of(entry),
+            hint="as captured: it shines with its own light. relit, simple: lights light it. shadows only: it keeps "
+            "its look, and others cast shadows on it.",
+        )
+
+        def change(event: Any) -> None:
+            if event.client_id is not None and dropdown.value in _OF_LOOK:
+                keys = _OF_LOOK[dropdown.value]
+                self._session.apply(lambda document: document.changed(number, **keys))
+
+        dropdown.on_update(change)
+        self._parts.append(dropdown)
+
+    def _add_temperature(self, entry: ls.SceneEntry) -> None:
+        number, (low, high) = entry.id, KELVIN_RANGE
+        slider = self._gui.add_slider("temperature", low, high, 50.0, 6500.0, hint="Colour of a black body, kelvins.")
+
+        def change(event: Any) -> None:
+            if event.client_id is not None:
+                color = [round(channel, 5) for channel in color_of_temperature(float(slider.value))]
+                self._session.apply(lambda document: document.changed(number, color=color), merge=f"{number} kelvin")
+
+        slider.on_update(change)
+        self._parts.append(slider)
+
+    def _add_turn(self, entry: ls.SceneEntry) -> None:
+        number = entry.id
+        slider = self._gui.add_slider("turn", -180.0, 180.0, 1.0, 0.0, hint="About the vertical, degrees.")
+        start = tuple(entry.lights[0].rotation_wxyz)  # pyright: ignore[reportAttributeAccessIssue, reportArgumentType]
+
+        def change(event: Any) -> None:
+            if event.client_id is not None:
+                keys = {"rotation_wxyz": turned_about(start, self._session.scene.up_direction, float(slider.value))}
+                self._session.apply(lambda document: document.changed(number, **keys), merge=f"{number} turn")
+
+        slider.on_update(change)
+        self._parts.append(slider)
+
+
+def put_field(document: ls.SceneDocument, number: int, name: str, value: Any) -> ls.SceneDocument:
+    """The document with another value of a field of an entry, as the inspector names them.
+
+    Raises:
+        LumisplatError: The value is refused.
+    """
+    entry = document.entry(number)
+    if name.startswith("material."):
+        material = dict(document.material(number)) | {name.removeprefix("material."): _plain(value)}
+        shown = entry.splats[0].material if entry.splats else entry.meshes[0].mesh.material
+        material.setdefault("type", "pbr" if isinstance(shown, ls.MaterialPbr) else "simple")
+        return document.changed(number, material=material)
+    if name in ("position", "rotation_degrees", "scale") and entry.kind not in ("lights", "environment"):
+        return document.placed(number, _moved(np.asarray(entry.world_from_file), name, value))
+    if name == "hidden":
+        return document.changed(number, hidden=True if value else None)
+    return document.changed(number, **{name: _plain(value)})
+
+
+def turned_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
+    """A rotation followed by a turn about an axis, world space."""
+    from viser import transforms
+
+    turn = transforms.SO3.exp(np.array(axis) * math.radians(degrees))
+    return [float(x) for x in (turn @ transforms.SO3(np.array(wxyz))).wxyz]
+
+
+def _placement(matrix: Any) -> list[tuple[Described, Any]]:
+    """Position, turns about x, y and z, and scale of a similarity."""
+    from viser import transforms
+
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    angles = transforms.SO3.from_matrix(matrix[:3, :3] / scale).as_rpy_radians()
+    degrees = tuple(math.degrees(float(angle)) for angle in (angles.roll, angles.pitch, angles.yaw))
+    return [
+        (Described("position", "vector", "World position of its origin, scene units."), tuple(matrix[:3, 3])),
+        (Described("rotation_degrees", "vector", "Turns about the world's x, then y, then z axis, degrees."), degrees),
+        (Described("scale", "number", "Uniform scale factor.", low=1e-6), scale),
+    ]
+
+
+def _moved(matrix: Any, name: str, value: Any) -> Any:
+    """A similarity with another position, rotation or scale."""
+    from viser import transforms
+
+    moved = np.array(matrix)
+    scale = np.cbrt(np.linalg.det(moved[:3, :3]))
+    if name == "position":
+        moved[:3, 3] = value
+    elif name == "scale":
+        moved[:3, :3] *= value / scale
+    else:
+        moved[:3, :3] = scale * transforms.SO3.from_rpy_radians(*np.radians(value)).as_matrix()
+    return moved
+
+
+def _plain(value: Any) -> Any:
+    """A value as a table of a scene file has it."""
+    if isinstance(value, tuple):
+        return [float(x) for x in value]
+    return value.value if hasattr(value, "value") else value
+
+
+def _is_of_material(field: Described) -> bool:
+    return field.name.startswith("material.")
+
+
+def _text(name: str) -> Described:
+    return Described(name, "text", "")
+
+
+def _flag(name: str) -> Described:
+    return Described(name, "flag", "")
+
+
+def _whole(name: str, low: int, high: int) -> Described:
+    return Described(name, "whole", "", low=low, high=high)

@@ -1,0 +1,92 @@
+"""What is being done: progress, how fine the picture is, where the time goes."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.viewer.frames.pace import Step
+from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.thresholds import LEVEL_FRACTIONS
+
+if TYPE_CHECKING:
+    import viser
+
+_EVERY_S = 0.25
+_FRAMES = 100
+"""Frames in the plot."""
+
+
+class StatusPanel:
+    """A line on top, progress below it, and a folder with stages and a plot.
+
+    Args:
+        gui: The pages' controls.
+    """
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._line = gui.add_markdown("starting")
+        self._bar = gui.add_progress_bar(0.0, animated=True)
+        self._written = 0.0
+        self._took = np.full(_FRAMES, np.nan)
+
+    def add_details(self, gui: viser.GuiApi) -> None:
+        """Adds the table of stages and the plot, in the present folder."""
+        self._stages = gui.add_markdown("")
+        numbers = np.arange(_FRAMES, dtype=np.float64)
+        self._plot = gui.add_uplot(
+            (numbers, np.zeros(_FRAMES)),
+            ({"label": "frame"}, {"label": "ms", "stroke": "#f5a623", "width": 1}),
+            title="milliseconds a frame",
+            height=140,
+        )
+
+    def progress(self, label: str, fraction: float) -> None:
+        """Shows what is being done, until the fraction is 1."""
+        self._bar.visible = fraction < 1.0
+        self._bar.value = 100.0 * fraction
+        if fraction < 1.0:
+            self._line.content = label
+
+    def frame(self, page: Page, step: Step | None, took: float) -> None:
+        """Shows what a frame has taken; not more often than people read.
+
+        Args:
+            page: Of the frame.
+            step: How finely it was drawn; None: at rest.
+            took: Milliseconds.
+        """
+        self._took = np.roll(self._took, -1)
+        self._took[-1] = took
+        now = time.monotonic()
+        if page.frame is None or (now - self._written < _EVERY_S and not page.is_finished):
+            return
+        self._written = now
+        self._bar.visible = False
+        self._line.content = frame_line(page.frame, step, page.noise, took)
+        if page.frame.stats is not None:
+            self._stages.content = stage_table(page.frame.stats)
+        times = np.nan_to_num(self._took)
+        self._plot.data = (np.arange(_FRAMES, dtype=np.float64), times)
+
+
+def frame_line(frame: ls.Frame, step: Step | None, noise: float | None, took: float) -> str:
+    """How fine a frame is, in a line."""
+    parts = [f"{frame.camera.width} × {frame.camera.height}"]
+    if step is not None and step.level:
+        parts.append(f"{LEVEL_FRACTIONS[step.level]:.0%} of the Gaussians")
+    if frame.samples:
+        parts.append(f"{frame.samples:,} sample{'s' * (frame.samples != 1)}")
+    if noise is not None:
+        parts.append(f"error {noise:.1%}")
+    return " · ".join([*parts, f"{took:.0f} ms"])
+
+
+def stage_table(stats: Any) -> str:
+    """The times of a frame's stages, as a table; the longest first."""
+    rows = sorted(stats.stage_ms.items(), key=lambda item: -item[1])[:10]
+    lines = ["| stage | ms |", "| --- | ---: |", *(f"| {name} | {ms:.1f} |" for name, ms in rows)]
+    return "\n".join([*lines, f"| Gaussians seen | {stats.visible_count:,} |"])

@@ -1,0 +1,48 @@
+"""How the scene is looked at: which image of the frame, how many pixels, what lines."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import lumisplat as ls
+from lumisplat.viewer.state.session import Session
+
+if TYPE_CHECKING:
+    import viser
+
+_HEIGHTS = (90, 2160)
+_BUDGETS = (10.0, 500.0)
+
+
+class ViewPanel:
+    """Controls of the options, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the options.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session) -> None:
+        self._session = session
+        options = session.options
+        self._view = gui.add_dropdown("view", ("color", *ls.Frame.VIEWS), initial_value=options.view)
+        self._height = gui.add_slider("rows", *_HEIGHTS, 10, options.height, hint="Of pictures at rest.")
+        self._budget = gui.add_slider(
+            "budget", *_BUDGETS, 5.0, options.budget_ms, hint="Milliseconds that a frame may take while the view moves."
+        )
+        hint = "Lines where lights are, and how far they reach."
+        self._outlines = gui.add_checkbox("outlines", options.outlines, hint=hint)
+        for handle, name in (
+            (self._view, "view"),
+            (self._height, "height"),
+            (self._budget, "budget_ms"),
+            (self._outlines, "outlines"),
+        ):
+            handle.on_update(self._putter(handle, name))
+
+    def _putter(self, handle: Any, name: str) -> Any:
+        def put(event: Any) -> None:
+            if event.client_id is not None:
+                self._session.set_options(**{name: handle.value})
+
+        return put

@@ -1,0 +1,45 @@
+"""Where the scene is and how large, and how long a unit of it is on pages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+import lumisplat as ls
+
+Vector = tuple[float, float, float]
+
+PAGE_SIZES = (0.3, 30.0)
+"""Diagonals of scenes, in units of a page, that pages take as they are: their depth ends at 167 units."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """The bulk of a scene, measured once when it is opened."""
+
+    center: Vector = (0.0, 0.0, 0.0)
+    size: float = 1.0
+    """Diagonal of the bulk, scene units, above 0."""
+
+    @classmethod
+    def of(cls, scene: ls.Scene) -> Extent:
+        """That of a scene; of an empty one, a unit at the origin."""
+        if not (scene.splats or scene.meshes):
+            return cls()
+        low, high = scene.bulk_bounds()
+        size = float(np.linalg.norm(high - low))
+        x, y, z = (float(value) for value in 0.5 * (low + high))
+        return cls((x, y, z), size if 1e-6 < size < math.inf else 1.0)
+
+    @property
+    def page_from_scene(self) -> float:
+        """Units of a page in one of the scene: a power of ten, 1 for most scenes."""
+        low, high = PAGE_SIZES
+        return 1.0 if low <= self.size <= high else 10.0 ** -round(math.log10(self.size / 3.0))
+
+    @property
+    def dome_radius(self) -> float:
+        """Of the dome around the scene on which suns are held, scene units."""
+        return 0.6 * self.size

@@ -1,0 +1,80 @@
+"""``lumisplat.view``: a viewer on what a program has."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy.typing as npt
+
+import lumisplat as ls
+from lumisplat.viewer.state.session import Options, State
+from lumisplat.viewer.viewer import Progress, Viewer
+
+Viewable = ls.Scene | ls.Animation | ls.SceneDocument | ls.Gaussians | ls.Mesh | str | os.PathLike[str]
+"""What `view` shows; also a list of files."""
+
+
+def view(
+    scene: Viewable | Sequence[str | os.PathLike[str]],
+    *,
+    config: ls.RenderConfig | None = None,
+    port: int = 0,
+    host: str = "127.0.0.1",
+    device: str = "auto",
+    height: int = 720,
+    budget_ms: float = 40.0,
+    up: str | npt.ArrayLike | None = None,
+    drop_invalid: bool = False,
+) -> Viewer:
+    """Opens a page on which people fly through a scene, edit it and see it lit.
+
+    Returns at once; the page is served until the viewer is closed or the program ends::
+
+        viewer = ls.view(scene)
+        print(viewer.url)
+        viewer.wait()
+
+    Args:
+        scene: What is seen: a scene, an animation, a document, an asset, or a file or several of these.
+        config: Settings of frames; None: those of the scene file, else ``Pipeline.HYBRID`` if the scene has lights or
+            is of meshes alone, and as captured otherwise.
+        port: Port to listen on; 0: a free one.
+        host: Address to listen on. Others than a loopback address let other machines in, if they have the token.
+        device: As of `lumisplat.create_renderer`.
+        height: Rows of frames of views at rest.
+        budget_ms: Milliseconds that a frame of a view that moves may take: fewer Gaussians are drawn first, then fewer
+            pixels.
+        up: Up of files that do not say it; None: as of `lumisplat.Scene`.
+        drop_invalid: Of files, as of `lumisplat.load`.
+
+    Raises:
+        MissingExtraError: The extra ``view`` is not installed.
+        DeviceError: The port cannot be opened.
+    """
+
+    def load(progress: Progress) -> State:
+        document = _document(scene, up, drop_invalid, progress)
+        settings = document.config if config is None else config
+        if config is None and "render" not in document.top and document.scene().is_lit_by_default:
+            settings = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID)
+        return State(document, settings)
+
+    options = Options(height=height, budget_ms=budget_ms)
+    return Viewer(load, host=host, port=port, device=device, options=options)
+
+
+def _document(scene: Any, up: Any, drop_invalid: bool, progress: Progress) -> ls.SceneDocument:
+    """The document of what is to be seen."""
+    if isinstance(scene, ls.SceneDocument):
+        return scene
+    if not isinstance(scene, str | os.PathLike | list | tuple):
+        return ls.SceneDocument.of(scene)
+
+    def load(path: Path) -> Any:
+        return ls.load(path, drop_invalid=drop_invalid, progress=partial(progress, f"loading {path.name}"))
+
+    return ls.SceneDocument.open(cast(Any, scene), load, up=up)

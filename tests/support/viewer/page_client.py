@@ -1,0 +1,170 @@
+"""A page of the viewer without a browser: it speaks viser's protocol over a bare WebSocket."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import threading
+import time
+import uuid
+from typing import Any
+
+import msgspec
+import numpy as np
+import zstandard
+from PIL import Image
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+import lumisplat as ls
+
+
+class PageClient:
+    """Connects, sends cameras and edits, answers as a page does, and keeps the last picture.
+
+    Args:
+        viewer: The viewer.
+        answers: Whether it says that frames are there.
+    """
+
+    def __init__(self, viewer: ls.Viewer, *, answers: bool = True) -> None:
+        import viser
+
+        self.messages: list[dict[str, Any]] = []
+        """All that it has got, but for pictures."""
+        self.pictures: list[tuple[float, bytes]] = []
+        """When pictures came, and their JPEGs."""
+        self._answers = answers
+        address = viewer.url.replace("http", "ws")
+        self._socket = connect(address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None)  # pyright: ignore
+        self._arrived = threading.Condition()
+        self._thread = threading.Thread(target=self._receive, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> PageClient:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leaves."""
+        self._socket.close()
+        self._thread.join()
+
+    def send(self, kind: str, **fields: Any) -> None:
+        """Sends a message."""
+        self._socket.send(msgspec.msgpack.encode({"type": kind, **fields}))
+
+    def send_raw(self, raw: bytes) -> None:
+        """Sends bytes."""
+        self._socket.send(raw)
+
+    def look(self, camera: ls.Camera, target: Any = (0.0, 0.0, 0.0)) -> None:
+        """Looks from a camera's place."""
+        from viser import transforms
+
+        world_from_camera = np.linalg.inv(camera.camera_from_world)
+        self.send(
+            "ViewerCameraMessage",
+            wxyz=[float(x) for x in transforms.SO3.from_matrix(world_from_camera[:3, :3]).wxyz],
+            position=[float(x) for x in world_from_camera[:3, 3]],
+            fov=2.0 * float(np.arctan(0.5 * camera.height / camera.fy)),
+            near=0.01,
+            far=1000.0,
+            image_height=camera.height,
+            image_width=camera.width,
+            look_at=[float(x) for x in target],
+            up_direction=[0.0, -1.0, 0.0],
+        )
+
+    def picture(self, after: int = 0, timeout: float = 60.0) -> np.ndarray:
+        """The next picture after the first so many, (H, W, 3) uint8."""
+        with self._arrived:
+            assert self._arrived.wait_for(lambda: len(self.pictures) > after, timeout), "no picture came"
+            return np.asarray(Image.open(io.BytesIO(self.pictures[-1][1])))
+
+    def settled(self, quiet: float = 1.0, timeout: float = 60.0) -> np.ndarray:
+        """The picture after which none has come for a while."""
+        until = time.monotonic() + timeout
+        self.picture()
+        while time.monotonic() < until:
+            count = len(self.pictures)
+            time.sleep(quiet)
+            if len(self.pictures) == count:
+                return self.picture()
+        raise AssertionError("pictures did not end")
+
+    def control(self, label: str) -> str:
+        """The id of a control by its label."""
+        until = time.monotonic() + 10.0
+        while time.monotonic() < until:
+            for message in list(self.messages):
+                props = message.get("props")
+                if isinstance(props, dict) and props.get("label") == label:
+                    return str(message["uuid"])
+            time.sleep(0.02)
+        raise AssertionError(f"there is no control {label!r}")
+
+    def choose(self, label: str, value: Any) -> None:
+        """Changes the value of a control."""
+        self.send("GuiUpdateMessage", uuid=self.control(label), updates={"value": value})
+
+    def click(self, across: float, down: float) -> None:
+        """Clicks into the picture."""
+        at = [[across, down]]
+        ray = {"ray_origin": [0.0, 0.0, 0.0], "ray_direction": [0.0, 0.0, 1.0]}
+        self.send("ScenePointerMessage", event_type="click", screen_pos=at, modifier=None, **ray)
+
+    def upload(self, label: str, name: str, content: bytes) -> None:
+        """Uploads a file in one part."""
+        source, transfer = self.control(label), uuid.uuid4().hex
+        shared = {"source_component_uuid": source, "transfer_uuid": transfer}
+        start = {"filename": name, "mime_type": "", "part_count": 1, "size_bytes": len(content)}
+        self.send("FileTransferStartUpload", **shared, **start)
+        self.send("FileTransferPart", **shared, part_index=0, content=content)
+
+    def notes(self) -> list[str]:
+        """What it was told in passing."""
+        shown = (message for message in self.messages if message["type"] == "NotificationShowMessage")
+        return [f"{note['props']['title']}: {note['props']['body']}" for note in shown]
+
+    def _receive(self) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            self._receive_all()
+
+    def _receive_all(self) -> None:
+        decompressor = zstandard.ZstdDecompressor()
+        for raw in self._socket:
+            assert isinstance(raw, bytes)
+            size, packed = int.from_bytes(raw[:8], "little"), int.from_bytes(raw[8:16], "little")
+            window = msgspec.msgpack.decode(decompressor.decompress(raw[16 : 16 + packed], max_output_size=size))
+            buffers = _buffers(raw, 16 + packed, window["binaryBufferLengths"])
+            for message in window["messages"]:
+                self._take(message, buffers)
+
+    def _take(self, message: dict[str, Any], buffers: list[bytes]) -> None:
+        kind = message["type"]
+        if kind == "LocalStorageGetItemRequestMessage" and self._answers:
+            answer = {"value": None, "error": None, "request_uuid": message["request_uuid"]}
+            self.send("LocalStorageGetItemResponseMessage", **answer)
+        elif kind == "BackgroundImageMessage":
+            data = message["rgb_data"]
+            data = buffers[data["__binary_index"]] if isinstance(data, dict) else data
+            if data:
+                with self._arrived:
+                    self.pictures.append((time.monotonic(), bytes(data)))
+                    self._arrived.notify_all()
+        else:
+            self.messages.append(message)
+
+
+def _buffers(raw: bytes, start: int, lengths: list[int]) -> list[bytes]:
+    """The binary buffers behind a window's messages, each at a multiple of 8 bytes."""
+    found: list[bytes] = []
+    at = start
+    for length in lengths:
+        at += (8 - at % 8) % 8
+        found.append(raw[at : at + length])
+        at += length
+    return found

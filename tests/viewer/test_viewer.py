@@ -1,0 +1,273 @@
+"""The viewer as a page sees it, over a bare WebSocket: pictures, edits, and what must not break it."""
+
+from __future__ import annotations
+
+import gc
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.viewer.page_client import PageClient
+
+HEIGHT = 90
+UP = (0.0, -1.0, 0.0)
+LAMP = (0.0, -2.0, -1.0)
+
+
+def cloud(seed: int = 3, count: int = 400) -> ls.Gaussians:
+    """A ball of coloured Gaussians, of radius 0.5."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    means = 0.5 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return ls.Gaussians(
+        means=means,
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        scales=np.full((count, 3), 0.06),
+        opacities=np.full(count, 0.9),
+        sh=rng.uniform(-0.5, 1.0, (count, 1, 3)),
+    )
+
+
+def lit_scene() -> ls.Scene:
+    """A relit ball to the left, a box to the right, a lamp above."""
+    ball = ls.SplatInstance(cloud(), position=(-0.7, 0.0, 0.0), material=ls.MaterialPbr(), name="ball")
+    box = ls.MeshInstance(ls.box(0.8), position=(0.8, 0.0, 0.0), name="crate")
+    return ls.Scene([ball], [box], [ls.LightPoint(LAMP, intensity=6.0, name="lamp")], up=UP)
+
+
+def camera(x: float = 0.0, height: int = HEIGHT) -> ls.Camera:
+    """Looks at the scene from in front, from more or less to the right."""
+    return ls.Camera.look_at((x, -0.4, -3.5), (0.0, 0.0, 0.0), UP, width=160 * height // 90, height=height)
+
+
+def eventually(holds: Callable[[], bool], what: str) -> None:
+    """Waits for something that another thread does."""
+    until = time.monotonic() + 20.0
+    while not holds():
+        assert time.monotonic() < until, what
+        time.sleep(0.01)
+
+
+def difference(first: np.ndarray, second: np.ndarray) -> float:
+    """Mean absolute difference of two pictures, in steps of 255."""
+    return float(np.abs(first.astype(float) - second).mean())
+
+
+@pytest.fixture
+def viewer() -> Iterator[ls.Viewer]:
+    """A viewer on the lit scene, with outlines off: pictures are the renderer's own."""
+    viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=ls.RenderConfig(pipeline="hybrid", samples=4))
+    viewer._loader.join()
+    viewer._session.set_options(outlines=False)
+    yield viewer
+    viewer.close()
+
+
+def test_a_page_shows_what_the_renderer_renders(viewer: ls.Viewer) -> None:
+    """At rest, the picture is that of a frame of as many samples, at the page's camera, but for the JPEG."""
+    with PageClient(viewer) as page:
+        page.look(camera())
+        shown = page.settled() / 255.0
+    expected = ls.render(lit_scene(), camera(), viewer._session.state.config, device="cpu").pixels_srgb()
+    assert shown.shape == expected.shape
+    assert ls.psnr(shown.astype(np.float32), expected) > 35.0
+
+
+def test_two_pages_have_their_own_cameras(viewer: ls.Viewer) -> None:
+    """And each keeps its own while the other one moves."""
+    with PageClient(viewer) as left, PageClient(viewer) as right:
+        left.look(camera(-1.5))
+        right.look(camera(1.5))
+        before, other = left.settled(), right.settled()
+        assert difference(before, other) > 2.0
+        right.look(camera(1.0))
+        right.settled()
+        np.testing.assert_array_equal(left.picture(), before)
+
+
+def test_a_click_selects_what_is_seen(viewer: ls.Viewer) -> None:
+    """By the last frame: the capture with its Gaussian, the mesh, or nothing."""
+    with PageClient(viewer) as page:
+        page.look(camera())
+        page.settled()
+        selected = viewer._session
+        page.click(0.36, 0.5)
+        eventually(lambda: selected.selected is not None, "the click did nothing")
+        assert viewer.document.entry(selected.selected or 0).name == "ball"
+        page.click(0.66, 0.5)
+        eventually(lambda: viewer.document.entry(selected.selected or 0).name == "crate", "the mesh is not selected")
+        page.click(0.02, 0.02)
+        eventually(lambda: selected.selected is None, "the background is not nothing")
+        eventually(lambda: any(note.startswith("ball: Gaussian ") for note in page.notes()), "nobody was told")
+
+
+def lamp_id(viewer: ls.Viewer) -> int:
+    """The id of the lamp's entry."""
+    return next(entry.id for entry in viewer.document.entries if entry.name == "lamp")
+
+
+def test_a_dragged_handle_moves_the_lamp_and_undo_moves_it_back(viewer: ls.Viewer) -> None:
+    """The picture follows; after one undo for all of the drag, it is the same to the bit."""
+    with PageClient(viewer) as page:
+        page.look(camera())
+        viewer._session.select(lamp_id(viewer))
+        before, document = page.settled(), viewer.document
+        count = len(page.pictures)
+        page.send("TransformControlsDragStartMessage", name="/selected")
+        for step in range(1, 6):
+            position = [LAMP[0] + 0.6 * step, LAMP[1], LAMP[2]]
+            page.send("TransformControlsUpdateMessage", name="/selected", wxyz=[1.0, 0.0, 0.0, 0.0], position=position)
+        page.send("TransformControlsDragEndMessage", name="/selected")
+        eventually(lambda: viewer.scene.lights[0].position == pytest.approx((3.0, *LAMP[1:])), "the lamp did not move")  # pyright: ignore
+        page.picture(after=count)
+        moved = page.settled()
+        assert difference(before, moved) > 2.0
+        assert viewer._session.undo() and viewer.document is document
+        np.testing.assert_array_equal(page.settled(), before)
+        assert viewer._session.redo() and viewer.scene.lights[0].position == pytest.approx((3.0, *LAMP[1:]))  # pyright: ignore
+        np.testing.assert_array_equal(page.settled(), moved)
+
+
+def test_a_setting_on_the_page_changes_the_picture(viewer: ls.Viewer) -> None:
+    """A choice, and a slider; what is refused is told, and changes nothing."""
+    with PageClient(viewer) as page:
+        page.look(camera())
+        before = page.settled()
+        page.choose("exposure", 1.5)
+        eventually(lambda: viewer._session.state.exposure == 1.5, "the exposure stayed")
+        assert page.settled().mean() > 1.2 * before.mean()
+        page.choose("shadows", "off")
+        eventually(lambda: viewer._session.state.config.shadows is ls.Shadows.OFF, "the shadows stayed")
+        state = viewer._session.state
+        page.choose("samples", "many")
+        eventually(lambda: any("many" in note for note in page.notes()), "nobody was told")
+        assert viewer._session.state == state
+
+
+def test_files_that_are_damaged_say_so_and_the_viewer_lives_on(viewer: ls.Viewer, tmp_path: Path) -> None:
+    """An upload that is no mesh leaves neither an entry nor a file; a mesh becomes an entry, under a plain name."""
+    viewer._session.edit(viewer._session.state.__class__(document_in(tmp_path), viewer._session.state.config))
+    with PageClient(viewer) as page:
+        page.look(camera())
+        page.upload("upload a capture or a mesh", "broken.ply", b"ply\nnonsense")
+        eventually(lambda: any("broken" in note for note in page.notes()), "nobody was told")
+        page.upload("upload a capture or a mesh", "../../evil.txt", b"text")
+        eventually(lambda: any("evil.txt" in note for note in page.notes()), "nobody was told")
+        assert len(viewer.document.entries) == 1 and not list(tmp_path.rglob("*broken*"))
+        triangle = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+        page.upload("upload a capture or a mesh", "../a b.obj", triangle)
+        eventually(lambda: len(viewer.document.entries) == 2, "the mesh is missing")
+        assert (tmp_path / "uploads" / "a_b.obj").read_bytes() == triangle
+        page.settled()
+
+
+def document_in(folder: Path) -> ls.SceneDocument:
+    """A document whose file would be in a folder."""
+    ls.save(folder / "ball.ply", cloud())
+    (folder / "scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
+    return ls.SceneDocument.open(folder / "scene.toml")
+
+
+def test_nonsense_from_a_page_disturbs_nobody(viewer: ls.Viewer) -> None:
+    """Neither what cannot be decoded, nor numbers that are no camera, nor values of a wrong kind."""
+    with PageClient(viewer) as page, PageClient(viewer) as other:
+        page.look(camera())
+        other.look(camera())
+        page.settled()
+        page.send_raw(b"\xff\x00nonsense")
+        page.send("ViewerCameraMessage", wxyz=[0.0] * 4, position=[1.0] * 3, fov=0.8, near=0.1, far=1.0)
+        page.send("GuiUpdateMessage", uuid=page.control("exposure"), updates={"value": "bright"})
+        page.send("GuiUpdateMessage", uuid=page.control("pipeline"), updates={"value": "magic"})
+        page.send("ScenePointerMessage", event_type="click", screen_pos=[], modifier=None)
+        state = viewer._session.state
+        count = len(page.pictures)
+        page.look(camera(0.5))
+        page.picture(after=count)
+        assert difference(page.settled(), other.settled()) > 0.5
+        assert viewer._session.state == state
+
+
+def test_a_frame_that_fails_is_told_and_the_next_one_is_rendered(viewer: ls.Viewer) -> None:
+    """A picture that a view cannot have is a note; the view before comes back."""
+    with PageClient(viewer) as page:
+        page.look(camera())
+        before = page.settled()
+        viewer._session.set_options(view="motion")  # which only frames in real time have
+        eventually(lambda: any("motion" in note for note in page.notes()), "nobody was told")
+        viewer._session.set_options(view="color")
+        count = len(page.pictures)
+        page.picture(after=count)
+        np.testing.assert_array_equal(page.settled(), before)
+
+
+def test_what_is_saved_renders_the_same(viewer: ls.Viewer, tmp_path: Path) -> None:
+    """After edits of all kinds, the file gives the frame that the page shows."""
+    document = viewer.document.changed(lamp_id(viewer), intensity=20.0)
+    document, number = document.added("meshes", {"shape": "sphere", "size": 0.4, "position": [0.0, -0.6, 0.0]})
+    document = document.changed(number, material={"roughness": 0.2})
+    config = viewer._session.state.config
+    document.with_config(config).save(tmp_path / "edited.toml")
+    scene, settings = ls.load(tmp_path / "edited.toml"), ls.load_config(tmp_path / "edited.toml")
+    assert isinstance(scene, ls.Scene) and settings == config
+    expected = ls.render(document.scene(), camera(), config, device="cpu").color
+    np.testing.assert_allclose(ls.render(scene, camera(), settings, device="cpu").color, expected, atol=2e-5)
+
+
+def test_pages_that_never_answer_get_frames_all_the_same(viewer: ls.Viewer) -> None:
+    """As programs do that only look."""
+    with PageClient(viewer, answers=False) as page:
+        for step in range(4):
+            count = len(page.pictures)
+            page.look(camera(0.2 * step))
+            page.picture(after=count)
+
+
+def test_a_page_that_vanishes_and_comes_back_sees_the_edits() -> None:
+    """Its threads end; the scene is as it was left."""
+    viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu")
+    viewer._loader.join()
+    before = {thread.name for thread in threading.enumerate()}
+    page = PageClient(viewer)
+    page.look(camera())
+    page.settled()
+    page._socket.socket.shutdown(socket.SHUT_RDWR)  # as of a page whose process is killed
+    eventually(lambda: not viewer._pages, "the page is still there")
+    assert "lumisplat page" not in {thread.name for thread in threading.enumerate()} - before
+    viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
+    with PageClient(viewer) as again:
+        again.look(camera())
+        again.settled()
+        assert not viewer.scene.lights
+    viewer.close()
+
+
+def test_a_viewer_that_is_closed_leaves_nothing_behind() -> None:
+    """No thread, no port; also while a page is open, and when it is closed twice."""
+    before = set(threading.enumerate())
+    viewer = ls.view(cloud(), height=HEIGHT, device="cpu")
+    page = PageClient(viewer)
+    page.look(camera())
+    page.picture()
+    viewer.close()
+    viewer.close()
+    page.close()
+    assert repr(viewer) == "Viewer(closed)"
+    del viewer
+    gc.collect()  # the renderers' pools of threads end with them
+    for thread in set(threading.enumerate()) - before:
+        thread.join(timeout=10)
+        assert not thread.is_alive(), thread
+
+
+def test_nothing_to_see_is_an_error(tmp_path: Path) -> None:
+    """The one who waits is told which file is missing."""
+    viewer = ls.view(tmp_path / "missing.ply", device="cpu")
+    with pytest.raises(ls.LumisplatError, match=r"missing\.ply"):
+        viewer.wait()
+    viewer.close()
