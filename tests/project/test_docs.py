@@ -76,16 +76,21 @@ def test_the_guide_shows_every_setting(tmp_path):
 
 def test_the_guide_shows_every_key_of_a_scene_file():
     """Each key of entries, lights, materials, the environment and cameras is on the page about scene files."""
+    from lumisplat.io.scene_toml import assets
     from lumisplat.io.scene_toml import cameras as scene_cameras
     from lumisplat.io.scene_toml import lights as scene_lights
     from lumisplat.io.scene_toml import materials as scene_materials
-    from lumisplat.io.scene_toml import scene_file
     from lumisplat.io.scene_toml.fields import schema
 
     shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
-    keys = {key for keys in scene_file._KEYS.values() for key in keys}
-    keys |= {*scene_cameras._FILE_KEYS, *scene_cameras._VIEW_KEYS, *scene_lights._KINDS, *scene_materials._KINDS}
-    for kind in (*scene_lights._KINDS.values(), *scene_materials._KINDS.values(), ls.LightEnvironment):
+    keys = {key for keys in assets.ENTRY_KEYS.values() for key in keys}
+    keys |= {
+        *scene_cameras._FILE_KEYS,
+        *scene_cameras._VIEW_KEYS,
+        *scene_lights.LIGHT_KINDS,
+        *scene_materials.MATERIAL_KINDS,
+    }
+    for kind in (*scene_lights.LIGHT_KINDS.values(), *scene_materials.MATERIAL_KINDS.values(), ls.LightEnvironment):
         keys |= set(schema(kind)) - {"image"}
     missing = [key for key in sorted(keys) if f"`{key}`" not in shown and f'`"{key}"`' not in shown]
     assert not missing

@@ -19,7 +19,7 @@ from lumisplat.viewer.server.messages import Inbox
 from lumisplat.viewer.server.page_server import PageServer, listening_socket
 from lumisplat.viewer.thresholds import UPLOAD_BYTES_MAX
 
-GUARD = Guard("127.0.0.1", 8080)
+GUARD = Guard("127.0.0.1", 8080, token="a" * 32)
 OWN = {"Host": "127.0.0.1:8080"}
 WITH_TOKEN = f"/?token={GUARD.token}"
 

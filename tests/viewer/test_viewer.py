@@ -17,7 +17,7 @@ from support.viewer.page_client import PageClient
 
 HEIGHT = 90
 UP = (0.0, -1.0, 0.0)
-LAMP = (0.0, -2.0, -1.0)
+LAMP = (0.0, -1.0, -0.8)
 
 
 def cloud(seed: int = 3, count: int = 400) -> ls.Gaussians:
@@ -38,7 +38,7 @@ def lit_scene() -> ls.Scene:
     """A relit ball to the left, a box to the right, a lamp above."""
     ball = ls.SplatInstance(cloud(), position=(-0.7, 0.0, 0.0), material=ls.MaterialPbr(), name="ball")
     box = ls.MeshInstance(ls.box(0.8), position=(0.8, 0.0, 0.0), name="crate")
-    return ls.Scene([ball], [box], [ls.LightPoint(LAMP, intensity=6.0, name="lamp")], up=UP)
+    return ls.Scene([ball], [box], [ls.LightPoint(LAMP, intensity=2.0, name="lamp")], up=UP)
 
 
 def camera(x: float = 0.0, height: int = HEIGHT) -> ls.Camera:
@@ -62,7 +62,9 @@ def difference(first: np.ndarray, second: np.ndarray) -> float:
 @pytest.fixture
 def viewer() -> Iterator[ls.Viewer]:
     """A viewer on the lit scene, with outlines off: pictures are the renderer's own."""
-    viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=ls.RenderConfig(pipeline="hybrid", samples=4))
+    viewer = ls.view(
+        lit_scene(), height=HEIGHT, device="cpu", config=ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
+    )
     viewer._loader.join()
     viewer._session.set_options(outlines=False)
     yield viewer

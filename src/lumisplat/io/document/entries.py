@@ -139,7 +139,7 @@ def shown_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple
     Raises:
         FormatError: A frame of an actor cannot be read.
     """
-    shown = [entry for kind in KINDS for entry in entries if entry.kind == kind and not entry.hidden]
+    shown = [entry for kind in KINDS for entry in entries if entry.kind == kind and not entry.table.get("hidden")]
     splats: list[tuple[SplatInstance, SceneEntry]] = []
     meshes: list[tuple[MeshInstance, SceneEntry]] = []
     for entry in shown:

@@ -50,11 +50,14 @@ def listed_files(files: Sequence[Path]) -> Listing:
         with parsing(listing.file, "a scene file"):
             document = read_document(listing.file)
             listing.top = {key: value for key, value in document.values.items() if key not in KINDS}
-            listing.tables = [(kind, table.values) for kind in KINDS[:-1] for table in document.tables(kind)]
+            for kind in KINDS[:-1]:
+                for table in document.tables(kind):
+                    listing.tables.append((kind, table.values))
             if "environment" in document.values:
                 listing.tables.append(("environment", document.table("environment").values))
-    others = (file for file in files if file not in scene_files)
-    listing.tables += [("meshes" if is_mesh(file) else "splats", {"path": str(file.absolute())}) for file in others]
+    for file in files:
+        if file not in scene_files:
+            listing.tables.append(("meshes" if is_mesh(file) else "splats", {"path": str(file.absolute())}))
     return listing
 
 

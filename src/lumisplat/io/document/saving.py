@@ -97,8 +97,10 @@ class _Folder:
         mesh = _baked(asset.meshes[0])
         file = self._once(memory_path, f"{name}.obj", lambda file: write_obj(file, mesh))
         own = material_table(mesh.material) | self._textures(mesh.material, name)
-        given = table.get("material")
-        merged = own | dict(given) if isinstance(given, Mapping) else given or own
+        given: Any = table.get("material")
+        merged: Any = given or own
+        if isinstance(given, Mapping):
+            merged = own | dict(cast(Mapping[str, Any], given))
         return dict(table) | {"path": str(file), "material": merged}
 
     def _once(self, memory_path: str, name: str, write: Callable[[Path], None]) -> Path:

@@ -58,7 +58,7 @@ _ENTRY = {
     "material": TEXT_OR_TABLE,
     "hidden": FLAG,
 }
-_KEYS = {
+ENTRY_KEYS = {
     "splats": {
         **_ENTRY,
         "kernel_degree": WHOLE,
@@ -77,6 +77,8 @@ _KEYS = {
     },
 }
 
+
+"""Keys of captures and meshes, by heading."""
 
 _CHANGES = ("kernel_degree", "material", "crease_angle_degrees", "crop_low", "crop_high")
 """Keys of an entry that change the asset itself, not where it stands."""
@@ -242,7 +244,7 @@ def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
 
 def _read_entry(table: TomlTable, heading: str, up: Vector) -> tuple[Values, Doubles]:
     """The values of an entry, and ``world_from_file``."""
-    given = table.take(_KEYS[heading], required=() if "shape" in table.values else ("path",))
+    given = table.take(ENTRY_KEYS[heading], required=() if "shape" in table.values else ("path",))
     if not np.isfinite(given.get("ground", 0.0)):
         raise table.wrong("ground", "a height, a finite number")
     if not 0.0 <= given.get("crease_angle_degrees", 0.0) <= 180.0:

@@ -42,6 +42,10 @@ def _is_instance(kind: type | UnionType) -> Callable[[object], bool]:
     return lambda value: isinstance(value, kind)
 
 
+def _is_name_or_number(value: object) -> bool:
+    return isinstance(value, str) or _is_whole(value)
+
+
 def _is_vector(count: int) -> Callable[[object], bool]:
     return lambda value: is_list(value) and len(value) == count and all(map(_is_number, value))
 
@@ -76,7 +80,7 @@ QUATERNION = Kind("four numbers, w x y z", _is_vector(4))
 COLOR = Kind("a number or three", _is_color)
 TABLE = Kind("a table", is_table)
 TABLES = Kind("tables, written with double brackets", is_array_of_tables)
-NAME_OR_NUMBER = Kind("a name or a whole number", lambda value: isinstance(value, str) or _is_whole(value))
+NAME_OR_NUMBER = Kind("a name or a whole number", _is_name_or_number)
 TEXT_OR_TABLE = Kind("a name or a table", _is_instance(str | dict))
 
 

@@ -30,7 +30,7 @@ def toml_value(value: object) -> str:  # noqa: PLR0911
         case bool() | np.bool_():
             return str(bool(value)).lower()
         case np.generic():
-            return toml_value(value.item())  # a number of NumPy as Python writes it
+            return toml_value(cast(object, value.item()))  # a number of NumPy as Python writes it
         case Mapping():
             pairs = cast(Mapping[str, object], value).items()
             return f"{{ {', '.join(f'{_key(name)} = {toml_value(item)}' for name, item in pairs)} }}" if value else "{}"
@@ -51,7 +51,8 @@ def _table_lines(values: Mapping[str, Any], where: tuple[str, ...]) -> Iterator[
     for name, value in below:
         place = (*where, name)
         heading = ".".join(map(_key, place))
-        for table in value if isinstance(value, list) else [value]:
+        tables = cast(list[Mapping[str, Any]], value if isinstance(value, list) else [value])
+        for table in tables:
             yield ""
             yield f"[[{heading}]]" if isinstance(value, list) else f"[{heading}]"
             yield from _table_lines(table, place)
@@ -65,7 +66,11 @@ def _is_below(value: object, where: tuple[str, ...]) -> bool:
     if not isinstance(value, Mapping):
         return False
     held = cast(Mapping[str, object], value).values()
-    return not where or any(isinstance(item, Mapping) for item in held) or len(toml_value(value)) > _LINE_VALUES_MAX
+    return (
+        not where
+        or any(isinstance(item, Mapping) for item in held)
+        or len(toml_value(cast(object, value))) > _LINE_VALUES_MAX
+    )
 
 
 def _key(name: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -113,9 +114,10 @@ def _frame_about(axis: npt.ArrayLike) -> tuple[Points, Points]:
     along = np.asarray(axis, np.float64)
     along = along / np.linalg.norm(along)
     other = np.eye(3)[int(np.argmin(np.abs(along)))]
-    u = np.cross(along, other)
+    u: Any = np.cross(along, other)
     u /= np.linalg.norm(u)
-    return u, np.cross(along, u)
+    v: Any = np.cross(along, u)
+    return u, v
 
 
 def _ball(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:

@@ -134,7 +134,7 @@ def _docstrings(cls: type) -> dict[str, str]:
             target = field.target if isinstance(field, ast.AnnAssign) else None
             if isinstance(field, ast.Assign):
                 target = field.targets[0]
-            is_text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-            if isinstance(target, ast.Name) and is_text and isinstance(after.value.value, str):
-                found[target.id] = after.value.value
+            text = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else None
+            if isinstance(target, ast.Name) and isinstance(text, str):
+                found[target.id] = text
     return found

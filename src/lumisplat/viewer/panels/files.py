@@ -40,7 +40,7 @@ class FilesPanel:
         self._server, self._session, self._pages, self._device = server, session, pages, device
         self._name = gui.add_text("scene file", "edited.toml", hint="Beside the scene that was opened.")
         self._overwrite = gui.add_checkbox("overwrite", False, hint="Replace a file of that name.")
-        gui.add_button("save the scene").on_click(lambda _: self.save())
+        gui.add_button("save the scene").on_click(lambda _: self._save())
         self._height = gui.add_number("picture rows", 1080, min=_HEIGHTS[0], max=_HEIGHTS[1], step=1)
         self._samples = gui.add_number("picture samples", 64, min=1, max=65536, step=1)
         self._format = gui.add_dropdown("picture format", _FORMATS)
@@ -67,6 +67,9 @@ class FilesPanel:
         self._overwrite.value = False
         tell(self._server, "saved", str(target))
         return True
+
+    def _save(self) -> None:
+        self.save()
 
     def _target(self) -> Path | None:
         """The file of the name that was typed, beside the scene; None: it is no plain name."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -33,7 +33,8 @@ _WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
 def light_fields(light: Any) -> list[tuple[Described, Any]]:
     """The fields of a light by their keys in a scene file, with their values; angles in degrees."""
     found: list[tuple[Described, Any]] = []
-    for field in described(type(light)):
+    kind = cast("type[Any]", type(light))
+    for field in described(kind):
         value = getattr(light, field.name)
         if field.name.endswith("angle"):
             text = field.help.replace("radians", "degrees")
@@ -131,7 +132,8 @@ class Inspector:
         elif entry.meshes:
             material = entry.meshes[0].mesh.material
         if material is not None:
-            own = [field for field in described(type(material)) if field.name not in _WITHOUT]
+            kind = cast("type[Any]", type(material))
+            own = [field for field in described(kind) if field.name not in _WITHOUT]
             fields += [(replace(field, name=f"material.{field.name}"), getattr(material, field.name)) for field in own]
         return fields
 
@@ -176,7 +178,8 @@ class Inspector:
     def _add_turn(self, entry: ls.SceneEntry) -> None:
         number = entry.id
         slider = self._gui.add_slider("turn", -180.0, 180.0, 1.0, 0.0, hint="About the vertical, degrees.")
-        start = tuple(entry.lights[0].rotation_wxyz)  # pyright: ignore[reportAttributeAccessIssue, reportArgumentType]
+        sky: Any = entry.lights[0]
+        start: tuple[float, ...] = tuple(sky.rotation_wxyz)
 
         def change(event: Any) -> None:
             if event.client_id is not None:
@@ -211,7 +214,9 @@ def turned_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degr
     from viser import transforms
 
     turn = transforms.SO3.exp(np.array(axis) * math.radians(degrees))
-    return [float(x) for x in (turn @ transforms.SO3(np.array(wxyz))).wxyz]
+    turned = turn @ transforms.SO3(np.array(wxyz))
+    w, x, y, z = (float(turned.wxyz[place]) for place in range(4))
+    return [w, x, y, z]
 
 
 def _placement(matrix: Any) -> list[tuple[Described, Any]]:
@@ -246,7 +251,7 @@ def _moved(matrix: Any, name: str, value: Any) -> Any:
 def _plain(value: Any) -> Any:
     """A value as a table of a scene file has it."""
     if isinstance(value, tuple):
-        return [float(x) for x in value]
+        return [float(x) for x in cast("tuple[float, ...]", value)]
     return value.value if hasattr(value, "value") else value
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
 from lumisplat.viewer.panels.settings import SettingsPanel
@@ -44,7 +44,7 @@ class RenderingPanel:
     def _put_realtime(self, realtime: ls.RealtimeConfig, field: str) -> None:
         self._put(replace(self._session.state.config, realtime=realtime), f"realtime.{field}")
 
-    def _put_exposure(self, event: viser.GuiEvent[viser.GuiInputHandle[float]]) -> None:
+    def _put_exposure(self, event: Any) -> None:
         if event.client_id is not None:
             self._session.edit(replace(self._session.state, exposure=float(self._exposure.value)), merge="exposure")
 

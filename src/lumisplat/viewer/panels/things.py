@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -203,7 +203,7 @@ def on_ground(document: ls.SceneDocument, number: int) -> ls.SceneDocument:
 
 def _height(instance: ls.SplatInstance | ls.MeshInstance, up: Any) -> float:
     """Height of the lowest point of an instance."""
-    stood = ls.stand_on_ground(instance, 0.0, up=tuple(up))
+    stood: Any = ls.stand_on_ground(cast(Any, instance), 0.0, up=tuple(up))
     return float(up @ (instance.transform[:3, 3] - stood.transform[:3, 3]))
 
 

@@ -126,7 +126,10 @@ def _is_number(value: object) -> bool:
 
 
 def _is_vector(value: object, count: int) -> bool:
-    return isinstance(value, list) and len(cast(list[object], value)) == count and all(map(_is_number, value))
+    if not isinstance(value, list):
+        return False
+    numbers = cast(list[object], value)
+    return len(numbers) == count and all(map(_is_number, numbers))
 
 
 class FilteredConnection:

@@ -1,0 +1,324 @@
+"""Scenes that are edited: what is saved is what was seen, and nothing changes that nobody changed."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lumisplat as ls
+from lumisplat.io.document.written import light_table
+from lumisplat.io.scene_toml.lights import read_environment, read_light
+from lumisplat.io.scene_toml.toml_table import TomlTable
+from lumisplat.io.scene_toml.toml_text import toml_text
+
+SCENE = """
+up = "z-up"
+
+[[splats]]
+path = "row.ply"
+position = [1.0, 2.0, 3.0]
+material = { roughness = 0.3 }
+name = "row"
+
+[[meshes]]
+path = "two.obj"
+ground = 0.5
+material = "shiny"
+
+[[lights]]
+type = "spot"
+position = [0.0, 0.0, 3.0]
+target = [0.0, 0.0, 0.0]
+outer_angle_degrees = 30.0
+name = "lamp"
+
+[environment]
+color = [0.2, 0.3, 0.4]
+
+[materials.shiny]
+metallic = 1.0
+roughness = 0.2
+
+[[cameras]]
+name = "front"
+eye = [0.0, -4.0, 1.0]
+target = [0.0, 0.0, 0.0]
+
+[render]
+pipeline = "hybrid"
+samples = 3
+"""
+TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\nv 5 0 0\nv 6 0 0\nv 5 1 0\nusemtl blue\nf 4 5 6\n"
+
+
+def row() -> ls.Gaussians:
+    """Three Gaussians along x."""
+    return ls.Gaussians(
+        means=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]],
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+        scales=np.full((3, 3), 0.1),
+        opacities=np.full(3, 0.5),
+        sh=np.zeros((3, 1, 3)),
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A scene file with an entry of each kind, and its files."""
+    ls.save(tmp_path / "row.ply", row())
+    (tmp_path / "two.obj").write_text(TWO)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return tmp_path
+
+
+def assert_same_scene(found: Any, expected: ls.Scene) -> None:
+    """The same arrays, but for the rounding of logarithms, places, materials and lights."""
+    assert isinstance(found, ls.Scene) and found.up_direction == expected.up_direction
+    for mine, other in zip(found.splats, expected.splats, strict=True):
+        for name, values in other.gaussians.arrays().items():
+            np.testing.assert_allclose(mine.gaussians.arrays()[name], values, rtol=2e-7)  # files hold logarithms
+        np.testing.assert_allclose(mine.transform, other.transform, atol=1e-11)
+        assert_same(mine.material, other.material)
+        assert (mine.sh_degree, mine.shadow_only, mine.name) == (other.sh_degree, other.shadow_only, other.name)
+    for mine, other in zip(found.meshes, expected.meshes, strict=True):
+        world = [i.mesh.positions @ i.transform[:3, :3].T + i.transform[:3, 3] for i in (mine, other)]
+        np.testing.assert_allclose(world[0][mine.mesh.indices], world[1][other.mesh.indices], rtol=1e-6, atol=1e-6)
+        assert_same(mine.mesh.material, other.mesh.material)
+    for mine, other in zip(found.lights, expected.lights, strict=True):
+        assert_same(mine, other)
+
+
+def assert_same(mine: Any, other: Any) -> None:
+    """Equal field by field; numbers to one unit in the last place, as angles are written in degrees."""
+    assert type(mine) is type(other)
+    for field in () if other is None else fields(other):
+        first, second = getattr(mine, field.name), getattr(other, field.name)
+        if isinstance(second, np.ndarray):
+            np.testing.assert_array_equal(first, second)
+        elif isinstance(second, float | tuple) and not isinstance(second, str):
+            np.testing.assert_allclose(first, second, rtol=3e-16, atol=1e-15)
+        else:
+            assert first == second, field.name
+
+
+def test_a_document_shows_what_the_file_shows(folder: Path) -> None:
+    """Its scene, settings, cameras and up."""
+    document = ls.SceneDocument.open(folder / "scene.toml")
+    assert [entry.kind for entry in document.entries] == ["splats", "meshes", "lights", "environment"]
+    assert_same_scene(document.scene(), ls.load(folder / "scene.toml"))  # pyright: ignore[reportArgumentType]
+    assert document.config == ls.load_config(folder / "scene.toml")
+    assert [camera.name for camera in document.cameras] == ["front"] and document.animation is None
+
+
+def test_what_is_saved_is_what_was_seen(folder: Path) -> None:
+    """After an edit of each kind, in another folder; and the file that was opened is as it was."""
+    document = ls.SceneDocument.open(folder / "scene.toml")
+    document = document.placed(0, np.diag([2.0, 2.0, 2.0, 1.0])).changed(1, material={"roughness": 0.7})
+    document = document.changed(2, target=None, direction=[0.0, 1.0, -1.0], intensity=7.0)
+    document, _ = document.added("meshes", {"shape": "box", "size": [1.0, 2.0, 3.0], "position": [0.0, 0.0, 9.0]})
+    document, _ = document.duplicated(2)
+    document = document.with_config(replace(document.config, samples=5, background=None))
+    target = folder / "elsewhere" / "edited.toml"
+    target.parent.mkdir()
+    document.save(target)
+    assert_same_scene(ls.load(target), document.scene())
+    assert (
+        ls.load_config(target)
+        == document.config
+        == replace(ls.load_config(folder / "scene.toml"), samples=5, background=None)
+    )
+    assert (folder / "scene.toml").read_text() == SCENE
+
+
+def test_files_that_are_there_are_not_overwritten_unasked(folder: Path) -> None:
+    """One line, and the file stays; asked to, it is replaced. Only scene files are written."""
+    document = ls.SceneDocument.open(folder / "scene.toml").removed(3)
+    with pytest.raises(ls.FormatError, match="is there already"):
+        document.save(folder / "scene.toml")
+    assert (folder / "scene.toml").read_text() == SCENE
+    document.save(folder / "scene.toml", overwrite=True)
+    assert_same_scene(ls.load(folder / "scene.toml"), document.scene())
+    with pytest.raises(ls.FormatError, match=r"is no \.toml"):
+        document.save(folder / "row.ply", overwrite=True)
+
+
+def test_edits_share_what_they_leave(folder: Path) -> None:
+    """The same objects: renderers know assets by identity, and to undo is to keep the old document."""
+    before = ls.SceneDocument.open(folder / "scene.toml")
+    scene = before.scene()
+    after = before.placed(0, np.eye(4)).changed(2, intensity=3.0)
+    assert after.scene().splats[0].gaussians is scene.splats[0].gaussians
+    assert after.scene().meshes[0] is scene.meshes[0]
+    assert before.scene() is scene and before.entry(2).lights[0].intensity == 1.0
+
+
+def test_refused_edits_name_the_key_and_change_nothing(folder: Path) -> None:
+    """An unknown key, a value out of range, a file that is not there, a kind and an id that there are not."""
+    document = ls.SceneDocument.open(folder / "scene.toml")
+    entries = document.entries
+    with pytest.raises(ls.FormatError, match="roughness is 7"):
+        document.changed(0, material={"roughness": 7})
+    with pytest.raises(ls.FormatError, match="unknown 'radus'"):
+        document.changed(2, radus=1.0)
+    with pytest.raises(ls.FormatError, match=r"no such file"):
+        document.added("splats", {"path": "gone.ply"})
+    with pytest.raises(ls.ConfigError, match="lights"):
+        document.added("light", {})  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ls.ConfigError, match="an environment already"):
+        document.added("environment", {})
+    with pytest.raises(ls.SceneError, match="mirrors"):
+        document.placed(0, np.diag([-1.0, 1.0, 1.0, 1.0]))
+    with pytest.raises(ls.SceneError, match="no entry 9"):
+        document.removed(9)
+    assert document.entries is entries
+
+
+def test_hidden_entries_are_left_out_and_owners_follow(folder: Path) -> None:
+    """Instances count captures first, then meshes; lights that are hidden are off."""
+    document = ls.SceneDocument.open(folder / "scene.toml")
+    assert [document.owner(number).id for number in range(3)] == [0, 1, 1]
+    hidden = document.changed(0, hidden=True).changed(2, enabled=False)
+    assert [hidden.owner(number).id for number in range(2)] == [1, 1]
+    assert not hidden.scene().splats
+    assert [light.enabled for light in hidden.scene().lights] == [False, True]
+    with pytest.raises(ls.SceneError, match="no instance 2"):
+        hidden.owner(2)
+
+
+def test_split_entries_show_the_same(folder: Path) -> None:
+    """Each mesh of the file by itself, where it was, with the material that it had."""
+    document = ls.SceneDocument.open(folder / "scene.toml")
+    split = document.split(1)
+    assert [entry.name for entry in split.entries if entry.kind == "meshes"] == ["red", "blue"]
+    assert_same_scene(replace(split.scene(), meshes=()), replace(document.scene(), meshes=()))
+    for mine, other in zip(split.scene().meshes, document.scene().meshes, strict=True):
+        np.testing.assert_allclose(mine.transform, other.transform, atol=1e-11)
+        assert_same(mine.mesh.material, other.mesh.material)
+    with pytest.raises(ls.SceneError, match="nothing to split"):
+        split.split(split.entries[-1].id)
+
+
+def test_ids_are_never_used_again(folder: Path) -> None:
+    """Whoever holds the id of something that is gone does not get another one's."""
+    document = ls.SceneDocument.open(folder / "scene.toml")
+    document, first = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
+    _, second = document.removed(first).added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
+    assert first != second
+
+
+def test_files_that_cannot_be_read_are_left_out_and_listed(folder: Path) -> None:
+    """A line each; if nothing is left, that is an error."""
+    (folder / "broken.ply").write_text("ply\nnonsense")
+    document = ls.SceneDocument.open([folder / "row.ply", folder / "broken.ply", folder / "gone.obj"])
+    assert len(document.entries) == 1 and len(document.problems) == 2
+    assert "broken.ply" in document.problems[0] and "gone.obj" in document.problems[1]
+    with pytest.raises(ls.FormatError, match="broken"):
+        ls.SceneDocument.open(folder / "broken.ply")
+    with pytest.raises(ls.ConfigError, match="both scene files"):
+        ls.SceneDocument.open([folder / "scene.toml", folder / "scene.toml"])
+
+
+def memory_scene() -> ls.Scene:
+    """A scene that no file holds: shared and sheared assets, textures, colours, all kinds of lights."""
+    rng = np.random.default_rng(1)
+    texture = rng.integers(0, 256, (4, 8, 3), np.uint8)
+    material = ls.MaterialPbr(base_color_texture=texture, roughness=0.123456789, emissive=(2.0, 0.0, 1.5), name="tile")
+    square = ls.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], uvs=[[0, 0], [1, 0], [0, 1]], material=material)
+    shear = np.array([[1.0, 0.5, 0.0, 1.0], [0.0, 2.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]])
+    gaussians = row()
+    lights = (
+        ls.LightPoint((0.1, 0.2, 0.3), (1.0, 0.5, 0.25), 3.3, range=7.7, radius=0.1, name="p"),
+        ls.LightSpot((1, 2, 3), (0, -1, 1), inner_angle=0.2, outer_angle=0.7, casts_shadow=False),
+        ls.LightDirectional((1, 2, 3), angle=0.005, shadow_distance=4.0),
+        ls.LightSphere((0, 1, 0), 0.5, visible=False),
+        ls.LightRect((0, 1, 0), (1, 0, 0), (0, 0, 2), intensity=9.0, enabled=False),
+        ls.LightEnvironment(rng.uniform(0.0, 2.0, (4, 8, 3)).astype(np.float32), intensity=0.5),
+    )
+    return ls.Scene(
+        splats=[
+            ls.SplatInstance(gaussians, name="a", material=ls.MaterialSimple(ambient=(0.2, 0.3, 0.4), shininess=30.0)),
+            ls.SplatInstance(gaussians, position=(5.0, 0.0, 0.0), shadow_only=True, sh_degree=1, name="b"),
+        ],
+        meshes=[ls.MeshInstance(square, position=(0, 0, 4), scale_by=0.25), ls.MeshInstance(square, shear)],
+        lights=lights,
+        up=(0.0, 0.6, 0.8),
+    )
+
+
+def test_scenes_in_memory_are_saved_with_their_assets(tmp_path: Path) -> None:
+    """The file shows the same, and names files of its own folder; what is shared is written once."""
+    scene = memory_scene()
+    document = ls.SceneDocument.of(scene)
+    assert_same_scene(document.scene(), scene)
+    assert document.scene().splats[0].gaussians is document.scene().splats[1].gaussians
+    document.save(tmp_path / "made.toml")
+    assert_same_scene(ls.load(tmp_path / "made.toml"), scene)
+    assert len(list((tmp_path / "made.assets").glob("*.ply"))) == 1
+    assert (
+        "made.assets/" in (tmp_path / "made.toml").read_text()
+        and str(tmp_path) not in (tmp_path / "made.toml").read_text()
+    )
+
+
+def test_actors_in_memory_are_shown_and_not_saved(tmp_path: Path) -> None:
+    """They can be hidden; saving names the one that has no file."""
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    motion = ls.Keyframes([0.0, 1.0], [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], still, [1.0, 1.0])
+    animation = ls.Animation(ls.Scene([row()]), [ls.Actor(row(), motion, name="walker")], fps=10.0, frame_count=11)
+    document = ls.SceneDocument.of(animation)
+    assert document.scene(0.5).splats[1].transform[0, 3] == pytest.approx(2.0)
+    assert document.owner(1, 0.5).name == "walker"
+    again = document.animation
+    assert again is not None and (again.fps, again.frame_count) == (10.0, 11)
+    assert len(document.changed(1, hidden=True).scene().splats) == 1
+    with pytest.raises(ls.FormatError, match="walker was made by a program"):
+        document.save(tmp_path / "made.toml")
+    assert not (tmp_path / "made.toml").exists()
+
+
+NUMBERS = st.floats(1e-3, 1e3)
+VECTORS = st.tuples(NUMBERS, NUMBERS, NUMBERS)
+LIGHTS = st.one_of(
+    st.builds(ls.LightPoint, VECTORS, VECTORS, NUMBERS, NUMBERS, NUMBERS, name=st.text(max_size=5)),
+    st.builds(
+        lambda position, direction, inner, rest: ls.LightSpot(
+            position, direction, inner_angle=inner, outer_angle=inner + rest
+        ),
+        VECTORS,
+        VECTORS,
+        st.floats(0.0, 0.7),
+        st.floats(0.01, 0.8),
+    ),
+    st.builds(lambda d, a: ls.LightDirectional(d, angle=a), VECTORS, st.floats(0.0, math.pi / 2)),
+    st.builds(ls.LightSphere, VECTORS, NUMBERS, VECTORS, NUMBERS, enabled=st.booleans()),
+    st.builds(lambda p, s: ls.LightRect(p, (s, 0.0, 0.0), (0.0, 1.0, s)), VECTORS, NUMBERS),
+    st.builds(ls.LightEnvironment, st.none(), VECTORS, NUMBERS, st.tuples(*[NUMBERS] * 4), st.booleans()),
+)
+
+
+@given(LIGHTS)
+def test_lights_come_back_from_their_tables(light: Any) -> None:
+    """All kinds, through text and reader."""
+    table = TomlTable.of(Path("scene.toml"), tomllib.loads(toml_text(light_table(light))))
+    assert_same(read_environment(table) if isinstance(light, ls.LightEnvironment) else read_light(table), light)
+
+
+VALUES = st.recursive(
+    st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=12,
+)
+
+
+@given(st.dictionaries(st.text(), VALUES, max_size=4))
+def test_toml_text_reads_back_to_what_was_written(values: dict[str, Any]) -> None:
+    """Whatever the keys, the texts and the nesting."""
+    assert tomllib.loads(toml_text(values)) == values

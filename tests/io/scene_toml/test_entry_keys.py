@@ -1,0 +1,95 @@
+"""Keys of entries that leave things out: hidden ones, parts of a file, cropped captures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+
+TWO = """o left
+v 0 0 0
+v 1 0 0
+v 0 1 0
+usemtl red
+f 1 2 3
+o right
+v 5 0 0
+v 6 0 0
+v 5 1 0
+usemtl blue
+f 4 5 6
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A capture of three Gaussians along x, and a file of two meshes."""
+    gaussians = ls.Gaussians(
+        means=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]],
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+        scales=np.full((3, 3), 0.1),
+        opacities=np.full(3, 0.5),
+        sh=np.zeros((3, 1, 3)),
+    )
+    ls.save(tmp_path / "row.ply", gaussians)
+    (tmp_path / "two.obj").write_text(TWO)
+    return tmp_path
+
+
+def load(folder: Path, text: str) -> ls.Scene:
+    """The scene of a scene file."""
+    (folder / "scene.toml").write_text(text)
+    scene = ls.load(folder / "scene.toml")
+    assert isinstance(scene, ls.Scene)
+    return scene
+
+
+def test_hidden_entries_are_read_and_not_shown(folder: Path) -> None:
+    """A capture, a mesh and an actor; mistakes in them are found all the same."""
+    entries = '[[splats]]\npath = "row.ply"\n{0}[[meshes]]\npath = "two.obj"\n{0}[[actors]]\npath = "row.ply"\n{0}'
+    shown, hidden = load(folder, entries.format("")), load(folder, entries.format("hidden = true\n"))
+    assert (len(shown.splats), len(shown.meshes)) == (2, 2)
+    assert (len(hidden.splats), len(hidden.meshes)) == (0, 0)
+    with pytest.raises(ls.FormatError, match=r"line 3.*scale"):
+        load(folder, '[[splats]]\npath = "row.ply"\nscale = -1\nhidden = true\n')
+
+
+@pytest.mark.parametrize(("part", "x"), [('"red"', 0.0), ("1", 5.0)])
+def test_a_part_is_one_mesh_of_its_file(folder: Path, part: str, x: float) -> None:
+    """By its name, or by its number."""
+    (mesh,) = load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n').meshes
+    assert mesh.mesh.positions[:, 0].min() == x
+
+
+@pytest.mark.parametrize(
+    ("part", "expected"), [('"green"', "red, blue"), ("2", "0 to 1"), ("-1", "0 to 1"), ("true", "a name")]
+)
+def test_parts_that_there_are_not_are_named(folder: Path, part: str, expected: str) -> None:
+    """With what there is."""
+    with pytest.raises(ls.FormatError, match=rf"line 3.*part.*{expected}"):
+        load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n')
+
+
+def test_a_crop_box_keeps_what_is_inside(folder: Path) -> None:
+    """In the file's coordinates, wherever the capture is placed."""
+    box = "crop_low = [0.5, -1.0, -1.0]\ncrop_high = [2.5, 1.0, 1.0]\n"
+    (splat,) = load(folder, f'[[splats]]\npath = "row.ply"\nposition = [10.0, 0.0, 0.0]\n{box}').splats
+    np.testing.assert_allclose(splat.world_means[:, 0], [11.0, 12.0])
+
+
+@pytest.mark.parametrize(
+    ("box", "expected"),
+    [
+        ("crop_low = [0.0, 0.0, 0.0]\n", "lacks crop_high"),
+        ("crop_low = [1.0, 0.0, 0.0]\ncrop_high = [0.0, 1.0, 1.0]\n", "below that of crop_high"),
+        ("crop_low = [0.0, 0.0, nan]\ncrop_high = [1.0, 1.0, 1.0]\n", "finite"),
+        ("crop_low = [5.0, 5.0, 5.0]\ncrop_high = [6.0, 6.0, 6.0]\n", "nothing is left"),
+    ],
+)
+def test_boxes_that_are_none_are_refused(folder: Path, box: str, expected: str) -> None:
+    """With the line, or where nothing is left."""
+    with pytest.raises(ls.FormatError, match=expected):
+        load(folder, f'[[splats]]\npath = "row.ply"\n{box}')
