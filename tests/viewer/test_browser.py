@@ -5,13 +5,13 @@ from __future__ import annotations
 import io
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from test_viewer import HEIGHT, eventually, lit_scene
+from test_viewer import HEIGHT, LAMP, difference, eventually, lamp_id, lit_scene
 
 import lumisplat as ls
 
@@ -75,12 +75,62 @@ def shown(viewer: ls.Viewer) -> np.ndarray:
     return np.asarray(image)[200:, :440]
 
 
+def until(holds: Callable[[], bool], page: Any) -> None:
+    """Waits while the browser works."""
+    end = time.monotonic() + 20.0
+    while not holds():
+        assert time.monotonic() < end
+        page.wait_for_timeout(50)
+
+
 def test_a_browser_shows_the_renderers_picture(browser: Any, viewer: ls.Viewer) -> None:
     """All over the page: not mirrored, shifted or too dark."""
     viewer._session.set_options(outlines=False)
     page = open_page(browser, viewer)
     assert ls.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0
     page.close()
+
+
+def test_a_click_and_a_drag_in_a_browser_move_the_lamp(browser: Any, viewer: ls.Viewer) -> None:
+    """The handle of the lamp is dragged along its axis; undo puts it back, and the picture with it."""
+    page = open_page(browser, viewer)
+    step_back(viewer)
+    viewer._session.select(lamp_id(viewer))
+    settle(viewer)
+    before = shot(page)
+    tip = handle_tip(viewer)
+    page.mouse.move(*tip)
+    page.mouse.down()
+    for step in range(1, 9):
+        page.mouse.move(tip[0] + 12 * step, tip[1])
+        page.wait_for_timeout(60)
+    page.mouse.up()
+    until(lambda: viewer.scene.lights[0].position[0] > LAMP[0] + 0.1, page)  # pyright: ignore
+    settle(viewer)
+    assert difference(before, shot(page)) > 1.0
+    page.keyboard.press("Control+z")
+    until(lambda: viewer.scene.lights[0].position[0] == LAMP[0], page)  # pyright: ignore
+    settle(viewer)
+    assert difference(before, shot(page)) < 0.5
+    page.close()
+
+
+def handle_tip(viewer: ls.Viewer) -> tuple[float, float]:
+    """Where the arrow of the handle's x axis is on the page."""
+    (page,) = viewer._pages.values()
+    assert page.pose is not None and viewer._gizmo._handle is not None
+    camera = page.pose.camera(SIZE["height"])
+    x, y, z = LAMP
+    point = camera.camera_from_world @ np.array([x + 0.85 * viewer._gizmo._handle.scale, y, z, 1.0])
+    return camera.cx + camera.fx * point[0] / point[2], camera.cy + camera.fy * point[1] / point[2]
+
+
+def step_back(viewer: ls.Viewer) -> None:
+    """Moves the page's camera so far away that the lamp is seen."""
+    (page,) = viewer._pages.values()
+    page.client.camera.look_at = (0.0, -0.5, 0.0)
+    page.client.camera.position = (0.0, -0.5, -5.0)
+    eventually(lambda: page.pose is not None and page.pose.position[2] < -4.9, "the camera did not move")
 
 
 def test_a_page_that_is_reloaded_needs_no_token(browser: Any, viewer: ls.Viewer) -> None:

@@ -54,3 +54,9 @@ UNDO_MAX = 200
 
 DRAG_ENDS_S = 1.0
 """A drag that has not moved for so long, seconds, has ended: its page may be gone."""
+
+BEFORE_SAMPLES = 16
+"""Samples a pixel of the left part of a split picture at rest."""
+
+PLAY_STEPS_PER_S = 30.0
+"""Times a second that an animation is moved on while it plays."""

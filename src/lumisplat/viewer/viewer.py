@@ -22,6 +22,7 @@ from lumisplat.viewer.panels.notes import tell
 from lumisplat.viewer.panels.rendering import RenderingPanel
 from lumisplat.viewer.panels.status import StatusPanel
 from lumisplat.viewer.panels.things import ThingsPanel
+from lumisplat.viewer.panels.timeline import Timeline
 from lumisplat.viewer.panels.view_options import ViewPanel
 from lumisplat.viewer.server.page_server import PageServer
 from lumisplat.viewer.state.extent import Extent
@@ -120,6 +121,7 @@ class Viewer:
             return
         self._is_closed = True
         self._loader.join()
+        self._timeline.close()
         self._loop.close()
         self._server.close()
         self._closed_or_failed.set()
@@ -136,6 +138,7 @@ class Viewer:
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
         with tabs.add_tab("View"):
+            self._timeline = Timeline(gui, self._session)
             ViewPanel(gui, self._session)
             self._status.add_details(gui)
         with tabs.add_tab("Save"):
@@ -175,6 +178,7 @@ class Viewer:
         self._session.open(state)
         self._files.suggest(state.document)
         self._things.list_files()
+        self._timeline.show(state.document.animation)
         for page in list(self._pages.values()):
             page.look(page.client.camera, self._session.extent.page_from_scene)
         for problem in state.document.problems:
@@ -246,5 +250,6 @@ class Viewer:
             return
         self._session.select(entry.id)
         place = ", ".join(f"{x:z.4g}" for x in pick.position)
-        gaussian = f"Gaussian {pick.gaussian:,}, " if pick.gaussian >= 0 else ""
+        is_level = not page.frames_at_rest  # of a view that moves, Gaussians may be those of a level
+        gaussian = "" if pick.gaussian < 0 or is_level else f"Gaussian {pick.gaussian:,}, "
         tell(self._viser, entry.name, f"{gaussian}depth {pick.depth:.4g}, at ({place})")

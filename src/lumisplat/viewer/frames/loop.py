@@ -7,16 +7,18 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import lumisplat as ls
 from lumisplat.viewer.frames.levels import Levels
 from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step
 from lumisplat.viewer.frames.page import Page
-from lumisplat.viewer.frames.picture import Picture, Shown, page_depth, picture_of
+from lumisplat.viewer.frames.picture import Picture, Shown, page_depth, picture_of, split_picture
+from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.frames.renderers import Progress, Renderers, frame_config
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.thresholds import (
+    BEFORE_SAMPLES,
     NOISE_AT_REST,
     QUALITY_AT_REST,
     QUALITY_MOVING,
@@ -37,7 +39,10 @@ class _Job:
 
     page: Page
     key: tuple[int, int]
+    pose: Pose
     state: State
+    before: State
+    """What a split picture shows to the left."""
     options: Options
     moves: bool
     """Whether the view moves; else it is at rest."""
@@ -149,7 +154,9 @@ class RenderLoop:
         return self._job(resting, (self._session.revision, resting.pose_number), moves=False)
 
     def _job(self, page: Page, key: tuple[int, int], *, moves: bool) -> _Job:
-        return _Job(page, key, self._session.state, self._session.options, moves)
+        assert page.pose is not None
+        session = self._session
+        return _Job(page, key, page.pose, session.state, session.opened, session.options, moves)
 
     def _take_turn(self, page: Page) -> None:
         """Puts a page behind the others."""
@@ -176,10 +183,11 @@ class RenderLoop:
         is_warm = self._renderers.has(page if in_sequence else "moving", config)
         renderer = self._renderers.of(page if in_sequence else "moving", config)
         scene = self._levels.scene(state.document.scene(options.time), step.level)
-        assert page.pose is not None
-        camera = page.pose.camera(max(2, round(options.height * step.scale)), state.exposure)
+        camera = job.pose.camera(max(2, round(options.height * step.scale)), state.exposure)
         frame = renderer.render(scene, camera, encode=options.view == "color")
         picture = self._decorate(picture_of(frame, options.view), frame)
+        if options.split is not None:
+            picture = self._split(job, picture, camera, step.level)
         took = 1e3 * (time.perf_counter() - started)
         if is_warm:  # the first frame compiles and uploads
             page.pace.took(took, options.budget_ms)
@@ -196,8 +204,7 @@ class RenderLoop:
         config = frame_config(state.config, options.view)
         in_sequence = config.pipeline is ls.Pipeline.REALTIME
         renderer = self._renderers.of(page if in_sequence else "at rest", config)
-        assert page.pose is not None
-        camera = page.pose.camera(options.height, state.exposure)
+        camera = job.pose.camera(options.height, state.exposure)
         resume = page.frame if page.frames_at_rest and not in_sequence else None
         frame = renderer.render(
             state.document.scene(options.time),
@@ -213,9 +220,26 @@ class RenderLoop:
             page.is_finished = _is_finished(page, state.config)
             shows = page.takes_frames or page.is_finished
         if shows:
+            picture = self._decorate(picture_of(frame, options.view), frame)
+            if options.split is not None:
+                picture = self._split(job, picture, camera, level=0)
             depth = page_depth(frame, self._session.extent.page_from_scene)
-            page.show(Shown(self._decorate(picture_of(frame, options.view), frame), QUALITY_AT_REST, depth))
+            page.show(Shown(picture, QUALITY_AT_REST, depth))
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
+
+    def _split(self, job: _Job, picture: Picture, camera: ls.Camera, level: int) -> Picture:
+        """The picture with what the scene was before in its left part; at rest with as many samples, up to a few."""
+        page, options = job.page, job.options
+        assert options.split is not None
+        config = frame_config(job.before.config, options.view)
+        if config.pipeline is not ls.Pipeline.REALTIME and not job.moves:
+            config = replace(config, samples=BEFORE_SAMPLES)
+        camera = replace(camera, exposure=job.before.exposure)
+        if job.moves or page.frames_at_rest <= 1 or page.before is None:
+            renderer = self._renderers.of(("before", job.moves), config)
+            scene = self._levels.scene(job.before.document.scene(options.time), level)
+            page.before = picture_of(renderer.render(scene, camera, encode=options.view == "color"), options.view)
+        return split_picture(page.before, picture, options.split)
 
 
 def _ignore(label: str, fraction: float) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import lumisplat as ls
 from lumisplat.viewer.frames.pace import Pace
-from lumisplat.viewer.frames.picture import Shown
+from lumisplat.viewer.frames.picture import Picture, Shown
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.thresholds import ANSWER_S, PATIENCE_S
 
@@ -38,6 +38,8 @@ class Page:
         self.pace = Pace()
         self.frame: ls.Frame | None = None
         """What it shows."""
+        self.before: Picture | None = None
+        """What the left part of a split picture shows."""
         self.is_finished = False
         """Whether it shows all that there is to show of a view at rest."""
         self.noise: float | None = None

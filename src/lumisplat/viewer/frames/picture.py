@@ -52,3 +52,12 @@ def page_depth(frame: ls.Frame, page_from_scene: float) -> npt.NDArray[np.float3
     half = DEPTH_STRIDE // 2
     depth = frame.depth_z[half::DEPTH_STRIDE, half::DEPTH_STRIDE] * page_from_scene
     return np.nan_to_num(depth, nan=1e3, posinf=1e3).astype(np.float32)
+
+
+def split_picture(before: Picture, after: Picture, share: float) -> Picture:
+    """Two pictures of one size as one: ``before`` in the left share of the width, and a line between them."""
+    column = min(max(round(share * after.shape[1]), 0), after.shape[1] - 1)
+    joined = after.copy()
+    joined[:, :column] = before[:, :column]
+    joined[:, column] = 255
+    return joined

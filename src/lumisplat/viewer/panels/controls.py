@@ -65,7 +65,7 @@ class Control:
 
 def to_shown(field: Described, value: Any) -> Any:
     """A value as its control shows it."""
-    if field.is_optional and field.kind not in ("color",):
+    if _is_typed(field):
         return AUTO if value is None else _text(field, value)
     match field.kind:
         case "choice":
@@ -74,8 +74,6 @@ def to_shown(field: Described, value: Any) -> Any:
             return _picked(field, value)
         case "vector":
             return tuple(float(x) for x in value)
-        case "number":
-            return float(value) if math.isfinite(value) else 0.0
         case _:
             return value
 
@@ -86,7 +84,7 @@ def from_shown(field: Described, shown: Any) -> Any:
     Raises:
         ConfigError: A number was typed that is none.
     """
-    if field.is_optional and field.kind not in ("color",):
+    if _is_typed(field):
         return _parsed(field, str(shown))
     match field.kind:
         case "choice":
@@ -97,6 +95,11 @@ def from_shown(field: Described, shown: Any) -> Any:
             return tuple(float(x) for x in shown)
         case _:
             return shown
+
+
+def _is_typed(field: Described) -> bool:
+    """Whether a field is shown as a word or a text: it may be automatic, or infinite."""
+    return (field.is_optional and field.kind != "color") or (field.kind == "number" and field.default == math.inf)
 
 
 def _picked(field: Described, color: tuple[float, float, float] | None) -> tuple[int, ...]:
@@ -120,9 +123,9 @@ def _text(field: Described, value: Any) -> str:
 
 
 def _parsed(field: Described, text: str) -> Any:
-    """The value of a text, of a field that may be automatic."""
+    """The value of a text, of a field that may be automatic or infinite."""
     word = text.strip().lower()
-    if word in ("", AUTO):
+    if word in ("", AUTO) and field.is_optional:
         return None
     if field.kind == "flag":
         return word == "on"
@@ -134,7 +137,8 @@ def _parsed(field: Described, text: str) -> Any:
         return int(word) if field.kind == "whole" else float(word)
     except ValueError:
         what = "a whole number" if field.kind == "whole" else "a number"
-        raise ls.ConfigError(f"{field.label} is '{text}', expected {what}, or {AUTO}") from None
+        word = AUTO if field.is_optional else "inf"
+        raise ls.ConfigError(f"{field.label} is '{text}', expected {what}, or {word}") from None
 
 
 def _handle(gui: viser.GuiApi, field: Described, value: Any) -> Any:  # noqa: PLR0911
@@ -143,7 +147,7 @@ def _handle(gui: viser.GuiApi, field: Described, value: Any) -> Any:  # noqa: PL
     if field.is_optional and field.kind in ("flag", "choice"):
         words = ("on", "off") if field.kind == "flag" else tuple(choice.value for choice in field.choices)
         return gui.add_dropdown(label, (AUTO, *words), initial_value=shown, hint=hint)
-    if field.is_optional and field.kind != "color":
+    if _is_typed(field):
         return gui.add_text(label, shown, hint=hint)
     match field.kind:
         case "flag":

@@ -32,6 +32,12 @@ class ViewPanel:
         )
         hint = "Lines where lights are, and how far they reach."
         self._outlines = gui.add_checkbox("outlines", options.outlines, hint=hint)
+        self._splits = gui.add_checkbox("compare", False, hint="The left part shows the scene as it was before.")
+        self._share = gui.add_slider("compare at", 0.0, 1.0, 0.01, 0.5, visible=False)
+        self._mark = gui.add_button("this is before", visible=False, hint="Compare with the scene as it is now.")
+        self._splits.on_update(lambda _: self._split())
+        self._share.on_update(lambda _: self._split())
+        self._mark.on_click(lambda _: session.mark())
         for handle, name in (
             (self._view, "view"),
             (self._height, "height"),
@@ -39,6 +45,11 @@ class ViewPanel:
             (self._outlines, "outlines"),
         ):
             handle.on_update(self._putter(handle, name))
+
+    def _split(self) -> None:
+        splits = bool(self._splits.value)
+        self._share.visible = self._mark.visible = splits
+        self._session.set_options(split=float(self._share.value) if splits else None)
 
     def _putter(self, handle: Any, name: str) -> Any:
         def put(event: Any) -> None:

@@ -122,6 +122,12 @@ class Session:
         """Goes forward again; False: nothing was undone, or something else was done since."""
         return self._step(self._future, self._past)
 
+    def mark(self) -> None:
+        """What is shown now is what later states are compared with."""
+        with self.changed:
+            self.opened = self.state
+            self._show(self.state)
+
     @property
     def scene(self) -> ls.Scene:
         """What is seen now."""
