@@ -60,3 +60,6 @@ BEFORE_SAMPLES = 16
 
 PLAY_STEPS_PER_S = 30.0
 """Times a second that an animation is moved on while it plays."""
+
+PACE_FORGETS = 0.995
+"""Factor by which a step that was too slow is taken to be quicker with every frame, until it is tried again."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lumisplat.viewer.thresholds import LEVEL_FRACTIONS, PACE_HEADROOM, PACE_HOLD, PIXEL_SCALES
+from lumisplat.viewer.thresholds import LEVEL_FRACTIONS, PACE_FORGETS, PACE_HEADROOM, PACE_HOLD, PIXEL_SCALES
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Pace:
             if finer < PACE_HEADROOM * budget:
                 self._move(self._now - 1)
             else:  # what once was slow may be quick now: another view, or fewer other programs
-                self._took[self._now - 1] = 0.98 * finer
+                self._took[self._now - 1] = PACE_FORGETS * finer
 
     def _move(self, to: int) -> None:
         self._now, self._held = to, 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,8 @@ _PIECES = 24
 """Parts of a straight line that are seen or hidden each by itself."""
 _HIDDEN = 0.3
 """Strength of lines behind what is in the frame."""
+_FARTHEST_PX = 1e5
+"""Lines that end farther outside of the picture are left out."""
 _SELECTED = (255, 176, 32)
 _OTHERS = (150, 150, 150)
 
@@ -71,24 +73,28 @@ def draw_outlines(
     if not outlines:
         return picture
     image = Image.fromarray(picture)
-    draw = ImageDraw.Draw(image, "RGBA")
     for outline in outlines:
-        for line in outline.lines:
-            _draw_line(draw, frame, line, outline.color)
+        mask = Image.new("L", image.size)  # lines that cross, or meet, are no stronger there
+        pieces = [piece for line in outline.lines for piece in _pieces(frame, line)]
+        draw = ImageDraw.Draw(mask)
+        for strength, ends in sorted(pieces):
+            draw.line(ends, fill=round(255 * strength))
+        image.paste(outline.color, mask=mask)
     return np.asarray(image)
 
 
-def _draw_line(draw: ImageDraw.ImageDraw, frame: ls.Frame, line: Points, color: tuple[int, int, int]) -> None:
+def _pieces(frame: ls.Frame, line: Points) -> Iterator[tuple[float, list[tuple[float, float]]]]:
+    """The parts of a line in the picture: how strong each is, and its ends, pixels."""
     camera = frame.camera
     local = line @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     in_front = local[:, 2] > camera.near
     depth = np.maximum(local[:, 2], camera.near)
     pixels = local[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     seen = _is_seen(frame, pixels, np.linalg.norm(local, axis=1))
+    ends: list[tuple[float, float]] = [(float(x), float(y)) for x, y in pixels]
     for i in range(len(line) - 1):
-        if in_front[i] and in_front[i + 1] and np.abs(pixels[i : i + 2]).max() < 1e5:
-            strength = 1.0 if seen[i] and seen[i + 1] else _HIDDEN
-            draw.line([tuple(pixels[i]), tuple(pixels[i + 1])], fill=(*color, round(255 * strength)), width=1)
+        if in_front[i] and in_front[i + 1] and np.abs(pixels[i : i + 2]).max() < _FARTHEST_PX:
+            yield 1.0 if seen[i] and seen[i + 1] else _HIDDEN, ends[i : i + 2]
 
 
 def _is_seen(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[np.bool_]:
