@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.viewer.frames.first_view import ASPECT, FOV_Y, FirstView
 from lumisplat.viewer.frames.loop import RenderLoop
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import Picture
@@ -25,7 +26,6 @@ from lumisplat.viewer.panels.things import ThingsPanel
 from lumisplat.viewer.panels.timeline import Timeline
 from lumisplat.viewer.panels.view_options import ViewPanel
 from lumisplat.viewer.server.page_server import PageServer
-from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Options, Session, State
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ _log = logging.getLogger("lumisplat")
 Progress = Callable[[str, float], None]
 Load = Callable[[Progress], State]
 """Loads what is to be seen."""
-
-_FOV_Y = 0.8
 
 
 class Viewer:
@@ -64,6 +62,8 @@ class Viewer:
         self._closed_or_failed = threading.Event()
         self._failure: ls.LumisplatError | None = None
         """Why there is nothing to see."""
+        self._first_view = FirstView()
+        self._viser.initial_camera.position, self._viser.initial_camera.look_at = self._first_view.at(ASPECT)
         self._build_panels(device)
         self._gizmo = Gizmo(self._viser.scene, self._session)
         self._session.errors.append(lambda line: tell(self._viser, "that did not work", line, is_problem=True))
@@ -187,23 +187,24 @@ class Viewer:
         self._loop.start()
 
     def _place_camera(self, scene: ls.Scene) -> None:
-        """Where pages look from at first: at all of the scene, from the front."""
+        """Where pages look from at first: at all of the scene, from the front; those that have moved stay."""
         up = scene.up_direction
         self._viser.scene.set_up_direction(up)
         if not (scene.splats or scene.meshes):
             return
-        extent, camera = Extent.of(scene), ls.frame_camera(scene, fov_y=_FOV_Y)
-        world_from_camera = np.linalg.inv(camera.camera_from_world)
-        scale, initial = extent.page_from_scene, self._viser.initial_camera
-        initial.fov = _FOV_Y
-        initial.up = up
-        initial.position = scale * world_from_camera[:3, 3]
-        initial.look_at = scale * np.array(extent.center)
-        for client in self._viser.get_clients().values():  # those that were here before the scene was
-            client.camera.up_direction = up
-            client.camera.fov = _FOV_Y
-            client.camera.look_at = scale * np.array(extent.center)
-            client.camera.position = scale * world_from_camera[:3, 3]
+        self._first_view = FirstView.of(scene)
+        initial, before = self._viser.initial_camera, self._viser.initial_camera.position
+        waiting = [client for client in self._viser.get_clients().values() if _is_at(client, before)]
+        position, target = self._first_view.at(ASPECT)
+        initial.fov, initial.up, initial.position, initial.look_at = FOV_Y, up, position, target
+        for client in waiting:  # those that were here before the scene was
+            self._stand_back(client)
+
+    def _stand_back(self, client: viser.ClientHandle) -> None:
+        """Moves a page so that it sees all of the scene, however narrow it is."""
+        position, target = self._first_view.at(min(client.camera.aspect, ASPECT))
+        client.camera.up_direction, client.camera.fov = self._first_view.up, FOV_Y
+        client.camera.look_at, client.camera.position = target, position
 
     def _decorate(self, picture: Picture, frame: ls.Frame) -> Picture:
         """Draws where lights are."""
@@ -224,6 +225,8 @@ class Viewer:
         def look(camera: viser.CameraHandle) -> None:
             page.look(camera, self._session.extent.page_from_scene)
 
+        if client.camera.aspect < ASPECT and _is_at(client, self._viser.initial_camera.position):
+            self._stand_back(client)
         client.camera.on_update(look)
         client.scene.on_click()(lambda event: self._pick(page, event))
         look(client.camera)
@@ -253,3 +256,8 @@ class Viewer:
         is_level = not page.frames_at_rest  # of a view that moves, Gaussians may be those of a level
         gaussian = "" if pick.gaussian < 0 or is_level else f"Gaussian {pick.gaussian:,}, "
         tell(self._viser, entry.name, f"{gaussian}depth {pick.depth:.4g}, at ({place})")
+
+
+def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:
+    """Whether a page still looks from where it was put at first."""
+    return bool(np.linalg.norm(np.asarray(client.camera.position) - position) < 0.05 * np.linalg.norm(position))

@@ -46,6 +46,7 @@ class Page:
         self.frames_at_rest = 0
         self.is_open = True
         self._waiting: Shown | None = None
+        self._is_sending = False
         self._has_answered = False
         self._answers = True
         self._thread = threading.Thread(target=self._send, name="lumisplat page", daemon=True)
@@ -64,6 +65,12 @@ class Page:
     def takes_frames(self) -> bool:
         """Whether a frame that is sent now is the next one that it shows."""
         return self.is_open and self._waiting is None
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether it has been sent all that there is to show, and has answered."""
+        with self._changed:
+            return self.is_finished and self._waiting is None and not self._is_sending
 
     def show(self, shown: Shown) -> None:
         """Sends a picture as soon as the last one is there, in place of one that still waits."""
@@ -85,13 +92,14 @@ class Page:
                 self._changed.wait_for(lambda: self._waiting is not None or not self.is_open)
                 if not self.is_open or self._waiting is None:
                     return
-                shown, self._waiting = self._waiting, None
+                shown, self._waiting, self._is_sending = self._waiting, None, True
                 self._changed.notify_all()
             self.client.scene.set_background_image(
                 shown.picture, format="jpeg", jpeg_quality=shown.quality, depth=shown.depth
             )
             self.client.flush()
             self._await_answer()
+            self._is_sending = False
 
     def _await_answer(self) -> None:
         """Waits until the page has taken what it was sent: it answers in order, and viser's pages answer this."""

@@ -23,11 +23,11 @@ class PageClient:
     """Connects, sends cameras and edits, answers as a page does, and keeps the last picture.
 
     Args:
-        viewer: The viewer.
+        url: The viewer's address, with its token.
         answers: Whether it says that frames are there.
     """
 
-    def __init__(self, viewer: ls.Viewer, *, answers: bool = True) -> None:
+    def __init__(self, url: str, *, answers: bool = True) -> None:
         import viser
 
         self.messages: list[dict[str, Any]] = []
@@ -35,7 +35,7 @@ class PageClient:
         self.pictures: list[tuple[float, bytes]] = []
         """When pictures came, and their JPEGs."""
         self._answers = answers
-        address = viewer.url.replace("http", "ws")
+        address = url.replace("http", "ws")
         self._socket = connect(address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None)  # pyright: ignore
         self._arrived = threading.Condition()
         self._thread = threading.Thread(target=self._receive, daemon=True)
@@ -83,17 +83,6 @@ class PageClient:
         with self._arrived:
             assert self._arrived.wait_for(lambda: len(self.pictures) > after, timeout), "no picture came"
             return np.asarray(Image.open(io.BytesIO(self.pictures[-1][1])))
-
-    def settled(self, quiet: float = 1.0, timeout: float = 60.0) -> np.ndarray:
-        """The picture after which none has come for a while."""
-        until = time.monotonic() + timeout
-        self.picture()
-        while time.monotonic() < until:
-            count = len(self.pictures)
-            time.sleep(quiet)
-            if len(self.pictures) == count:
-                return self.picture()
-        raise AssertionError("pictures did not end")
 
     def control(self, label: str) -> str:
         """The id of a control by its label."""

@@ -1,0 +1,141 @@
+"""How long the viewer takes from a page's camera to its picture, over a bare WebSocket: no browser is in it.
+
+``python -m bench.viewer CAPTURE`` starts the viewer in a process of its own, on the capture as captured and on the same
+relit by a lamp, and prints a table: seconds from the start to the address and to the first picture; milliseconds from a
+camera message to the picture that follows, while the camera moves in steps; what of these is not the frame itself; and
+pictures a second while it moves all the time. A picture of a view that moves keeps the budget, 40 milliseconds.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lumisplat as ls
+from bench.page_client import PageClient
+from bench.timing import parser
+
+WIDTH, HEIGHT = 640, 360
+STEPS = 60
+PAUSE_S = 0.05
+ORBIT_S = 5.0
+"""Time that the camera moves all the time."""
+
+
+def main() -> None:
+    """Prints the table, or with ``--serve`` is the viewer."""
+    arguments = parser("viewer", __doc__)
+    arguments.add_argument("capture", type=Path)
+    arguments.add_argument("--serve", choices=("captured", "lit"), help="be the viewer; for this program itself")
+    options = arguments.parse_args()
+    if options.serve:
+        serve(options.capture, options.serve, options.device)
+        return
+    print("| | address, s | first picture, s | median, ms | best | 90 % | beside the frame | pictures a second |")
+    print("| --- |" + " ---: |" * 7)
+    for kind in ("captured", "lit"):
+        print(f"| {kind} | {measure(options.capture, kind, options.device)} |", flush=True)
+
+
+def scene_of(capture: Path, kind: str) -> ls.Scene:
+    """The capture as captured, or relit by a lamp above it."""
+    gaussians = ls.load(capture)
+    assert isinstance(gaussians, ls.Gaussians)
+    if kind == "captured":
+        return ls.Scene([gaussians])
+    scene = ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())])
+    low, high = scene.bulk_bounds()
+    size = float(np.linalg.norm(high - low))
+    lamp = 0.5 * (low + high) + 0.6 * size * np.array(scene.up_direction)
+    return replace(scene, lights=(ls.LightPoint(lamp, intensity=size**2),))
+
+
+def serve(capture: Path, kind: str, device: str) -> None:
+    """Serves until standard input ends; prints the address, then for each frame when it was done, and its time."""
+    viewer = ls.view(scene_of(capture, kind), height=HEIGHT, device=device)
+    print(viewer.url, flush=True)
+    shown = viewer._loop._on_frame
+
+    def on_frame(page: Any, step: Any, took: float) -> None:
+        print(json.dumps([time.monotonic(), took]), flush=True)
+        shown(page, step, took)
+
+    viewer._loop._on_frame = on_frame
+    sys.stdin.read()
+    viewer.close()
+
+
+@dataclass
+class Served:
+    """A viewer in a process of its own, and the frames that it has rendered."""
+
+    process: subprocess.Popen[str]
+    frames: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+
+    def read(self) -> None:
+        """Collects the lines of frames until there are no more."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            done, took = json.loads(line)
+            self.frames.append((done, took))
+
+
+def measure(capture: Path, kind: str, device: str) -> str:
+    """A row of the table."""
+    command = [sys.executable, "-m", "bench.viewer", str(capture), "--serve", kind, "--device", device]
+    started = time.monotonic()
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
+    served = Served(process)
+    assert process.stdout is not None and process.stdin is not None
+    url = process.stdout.readline().strip()
+    address_s = time.monotonic() - started
+    threading.Thread(target=served.read, daemon=True).start()
+    scene = scene_of(capture, kind)
+    cameras = ls.orbit_cameras(scene, STEPS, ls.frame_camera(scene, width=WIDTH, height=HEIGHT, all_around=True))
+    with PageClient(url) as page:
+        page.look(cameras[0])
+        page.picture()
+        first_s = page.pictures[0][0] - started
+        time.sleep(5.0)  # levels are made
+        latencies, beside = stepped(page, served, cameras)
+        count, begun = len(page.pictures), time.monotonic()
+        while time.monotonic() - begun < ORBIT_S:
+            page.look(cameras[int(30.0 * (time.monotonic() - begun)) % STEPS])
+            time.sleep(0.02)
+        rate = (len(page.pictures) - count) / (time.monotonic() - begun)
+    process.stdin.close()
+    process.wait()
+    middle, best, late = np.median(latencies), min(latencies), np.percentile(latencies, 90)
+    return (
+        f"{address_s:.2f} | {first_s:.2f} | **{middle:.0f}** | {best:.0f} | {late:.0f} | "
+        f"{np.median(beside):.1f} | **{rate:.0f}**"
+    )
+
+
+def stepped(page: PageClient, served: Served, cameras: list[ls.Camera]) -> tuple[list[float], list[float]]:
+    """Milliseconds from each camera to its picture, and what of them the frame did not take."""
+    latencies: list[float] = []
+    beside: list[float] = []
+    for camera in cameras:
+        count, sent = len(page.pictures), time.monotonic()
+        page.look(camera)
+        page.picture(after=count)
+        latencies.append(1e3 * (page.pictures[count][0] - sent))
+        time.sleep(PAUSE_S)
+        took = [took for done, took in served.frames if sent < done <= page.pictures[count][0] + 0.01]
+        if took:
+            beside.append(latencies[-1] - took[0])
+    return latencies, beside
+
+
+if __name__ == "__main__":
+    main()
