@@ -244,17 +244,22 @@ def test_pages_that_never_answer_get_frames_all_the_same(viewer: ls.Viewer) -> N
             page.picture(after=count)
 
 
+def page_threads() -> set[threading.Thread]:
+    """The threads that send to pages."""
+    return {thread for thread in threading.enumerate() if thread.name == "lumisplat page"}
+
+
 def test_a_page_that_vanishes_and_comes_back_sees_the_edits() -> None:
     """Its threads end; the scene is as it was left."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu")
     viewer._loader.join()
-    before = {thread.name for thread in threading.enumerate()}
+    before = page_threads()
     page = PageClient(viewer.url)
     page.look(camera())
     settled(viewer, page)
     page._socket.socket.shutdown(socket.SHUT_RDWR)  # as of a page whose process is killed
     eventually(lambda: not viewer._pages, "the page is still there")
-    assert "lumisplat page" not in {thread.name for thread in threading.enumerate()} - before
+    eventually(lambda: not page_threads() - before, "the page's thread has not ended")
     viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
     with PageClient(viewer.url) as again:
         again.look(camera())

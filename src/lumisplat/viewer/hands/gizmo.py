@@ -184,11 +184,14 @@ class Gizmo:
         {"start": self._begin, "update": self._move, "end": self._end}[event.phase]()
 
     def _begin(self) -> None:
+        """Starts a drag; what has moved just before is part of it, for messages may overtake each other."""
         with self._session.changed:
+            now = time.monotonic()
+            if self._held is not None and now - self._dragged_at >= DRAG_ENDS_S:
+                self._session.seal()
             if self._held is not None:
                 self._drag = self._session.state.document, self._held[1].world_from_grip
-                self._dragged_at = time.monotonic()
-                self._session.seal()
+            self._dragged_at = now
 
     def _move(self) -> None:
         with self._session.changed:
@@ -196,14 +199,15 @@ class Gizmo:
                 return
             number, grip = self._held
             document, start = self._drag or (self._session.state.document, grip.world_from_grip)
-            self._dragged_at, now = time.monotonic(), self._now()
-            extent = self._session.extent
+            self._dragged_at, now, extent = time.monotonic(), self._now(), self._session.extent
+            if self._drag is None and np.allclose(now, start, atol=1e-6 * extent.size):
+                return  # the last move of a drag that has ended already
             self._session.apply(lambda _: dragged(document, number, start, now, extent), merge=f"drag {number}")
 
     def _end(self) -> None:
         with self._session.changed:
             self._move()
-            self._drag = None
+            self._drag, self._dragged_at = None, 0.0
             self._session.seal()
             self.follow()
 
