@@ -106,7 +106,7 @@ def measure(capture: Path, kind: str, device: str) -> str:
         page.picture()
         first_s = page.pictures[0][0] - started
         time.sleep(5.0)  # levels are made
-        latencies, beside = stepped(page, served, cameras)
+        latencies, beside = stepped(page, served, cameras[1:])
         count, begun = len(page.pictures), time.monotonic()
         while time.monotonic() - begun < ORBIT_S:
             page.look(cameras[int(30.0 * (time.monotonic() - begun)) % STEPS])
