@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
-from typing import TypeGuard
+from typing import TypeGuard, TypeVar
 
 import numpy as np
 
 from lumisplat.config.checks import is_number, is_whole
 from lumisplat.errors import SceneError
+
+_Item = TypeVar("_Item")
 
 
 def check_kind(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
@@ -50,6 +53,14 @@ def items_of(name: str, values: object) -> Iterable[object]:
     if not _is_iterable(values):
         raise SceneError(f"{name} is one {type(values).__name__}, expected a list")
     return values
+
+
+def with_checked(item: _Item, **values: object) -> _Item:
+    """A copy of a frozen dataclass with other fields, whose values are known to be right: nothing is checked again."""
+    changed = copy.copy(item)
+    for name, value in values.items():
+        object.__setattr__(changed, name, value)
+    return changed
 
 
 def _is_iterable(values: object) -> TypeGuard[Iterable[object]]:

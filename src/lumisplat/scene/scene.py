@@ -105,7 +105,7 @@ class MeshInstance(PlacedInstance):
         return points.min(axis=0), points.max(axis=0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Scene:
     """What a frame shows. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at the origin.
 

@@ -13,7 +13,8 @@ from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.scene.animation.actors import Actor
+from lumisplat.scene.animation.actors import Actor, Instance
+from lumisplat.scene.checks import with_checked
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import Vector
@@ -42,6 +43,10 @@ class SceneEntry:
     actor: Actor | None = None
     world_from_file: Doubles | None = None
     """Where it stands, a similarity, shape (4, 4); None: of lights."""
+    _assets: tuple[Scene, ...] = field(default=(), repr=False)
+    """What it was made from, so that it is not made again when the entry is edited."""
+    _poses: dict[float, tuple[Instance, ...]] = field(default_factory=dict[float, tuple[Instance, ...]], repr=False)
+    """The actor at the time at which it was seen last: the same objects, whatever else is edited."""
 
     @property
     def name(self) -> str:
@@ -60,6 +65,21 @@ class SceneEntry:
         if self.kind in ("lights", "environment"):
             return not self.table.get("enabled", True)
         return bool(self.table.get("hidden", False))
+
+    def at(self, time: float) -> tuple[Instance, ...]:
+        """Its captures and meshes in the world at a time, seconds.
+
+        Raises:
+            FormatError: A frame of an actor cannot be read.
+        """
+        if self.actor is None:
+            return (*self.splats, *self.meshes)
+        pose = self._poses.get(time)
+        if pose is None:
+            pose = self.actor.at(time)
+            self._poses.clear()
+            self._poses[time] = pose
+        return pose
 
 
 @dataclass(slots=True)
@@ -105,6 +125,7 @@ class EntryReader:
             meshes=placed.meshes,
             lights=placed.lights,
             world_from_file=placed.world_from_file,
+            _assets=placed.assets,
         )
 
     def part_names(self, entry: SceneEntry) -> list[str]:
@@ -130,7 +151,7 @@ class EntryReader:
             read = read_environment(table)
             assert read.image is not None
             self.skies[path] = read.image
-        return replace(light, image=self.skies[path])
+        return with_checked(light, image=self.skies[path])
 
 
 def shown_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple[Scene, list[SceneEntry]]:
@@ -143,9 +164,11 @@ def shown_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple
     splats: list[tuple[SplatInstance, SceneEntry]] = []
     meshes: list[tuple[MeshInstance, SceneEntry]] = []
     for entry in shown:
-        instances = (*entry.splats, *entry.meshes) if entry.actor is None else entry.actor.at(time)
-        splats += [(instance, entry) for instance in instances if isinstance(instance, SplatInstance)]
-        meshes += [(instance, entry) for instance in instances if isinstance(instance, MeshInstance)]
+        for instance in entry.at(time):
+            if isinstance(instance, SplatInstance):
+                splats.append((instance, entry))
+            else:
+                meshes.append((instance, entry))
     scene = Scene(
         splats=[instance for instance, _ in splats],
         meshes=[instance for instance, _ in meshes],

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import FloatArray
+from lumisplat.scene.checks import with_checked
 from lumisplat.scene.materials import Material, texture_names
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import area_vectors, check_triangles, describe_problems, sum_at_vertices
@@ -103,7 +104,7 @@ def unit_normals(
 def drop_unplaced_textures(path: PathLike, mesh: Mesh) -> Mesh:
     """Removes the textures of a mesh without texture coordinates, and logs a line if there are any."""
     material = placeable_material(path, mesh.material, mesh.uvs, mesh.name)
-    return mesh if material is mesh.material else replace(mesh, material=material)
+    return mesh if material is mesh.material else with_checked(mesh, material=material)
 
 
 def placeable_material(path: PathLike, material: Material, uvs: FloatArray | None, name: str) -> Material:

@@ -13,10 +13,9 @@ crop_high = [2.0, 0.5, 2.0]
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -40,6 +39,7 @@ from lumisplat.io.scene_toml.toml_table import (
     Values,
 )
 from lumisplat.math.arrays import Doubles
+from lumisplat.scene.checks import with_checked
 from lumisplat.scene.editing.crop import crop
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light
@@ -76,15 +76,12 @@ ENTRY_KEYS = {
         "part": NAME_OR_NUMBER,
     },
 }
-
-
 """Keys of captures and meshes, by heading."""
 
-_CHANGES = ("kernel_degree", "material", "crease_angle_degrees", "crop_low", "crop_high")
-"""Keys of an entry that change the asset itself, not where it stands."""
+_CHANGES = ("kernel_degree", "crease_angle_degrees", "crop_low", "crop_high")
+"""Keys of an entry that change the form of the asset itself, not where it stands."""
 
-CHANGED_KEPT = 64
-"""Changed assets that are kept, so that entries with equal changes share them."""
+_Key = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +93,17 @@ class PlacedEntry:
     lights: tuple[Light, ...] = ()
     world_from_file: Doubles = field(default_factory=lambda: np.eye(4))
     """Where it stands, a similarity, shape (4, 4)."""
+    assets: tuple[Scene, ...] = ()
+    """What it was made from: its file as loaded, with its changes, and with its material. `Assets` knows these as long
+    as there is an entry that holds them."""
 
 
 @dataclass(slots=True)
 class Assets:
-    """The assets that entries name. Each file is loaded once; entries with equal changes share the changed asset."""
+    """The assets that entries name. Each file is loaded once; entries with equal changes share the changed asset.
+
+    A material is a change of its own, after all others: another one leaves the Gaussians of a capture as they are.
+    """
 
     load: Load
     materials: dict[str, MaterialTable]
@@ -108,34 +111,32 @@ class Assets:
     """Up of the scene."""
     memory: Mapping[str, Scene] = field(default_factory=dict[str, Scene])
     """Assets that are not from files, by what entries give as their path."""
-    _files: dict[Path, Scene] = field(default_factory=dict[Path, Scene])
-    """By file, as loaded."""
-    _changed: OrderedDict[tuple[Path, str], Scene] = field(default_factory=OrderedDict[tuple[Path, str], Scene])
-    """By file and changes, those that were used last at the end."""
+    _made: WeakValueDictionary[_Key, Scene] = field(default_factory=WeakValueDictionary[_Key, Scene])
+    """By file and changes."""
 
     def splats(self, table: TomlTable) -> PlacedEntry:
         """The captures of an entry in the world."""
         given, world_from_file = _read_entry(table, "splats", self.up)
-        scene = self._scene(table, "splats", given)
-        material = entry_material(table, self.materials)
+        assets = self._assets(table, "splats", given)
         settings = {key: given[key] for key in ("sh_degree", "shadow_only") if key in given}
-        if material is not None:
-            settings["material"] = material.apply_to(None)
         try:
             splats = [
-                SplatInstance(i.gaussians, world_from_file @ i.transform, name=given.get("name") or i.name, **settings)
-                for i in scene.splats
+                replace(
+                    i, world_from_object=world_from_file @ i.transform, name=given.get("name") or i.name, **settings
+                )
+                for i in assets[-1].splats
             ]
             lift = self._lift(given, splats)
             placed = (replace(splat, world_from_object=lift @ splat.transform) for splat in splats)
-            return PlacedEntry(splats=tuple(placed), world_from_file=lift @ world_from_file)
+            return PlacedEntry(splats=tuple(placed), world_from_file=lift @ world_from_file, assets=assets)
         except SceneError as error:
             raise table.failed(error) from None
 
     def meshes(self, table: TomlTable) -> PlacedEntry:
         """The meshes and lights of an entry in the world."""
         given, world_from_file = _read_entry(table, "meshes", self.up)
-        scene = self._part(table, given, self._scene(table, "meshes", given))
+        assets = self._assets(table, "meshes", given)
+        scene = self._part(table, given, assets[-1])
         wanted = scene.lights if given.get("lights", True) else ()
         try:
             meshes = [
@@ -147,13 +148,14 @@ class Assets:
                 meshes=tuple(replace(mesh, world_from_object=lift @ mesh.transform) for mesh in meshes),
                 lights=tuple(move_light(light, lift @ world_from_file) for light in wanted),
                 world_from_file=lift @ world_from_file,
+                assets=assets,
             )
         except SceneError as error:
             raise table.failed(error) from None
 
     def part_names(self, table: TomlTable) -> list[str]:
         """The names of the meshes of an entry's file, whichever of them it shows."""
-        return [instance.name for instance in self._scene(table, "meshes", table.values).meshes]
+        return [instance.name for instance in self._assets(table, "meshes", table.values)[-1].meshes]
 
     def _part(self, table: TomlTable, given: Values, scene: Scene) -> Scene:
         """The one mesh that an entry shows, without lights; all if it does not say."""
@@ -177,58 +179,88 @@ class Assets:
             move[:3, 3] = (given["ground"] - height) * np.array(self.up)
         return move
 
-    def _scene(self, table: TomlTable, heading: str, given: Values) -> Scene:
-        """The contents of an entry's file, with the changes of the entry; or its shape."""
-        if "path" not in given:
-            return self._with_changes(as_scene(shape_mesh(table, given)), table, given)
+    def _assets(self, table: TomlTable, heading: str, given: Values) -> tuple[Scene, ...]:
+        """The contents of an entry's file, or its shape; with the changes of the entry; and with its material."""
+        if "path" in given:
+            key, loaded = self._loaded(table, heading, given)
+        else:
+            if "part" in given:
+                raise table.error("part is of a file with several meshes, but there is no path", "part")
+            key = ("shape", repr((given["shape"], given.get("size"))))
+            loaded = self._once(key, lambda: as_scene(shape_mesh(table, given)))
+        changes = {name: given[name] for name in _CHANGES if name in given}
+        if changes:
+            key = (*key, repr(changes))
+        changed = self._once(key, lambda: _with_changes(loaded, table, changes)) if changes else loaded
+        if "material" not in given:
+            return loaded, changed
+        key = (*key, "material", repr(given["material"]))
+        return loaded, changed, self._once(key, lambda: self._with_material(changed, table))
+
+    def _loaded(self, table: TomlTable, heading: str, given: Values) -> tuple[_Key, Scene]:
+        """The contents of an entry's file, and what they are known by."""
         if "size" in given or "shape" in given:
             key = "shape" if "shape" in given else "size"
             raise table.error(f"path and {key} are both given: an entry is a file or a shape", key)
-        file = Path(given["path"]) if given["path"] in self.memory else table.file("path")
-        if file.suffix.lower() == ".toml":
-            raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
-        if file not in self._files:
-            memory = self.memory.get(given["path"])
-            self._files[file] = as_scene(self.load(file)) if memory is None else memory
-        scene = self._files[file]
+        scene = self.memory.get(given["path"])
+        known_by = ("memory", given["path"])
+        if scene is None:
+            file = table.file("path")
+            if file.suffix.lower() == ".toml":
+                raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
+            known_by = ("file", str(file))
+            scene = self._once(known_by, lambda: as_scene(self.load(file)))
         if (scene.splats and heading == "meshes") or (not scene.splats and heading == "splats"):
             found, other = ("a capture", "splats") if scene.splats else ("a mesh", "meshes")
             raise table.error(f"path is {given['path']!r}, which is {found}: list it under [[{other}]]", "path")
-        changes = {key: given[key] for key in _CHANGES if key in given}
-        asset = file, repr(changes)
-        if asset not in self._changed:
-            self._changed[asset] = self._with_changes(scene, table, changes)
-        self._changed.move_to_end(asset)
-        while len(self._changed) > CHANGED_KEPT:
-            self._changed.popitem(last=False)
-        return self._changed[asset]
+        return known_by, scene
 
-    def _with_changes(self, scene: Scene, table: TomlTable, changes: Values) -> Scene:
+    def _once(self, key: _Key, make: Callable[[], Scene]) -> Scene:
+        """What is known by a key, made unless there is an entry that has it."""
+        scene = self._made.get(key)
+        if scene is None:
+            scene = self._made[key] = make()
+        return scene
+
+    def _with_material(self, scene: Scene, table: TomlTable) -> Scene:
+        """The assets with the material of an entry."""
+        material = entry_material(table, self.materials)
+        assert material is not None
         try:
-            if "kernel_degree" in changes:
-                degree = changes["kernel_degree"]
-                splats = (replace(i, gaussians=replace(i.gaussians, kernel_degree=degree)) for i in scene.splats)
-                scene = replace(scene, splats=tuple(splats))
-            if "crop_low" in changes or "crop_high" in changes:
-                box = _box(table, changes)
-                splats = (replace(i, gaussians=crop(i.gaussians, box)) for i in scene.splats)
-                scene = replace(scene, splats=tuple(splats))
-            if "crease_angle_degrees" in changes:
-                angle = np.radians(changes["crease_angle_degrees"])
-                meshes = (replace(i, mesh=smooth_normals(i.mesh, angle)) for i in scene.meshes)
-                scene = replace(scene, meshes=tuple(meshes))
-            material = entry_material(table, self.materials) if scene.meshes else None
-            if material is None:
-                return scene
             meshes = {id(i.mesh): i.mesh for i in scene.meshes}
             for key, mesh in meshes.items():
-                changed = replace(mesh, material=material.apply_to(mesh.material))
+                changed = with_checked(mesh, material=material.apply_to(mesh.material))
                 meshes[key] = drop_unplaced_textures(table.path, changed)
-        except FormatError:
-            raise
+            own = material.apply_to(None) if scene.splats else None
         except SceneError as error:
             raise table.failed(error) from None
-        return replace(scene, meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes))
+        return replace(
+            scene,
+            splats=tuple(replace(i, material=own) for i in scene.splats),
+            meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes),
+        )
+
+
+def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
+    """The assets of a file, changed in form."""
+    try:
+        if "kernel_degree" in changes:
+            degree = changes["kernel_degree"]
+            splats = (replace(i, gaussians=replace(i.gaussians, kernel_degree=degree)) for i in scene.splats)
+            scene = replace(scene, splats=tuple(splats))
+        if "crop_low" in changes or "crop_high" in changes:
+            box = _box(table, changes)
+            splats = (replace(i, gaussians=crop(i.gaussians, box)) for i in scene.splats)
+            scene = replace(scene, splats=tuple(splats))
+        if "crease_angle_degrees" in changes:
+            angle = np.radians(changes["crease_angle_degrees"])
+            meshes = (replace(i, mesh=smooth_normals(i.mesh, angle)) for i in scene.meshes)
+            scene = replace(scene, meshes=tuple(meshes))
+    except FormatError:
+        raise
+    except SceneError as error:
+        raise table.failed(error) from None
+    return scene
 
 
 def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:

@@ -1,0 +1,105 @@
+"""What an edit leaves as it is stays the same object, for renderers know assets by identity; what nobody needs goes."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.document.entries import EntryKind
+from support.files.rig_files import BEND, TubeRig
+from support.kinds import present
+from support.scenes.raster_scenes import random_gaussians
+
+MOVED = np.array([[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+BOX = {"crop_low": [-1.0, -1.0, -10.0], "crop_high": [1.0, 1.0, 10.0]}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to be in, with a capture and a rig."""
+    monkeypatch.chdir(tmp_path)
+    ls.save("capture.ply", random_gaussians(1, count=200))
+    TubeRig(clips={"walk": BEND}).write(tmp_path / "walker.glb")
+    return tmp_path
+
+
+@pytest.mark.usefixtures("folder")
+def test_another_material_leaves_the_gaussians_of_a_changed_capture() -> None:
+    """Cropped, and of another kernel degree: neither is done again."""
+    document, number = ls.SceneDocument.of(ls.Scene()).added(
+        "splats", {"path": "capture.ply", "kernel_degree": 4, "material": {"roughness": 0.3}, **BOX}
+    )
+    before, after = (d.entry(number).splats[0] for d in (document, document.changed(number, material={"ior": 2.0})))
+    assert 0 < before.gaussians.count < 200
+    assert after.gaussians is before.gaussians
+    assert after.material is not before.material
+
+
+@pytest.mark.parametrize(
+    ("kind", "table"),
+    [
+        ("splats", {"path": "capture.ply", "material": {"roughness": 0.3}, **BOX}),
+        ("meshes", {"shape": "sphere"}),
+        ("meshes", {"shape": "sphere", "material": {"roughness": 0.3}}),
+        ("meshes", {"path": "walker.glb", "material": {"roughness": 0.3}, "crease_angle_degrees": 10.0}),
+    ],
+)
+@pytest.mark.usefixtures("folder")
+def test_what_is_moved_stays_itself(kind: EntryKind, table: dict[str, object]) -> None:
+    """The capture and its material, a shape, a mesh with another material."""
+    document, number = ls.SceneDocument.of(ls.Scene()).added(kind, table)
+    before, after = (d.entry(number) for d in (document, document.placed(number, MOVED)))
+    np.testing.assert_array_equal(present(after.world_from_file), MOVED)
+    for mine, other in zip(after.splats, before.splats, strict=True):
+        assert mine.gaussians is other.gaussians and mine.material is other.material
+    for mine, other in zip(after.meshes, before.meshes, strict=True):
+        assert mine.mesh is other.mesh
+
+
+@pytest.mark.usefixtures("folder")
+def test_actors_keep_their_pose_while_others_are_edited() -> None:
+    """At the same time; at another one they have another."""
+    document, _ = ls.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
+    document, light = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
+    pose = document.scene(0.5).splats[0]
+    assert document.changed(light, intensity=2.0).scene(0.5).splats[0] is pose
+    assert document.scene(0.25).splats[0].gaussians is not pose.gaussians
+
+
+@pytest.mark.usefixtures("folder")
+def test_crops_that_no_document_has_are_gone() -> None:
+    """Who drags a box leaves a capture at each step: a million Gaussians have hundreds of megabytes."""
+    document, number = ls.SceneDocument.of(ls.Scene()).added("splats", {"path": "capture.ply", **BOX})
+    left: list[weakref.ref[ls.Gaussians]] = []
+    for k in range(10):
+        left.append(weakref.ref(document.entry(number).splats[0].gaussians))
+        document = document.changed(number, crop_low=[-1.0, -1.0, -9.0 + 0.1 * k])
+    gc.collect()
+    assert not [one for one in left if one() is not None]
+
+
+def test_large_arrays_are_not_checked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a mesh whose material changes, and of an environment that is turned."""
+    scene = ls.Scene(meshes=[ls.sphere(1.0)], lights=[ls.LightEnvironment(np.ones((4, 8, 3), np.float32))])
+    document = ls.SceneDocument.of(scene)
+    checked: list[int] = []
+    isfinite = np.isfinite
+    monkeypatch.setattr(np, "isfinite", lambda values: (checked.append(np.size(values)), isfinite(values))[1])
+    changed = document.changed(0, material={"roughness": 0.1}).changed(1, rotation_wxyz=[0.0, 1.0, 0.0, 0.0])
+    assert max(checked, default=0) <= 16  # a matrix, not the 96 numbers of the image
+    assert changed.entry(0).meshes[0].mesh.positions is scene.meshes[0].mesh.positions
+    sky = changed.entry(1).lights[0]
+    assert isinstance(sky, ls.LightEnvironment) and sky.rotation_wxyz == (0.0, 1.0, 0.0, 0.0)
+    assert sky.image is scene.lights[0].image  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_part_needs_a_file(tmp_path: Path) -> None:
+    """A shape is one mesh."""
+    (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\npart = 0\n')
+    with pytest.raises(ls.FormatError, match=r"line 3.*part is of a file with several meshes, but there is no path"):
+        ls.load(tmp_path / "scene.toml")
