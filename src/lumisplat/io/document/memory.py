@@ -9,7 +9,9 @@ import numpy as np
 
 from lumisplat.errors import SceneError
 from lumisplat.io.document.entries import EntryKind
+from lumisplat.io.document.views import camera_tables
 from lumisplat.io.document.written import is_similarity, light_table, material_table, placement_table
+from lumisplat.io.scene_toml.config_file import changed_settings
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.gaussians import Gaussians
@@ -30,6 +32,8 @@ class MemoryEntries:
     """By the path that tables have: ``<capture 0>``."""
     skies: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     actors: tuple[Actor, ...] = ()
+    problems: list[str] = field(default_factory=list[str])
+    """What cannot be an entry, a line each."""
 
 
 def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
@@ -40,9 +44,14 @@ def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
     """
     actors: tuple[Actor, ...] = ()
     top: dict[str, Any] = {}
+    problems: list[str] = []
     if isinstance(scene, Animation):
         actors = scene.actors
-        top["animation"] = {"fps": float(scene.fps), "frames": scene.frame_count}
+        lighting = changed_settings(scene.lighting)
+        timing = {"fps": float(scene.fps), "frames": int(scene.frame_count)}
+        top["animation"] = timing | ({"lighting": lighting} if lighting else {})
+        cameras, problems = camera_tables(scene.cameras, scene.camera_path)
+        top |= {"cameras": cameras} if cameras else {}
         scene = scene.scene
     elif isinstance(scene, Gaussians):
         scene = Scene(splats=[scene])
@@ -50,7 +59,7 @@ def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
         scene = Scene(meshes=[scene])
     if not isinstance(scene, Scene):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SceneError(f"expected a Scene, an Animation, Gaussians or a Mesh, got a {type(scene).__name__}")
-    memory = MemoryEntries(scene.up_direction, top | {"up": list(scene.up_direction)}, actors=actors)
+    memory = MemoryEntries(scene.up_direction, top | {"up": list(scene.up_direction)}, actors=actors, problems=problems)
     paths: dict[int, str] = {}
     for splat in scene.splats:
         memory.tables.append(("splats", _splat_table(memory, splat, paths)))

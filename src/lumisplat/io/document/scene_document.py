@@ -54,7 +54,7 @@ class SceneDocument:
     top: Mapping[str, Any]
     """What is no entry: ``up``, ``render``, ``animation``, ``materials`` and ``cameras``, as in a scene file."""
     problems: tuple[str, ...] = ()
-    """Files that could not be read, and are left out, a line each."""
+    """What could not be read, and is left out, a line each."""
     _reader: EntryReader = field(kw_only=True, repr=False)
     _scenes: dict[float, tuple[Scene, list[SceneEntry]]] = field(
         default_factory=dict[float, tuple[Scene, list[SceneEntry]]], kw_only=True, repr=False
@@ -92,6 +92,8 @@ class SceneDocument:
     def of(cls, scene: Scene | Animation | Gaussians | Mesh) -> SceneDocument:
         """The document of what a program has made; assets are written beside the file when it is saved.
 
+        Cameras that a scene file cannot hold are left out, and listed in ``problems``.
+
         Raises:
             SceneError: It is none of these.
         """
@@ -101,7 +103,7 @@ class SceneDocument:
         for number, actor in enumerate(memory.actors, start=len(entries)):
             name = {"name": actor.name or "actor"}
             entries.append(SceneEntry(number, "actors", name, actor=actor, world_from_file=actor.world_from_object))
-        return cls(tuple(entries), memory.top, _reader=reader)
+        return cls(tuple(entries), memory.top, tuple(memory.problems), _reader=reader)
 
     # --- What it holds ---
 
@@ -151,14 +153,15 @@ class SceneDocument:
 
     @property
     def animation(self) -> Animation | None:
-        """How it moves; None: nothing does.
+        """How it moves, with its cameras; what is hidden is left out. None: nothing moves.
 
         Raises:
             FormatError: ``[animation]`` or a camera is wrong.
         """
         actors = [entry.actor for entry in self.entries if entry.actor is not None and not entry.hidden]
-        animation = animation_of(TomlTable.of(self.file, dict(self.top)), self.scene(), actors)
-        return animation if actors or animation.camera_path is not None else None
+        still, _ = shown_scene([entry for entry in self.entries if entry.actor is None], up_vector(self.top["up"]), 0.0)
+        animation = animation_of(TomlTable.of(self.file, dict(self.top)), still, actors)
+        return replace(animation, cameras=self.cameras) if actors or animation.camera_path is not None else None
 
     @property
     def cameras(self) -> list[Camera]:

@@ -1,0 +1,152 @@
+"""Documents of what moves: the animation is that of the file, or of the program, that the document was made of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lumisplat as ls
+from support.kinds import present
+from support.scenes.raster_scenes import random_gaussians
+
+MOVING = """
+[[splats]]
+path = "capture.ply"
+
+[[actors]]
+path = "capture.ply"
+name = "walker"
+
+[[actors.keyframes]]
+time = 0.0
+position = [0.0, 0.0, 0.0]
+
+[[actors.keyframes]]
+time = 2.0
+position = [4.0, 0.0, 0.0]
+
+[[cameras]]
+name = "front"
+eye = [0.0, -4.0, 1.0]
+target = [0.0, 0.0, 0.0]
+
+[[cameras]]
+name = "flight"
+target = [0.0, 0.0, 0.0]
+near = 0.125
+fov_y_degrees = 33.0
+
+[[cameras.keyframes]]
+time = 0.0
+eye = [0.0, 1.0, 4.0]
+
+[[cameras.keyframes]]
+time = 1.5
+eye = [3.0, 1.0, 3.0]
+exposure = 2.0
+aperture = 0.25
+focus_distance = 7.0
+
+[animation]
+fps = 10.0
+
+[animation.lighting]
+direct = 0.25
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A scene file in which a capture and a camera move, beside the capture."""
+    ls.save(tmp_path / "capture.ply", random_gaussians(1, count=20))
+    (tmp_path / "scene.toml").write_text(MOVING)
+    return tmp_path / "scene.toml"
+
+
+def assert_same_camera(mine: ls.Camera, other: ls.Camera) -> None:
+    """Equal field by field, but for rounding."""
+    for field in fields(other):
+        first, second = getattr(mine, field.name), getattr(other, field.name)
+        if isinstance(second, float | np.ndarray | tuple):
+            np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-12, err_msg=field.name)
+        else:
+            assert first == second, field.name
+
+
+def assert_same_animation(mine: ls.Animation | None, other: ls.Animation) -> None:
+    """The same actors, times, cameras and settings, and as much that stands still."""
+    mine = present(mine)
+    assert (mine.fps, mine.frame_count, mine.lighting) == (other.fps, other.frame_count, other.lighting)
+    assert (len(mine.scene.splats), len(mine.scene.meshes)) == (len(other.scene.splats), len(other.scene.meshes))
+    for time in (0.0, 0.5, 1.0):
+        for one, same in zip(mine.actors_at(time), other.actors_at(time), strict=True):
+            np.testing.assert_allclose(one.transform, same.transform, atol=1e-12)
+        assert_same_camera(present(mine.camera_path).at(time), present(other.camera_path).at(time))
+    for camera, same in zip(mine.cameras, other.cameras, strict=True):
+        assert_same_camera(camera, same)
+
+
+def test_the_animation_is_that_of_the_file(file: Path) -> None:
+    """What stands still is in its scene once, actors are not in it, and it has the cameras."""
+    document = ls.SceneDocument.open(file)
+    assert_same_animation(document.animation, ls.load_animation(file))
+    assert len(document.scene().splats) == 2
+    hidden = document.changed(1, hidden=True)
+    assert not present(hidden.animation).actors and len(present(hidden.animation).scene.splats) == 1
+
+
+def test_animations_of_programs_keep_light_and_cameras(file: Path) -> None:
+    """Also when it is one that was read; the camera that moves is not listed twice."""
+    animation = ls.load_animation(file)
+    document = ls.SceneDocument.of(animation)
+    assert not document.problems
+    assert_same_animation(document.animation, animation)
+    assert [camera.name for camera in document.cameras] == ["front", "flight"]
+
+
+def test_cameras_that_scene_files_cannot_hold_are_named() -> None:
+    """Those with a principal point of their own, and motion that looks at nothing."""
+    camera = ls.Camera.look_at((0, 0, 5), (0, 0, 0), name="good")
+    off = ls.Camera(
+        **{field.name: getattr(camera, field.name) for field in fields(camera)} | {"cx": 3.0, "name": "off"}
+    )
+    path = ls.CameraPath([camera, ls.Camera.look_at((0, 0, 6), (0, 0, 0))])
+    document = ls.SceneDocument.of(ls.Animation(ls.Scene([random_gaussians(1, count=4)]), (), [off, camera], 5.0, 2))
+    assert [camera.name for camera in document.cameras] == ["good"]
+    assert len(document.problems) == 1 and document.problems[0].startswith("camera off is left out")
+    moving = ls.SceneDocument.of(ls.Animation(ls.Scene(), camera_path=path))
+    assert "the camera that moves is left out" in moving.problems[0]
+
+
+COORDINATE = st.floats(-100.0, 100.0)
+CAMERAS = st.builds(
+    dict,
+    eye=st.tuples(COORDINATE, COORDINATE, st.floats(1.0, 100.0)),
+    target=st.tuples(COORDINATE, COORDINATE, st.floats(-100.0, -1.0)),
+    width=st.integers(1, 4000),
+    height=st.integers(1, 4000),
+    fov_y=st.floats(0.01, 3.0),
+    near=st.floats(1e-3, 10.0),
+    name=st.sampled_from(["", "left", "ä"]),
+    model=st.sampled_from(ls.CameraModel),
+    aperture=st.just(0.0) | st.floats(1e-3, 1.0),
+    focus_distance=st.floats(0.1, 100.0),
+)
+
+
+@given(CAMERAS)
+def test_cameras_come_back_from_their_tables(values: dict[str, Any]) -> None:
+    """All kinds; what is in focus only matters to a lens."""
+    camera = ls.Camera.look_at(**values)
+    animation = ls.Animation(ls.Scene(), (), [camera])
+    (found,) = ls.SceneDocument.of(animation).cameras
+    if not camera.aperture:
+        assert math.isclose(found.focus_distance, camera.focus_distance, rel_tol=1e-9)
+    assert_same_camera(found, camera if camera.name else replace(camera, name=found.name))
