@@ -24,6 +24,9 @@ _LAST_ROW = np.array((0.0, 0.0, 0.0, 1.0))
 _LAST_ROW_ERROR = 1e-6 + 1e-5 * _LAST_ROW
 """Largest difference from it."""
 
+_UNIT_ERROR = 2e-15
+"""Largest error of the length of a vector that has been divided by its length."""
+
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 """Largest number that a kernel can be given."""
 
@@ -141,6 +144,12 @@ def normalise_rows(name: str, vectors: FloatArray) -> FloatArray:
     unit = vectors if is_unit.all() else np.where(is_unit, vectors, scaled / length)
     unit.flags.writeable = False
     return unit
+
+
+def unit_vector(vector: Doubles) -> Doubles:
+    """A vector, of any length above 0, at length 1; one that has it, but for rounding, keeps its bits."""
+    length = np.linalg.norm(vector)
+    return vector if abs(length - 1.0) < _UNIT_ERROR else vector / length
 
 
 def read_only_array(values: npt.ArrayLike, dtype: type[_Scalar]) -> npt.NDArray[_Scalar]:

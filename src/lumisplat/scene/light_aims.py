@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import finite_numbers, float_array
+from lumisplat.math.arrays import finite_numbers, float_array, unit_vector
 
 Vector = tuple[float, float, float]
 
@@ -44,10 +44,9 @@ def direction_of(name: str, values: npt.ArrayLike) -> Vector:
         SceneError: The values have no length, or are not three finite numbers.
     """
     given = np.array(vector(name, values))
-    length = np.linalg.norm(given)
-    if length == 0.0:
+    if np.linalg.norm(given) == 0.0:
         raise SceneError(f"{name} has no length")
-    x, y, z = (float(v) for v in given / length)
+    x, y, z = (float(v) for v in unit_vector(given))
     return x, y, z
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FLOAT32_MAX, FloatArray, float_array
+from lumisplat.math.arrays import FLOAT32_MAX, FloatArray, float_array, unit_vector
 from lumisplat.scene.checks import check_flag
 from lumisplat.scene.light_aims import Vector, facing_edges, towards, vector
 
@@ -343,10 +343,9 @@ class LightEnvironment:
             object.__setattr__(self, "image", image)
         float_array("rotation_wxyz", self.rotation_wxyz)
         wxyz = np.asarray(self.rotation_wxyz, dtype=np.float64)
-        length = float(np.linalg.norm(wxyz))
-        if wxyz.shape != (4,) or length == 0.0:
+        if wxyz.shape != (4,) or np.linalg.norm(wxyz) == 0.0:
             raise SceneError(f"rotation_wxyz is {self.rotation_wxyz}, expected four numbers that are not all 0")
-        object.__setattr__(self, "rotation_wxyz", tuple(float(x) / length for x in wxyz))
+        object.__setattr__(self, "rotation_wxyz", tuple(float(x) for x in unit_vector(wxyz)))
         check_flag("visible", self.visible)
         _check_number("shadow_distance", self.shadow_distance, 0.0, above=True, finite=False)
 

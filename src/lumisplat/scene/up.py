@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Doubles, finite_numbers
+from lumisplat.math.arrays import Doubles, finite_numbers, unit_vector
 
 Vector = tuple[float, float, float]
 
@@ -45,7 +45,7 @@ def up_vector(up: str | npt.ArrayLike) -> Vector:
     length = 0.0 if direction is None else float(np.linalg.norm(direction))
     if direction is None or not 0.0 < length < np.inf:
         raise SceneError(f"up is {up}, expected {', '.join(UP_AXES)}, or a direction of three numbers, not all 0")
-    x, y, z = (float(value) for value in direction / length)
+    x, y, z = (float(value) for value in unit_vector(direction))
     return x, y, z
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from lumisplat.io.scene_toml.actors import Load, Subjects, read_actor
@@ -12,6 +13,7 @@ from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
 from lumisplat.io.scene_toml.toml_table import TomlTable
+from lumisplat.io.scene_toml.toml_text import plain_value
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.animation.actors import Actor, Instance
 from lumisplat.scene.checks import with_checked
@@ -36,7 +38,7 @@ class SceneEntry:
     """Stays through edits; no other entry of the document has it."""
     kind: EntryKind
     table: Mapping[str, Any]
-    """Keys and values as in a scene file."""
+    """Keys and values as in a scene file. `SceneDocument.changed` changes them."""
     splats: tuple[SplatInstance, ...] = ()
     meshes: tuple[MeshInstance, ...] = ()
     lights: tuple[Light, ...] = ()
@@ -102,13 +104,14 @@ class EntryReader:
     _subjects: Subjects | None = None
 
     def read(self, number: int, kind: EntryKind, values: Mapping[str, Any]) -> SceneEntry:
-        """The entry of a table.
+        """The entry of a table, of which it has a copy.
 
         Raises:
             FormatError: An entry is unknown or invalid, or a file cannot be read.
         """
-        table = TomlTable.of(self.file, dict(values), kind)
-        entry = SceneEntry(number, kind, values)
+        plain: dict[str, Any] = plain_value(values)
+        table = TomlTable.of(self.file, plain, kind)
+        entry = SceneEntry(number, kind, MappingProxyType(plain))
         if kind == "lights":
             return replace(entry, lights=(read_light(table),))
         if kind == "environment":

@@ -37,7 +37,7 @@ class MemoryEntries:
 
 
 def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
-    """The entries of a scene in memory.
+    """The entries of a scene in memory; of several environments, the one that is enabled.
 
     Raises:
         SceneError: It is none.
@@ -65,7 +65,9 @@ def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
         memory.tables.append(("splats", _splat_table(memory, splat, paths)))
     for mesh in scene.meshes:
         memory.tables.append(("meshes", _mesh_table(memory, mesh, paths)))
-    for light in scene.lights:
+    skies = [light for light in scene.lights if isinstance(light, LightEnvironment)]
+    sky = next((light for light in skies if light.enabled), skies[0] if skies else None)
+    for light in (light for light in scene.lights if light is sky or not isinstance(light, LightEnvironment)):
         table = light_table(light)
         if isinstance(light, LightEnvironment) and light.image is not None:
             table["path"] = f"<environment {len(memory.skies)}>"

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from lumisplat import io
@@ -30,7 +29,8 @@ from lumisplat.io.scene_toml.animation import animation_of
 from lumisplat.io.scene_toml.cameras import read_scene_cameras
 from lumisplat.io.scene_toml.config_file import changed_settings, read_config
 from lumisplat.io.scene_toml.toml_table import TomlTable
-from lumisplat.io.scene_toml.toml_text import toml_text
+from lumisplat.io.scene_toml.toml_text import plain_value, toml_text
+from lumisplat.math.arrays import matrix_4x4
 from lumisplat.scene.animation.actors import Animation
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
@@ -184,7 +184,7 @@ class SceneDocument:
     # --- Edits ---
 
     def changed(self, number: int, **keys: Any) -> SceneDocument:
-        """Sets keys of an entry's table; those that are None are removed.
+        """Sets keys of an entry's table; those that are None are removed. Arrays and tuples become lists.
 
         Raises:
             FormatError: The entry would be invalid; names the key.
@@ -212,7 +212,7 @@ class SceneDocument:
         Raises:
             SceneError: It is no similarity.
         """
-        matrix = np.asarray(world_from_file, np.float64)
+        matrix = matrix_4x4("world_from_file", world_from_file)
         check_similarity(matrix[:3, :3], "world_from_file", "an entry")
         return self.changed(number, **dict.fromkeys(_PLACED_IN_WORDS), **placement_table(matrix))
 
@@ -287,7 +287,7 @@ class SceneDocument:
         Raises:
             FormatError: One is wrong.
         """
-        document = replace(self, top=dict(self.top) | {"cameras": [dict(camera) for camera in cameras]})
+        document = replace(self, top=dict(self.top) | {"cameras": plain_value(list(cameras))})
         _ = document.cameras
         return document
 

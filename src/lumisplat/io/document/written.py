@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import MISSING, Field, fields
-from enum import Enum
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +13,16 @@ from lumisplat.io.scene_toml.fields import DEGREES, key_of
 from lumisplat.io.scene_toml.lights import LIGHT_KINDS
 from lumisplat.io.scene_toml.materials import MATERIAL_KINDS
 from lumisplat.io.scene_toml.toml_table import Values
+from lumisplat.io.scene_toml.toml_text import plain_value
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material
+
+_ROUNDED = {"inner_angle": -1, "outer_angle": 1}
+"""How angles of spots are rounded: the inner one stays below the outer one."""
+_STEPS = 3
+"""Neighbours of an angle that are tried, on each side."""
 
 
 def light_table(light: Light) -> Values:
@@ -67,11 +72,29 @@ def _values(item: Light | Material, without: tuple[str, ...]) -> Values:
 
 
 def _written(field: Field[Any], value: object) -> object:
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, tuple):
-        return [float(x) for x in cast(tuple[float, ...], value)]
-    return math.degrees(cast(float, value)) if key_of(field).endswith(DEGREES) else value
+    plain = plain_value(value)
+    return _degrees(plain, _ROUNDED.get(field.name, 0)) if key_of(field).endswith(DEGREES) else plain
+
+
+def _degrees(angle: float, rounded: int) -> float:
+    """The degrees, at most 90, that the reader turns to an angle, or to one next to it.
+
+    Args:
+        angle: Radians.
+        rounded: 0: to the nearest; 1: not to a smaller one; -1: not to a larger one.
+    """
+    near = [math.degrees(angle)]
+    for end in (0.0, 90.0):
+        step = math.degrees(angle)
+        for _ in range(_STEPS):
+            step = math.nextafter(step, end)
+            near.append(step)
+    back = {degrees: math.radians(degrees) for degrees in (*near, 0.0, 90.0) if 0.0 <= degrees <= 90.0}
+    if rounded > 0:
+        return min((degrees for degrees in back if back[degrees] >= angle), default=90.0)
+    if rounded < 0:
+        return max(degrees for degrees in back if back[degrees] <= angle)
+    return min(back, key=lambda degrees: abs(back[degrees] - angle))
 
 
 def _name(kinds: dict[str, Any], kind: type) -> str:

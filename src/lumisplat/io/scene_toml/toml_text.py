@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
@@ -13,6 +14,23 @@ import numpy as np
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _LINE_VALUES_MAX = 100
 """Characters of tables in one line; longer ones have a heading of their own where they can."""
+
+
+def plain_value(value: object) -> Any:
+    """A value as TOML has it: numbers of NumPy as Python's, arrays and tuples as lists, paths and enums as texts."""
+    match value:
+        case Enum():
+            return plain_value(value.value)
+        case os.PathLike():
+            return os.fspath(cast("os.PathLike[str]", value))
+        case np.generic() | np.ndarray():
+            return cast(Any, value).tolist()
+        case Mapping():
+            return {name: plain_value(item) for name, item in cast(Mapping[str, object], value).items()}
+        case list() | tuple():
+            return [plain_value(item) for item in cast(Sequence[object], value)]
+        case _:
+            return value
 
 
 def toml_text(values: Mapping[str, Any]) -> str:

@@ -1,0 +1,125 @@
+"""Objects as tables of a scene file: what the reader makes of them is what they were, to the bit."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lumisplat as ls
+from lumisplat.io.document.written import light_table
+from lumisplat.io.scene_toml.lights import read_environment, read_light
+from lumisplat.io.scene_toml.toml_table import TomlTable
+from lumisplat.io.scene_toml.toml_text import toml_text
+from lumisplat.scene.up import up_vector
+from support.kinds import expect_kind
+
+SIGNED = st.floats(-1e3, 1e3)
+POSITIVE = st.floats(1e-3, 1e3)
+POINT = st.tuples(SIGNED, SIGNED, SIGNED)
+DIRECTION = POINT.filter(lambda v: max(map(abs, v)) > 1e-3)
+COLOR = st.tuples(*[st.floats(0.0, 10.0)] * 3)
+SHARED = {"enabled": st.booleans(), "casts_shadow": st.booleans(), "name": st.text(max_size=5)}
+FAR = st.just(math.inf) | POSITIVE
+
+
+@st.composite
+def spots(draw: st.DrawFn) -> ls.LightSpot:
+    """Spots with angles of any size, also next to each other."""
+    outer = draw(st.just(math.pi / 2) | st.floats(1e-3, math.pi / 2))
+    inner = draw(st.just(math.nextafter(outer, 0.0)) | st.floats(0.0, outer, exclude_max=True))
+    return ls.LightSpot(draw(POINT), draw(DIRECTION), inner_angle=inner, outer_angle=outer, range=draw(FAR))
+
+
+LIGHTS: st.SearchStrategy[Any] = st.one_of(
+    st.builds(ls.LightPoint, POINT, COLOR, POSITIVE, FAR, POSITIVE, **SHARED),
+    spots(),
+    st.builds(
+        ls.LightDirectional,
+        DIRECTION,
+        angle=st.floats(0.0, math.pi / 2),
+        shadow_distance=FAR,
+        **cast(dict[str, Any], SHARED),
+    ),
+    st.builds(ls.LightSphere, POINT, POSITIVE, COLOR, POSITIVE, visible=st.booleans(), **SHARED),
+    st.builds(lambda p, s, name: ls.LightRect(p, (s, 0.1, 0.0), (0.0, 1.0, s), name=name), POINT, POSITIVE, st.text()),
+    st.builds(
+        ls.LightEnvironment,
+        st.none(),
+        COLOR,
+        POSITIVE,
+        st.tuples(SIGNED, SIGNED, SIGNED, SIGNED).filter(lambda q: max(map(abs, q)) > 1e-3),
+        st.booleans(),
+        shadow_distance=FAR,
+        **cast(dict[str, Any], SHARED),
+    ),
+)
+
+
+@given(LIGHTS)
+def test_lights_come_back_to_the_bit(light: Any) -> None:
+    """All kinds, by text and reader; angles, which are written in degrees, to the next number."""
+    table = TomlTable.of(Path("scene.toml"), tomllib.loads(toml_text(light_table(light))))
+    found = read_environment(table) if isinstance(light, ls.LightEnvironment) else read_light(table)
+    assert type(found) is type(light)
+    for field in fields(light):
+        mine, same = getattr(found, field.name), getattr(light, field.name)
+        if field.name.endswith("angle"):
+            assert mine in (same, math.nextafter(same, -1.0), math.nextafter(same, 4.0)), field.name
+        else:
+            assert mine == same, field.name
+
+
+@given(DIRECTION)
+def test_up_that_has_been_made_a_unit_vector_stays(direction: tuple[float, float, float]) -> None:
+    """Each time that a file is saved and read."""
+    assert up_vector(up_vector(direction)) == up_vector(direction)
+
+
+def test_numbers_of_numpy_are_written_as_numbers() -> None:
+    """Those of a light, and a spot a little wider than a half space, which programs may have."""
+    light = ls.LightPoint(np.zeros(3), intensity=cast(Any, np.float32(0.1)), enabled=cast(Any, np.bool_(False)))
+    wide = ls.LightSpot((0, 0, 0), (0, 0, 1), outer_angle=math.pi / 2 + 5e-7)
+    first, second = ls.SceneDocument.of(ls.Scene(lights=[light, wide])).scene().lights
+    assert first.intensity == np.float32(0.1) and first.enabled is False
+    assert expect_kind(ls.LightSpot, second).outer_angle == math.pi / 2
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_environment_that_lights_is_kept(order: tuple[int, int], tmp_path: Path) -> None:
+    """A scene may have others, which are off; a scene file has one."""
+    skies = [ls.LightEnvironment(intensity=1.0, enabled=False), ls.LightEnvironment(intensity=5.0)]
+    document = ls.SceneDocument.of(ls.Scene(lights=[skies[k] for k in order]))
+    document.save(tmp_path / "scene.toml")
+    for scene in (document.scene(), expect_kind(ls.Scene, ls.load(tmp_path / "scene.toml"))):
+        assert [(sky.intensity, sky.enabled) for sky in scene.lights] == [(5.0, True)]
+
+
+def test_edits_take_what_programs_have() -> None:
+    """Arrays, tuples and paths; the document has copies, and its tables cannot be written to."""
+    document, number = ls.SceneDocument.of(ls.Scene()).added("lights", {"type": "point", "position": (1, 2, 3)})
+    position = np.array([4.0, 5.0, 6.0])
+    document = document.changed(number, position=position, intensity=np.float64(2.0))
+    position[0] = 99.0
+    assert document.entry(number).table == {"type": "point", "position": [4.0, 5.0, 6.0], "intensity": 2.0}
+    assert tomllib.loads(document.toml())["lights"] == [dict(document.entry(number).table)]
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        cast(Any, document.entry(number).table)["intensity"] = 7.0
+    with pytest.raises(ls.FormatError, match="no such file"):
+        document.added("splats", {"path": Path("gone.ply")})
+    assert [c.name for c in document.with_cameras([{"name": "a", "eye": (0, 0, 1), "target": np.zeros(3)}]).cameras]
+
+
+@pytest.mark.parametrize("matrix", [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), "here"])
+def test_places_that_are_none_are_refused(matrix: Any) -> None:
+    """In one line, whatever they are."""
+    document = ls.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
+    with pytest.raises(ls.SceneError, match="world_from_file"):
+        document.placed(0, matrix)
