@@ -261,7 +261,7 @@ def test_scenes_in_memory_are_saved_with_their_assets(tmp_path: Path) -> None:
     assert document.scene().splats[0].gaussians is document.scene().splats[1].gaussians
     document.save(tmp_path / "made.toml")
     assert_same_scene(ls.load(tmp_path / "made.toml"), scene)
-    assert len(list((tmp_path / "made.assets").glob("*.ply"))) == 1
+    assert len(list((tmp_path / "made.assets").glob("capture_*.ply"))) == 1
     assert (
         "made.assets/" in (tmp_path / "made.toml").read_text()
         and str(tmp_path) not in (tmp_path / "made.toml").read_text()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,11 +17,11 @@ from lumisplat.io.document.entries import EntryReader, SceneEntry
 from lumisplat.io.document.written import material_table
 from lumisplat.io.images.exr import write_exr
 from lumisplat.io.images.png import write_png
-from lumisplat.io.meshes.obj_writer import write_obj
+from lumisplat.io.meshes.mesh_ply import write_ply_mesh
 from lumisplat.io.splats.splat_ply import write_splat_ply
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.transforms import transform_points
-from lumisplat.scene.materials import Material, texture_names
+from lumisplat.scene.materials import MaterialPbr, texture_names
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance
 
@@ -34,7 +36,9 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
     """
     moved: dict[str, Any] = {}
     for key, value in values.items():
-        if isinstance(value, Mapping):
+        if key == "texture_wraps":  # by the names of textures, but no paths
+            moved[key] = value
+        elif isinstance(value, Mapping):
             moved[key] = relocated(cast(Mapping[str, Any], value), source, target)
         elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in cast(list[object], value)):
             moved[key] = [relocated(item, source, target) for item in cast(list[Mapping[str, Any]], value)]
@@ -46,32 +50,39 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
 
 
 def _relative(path: Path, folder: Path) -> str:
+    """The way from a folder to a file; both as they are on the disk, for ``..`` does not lead back out of a link."""
+    file = Path(os.path.realpath(path.parent)) / path.name
     try:
-        return Path(os.path.relpath(path, folder)).as_posix()
+        return Path(os.path.relpath(file, os.path.realpath(folder))).as_posix()
     except ValueError:  # another drive
-        return path.absolute().as_posix()
+        return file.as_posix()
 
 
-def saved_assets(entries: Iterable[SceneEntry], reader: EntryReader, target: Path) -> tuple[SceneEntry, ...]:
+def saved_assets(
+    entries: Sequence[SceneEntry], reader: EntryReader, target: Path, overwrite: bool
+) -> tuple[SceneEntry, ...]:
     """Entries with files in place of what is in memory, which are written for them into ``NAME.assets``.
 
     Args:
         entries: Of a document.
         reader: Has what is in memory.
         target: The scene file that is to be written.
+        overwrite: Whether files that are there may be replaced, other than those that entries name; else new ones get
+            names of their own.
 
     Raises:
         FormatError: Something has no file format, or cannot be written.
     """
-    folder = _Folder(target.with_name(f"{target.stem}.assets"), reader)
-    changed: list[SceneEntry] = []
     for entry in entries:
-        path = str(entry.table.get("path", ""))
-        if entry.actor is not None and not path:
+        if entry.actor is not None and "path" not in entry.table:
             raise FormatError(target, f"{entry.name} was made by a program, and no file holds such an actor: remove it")
-        table = folder.written(path, entry.table) if path.startswith("<") else entry.table
-        changed.append(replace(entry, table=table))
-    return tuple(changed)
+    named = (str(entry.table.get("path", "<")) for entry in entries)
+    used = {os.path.realpath(reader.file.parent / path) for path in named if not path.startswith("<")}
+    folder = _Folder(target.with_name(f"{target.stem}.assets"), reader, used, overwrite)
+    return tuple(
+        replace(entry, table=folder.written(entry)) if str(entry.table.get("path", "")).startswith("<") else entry
+        for entry in entries
+    )
 
 
 @dataclass(slots=True)
@@ -80,47 +91,65 @@ class _Folder:
 
     path: Path
     reader: EntryReader
+    used: set[str]
+    """Real paths of files that entries name."""
+    overwrite: bool
     _files: dict[str, Path] = field(default_factory=dict[str, Path])
 
-    def written(self, memory_path: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    def written(self, entry: SceneEntry) -> dict[str, Any]:
         """The table of an entry that names a file in place of something in memory."""
-        self.path.mkdir(parents=True, exist_ok=True)
+        memory_path = str(entry.table["path"])
         name = memory_path.strip("<>").replace(" ", "_")
+        table = dict(entry.table)
         if memory_path in self.reader.skies:
-            file = self._once(memory_path, f"{name}.exr", lambda file: _write_sky(file, self.reader.skies[memory_path]))
-            return dict(table) | {"path": str(file)}
+            image = self.reader.skies[memory_path]
+            return table | {"path": self._once(memory_path, f"{name}.exr", lambda file: _write_sky(file, image))}
         asset = self.reader.memory[memory_path]
         if asset.splats:
             gaussians = asset.splats[0].gaussians
-            file = self._once(memory_path, f"{name}.ply", lambda file: write_splat_ply(file, gaussians))
-            return dict(table) | {"path": str(file)}
+            return table | {
+                "path": self._once(memory_path, f"{name}.ply", lambda file: write_splat_ply(file, gaussians))
+            }
         mesh = _baked(asset.meshes[0])
-        file = self._once(memory_path, f"{name}.obj", lambda file: write_obj(file, mesh))
-        own = material_table(mesh.material) | self._textures(mesh.material, name)
-        given: Any = table.get("material")
-        merged: Any = given or own
-        if isinstance(given, Mapping):
-            merged = own | dict(cast(Mapping[str, Any], given))
-        return dict(table) | {"path": str(file), "material": merged}
+        path = self._once(memory_path, f"{name}.ply", lambda file: write_ply_mesh(file, mesh))
+        return table | {"path": path, "material": self._material(entry, name)}
 
-    def _once(self, memory_path: str, name: str, write: Callable[[Path], None]) -> Path:
-        """The absolute path of a file, written when it is asked for first."""
-        if memory_path not in self._files:
+    def _once(self, key: str, name: str, write: Callable[[Path], None]) -> str:
+        """The absolute path of a file, written when it is asked for first.
+
+        Args:
+            key: What it holds.
+            name: Its name, if that is free.
+            write: Writes it.
+        """
+        if key not in self._files:
+            stem, dot, suffix = name.rpartition(".")
             file = (self.path / name).absolute()
+            for number in itertools.count(2):
+                if os.path.realpath(file) not in self.used and (self.overwrite or not file.exists()):
+                    break
+                file = (self.path / f"{stem}_{number}{dot}{suffix}").absolute()
+            self.used.add(os.path.realpath(file))
             write(file)
-            self._files[memory_path] = file
-        return self._files[memory_path]
+            self._files[key] = file
+        return str(self._files[key])
 
-    def _textures(self, material: Material, name: str) -> dict[str, str]:
-        """The textures of a material, as files."""
-        textures: dict[str, str] = {}
+    def _material(self, entry: SceneEntry, name: str) -> dict[str, Any]:
+        """The whole material of a mesh, whose file has none; its textures as files."""
+        mesh = entry.meshes[0].mesh
+        material, given = mesh.material, entry.table.get("material", {})
+        table: dict[str, Any] = {"base_color": list(material.base_color)} | material_table(material)
+        wraps = material.texture_wraps if isinstance(material, MaterialPbr) else None
+        kept: dict[str, list[str]] = {}
         for key in texture_names(material):
             texture = getattr(material, key)
-            if texture is not None:
-                file = (self.path / f"{name}.{key}.png").absolute()
-                write_png(file, texture.astype(np.float32) / 255.0)
-                textures[key] = str(file)
-        return textures
+            if texture is None or mesh.uvs is None:
+                continue
+            write = partial(write_png, srgb=texture)
+            table[key] = given.get(key) or self._once(f"{id(texture)}", f"{name}.{key}.png", write)
+            if wraps and key in wraps:
+                kept[key] = [wrap.value for wrap in wraps[key]]
+        return table | ({"texture_wraps": kept} if kept else {})
 
 
 def _baked(instance: MeshInstance) -> Mesh:

@@ -316,7 +316,7 @@ class SceneDocument:
 
         Args:
             path: The ``.toml`` file.
-            overwrite: Whether it may replace one that is there.
+            overwrite: Whether it, and the files beside it, may replace those that are there.
 
         Raises:
             FormatError: It is there already, is no ``.toml``, or cannot be written, or something in memory has no file
@@ -327,10 +327,13 @@ class SceneDocument:
             raise FormatError(path, "is no .toml: a scene is saved as one")
         if target.exists() and not overwrite:
             raise FormatError(path, "is there already: choose another name, or allow to overwrite it")
-        document = replace(self, entries=saved_assets(self.entries, self._reader, target), _scenes={})
-        text = document.toml(target.parent)
+        entries = saved_assets(self.entries, self._reader, target, overwrite)
+        try:
+            text = replace(self, entries=entries, _scenes={}).toml(target.parent).encode()
+        except UnicodeEncodeError:
+            raise FormatError(path, "cannot be written: a file that it names has a name that is no text") from None
         with atomic_write(target) as temporary:
-            Path(temporary).write_text(text, encoding="utf-8")
+            Path(temporary).write_bytes(text)
 
     def _with(self, changed: SceneEntry) -> SceneDocument:
         entries = tuple(changed if entry.id == changed.id else entry for entry in self.entries)

@@ -20,6 +20,10 @@ from lumisplat.scene.triangles import area_vectors, check_triangles, describe_pr
 _log = logging.getLogger("lumisplat")
 
 
+_UNIT_ERROR = 1e-6
+"""Largest error of the length of a unit normal, as of a `Mesh`."""
+
+
 @dataclass(slots=True)
 class TriangleSieve:
     """Finds the triangles of a file that a mesh can use, and counts the others over all meshes of the file."""
@@ -84,6 +88,8 @@ def unit_normals(
 ) -> FloatArray:
     """Normals of unit length; a zero normal becomes the area-weighted mean of the adjacent triangles' normals.
 
+    Those that have unit length, but for rounding, stay as they are.
+
     Args:
         normals: Normals as stored, shape (V, 3).
         positions: Vertices, shape (V, 3).
@@ -92,13 +98,16 @@ def unit_normals(
     Returns:
         Shape (V, 3); +z if a vertex has no adjacent triangle.
     """
-    normals = np.array(normals, dtype=np.float64)
+    stored, normals = normals, np.array(normals, dtype=np.float64)
     missing = np.linalg.norm(normals, axis=1) == 0.0
     if missing.any():
         smooth = sum_at_vertices(area_vectors(positions, indices), indices, len(normals))
         smooth[np.linalg.norm(smooth, axis=1) == 0.0] = (0.0, 0.0, 1.0)
         normals[missing] = smooth[missing]
-    return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    # Unit normals keep their bits: a mesh that is written and read again must not drift.
+    is_unit = (np.abs(length - 1.0) < _UNIT_ERROR) & ~missing[:, None]
+    return np.where(is_unit, stored, normals / length).astype(np.float32)
 
 
 def drop_unplaced_textures(path: PathLike, mesh: Mesh) -> Mesh:

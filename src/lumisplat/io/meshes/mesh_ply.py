@@ -1,21 +1,27 @@
-"""PLY meshes: polygons with normals, texture coordinates, colours and a texture."""
+"""PLY meshes: polygons with normals, texture coordinates, colours and a texture.
+
+Texture coordinates and colours may be doubles, as those are that `write_ply_mesh` writes: they are turned upside down
+and encoded as sRGB, and shall come back as they were.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.errors import FormatError
+from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.references import read_reference
-from lumisplat.io.files.source import parsing
+from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
 from lumisplat.io.ply.header import PlyHeader
 from lumisplat.io.ply.lists import read_ply_lists
 from lumisplat.io.ply.rows import PlyRows, read_ply_element
-from lumisplat.math.arrays import FloatArray
-from lumisplat.math.color import decode_srgb
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
 
@@ -43,9 +49,10 @@ def read_ply_mesh(header: PlyHeader) -> Mesh:
 def _read(header: PlyHeader) -> Mesh:
     vertices = read_ply_element(header, header.required("vertex"))
     faces = read_ply_lists(header, header.required("face"))
-    positions = _columns(vertices, "x", "y", "z")
-    if positions is None:
+    stored = _columns(vertices, "x", "y", "z")
+    if stored is None:
         raise FormatError(header.path, "has no vertex element with x, y, z")
+    positions = stored.astype(np.float32)
     polygons = next((faces[name] for name in _POLYGON_NAMES if name in faces), None)
     if polygons is None or not (polygons.counts >= 3).any():
         raise FormatError(header.path, f"a point cloud of {len(positions):,} points, not a mesh: no polygons")
@@ -88,11 +95,11 @@ def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
     return MaterialPbr(base_color=(1.0, 1.0, 1.0)) if colored else MaterialPbr()
 
 
-def _columns(table: PlyRows, *names: str) -> FloatArray | None:
+def _columns(table: PlyRows, *names: str) -> Doubles | None:
     """Properties as columns, shape (rows, names); None if one is missing."""
     if not set(names) <= set(table.dtype.names or ()):
         return None
-    return np.stack([table[name].astype(np.float32) for name in names], axis=1)
+    return np.stack([table[name].astype(np.float64) for name in names], axis=1)
 
 
 def _colors(vertices: PlyRows) -> FloatArray | None:
@@ -101,5 +108,36 @@ def _colors(vertices: PlyRows) -> FloatArray | None:
     if stored is None:
         return None
     kind = vertices["red"].dtype
-    encoded = stored / np.float32(np.iinfo(kind).max if kind.kind in "iu" else 1.0)
+    encoded = stored / (np.iinfo(kind).max if kind.kind in "iu" else 1.0)
     return decode_srgb(np.clip(encoded, 0.0, 1.0)).astype(np.float32)
+
+
+def write_ply_mesh(path: PathLike, mesh: Mesh) -> None:
+    """Writes the arrays of a mesh, little endian; `read_ply_mesh` gives the same again, to the bit.
+
+    Args:
+        path: The file, which appears complete or not at all.
+        mesh: The mesh; its material is left out.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    columns: dict[str, npt.NDArray[np.floating]] = dict(zip("xyz", mesh.positions.T, strict=True))
+    if mesh.normals is not None:
+        columns |= dict(zip(("nx", "ny", "nz"), mesh.normals.T, strict=True))
+    if mesh.uvs is not None:
+        u, v = mesh.uvs.T.astype(np.float64)
+        columns |= {"s": u, "t": 1.0 - v}
+    if mesh.colors is not None:
+        columns |= dict(zip(("red", "green", "blue"), encode_srgb(mesh.colors.astype(np.float64)).T, strict=True))
+    kinds = [(name, "<f8" if values.dtype == np.float64 else "<f4") for name, values in columns.items()]
+    vertices = np.empty(mesh.vertex_count, kinds)
+    for name, values in columns.items():
+        vertices[name] = values
+    faces = np.empty(mesh.face_count, [("count", "u1"), ("indices", "<i4", (3,))])
+    faces["count"], faces["indices"] = 3, mesh.indices
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {mesh.vertex_count}"]
+    lines += [f"property {'double' if kind == '<f8' else 'float'} {name}" for name, kind in kinds]
+    lines += [f"element face {mesh.face_count}", "property list uchar int vertex_indices", "end_header", ""]
+    with atomic_write(path) as temporary:
+        Path(temporary).write_bytes("\n".join(lines).encode() + vertices.tobytes() + faces.tobytes())

@@ -1,0 +1,182 @@
+"""Saved documents: what was in memory lies beside the file, to the bit, and nothing of anybody else is written over."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.kinds import expect_kind, pbr_of, present
+from support.scenes.raster_scenes import random_gaussians
+
+TRIANGLE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+UVS = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to be in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def again(scene: Any, name: str = "scene.toml") -> ls.Scene:
+    """The scene, or the document, saved and loaded."""
+    document = scene if isinstance(scene, ls.SceneDocument) else ls.SceneDocument.of(scene)
+    document.save(name)
+    return expect_kind(ls.Scene, ls.load(name))
+
+
+def scattered(**changes: Any) -> ls.Mesh:
+    """A mesh of random numbers in all arrays, which also has vertices without a triangle."""
+    rng = np.random.default_rng(1)
+    count = 300
+    arrays: dict[str, Any] = {
+        "positions": rng.normal(size=(count, 3)),
+        "indices": rng.permutation(count - 30).reshape(-1, 3),
+        "normals": rng.normal(size=(count, 3)),
+        "uvs": rng.uniform(-2.0, 2.0, (count, 2)),
+        "colors": rng.uniform(0.0, 1.0, (count, 3)),
+    }
+    return ls.Mesh(**arrays | changes)
+
+
+@pytest.mark.parametrize("without", [(), ("normals",), ("uvs",), ("colors",), ("normals", "uvs", "colors")])
+def test_meshes_come_back_to_the_bit(without: tuple[str, ...]) -> None:
+    """Arrays that it has, and no others: a flat mesh stays flat, loose vertices stay."""
+    mesh = scattered(**dict.fromkeys(without))
+    found = again(mesh).meshes[0].mesh
+    for name in ("positions", "indices", "normals", "uvs", "colors"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(mesh, name), err_msg=name)
+    assert pbr_of(found).base_color == pbr_of(mesh).base_color == (0.8, 0.8, 0.8)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_meshes_that_are_sheared_are_written_where_they_are(mirrored: bool) -> None:
+    """With normals that still face the side that they faced, and faces that wind as they did."""
+    shear = np.array(
+        [[1.0, 0.5, 0.0, 1.0], [0.0, 2.0, 0.0, 2.0], [0.0, 0.0, -1.0 if mirrored else 1.0, 3.0], [0, 0, 0, 1]]
+    )
+    mesh = ls.Mesh(TRIANGLE, [[0, 1, 2]], normals=[[0.0, 0.6, 0.8]] * 3)
+    found = again(ls.Scene(meshes=[ls.MeshInstance(mesh, shear)])).meshes[0]
+    world = found.mesh.positions @ found.transform[:3, :3].T + found.transform[:3, 3]
+    np.testing.assert_allclose(world, mesh.positions @ shear[:3, :3].T + shear[:3, 3], atol=1e-6)
+    a, b, c = world[found.mesh.indices[0]]
+    side = np.linalg.det(shear[:3, :3]) * np.linalg.inv(shear[:3, :3]).T @ (0.0, 0.0, 1.0)
+    assert np.cross(b - a, c - a) @ side * np.linalg.det(shear[:3, :3]) > 0.0
+    expected = np.linalg.inv(shear[:3, :3]).T @ (0.0, 0.6, 0.8)
+    np.testing.assert_allclose(
+        present(found.mesh.normals), np.tile(expected / np.linalg.norm(expected), (3, 1)), atol=1e-6
+    )
+
+
+def test_materials_of_meshes_are_whole() -> None:
+    """The other kind, with its own defaults; ways to wrap; one texture in two places is one file."""
+    texture = np.random.default_rng(1).integers(0, 256, (3, 5, 4), np.uint8)
+    texture.flags.writeable = False  # so that the material has no copies
+    tiled = ls.MaterialPbr(
+        base_color_texture=texture,
+        emissive_texture=texture,
+        texture_wraps={"base_color_texture": (ls.TextureWrap.CLAMP, ls.TextureWrap.MIRROR)},
+        attenuation_distance=3.0,
+        alpha_mode=ls.AlphaMode.MASK,
+        name="tiles",
+    )
+    meshes = [
+        ls.Mesh(TRIANGLE, [[0, 1, 2]], uvs=UVS, material=tiled),
+        ls.Mesh(TRIANGLE, [[0, 1, 2]], material=ls.MaterialSimple(diffuse=0.5)),
+    ]
+    first, second = (instance.mesh.material for instance in again(ls.Scene(meshes=meshes)).meshes)
+    material = expect_kind(ls.MaterialPbr, first)
+    for found in (material.base_color_texture, material.emissive_texture):
+        np.testing.assert_array_equal(present(found), texture)
+    assert material.texture_wraps == {"base_color_texture": (ls.TextureWrap.CLAMP, ls.TextureWrap.MIRROR)}
+    assert (material.attenuation_distance, material.alpha_mode, material.name) == (3.0, ls.AlphaMode.MASK, "tiles")
+    simple = expect_kind(ls.MaterialSimple, second)
+    assert (simple.diffuse, simple.base_color) == ((0.5, 0.5, 0.5), (1.0, 1.0, 1.0))
+    assert len(list(Path("scene.assets").glob("*.png"))) == 1
+
+
+def test_a_material_that_was_edited_is_saved_as_it_is_seen() -> None:
+    """Also when it is of the other kind than the mesh had."""
+    mesh = ls.Mesh(TRIANGLE, [[0, 1, 2]], material=ls.MaterialPbr(roughness=0.1, base_color=(0.1, 0.2, 0.3)))
+    document = ls.SceneDocument.of(mesh).changed(0, material={"type": "simple", "diffuse": 0.5})
+    seen = expect_kind(ls.MaterialSimple, document.scene().meshes[0].mesh.material)
+    saved = expect_kind(ls.MaterialSimple, again(document).meshes[0].mesh.material)
+    assert (saved.diffuse, saved.base_color) == (seen.diffuse, seen.base_color) == ((0.5,) * 3, (0.1, 0.2, 0.3))
+
+
+def test_environments_come_back_to_the_bit() -> None:
+    """As floats."""
+    image = np.random.default_rng(1).uniform(0.0, 1e5, (4, 8, 3)).astype(np.float32)
+    (sky,) = again(ls.Scene(lights=[ls.LightEnvironment(image, intensity=0.1)])).lights
+    np.testing.assert_array_equal(present(expect_kind(ls.LightEnvironment, sky).image), image)
+
+
+def test_files_of_others_are_not_written_over() -> None:
+    """What lies in the folder of assets stays, unless it may be replaced; that which the scene names stays always."""
+    ls.SceneDocument.of(random_gaussians(1, count=20)).save("scene.toml")
+    there, kept = Path("scene.assets/capture_0.ply"), Path("scene.assets/capture_0.ply").read_bytes()
+    Path("scene.toml").unlink()
+    assert again(random_gaussians(2, count=7)).splats[0].gaussians.count == 7
+    assert there.read_bytes() == kept
+    document, _ = ls.SceneDocument.of(random_gaussians(3, count=5)).added("splats", {"path": str(there)})
+    document.save("scene.toml", overwrite=True)
+    scene = expect_kind(ls.Scene, ls.load("scene.toml"))
+    assert [splat.gaussians.count for splat in scene.splats] == [5, 20]
+    ls.SceneDocument.of(random_gaussians(3, count=3)).save("scene.toml", overwrite=True)
+    assert expect_kind(ls.Scene, ls.load("scene.toml")).splats[0].gaussians.count == 3
+    assert there.read_bytes() != kept
+
+
+def test_what_cannot_be_saved_leaves_nothing() -> None:
+    """An actor that a program made is refused before anything is written."""
+    capture = random_gaussians(1, count=4)
+    with pytest.raises(ls.FormatError, match="walker was made by a program"):
+        ls.SceneDocument.of(ls.Animation(ls.Scene([capture]), [ls.Actor(capture, name="walker")])).save("scene.toml")
+    assert not list(Path().iterdir())
+
+
+def test_paths_lead_out_of_linked_folders() -> None:
+    """A folder may be a link to one that lies elsewhere, from which .. leads elsewhere, too."""
+    ls.save("capture.ply", random_gaussians(1, count=4))
+    Path("far/away").mkdir(parents=True)
+    os.symlink("far/away", "near", target_is_directory=True)
+    document = ls.SceneDocument.open("capture.ply")
+    assert len(again(document, "near/scene.toml").splats) == 1
+    assert 'path = "../../capture.ply"' in Path("near/scene.toml").read_text()
+    from_link = ls.SceneDocument.open("near/scene.toml")
+    assert len(again(from_link, "other.toml").splats) == 1
+
+
+def test_only_paths_are_moved() -> None:
+    """How a texture wraps is listed by its name, too."""
+    ls.save("capture.ply", random_gaussians(1, count=4))
+    material = 'material = { texture_wraps = { normal_texture = "clamp" } }'
+    Path("scene.toml").write_text(f'[[splats]]\npath = "capture.ply"\n{material}\n')
+    Path("below").mkdir()
+    (splat,) = again(ls.SceneDocument.open("scene.toml"), "below/scene.toml").splats
+    clamp = ls.TextureWrap.CLAMP
+    assert expect_kind(ls.MaterialPbr, splat.material).texture_wraps == {"normal_texture": (clamp, clamp)}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere, all names are text")
+def test_names_that_are_no_text_are_refused() -> None:
+    """TOML is text."""
+    name = os.fsdecode(b"caf\xe9.ply")
+    ls.save(name, random_gaussians(1, count=4))
+    with pytest.raises(ls.FormatError, match=r"scene.toml: cannot be written: a file that it names"):
+        ls.SceneDocument.open(name).save("scene.toml")
+    assert not Path("scene.toml").exists()
+
+
+@pytest.mark.parametrize("suffix", ["", ".ply"])
+def test_scene_files_are_called_so(suffix: str) -> None:
+    """No other file could be loaded again."""
+    with pytest.raises(ls.FormatError, match=r"is no \.toml"):
+        ls.SceneDocument.of(ls.Scene()).save(f"scene{suffix}")
