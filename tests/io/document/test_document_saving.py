@@ -180,3 +180,20 @@ def test_scene_files_are_called_so(suffix: str) -> None:
     """No other file could be loaded again."""
     with pytest.raises(ls.FormatError, match=r"is no \.toml"):
         ls.SceneDocument.of(ls.Scene()).save(f"scene{suffix}")
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["biker.spz", "biker.compressed.ply"])
+def test_real_captures_are_seen_and_saved_as_they_are(data_dir: Path, name: str) -> None:
+    """The file by its path; what a program has loaded to the bit, but for opacities that no logit of float32 has."""
+    loaded = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name))
+    document = ls.SceneDocument.open(data_dir / "splats" / name).changed(0, sh_degree=0)
+    for scene in (document.scene(), again(document, "opened.toml")):
+        assert scene.splats[0].sh_degree == 0
+        for key, values in loaded.arrays().items():
+            np.testing.assert_array_equal(scene.splats[0].gaussians.arrays()[key], values)
+    found = again(loaded, "made.toml").splats[0].gaussians
+    for key, values in loaded.arrays().items():
+        np.testing.assert_array_max_ulp(found.arrays()[key], values, 4 if key == "opacities" else 0)
+    twice = again(found, "twice.toml").splats[0].gaussians
+    np.testing.assert_array_equal(twice.opacities, found.opacities)

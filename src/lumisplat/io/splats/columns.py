@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,6 +71,9 @@ PROPERTY_NAMES = {
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
 """Fields that every capture has."""
 
+_STEPS = 4
+"""Neighbours of a logarithm or a logit that are tried, on each side."""
+
 PROBLEMS_LISTED = 6
 """Largest number of properties that an error about invalid values lists, before "and more"."""
 
@@ -98,8 +101,8 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     """
     if columns.count == 0:
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")
-    scales = np.maximum(np.exp(columns.log_scales), np.float32(SCALE_MIN))
-    opacities = 1.0 / (1.0 + np.exp(-columns.opacities)) if columns.opacities_are_logits else columns.opacities
+    scales = _scales(columns.log_scales)
+    opacities = _opacities(columns.opacities) if columns.opacities_are_logits else columns.opacities
     if columns.normals is not None and not columns.normals.any():
         columns = replace(columns, normals=None)  # INRIA writes zeros in place of normals
     rows = _rows_to_keep(path, columns, scales, drop_invalid)
@@ -170,15 +173,16 @@ def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np
 
 
 def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
-    """The inverse of `gaussians_from_columns`; the logits of opacities 0 and 1 are clamped to finite values."""
-    opacities = gaussians.opacities.astype(np.float64)
-    with np.errstate(divide="ignore"):
-        logits = np.clip(np.log(opacities) - np.log1p(-opacities), -LOGIT_MAX, LOGIT_MAX)
+    """The inverse of `gaussians_from_columns`; the logits of opacities 0 and 1 are clamped to finite values.
+
+    What was read from logarithms and logits of float32 is read again to the same bits; but for some scales near 1 and
+    opacities near 0.5, where neither logarithms nor logits are what rounds, to the next number.
+    """
     return SplatColumns(
         means=gaussians.means,
         rotations_wxyz=gaussians.rotations_wxyz,
-        log_scales=np.log(gaussians.scales),
-        opacities=logits.astype(np.float32),
+        log_scales=_stored(gaussians.scales, _scales, np.log),
+        opacities=_stored(gaussians.opacities, _opacities, _logits),
         sh=gaussians.sh,
         normals=gaussians.normals,
         albedo=gaussians.albedo,
@@ -188,6 +192,37 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
         kernel_degree=gaussians.kernel_degree,
         comments=gaussians.comments,
     )
+
+
+def _scales(logarithms: Floats) -> Floats:
+    return np.maximum(np.exp(logarithms), np.float32(SCALE_MIN))
+
+
+def _opacities(logits: Floats) -> Floats:
+    return 1.0 / (1.0 + np.exp(-logits))
+
+
+def _logits(opacities: Floats) -> Floats:
+    return np.clip(np.log(opacities) - np.log1p(-opacities), -LOGIT_MAX, LOGIT_MAX)
+
+
+@np.errstate(divide="ignore")  # of 0 and 1
+def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Callable[[Floats], Floats]) -> FloatArray:
+    """What is read as these values to the bit, as far as there is such a float32; else what is nearest.
+
+    Args:
+        values: Scales or opacities.
+        read: What is done to stored numbers when they are read, in float32.
+        inverse: The inverse of that.
+    """
+    stored = inverse(values.astype(np.float64)).astype(np.float32)
+    wrong = np.nonzero(read(stored) != values)
+    below = above = stored[wrong]
+    for _ in range(_STEPS):
+        below, above = np.nextafter(below, np.float32(-np.inf)), np.nextafter(above, np.float32(np.inf))
+        for tried in (below, above):
+            stored[wrong] = np.where(read(tried) == values[wrong], tried, stored[wrong])
+    return stored
 
 
 def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None:
