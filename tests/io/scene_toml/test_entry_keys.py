@@ -73,6 +73,23 @@ def test_parts_that_there_are_not_are_named(folder: Path, part: str, expected: s
         load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n')
 
 
+def test_parts_that_are_called_alike_have_numbers(folder: Path) -> None:
+    """A name that two have says nothing; the one mesh of a file without names has that of the file."""
+    import trimesh
+
+    twins = trimesh.Scene()
+    for number in range(2):
+        twins.add_geometry(trimesh.creation.box(), node_name=f"n{number}", geom_name=f"g{number}")
+    twins.export(folder / "twins.glb")
+    data = (folder / "twins.glb").read_bytes()
+    (folder / "twins.glb").write_bytes(data.replace(b'"n1"', b'"n0"'))
+    with pytest.raises(ls.FormatError, match=r"line 3.*as several are called: give the number of one, 0, 1"):
+        load(folder, '[[meshes]]\npath = "twins.glb"\npart = "n0"\n')
+    assert len(load(folder, '[[meshes]]\npath = "twins.glb"\npart = 1\n').meshes) == 1
+    trimesh.creation.box().export(folder / "crate.stl")
+    assert len(load(folder, '[[meshes]]\npath = "crate.stl"\npart = "crate"\n').meshes) == 1
+
+
 def test_a_crop_box_keeps_what_is_inside(folder: Path) -> None:
     """In the file's coordinates, wherever the capture is placed."""
     box = "crop_low = [0.5, -1.0, -1.0]\ncrop_high = [2.5, 1.0, 1.0]\n"

@@ -155,20 +155,23 @@ class Assets:
 
     def part_names(self, table: TomlTable) -> list[str]:
         """The names of the meshes of an entry's file, whichever of them it shows."""
-        return [instance.name for instance in self._assets(table, "meshes", table.values)[-1].meshes]
+        return _names(self._assets(table, "meshes", table.values)[-1])
 
     def _part(self, table: TomlTable, given: Values, scene: Scene) -> Scene:
         """The one mesh that an entry shows, without lights; all if it does not say."""
         part = given.get("part")
         if part is None:
             return scene
-        names = [instance.name for instance in scene.meshes]
+        names = _names(scene)
         if isinstance(part, int) and not 0 <= part < len(names):
             raise table.error(
                 f"part is {part}, expected 0 to {len(names) - 1}: the file has {len(names)} meshes", "part"
             )
         if isinstance(part, str) and part not in names:
             raise table.error(f"part is {part!r}, {suggestion(part, names)}", "part")
+        if isinstance(part, str) and names.count(part) > 1:
+            numbers = ", ".join(str(number) for number, name in enumerate(names) if name == part)
+            raise table.error(f"part is {part!r}, as several are called: give the number of one, {numbers}", "part")
         return Scene(meshes=(scene.meshes[names.index(part) if isinstance(part, str) else part],))
 
     def _lift(self, given: Values, placed: Sequence[SplatInstance | MeshInstance]) -> Doubles:
@@ -261,6 +264,11 @@ def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
     except SceneError as error:
         raise table.failed(error) from None
     return scene
+
+
+def _names(scene: Scene) -> list[str]:
+    """The names of the meshes of a file."""
+    return [instance.name or instance.mesh.name for instance in scene.meshes]
 
 
 def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
