@@ -84,20 +84,39 @@ class PageClient:
             assert self._arrived.wait_for(lambda: len(self.pictures) > after, timeout), "no picture came"
             return np.asarray(Image.open(io.BytesIO(self.pictures[-1][1])))
 
-    def control(self, label: str) -> str:
-        """The id of a control by its label."""
+    def control(self, label: str, folder: str | None = None) -> str:
+        """The id of a control by its label, and that of its folder where several have that label."""
         until = time.monotonic() + 10.0
         while time.monotonic() < until:
-            for message in list(self.messages):
-                props = message.get("props")
-                if isinstance(props, dict) and props.get("label") == label:
+            named = [(m, m["props"]) for m in list(self.messages) if "uuid" in m and isinstance(m.get("props"), dict)]
+            folders = {m["uuid"] for m, props in named if props.get("label") == folder}
+            for message, props in named:
+                if props.get("label") == label and (folder is None or message["container_uuid"] in folders):
                     return str(message["uuid"])
             time.sleep(0.02)
         raise AssertionError(f"there is no control {label!r}")
 
-    def choose(self, label: str, value: Any) -> None:
+    def choose(self, label: str, value: Any, folder: str | None = None) -> None:
         """Changes the value of a control."""
-        self.send("GuiUpdateMessage", uuid=self.control(label), updates={"value": value})
+        self.send("GuiUpdateMessage", uuid=self.control(label, folder), updates={"value": value})
+
+    def press(self, label: str) -> None:
+        """Presses a button."""
+        self.choose(label, True)
+
+    def downloads(self) -> dict[str, bytes]:
+        """The files that it was sent whole, by name; of several of one name, the last."""
+        messages = list(self.messages)
+        whole: dict[str, bytes] = {}
+        for start in (message for message in messages if message["type"] == "FileTransferStartDownload"):
+            parts = {
+                message["part_index"]: message["content"]
+                for message in messages
+                if message["type"] == "FileTransferPart" and message["transfer_uuid"] == start["transfer_uuid"]
+            }
+            if len(parts) == start["part_count"]:
+                whole[start["filename"]] = b"".join(parts[number] for number in sorted(parts))
+        return whole
 
     def click(self, across: float, down: float) -> None:
         """Clicks into the picture."""

@@ -70,6 +70,7 @@ LAYERS = (
     "viewer.state",
     "viewer.frames",
     "viewer.hands",
+    "viewer.output",
     "viewer.panels",
     "viewer",
     "cli.output",

@@ -18,8 +18,12 @@ from lumisplat.viewer.frames.picture import Picture
 from lumisplat.viewer.hands.gizmo import Gizmo
 from lumisplat.viewer.hands.outlines import draw_outlines, light_outline
 from lumisplat.viewer.hands.picking import picked
+from lumisplat.viewer.output.stills import Studio
+from lumisplat.viewer.panels.errands import Errands
 from lumisplat.viewer.panels.files import FilesPanel
+from lumisplat.viewer.panels.film import FilmPanel
 from lumisplat.viewer.panels.notes import tell
+from lumisplat.viewer.panels.pictures import PicturesPanel
 from lumisplat.viewer.panels.rendering import RenderingPanel
 from lumisplat.viewer.panels.status import StatusPanel
 from lumisplat.viewer.panels.things import ThingsPanel
@@ -64,12 +68,13 @@ class Viewer:
         """Why there is nothing to see."""
         self._first_view = FirstView()
         self._viser.initial_camera.position, self._viser.initial_camera.look_at = self._first_view.at(ASPECT)
-        self._build_panels(device)
-        self._gizmo = Gizmo(self._viser.scene, self._session)
-        self._session.errors.append(lambda line: tell(self._viser, "that did not work", line, is_problem=True))
+        self._status = StatusPanel(self._viser.gui)
         self._loop = RenderLoop(
             self._session, device, self._status.progress, on_frame=self._status.frame, decorate=self._decorate
         )
+        self._build_panels(device)
+        self._gizmo = Gizmo(self._viser.scene, self._session)
+        self._session.errors.append(lambda line: tell(self._viser, "that did not work", line, is_problem=True))
         self._viser.on_client_connect(self._open_page)
         self._viser.on_client_disconnect(self._close_page)
         self._loader = threading.Thread(target=self._load, args=(load,), name="lumisplat loading", daemon=True)
@@ -129,7 +134,8 @@ class Viewer:
     def _build_panels(self, device: str) -> None:
         gui = self._viser.gui
         gui.set_panel_label("Lumisplat")
-        self._status = StatusPanel(gui)
+        errands = Errands(gui, self._loop.do)
+        studio = Studio(self._loop.scenes, device)
         history = gui.add_button_group("", ["undo", "redo"])
         history.on_click(lambda event: self._step(str(event.target.value)))
         tabs = gui.add_tab_group()
@@ -138,11 +144,15 @@ class Viewer:
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
         with tabs.add_tab("View"):
-            self._timeline = Timeline(gui, self._session)
             ViewPanel(gui, self._session)
             self._status.add_details(gui)
+        with tabs.add_tab("Film"):
+            self._timeline = Timeline(gui, self._session, self._fly)
+            FilmPanel(gui, self._session, self._pages, errands, studio)
         with tabs.add_tab("Save"):
-            self._files = FilesPanel(self._viser, self._session, self._pages, device)
+            self._files = FilesPanel(self._viser, self._session, self._pages)
+            with gui.add_folder("pictures"):
+                PicturesPanel(gui, self._session, self._pages, errands, studio)
         self._add_keys()
 
     def _add_keys(self) -> None:
@@ -178,7 +188,6 @@ class Viewer:
         self._session.open(state)
         self._files.suggest(state.document)
         self._things.list_files()
-        self._timeline.show(state.document.animation)
         for page in list(self._pages.values()):
             page.look(page.client.camera, self._session.extent.page_from_scene)
         for problem in state.document.problems:
@@ -205,6 +214,15 @@ class Viewer:
         position, target = self._first_view.at(min(client.camera.aspect, ASPECT))
         client.camera.up_direction, client.camera.fov = self._first_view.up, FOV_Y
         client.camera.look_at, client.camera.position = target, position
+
+    def _fly(self, camera: ls.Camera) -> None:
+        """Moves all pages to a camera."""
+        scale, (_, down, forward) = self._session.extent.page_from_scene, camera.camera_from_world[:3, :3]
+        for client in self._viser.get_clients().values():
+            with client.atomic():
+                client.camera.up_direction, client.camera.fov = -down, camera.fov_y
+                client.camera.position = scale * camera.eye
+                client.camera.look_at = scale * (camera.eye + camera.focus_distance * forward)
 
     def _decorate(self, picture: Picture, frame: ls.Frame) -> Picture:
         """Draws where lights are."""

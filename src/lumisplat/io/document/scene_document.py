@@ -15,7 +15,7 @@ from typing import Any
 import numpy.typing as npt
 
 from lumisplat import io
-from lumisplat.config import RenderConfig
+from lumisplat.config import AvatarLightingConfig, RenderConfig
 from lumisplat.config.checks import suggestion
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry, shown_scene
@@ -280,6 +280,24 @@ class SceneDocument:
     def with_config(self, config: RenderConfig) -> SceneDocument:
         """With other settings."""
         return replace(self, top=dict(self.top) | {"render": changed_settings(config)})
+
+    def with_animation(self, **keys: Any) -> SceneDocument:
+        """With other keys of ``[animation]``; those that are None are removed.
+
+        Args:
+            **keys: ``fps``, ``duration``, ``frames``, or ``lighting``, an AvatarLightingConfig.
+
+        Raises:
+            FormatError: A value is wrong.
+        """
+        if isinstance(keys.get("lighting"), AvatarLightingConfig):
+            keys["lighting"] = changed_settings(keys["lighting"])
+        merged = dict(self.top.get("animation", {})) | plain_value(keys)
+        table = {key: value for key, value in merged.items() if value is not None and value != {}}
+        rest = {key: value for key, value in self.top.items() if key != "animation"}
+        document = replace(self, top=rest | ({"animation": table} if table else {}))
+        _ = document.animation
+        return document
 
     def with_cameras(self, cameras: Sequence[Mapping[str, Any]]) -> SceneDocument:
         """With other ``[[cameras]]``, as tables.

@@ -6,7 +6,8 @@ import logging
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 
 import lumisplat as ls
@@ -16,6 +17,7 @@ from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import Picture, Shown, page_depth, picture_of, split_picture
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.frames.renderers import Progress, Renderers, frame_config
+from lumisplat.viewer.frames.shown_scenes import ShownScenes
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.thresholds import (
     BEFORE_SAMPLES,
@@ -70,7 +72,13 @@ class RenderLoop:
         self._session, self._on_frame, self._decorate = session, on_frame, decorate
         self._renderers = Renderers(device, progress)
         self._levels = Levels(self._wake)
+        self.scenes = ShownScenes(self._levels, device, progress, session.report)
+        """Makes the scenes of frames; for the thread of the loop alone."""
+        self._scenes_before = ShownScenes(self._levels, device, progress, session.report)
         self._pages: list[Page] = []
+        self._errands: deque[Generator[None]] = deque()
+        self._errand_waited = False
+        """Whether a view at rest had the last turn, while there was an errand."""
         self._is_open = True
         self._thread = threading.Thread(target=self._run, name="lumisplat frames", daemon=True)
 
@@ -91,6 +99,16 @@ class RenderLoop:
                 self._pages.remove(page)
             self._renderers.drop(page)
         page.close()
+
+    def do(self, errand: Generator[None]) -> None:
+        """Does something long, such as a film: a step of it each time that no view moves, in turns with views at rest.
+
+        Args:
+            errand: Its steps. Whatever it raises is reported, and ends it; it is closed if the loop ends before it.
+        """
+        with self._session.changed:
+            self._errands.append(errand)
+            self._session.changed.notify_all()
 
     def close(self) -> None:
         """Ends after the frame that is being rendered."""
@@ -113,10 +131,15 @@ class RenderLoop:
         while True:
             with self._session.changed:
                 job = None
-                while self._is_open and (job := self._next_job()) is None:
+                while self._is_open and (job := self._next_job()) is None and not self._errands:
                     self._session.changed.wait(self._time_to_rest())
-                if job is None:
-                    return
+                if not self._is_open:
+                    break
+                errand = self._turn_of_errand(job)
+            if errand is not None:
+                self._step(errand)
+                continue
+            assert job is not None
             try:
                 if job.moves:
                     self._draw_moving(job)
@@ -124,12 +147,37 @@ class RenderLoop:
                     self._draw_at_rest(job)
             except Exception as error:  # a frame that fails must not end the session
                 self._give_up(job, error)
+        for errand in self._errands:
+            errand.close()
+
+    def _turn_of_errand(self, job: _Job | None) -> Generator[None] | None:
+        """The errand whose turn it is; None: it is that of the job. The lock is held."""
+        if not self._errands or (job is not None and (job.moves or not self._errand_waited)):
+            self._errand_waited = bool(self._errands)
+            return None
+        self._errand_waited = False
+        return self._errands[0]
+
+    def _step(self, errand: Generator[None]) -> None:
+        """Does the next step of an errand."""
+        try:
+            next(errand)
+            return
+        except StopIteration:
+            pass
+        except Exception as error:  # an errand that fails must not end the session
+            self._report(error)
+        self._errands.popleft()
 
     def _give_up(self, job: _Job, error: Exception) -> None:
         """Leaves a page as it is until something changes, and says why."""
+        job.page.key, job.page.is_finished = job.key, True
+        self._report(error)
+
+    def _report(self, error: Exception) -> None:
+        """Says what went wrong, and logs where, unless it is a mistake of somebody's."""
         if not isinstance(error, ls.LumisplatError):
             _log.error("the viewer could not render a frame:\n%s", traceback.format_exc())
-        job.page.key, job.page.is_finished = job.key, True
         self._session.report(" ".join(str(error).split()) or type(error).__name__)
 
     # --- What is next; the lock is held ---
@@ -182,7 +230,7 @@ class RenderLoop:
         in_sequence = config.pipeline is ls.Pipeline.REALTIME
         is_warm = self._renderers.has(page if in_sequence else "moving", config)
         renderer = self._renderers.of(page if in_sequence else "moving", config)
-        scene = self._levels.scene(state.document.scene(options.time), step.level)
+        scene = self.scenes.of(state.document, config, options.time, step.level, waits=False)
         camera = job.pose.camera(max(2, round(options.height * step.scale)), state.exposure)
         frame = renderer.render(scene, camera, encode=options.view == "color")
         picture = self._decorate(picture_of(frame, options.view), frame)
@@ -207,7 +255,7 @@ class RenderLoop:
         camera = job.pose.camera(options.height, state.exposure)
         resume = page.frame if page.frames_at_rest and not in_sequence else None
         frame = renderer.render(
-            state.document.scene(options.time),
+            self.scenes.of(state.document, config, options.time, 0, waits=True),
             camera,
             resume=resume,
             encode=options.view == "color",
@@ -237,7 +285,7 @@ class RenderLoop:
         camera = replace(camera, exposure=job.before.exposure)
         if job.moves or page.frames_at_rest <= 1 or page.before is None:
             renderer = self._renderers.of(("before", job.moves), config)
-            scene = self._levels.scene(job.before.document.scene(options.time), level)
+            scene = self._scenes_before.of(job.before.document, config, options.time, level, waits=not job.moves)
             page.before = picture_of(renderer.render(scene, camera, encode=options.view == "color"), options.view)
         return split_picture(page.before, picture, options.split)
 

@@ -36,6 +36,10 @@ class RenderingPanel:
         self._exposure.on_update(self._put_exposure)
         with gui.add_folder("all settings", expand_by_default=False):
             self._rest = SettingsPanel(gui, config, self._put, session.report, without=(*_FIRST, "aovs"))
+        self._actors = gui.add_folder("light of actors", expand_by_default=False, visible=False)
+        with self._actors:
+            self._lighting = SettingsPanel(gui, ls.AvatarLightingConfig(), self._put_lighting, session.report)
+        self._top: object = None
         session.on_change(self._show)
 
     def _put(self, config: ls.RenderConfig, field: str) -> None:
@@ -43,6 +47,9 @@ class RenderingPanel:
 
     def _put_realtime(self, realtime: ls.RealtimeConfig, field: str) -> None:
         self._put(replace(self._session.state.config, realtime=realtime), f"realtime.{field}")
+
+    def _put_lighting(self, lighting: ls.AvatarLightingConfig, field: str) -> None:
+        self._session.apply(lambda document: document.with_animation(lighting=lighting), merge=f"lighting {field}")
 
     def _put_exposure(self, event: Any) -> None:
         if event.client_id is not None:
@@ -54,3 +61,9 @@ class RenderingPanel:
         self._rest.show(state.config)
         self._quality.show(state.config.realtime)
         self._exposure.value = state.exposure
+        self._quality.set_visible(state.config.pipeline is ls.Pipeline.REALTIME)
+        self._actors.visible = any(entry.actor is not None for entry in state.document.entries)
+        if self._actors.visible and self._top is not state.document.top:
+            self._top = state.document.top
+            animation = state.document.animation
+            self._lighting.show(ls.AvatarLightingConfig() if animation is None else animation.lighting)

@@ -59,6 +59,11 @@ class SettingsPanel(Generic[Settings]):
         for name, group in self._groups.items():
             group.show(getattr(settings, name))
 
+    def set_visible(self, visible: bool) -> None:
+        """Shows or hides its own fields; groups have folders of their own."""
+        for control in self._controls.values():
+            control.handle.visible = visible
+
     def _field_changed(self, name: str) -> Callable[[Any], None]:
         def put(value: Any) -> None:
             self._put(replace(self._settings, **{name: value}), name)

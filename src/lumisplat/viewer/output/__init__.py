@@ -1,0 +1,1 @@
+"""What leaves the viewer: pictures with all their samples, and captures as a page."""

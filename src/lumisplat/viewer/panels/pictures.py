@@ -1,0 +1,124 @@
+"""Pictures out of the viewer: of any size, with layers, and the captures as a page that needs no server."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.output.capture_page import capture_page
+from lumisplat.viewer.output.stills import Studio, still, still_config
+from lumisplat.viewer.panels.errands import Errands, Steps
+from lumisplat.viewer.state.session import Session
+
+if TYPE_CHECKING:
+    import viser
+
+FORMATS = ("png", "exr")
+HEIGHTS = (16, 8192)
+_LAYERS_HINT = (
+    "Of an EXR, besides depth, normals, positions and indices, which it always has: some of albedo, emission, "
+    "reflection, lights, hits, sample_count; of paths and in real time direct_diffuse, indirect_diffuse, "
+    "direct_glossy, indirect_glossy, too. With commas."
+)
+
+
+class PicturesPanel:
+    """Controls that make pictures, in the present folder; a page gets what it asked for as a download.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the scene.
+        pages: Open pages by the id of their connection.
+        errands: Do the work.
+        studio: What it is done with.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        session: Session,
+        pages: dict[int, Page],
+        errands: Errands,
+        studio: Studio,
+    ) -> None:
+        self._session, self._pages, self._errands, self._studio = session, pages, errands, studio
+        self._height = gui.add_number("rows", 1080, min=HEIGHTS[0], max=HEIGHTS[1], step=1)
+        hint = "0: as wide as the page shows it."
+        self._width = gui.add_number("columns", 0, min=0, max=HEIGHTS[1], step=1, hint=hint)
+        self._samples = gui.add_number("samples", 64, min=1, max=65536, step=1, hint="A pixel.")
+        self._format = gui.add_dropdown("format", FORMATS, hint="PNG: as shown. EXR: linear light, with layers.")
+        self._layers = gui.add_text("layers", "", hint=_LAYERS_HINT)
+        gui.add_button("take a picture").on_click(self._for_page(self._picture))
+        hint = "One HTML file with the captures as they are, without lights: it opens in any browser, without a server."
+        gui.add_button("captures as a page", hint=hint).on_click(self._for_page(self._capture_page))
+
+    def _for_page(self, start: Callable[[viser.ClientHandle, Page], None]) -> Callable[[Any], None]:
+        def on_click(event: Any) -> None:
+            page = self._pages.get(event.client_id)
+            if page is None or page.pose is None:
+                return
+            try:
+                start(event.client, page)
+            except ls.LumisplatError as error:
+                self._session.report(str(error))
+
+        return on_click
+
+    def _picture(self, client: viser.ClientHandle, page: Page) -> None:
+        """Renders a page's view at any size."""
+        assert page.pose is not None
+        state, suffix = self._session.state, str(self._format.value)
+        pose, height = page.pose, int(np.clip(self._height.value, *HEIGHTS))
+        if self._width.value:
+            pose = replace(pose, aspect=int(np.clip(self._width.value, *HEIGHTS)) / height)
+        layers = listed(str(self._layers.value)) if suffix == "exr" else ()
+        config = still_config(state.config, layers)
+        camera, samples = pose.camera(height, state.exposure), int(self._samples.value)
+        time = self._session.options.time
+
+        def steps() -> Steps:
+            scene = self._studio.scene(state.document, config, time)
+            renderer = self._studio.renderer(config)
+            _as_file(renderer.render(scene, camera.scaled(height=HEIGHTS[0])), suffix, layers)  # fails now, not at last
+            renderer.reset()
+            frame = yield from still(renderer, scene, camera, samples)
+            client.send_file_download(f"view.{suffix}", _as_file(frame, suffix, layers), save_immediately=True)
+
+        self._errands.start(f"picture of {camera.width} × {camera.height}", steps())
+
+    def _capture_page(self, client: viser.ClientHandle, _: Page) -> None:
+        """Makes a page of the captures, as captured."""
+        scene = self._session.scene
+        if not scene.splats:
+            raise ls.SceneError("captures as a page: there is no capture")
+
+        def steps() -> Steps:
+            yield 0.0
+            client.send_file_download("capture.html", capture_page(scene).encode(), save_immediately=True)
+
+        self._errands.start("captures as a page", steps())
+
+
+def listed(layers: str) -> tuple[str, ...]:
+    """Names that were typed with commas."""
+    return tuple(name.strip() for name in layers.split(",") if name.strip())
+
+
+def _as_file(frame: ls.Frame, suffix: str, layers: tuple[str, ...]) -> bytes:
+    """The bytes of a frame's file; an EXR has layers besides those of every frame.
+
+    Raises:
+        ConfigError: The frame has no such layer.
+    """
+    always = tuple(name for name in ls.Frame.LAYERS if name not in ls.Frame.NEEDS)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"view.{suffix}"
+        frame.save(path, layers=(*always, *layers) if suffix == "exr" else None)
+        return path.read_bytes()

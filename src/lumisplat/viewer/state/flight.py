@@ -1,0 +1,93 @@
+"""The camera that flies: keyframes of the scene file's first camera that moves, set where pages look from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import lumisplat as ls
+
+_NAME = "flight"
+
+
+@dataclass(frozen=True)
+class Key:
+    """A place of the flight."""
+
+    camera: ls.Camera
+    target: tuple[float, float, float]
+    """What is in the middle of the picture."""
+
+    def table(self, time: float) -> dict[str, Any]:
+        """The keyframe of a scene file."""
+        _, down, _ = self.camera.camera_from_world[:3, :3]
+        table: dict[str, Any] = {
+            "time": time,
+            "eye": _plain(self.camera.eye),
+            "target": _plain(self.target),
+            "up": _plain(-down),
+            "fov_y_degrees": float(f"{math.degrees(self.camera.fov_y):.6g}"),
+        }
+        return table | ({"exposure": self.camera.exposure} if self.camera.exposure else {})
+
+
+def keys_of(document: ls.SceneDocument) -> list[Mapping[str, Any]]:
+    """The keyframes of the camera that flies, in their order; empty: there is none."""
+    flights: list[list[Mapping[str, Any]]] = [t["keyframes"] for t in _cameras(document) if "keyframes" in t]
+    return flights[0] if flights else []
+
+
+def with_key(document: ls.SceneDocument, key: Key, seconds: float) -> ls.SceneDocument:
+    """The document with one more place at the end of the flight; an animation that would end before lasts as long.
+
+    Args:
+        document: The scene.
+        key: The place.
+        seconds: Time from the last place to this one.
+
+    Raises:
+        FormatError: The place is that of the last one at the same time.
+    """
+    held = keys_of(document)
+    time = round(float(held[-1]["time"]) + seconds, 6) if held else 0.0
+    document = _with_keys(document, [*held, key.table(time)], key.camera)
+    animation = document.animation
+    if animation is not None and animation.duration < time:
+        document = document.with_animation(duration=time, frames=None)
+    return document
+
+
+def without_last_key(document: ls.SceneDocument) -> ls.SceneDocument:
+    """The document with the last place of the flight left out."""
+    return _with_keys(document, keys_of(document)[:-1], None)
+
+
+def without_flight(document: ls.SceneDocument) -> ls.SceneDocument:
+    """The document without the flight."""
+    return _with_keys(document, [], None)
+
+
+def _with_keys(document: ls.SceneDocument, keys: list[Mapping[str, Any]], camera: ls.Camera | None) -> ls.SceneDocument:
+    """The document with other keyframes of its flight; a new flight has the size of a camera."""
+    tables: list[dict[str, Any]] = []
+    is_found = False
+    for table in _cameras(document):
+        if "keyframes" not in table or is_found:
+            tables.append(dict(table))
+        elif keys:
+            tables.append(dict(table) | {"keyframes": keys})
+        is_found = is_found or "keyframes" in table
+    if not is_found and keys and camera is not None:
+        tables.append({"name": _NAME, "width": camera.width, "height": camera.height, "keyframes": keys})
+    return document.with_cameras(tables)
+
+
+def _cameras(document: ls.SceneDocument) -> list[Mapping[str, Any]]:
+    return cast("list[Mapping[str, Any]]", document.top.get("cameras", []))
+
+
+def _plain(vector: Any) -> list[float]:
+    """Seven digits, as people write them."""
+    return [float(f"{float(x):.7g}") for x in vector]

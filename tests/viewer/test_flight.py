@@ -1,0 +1,85 @@
+"""The camera that flies: its places are keyframes of the scene file, and what is saved flies the same way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_viewer import lit_scene
+
+import lumisplat as ls
+from lumisplat.viewer.panels.film import film_cameras, flight_table
+from lumisplat.viewer.state.flight import Key, keys_of, with_key, without_flight, without_last_key
+
+TARGET = (0.0, 0.0, 0.0)
+
+
+def key(x: float, exposure: float = 0.0) -> Key:
+    """Looks at the middle from in front, more or less to the right."""
+    eye, up = (x, -0.5, -3.0), (0.0, -1.0, 0.0)
+    camera = ls.Camera.look_at(eye, TARGET, up, width=320, height=180, fov_y=0.7)
+    return Key(replace(camera, exposure=exposure), TARGET)
+
+
+def flight() -> ls.SceneDocument:
+    """Three places, two seconds apart, then one."""
+    document = with_key(ls.SceneDocument.of(lit_scene()), key(-1.0), 2.0)
+    return with_key(with_key(document, key(0.0), 2.0), key(1.0, exposure=1.0), 1.0)
+
+
+def test_the_flight_goes_through_its_places() -> None:
+    """At their times, with their fields of view and exposures; its length is that of the animation."""
+    document = flight()
+    assert [entry["time"] for entry in keys_of(document)] == [0.0, 2.0, 3.0]
+    animation = document.animation
+    assert animation is not None and animation.camera_path is not None and animation.duration == 3.0
+    for time, wanted in ((0.0, key(-1.0)), (2.0, key(0.0)), (3.0, key(1.0, exposure=1.0))):
+        camera = animation.camera_path.at(time)
+        np.testing.assert_allclose(camera.camera_from_world, wanted.camera.camera_from_world, atol=1e-5)
+        assert camera.fov_y == pytest.approx(0.7, rel=1e-5) and camera.exposure == wanted.camera.exposure
+    assert flight_table(document).count("\n") == 4
+
+
+def test_places_can_be_dropped() -> None:
+    """The last one, or all; other cameras of the file stay."""
+    still = {"name": "front", "eye": [0.0, 0.0, -4.0], "target": [0.0, 0.0, 0.0]}
+    document = with_key(ls.SceneDocument.of(lit_scene()).with_cameras([still]), key(0.0), 1.0)
+    assert [camera.name for camera in document.cameras] == ["front", "flight"]
+    twice = with_key(document, key(1.0), 1.0)
+    assert len(keys_of(twice)) == 2 and without_last_key(twice).cameras[1].name == "flight"
+    assert [camera.name for camera in without_last_key(without_last_key(twice)).cameras] == ["front"]
+    assert without_flight(twice).animation is None
+
+
+def test_an_animation_that_would_end_before_lasts_as_long() -> None:
+    """One that is longer keeps its length."""
+    document = with_key(ls.SceneDocument.of(lit_scene()), key(0.0), 1.0)
+    longer = with_key(document.with_animation(duration=9.0, fps=10.0), key(1.0), 4.0).animation
+    assert longer is not None and longer.duration == 9.0 and longer.frame_count == 90
+    shorter = with_key(document.with_animation(frames=5), key(1.0), 4.0).animation
+    assert shorter is not None and shorter.duration == 4.0
+
+
+def test_a_saved_flight_is_the_one_that_animate_takes(tmp_path: Path) -> None:
+    """`load_animation` gives the same cameras for the same frames."""
+    document = flight()
+    document.save(tmp_path / "scene.toml")
+    animation, saved = document.animation, ls.load_animation(tmp_path / "scene.toml")
+    assert animation is not None and saved.camera_path is not None
+    view = key(0.0).camera
+    cameras = film_cameras(animation, view.scaled(height=90))
+    assert len(cameras) == saved.frame_count == 75 and {camera.height for camera in cameras} == {90}
+    for camera, time in zip(cameras, saved.times.tolist(), strict=True):
+        expected = saved.camera_path.at(time)
+        np.testing.assert_allclose(camera.camera_from_world, expected.camera_from_world, atol=1e-12)
+        assert math.isclose(camera.fov_y, expected.fov_y, rel_tol=1e-12)
+
+
+def test_without_a_flight_films_are_taken_from_where_a_page_looks() -> None:
+    """A frame for each time of the animation."""
+    animation = ls.Animation(lit_scene(), frame_count=4)
+    view = key(0.5).camera
+    assert film_cameras(animation, view) == [view] * 4

@@ -1,0 +1,106 @@
+"""Scenes of frames with actors: lit as `lumisplat animate` lights them, quick while something else changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_viewer import cloud
+
+import lumisplat as ls
+from lumisplat.viewer.frames.levels import Levels
+from lumisplat.viewer.frames.shown_scenes import ShownScenes
+
+UP = (0.0, -1.0, 0.0)
+CONFIG = ls.RenderConfig()
+
+
+def floor(count: int = 3000) -> ls.Gaussians:
+    """A captured grey floor, y is down."""
+    rng = np.random.default_rng(1)
+    means = np.column_stack([rng.uniform(-2, 2, count), np.full(count, 0.6), rng.uniform(-2, 2, count)])
+    return ls.Gaussians(
+        means=means,
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        scales=np.tile([0.08, 0.005, 0.08], (count, 1)),
+        opacities=np.full(count, 0.9),
+        sh=np.zeros((count, 1, 3)),
+    )
+
+
+def animation(lighting: ls.AvatarLightingConfig | None = None) -> ls.Animation:
+    """A ball that goes from the left to the right over the floor, under a sun."""
+    stage = ls.Scene([floor()], lights=[ls.LightDirectional((0.3, 1.0, 0.0))], up=UP)
+    ball = ls.Actor(cloud(), ls.Keyframes([0.0, 2.0], positions=[(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)]))
+    return ls.Animation(stage, [ball], frame_count=50, lighting=lighting or ls.AvatarLightingConfig())
+
+
+@pytest.fixture
+def scenes() -> Iterator[ShownScenes]:
+    """What makes scenes; nothing may go wrong."""
+    levels = Levels(lambda: None)
+    yield ShownScenes(levels, "cpu", lambda label, share: None, report=pytest.fail)
+    levels.close()
+
+
+def colors(scene: ls.Scene) -> list[np.ndarray]:
+    """The coefficients of all captures."""
+    return [np.asarray(instance.gaussians.sh) for instance in scene.splats]
+
+
+def test_actors_are_lit_as_in_the_frames_of_their_animation(scenes: ShownScenes) -> None:
+    """Their shadow on the floor and their own light, to the bit; the same scene as long as nothing changes."""
+    wanted = animation()
+    shown = scenes.of(ls.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
+    expected = ls.AvatarLighter(wanted.scene, config=wanted.lighting, device="cpu").light(wanted.actors_at(1.0))
+    for ours, theirs in zip(colors(shown), colors(expected), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert np.abs(colors(shown)[0] - colors(wanted.scene)[0]).max() > 0.1  # there is a shadow
+
+
+def test_scenes_are_the_same_object_while_nothing_changes(scenes: ShownScenes) -> None:
+    """Another time is another one, and so is another setting of the light."""
+    document = ls.SceneDocument.of(animation())
+    first = scenes.of(document, CONFIG, 1.0, 0, waits=True)
+    assert scenes.of(document, CONFIG, 1.0, 0, waits=False) is first
+    later = scenes.of(document, CONFIG, 1.5, 0, waits=False)
+    assert later is not first and np.abs(colors(later)[0] - colors(first)[0]).max() > 0.1
+    weaker = document.with_animation(lighting=ls.AvatarLightingConfig(direct=0.1))
+    half = scenes.of(weaker, CONFIG, 1.0, 0, waits=True)
+    assert np.abs(colors(half)[0] - colors(first)[0]).max() > 0.05
+
+
+def test_who_cannot_wait_gets_actors_without_light(scenes: ShownScenes) -> None:
+    """Until the light was prepared once; a change of what stands still takes it away again."""
+    document, plain = ls.SceneDocument.of(animation()), colors(animation().scene)[0]
+    unlit = scenes.of(document, CONFIG, 1.0, 0, waits=False)
+    assert len(unlit.splats) == 2
+    np.testing.assert_array_equal(colors(unlit)[0], plain)
+    scenes.of(document, CONFIG, 1.0, 0, waits=True)
+    assert not np.array_equal(colors(scenes.of(document, CONFIG, 1.2, 0, waits=False))[0], plain)
+    sun = next(entry.id for entry in document.entries if entry.kind == "lights")
+    moved = document.changed(sun, direction=[-0.5, 1.0, 0.0])
+    np.testing.assert_array_equal(colors(scenes.of(moved, CONFIG, 1.2, 0, waits=False))[0], plain)
+
+
+def test_light_that_is_off_changes_nothing(scenes: ShownScenes) -> None:
+    """Neither shadows nor light of the place."""
+    off = ls.AvatarLightingConfig(shadows=False, relight=False)
+    shown = scenes.of(ls.SceneDocument.of(animation(off)), CONFIG, 1.0, 0, waits=True)
+    for ours, theirs in zip(colors(shown), [colors(animation().scene)[0], cloud().sh], strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_where_no_light_is_found_actors_keep_their_own() -> None:
+    """It is told, once, and the frame is there all the same."""
+    told: list[str] = []
+    levels = Levels(lambda: None)
+    scenes = ShownScenes(levels, "cpu", lambda label, share: None, report=told.append)
+    dark = replace(animation(), scene=replace(animation().scene, lights=[]))
+    document = ls.SceneDocument.of(dark)
+    for time in (0.0, 1.0):
+        assert len(scenes.of(document, CONFIG, time, 0, waits=True).splats) == 2
+    assert len(told) == 1 and told[0].startswith("actors keep their own light")
+    levels.close()
