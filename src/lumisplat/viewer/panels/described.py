@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import textwrap
+import sys
 import types
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
@@ -125,11 +125,9 @@ def _docstrings(cls: type) -> dict[str, str]:
     """The docstring below each field or member of a class, and of those that it derives from."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__[:-1]):
-        try:
-            tree = ast.parse(textwrap.dedent(inspect.getsource(base)))
-        except (OSError, TypeError):  # of Python itself, or made without a file
+        node = _definitions(base.__module__).get(base.__name__)
+        if node is None:  # of Python itself, or made without a file
             continue
-        (node,) = (node for node in tree.body if isinstance(node, ast.ClassDef))
         for field, after in zip(node.body, node.body[1:], strict=False):
             target = field.target if isinstance(field, ast.AnnAssign) else None
             if isinstance(field, ast.Assign):
@@ -138,3 +136,13 @@ def _docstrings(cls: type) -> dict[str, str]:
             if isinstance(target, ast.Name) and isinstance(text, str):
                 found[target.id] = text
     return found
+
+
+@cache
+def _definitions(module: str) -> dict[str, ast.ClassDef]:
+    """The classes that a module's source defines, by name; each source is parsed once, as that takes long."""
+    try:
+        tree = ast.parse(inspect.getsource(sys.modules[module]))
+    except (OSError, TypeError):
+        return {}
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
