@@ -72,6 +72,7 @@ LAYERS = (
     "viewer.hands",
     "viewer.output",
     "viewer.panels",
+    "viewer.things",
     "viewer",
     "cli.output",
     "cli.input",

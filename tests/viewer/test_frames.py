@@ -16,6 +16,7 @@ from lumisplat.viewer.frames.picture import page_depth, split_picture
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.hands.outlines import box_outline, draw_outlines, light_outline
 from lumisplat.viewer.hands.picking import picked
+from lumisplat.viewer.state.boxes import world_corners
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.thresholds import DEPTH_STRIDE, LEVEL_GAUSSIANS_MIN
 
@@ -113,6 +114,13 @@ def test_scenes_of_all_sizes_fit_on_a_page(size: float, units: float) -> None:
     assert Extent.of(ls.Scene()).page_from_scene == 1.0
 
 
+def shifted(z: float) -> np.ndarray:
+    """A translation along the view."""
+    matrix = np.eye(4)
+    matrix[2, 3] = z
+    return matrix
+
+
 def box_frame() -> ls.Frame:
     """A box of two units in the middle, lit."""
     return ls.render(ls.Scene(meshes=[ls.box(2.0)]), FACING, device="cpu")
@@ -139,8 +147,9 @@ def test_lines_are_dimmed_behind_what_is_in_the_frame() -> None:
     """In front of the box they have their colour, behind it a share of it, and nothing else changes."""
     frame = box_frame()
     black = np.zeros((90, 160, 3), np.uint8)
-    front = draw_outlines(black, frame, [box_outline((-0.2, -0.2, -1.5), (0.2, 0.2, -1.4))])
-    back = draw_outlines(black, frame, [box_outline((-0.2, -0.2, 1.4), (0.2, 0.2, 1.5))])
+    near, far = (world_corners((np.full(3, -0.2), np.full(3, 0.2)), shifted(z)) for z in (-1.45, 1.45))
+    front = draw_outlines(black, frame, [box_outline(near)])
+    back = draw_outlines(black, frame, [box_outline(far)])
     assert front.max() > 200 and 0 < back.max() < 120
     assert (front.any(axis=2).mean() < 0.1) and not black.any()
 

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
+from pathlib import Path
 
 import numpy as np
 import pytest
+from test_viewer import cloud
 
 import lumisplat as ls
 from lumisplat.viewer.colors import color_of_temperature, linear_from_picked, picked_from_linear
-from lumisplat.viewer.hands.gizmo import dragged, grip_of
+from lumisplat.viewer.hands.gizmo import Drag, dragged, grip_of
 from lumisplat.viewer.panels.controls import from_shown, to_shown
 from lumisplat.viewer.panels.described import Described, described
-from lumisplat.viewer.panels.inspector import light_fields, put_field
-from lumisplat.viewer.panels.things import on_ground
+from lumisplat.viewer.panels.markdown import plain
+from lumisplat.viewer.state.boxes import Boxes, pose_of, world_corners
 from lumisplat.viewer.state.extent import Extent
+from lumisplat.viewer.state.session import Options, Session
+from lumisplat.viewer.things.adding import standing, with_sky
+from lumisplat.viewer.things.crop import crop_ends, crop_reach, cropped
+from lumisplat.viewer.things.inspector import light_fields, put_field
+from lumisplat.viewer.things.things_panel import on_ground
+from lumisplat.viewer.things.tree import tree_html
+from support.files.hdr_files import write_hdr
 
 EXTENT = Extent((0.0, 0.0, 0.0), 2.0)
 
@@ -139,10 +148,14 @@ def document() -> ls.SceneDocument:
 
 def moved(number: int, move: np.ndarray) -> ls.SceneDocument:
     """The document with the grip of an entry moved."""
-    start = document()
-    grip = grip_of(start.entry(number), np.zeros(3), EXTENT)
+    return moved_of(document(), number, move)
+
+
+def moved_of(start: ls.SceneDocument, number: int, move: np.ndarray, time: float = 0.0) -> ls.SceneDocument:
+    """A document with the grip of an entry moved at a time."""
+    grip = grip_of(start.entry(number), (np.full(3, -1.0), np.full(3, 1.0)), EXTENT, time)
     assert grip is not None
-    return dragged(start, number, grip.world_from_grip, move @ grip.world_from_grip, EXTENT)
+    return dragged(start, Drag(number, grip.world_from_grip, time), move @ grip.world_from_grip, EXTENT)
 
 
 def shift(x: float, y: float, z: float) -> np.ndarray:
@@ -197,3 +210,105 @@ def test_the_ground_is_where_all_others_end() -> None:
     assert stood.bounds()[1][1] == pytest.approx(4.5)
     with pytest.raises(ls.SceneError, match="to the ground"):
         on_ground(document(), 2)
+
+
+def walker(folder: Path) -> ls.SceneDocument:
+    """A ball that moves from the left to the right while it turns, in a scene file."""
+    ls.save(folder / "ball.ply", cloud())
+    (folder / "scene.toml").write_text(
+        '[[actors]]\npath = "ball.ply"\nscale = 0.5\n'
+        "[[actors.keyframes]]\ntime = 0.0\nposition = [-1.0, 0.0, 0.0]\n"
+        "[[actors.keyframes]]\ntime = 2.0\nposition = [1.0, 0.0, 0.0]\nrotation_wxyz = [0.0, 0.0, 1.0, 0.0]\n"
+    )
+    return ls.SceneDocument.open(folder / "scene.toml")
+
+
+@pytest.mark.parametrize("time", [0.0, 1.0, 2.0])
+def test_an_actor_that_is_dragged_takes_its_way_along(tmp_path: Path, time: float) -> None:
+    """At the time of the drag it is where the hand is, whatever its motion; its size stays."""
+    document = walker(tmp_path)
+    before = document.scene(time).splats[0].transform
+    move = shift(0.0, -0.5, 0.25)
+    after = moved_of(document, 0, move, time).scene(time).splats[0].transform
+    np.testing.assert_allclose(after, move @ before, atol=1e-9)
+
+
+def test_boxes_are_around_what_entries_show(tmp_path: Path) -> None:
+    """In coordinates of their files, whatever their pose; measured again only for other assets."""
+    boxes, start = Boxes(), document()
+    box = boxes.of(start.entry(0))
+    assert box is not None
+    np.testing.assert_allclose(box, [np.full(3, -0.5), np.full(3, 0.5)], atol=1e-6)
+    size = boxes.size(start.entry(0))
+    assert size is not None and size == pytest.approx(2.0)
+    assert boxes.of(moved(0, shift(1.0, 0.0, 0.0)).entry(0)) is not None
+    low, high = start.scene().meshes[0].bounds()
+    corners = world_corners(box, np.asarray(start.entry(0).world_from_file))
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [low, high], atol=1e-6)
+    actor = walker(tmp_path).entry(0)
+    placed, pose = boxes.of(actor, 1.0), pose_of(actor, 1.0)
+    assert placed is not None and pose is not None
+    middle = world_corners(placed, pose).mean(axis=0)
+    np.testing.assert_allclose(middle, (0.0, 0.0, 0.0), atol=0.05)
+    assert boxes.of(start.entry(2)) is None
+
+
+def test_names_of_files_are_words_in_the_list(tmp_path: Path) -> None:
+    """Neither tags nor scripts, wherever they come from; what could not be read is listed, too."""
+    evil = "<img src=x onerror=alert(1)>"
+    mesh = ls.MeshInstance(ls.box(1.0), name=evil)
+    text = tree_html(ls.SceneDocument.of(ls.Scene(meshes=[mesh])), Boxes())
+    assert evil not in text and "&lt;img" in text and "12 faces · 1 × 1 × 1" in text
+    ls.save(tmp_path / "ball.ply", cloud())
+    opened = ls.SceneDocument.open([tmp_path / "ball.ply", tmp_path / "gone.obj"])
+    assert "left out: " in tree_html(opened, Boxes()) and "gone.obj" in tree_html(opened, Boxes())
+    assert plain("![x](http://a) <b>{1}</b> `c`|") == "  x (http://a)  b  1  /b   c  "
+
+
+def captured() -> ls.SceneDocument:
+    """A ball of Gaussians, of radius 0.5, and one stray Gaussian far away."""
+    ball = cloud()
+    means = np.array(ball.means)
+    means[0] = (50.0, 0.0, 0.0)
+    return ls.SceneDocument.of(replace(ball, means=means))
+
+
+def test_a_crop_leaves_out_what_is_beyond_its_sliders() -> None:
+    """At its ends a slider leaves out nothing, not even strays; with all at their ends there is no crop."""
+    start, session = captured(), Session(Options())
+    everything, reach = crop_reach(start, 0, session)
+    assert everything[1, 0] == pytest.approx(50.0) and 0.4 < reach[1, 0] < 1.0
+    ends = reach.copy()
+    ends[0, 1] = 0.0  # y above 0
+    half = cropped(start, 0, ends, reach, everything)
+    means = np.asarray(half.scene().splats[0].gaussians.means)
+    assert means[:, 1].min() >= 0.0 and means[:, 0].max() == pytest.approx(50.0)
+    np.testing.assert_allclose(crop_ends(half.entry(0), reach), ends)
+    again, wide = crop_reach(half, 0, session)
+    np.testing.assert_array_equal(again, everything)
+    np.testing.assert_array_equal(wide, reach)
+    assert "crop_low" not in cropped(half, 0, reach, reach, everything).entry(0).table
+
+
+def test_new_meshes_stand_where_people_see_them(tmp_path: Path) -> None:
+    """In the middle, on the ground, upright; one that is far too large is made smaller, others keep their size."""
+    extent = Extent((1.0, 2.0, 3.0), 4.0, height_below=1.5)
+    for size, wanted in ((0.5, 0.5), (1000.0, 0.25 * 4.0 / np.sqrt(3.0))):
+        document, number = ls.SceneDocument.of(ls.Scene(up="y-down")).added("meshes", {"shape": "box", "size": size})
+        box = Boxes().of(document.entry(number))
+        assert box is not None
+        low, high = standing(document, number, box, extent).scene().meshes[0].bounds()
+        np.testing.assert_allclose(high - low, np.full(3, wanted), rtol=1e-5)
+        np.testing.assert_allclose(0.5 * (low + high)[[0, 2]], (1.0, 3.0), atol=1e-6)
+        assert high[1] == pytest.approx(2.0 + 1.5)  # down is +y
+
+
+def test_a_sky_takes_the_place_of_another(tmp_path: Path) -> None:
+    """The same entry, with its other keys."""
+    for name in ("a.hdr", "b.hdr"):
+        write_hdr(tmp_path / name, np.ones((4, 8, 3), np.float32))
+    document = with_sky(ls.SceneDocument.of(ls.Scene()), str(tmp_path / "a.hdr"))
+    number = document.entries[0].id
+    document = with_sky(document.changed(number, intensity=0.5), str(tmp_path / "b.hdr"))
+    assert len(document.entries) == 1 and document.entry(number).table["path"].endswith("b.hdr")
+    assert document.entry(number).table["intensity"] == 0.5

@@ -171,13 +171,13 @@ def test_files_that_are_damaged_say_so_and_the_viewer_lives_on(viewer: ls.Viewer
     viewer._session.edit(viewer._session.state.__class__(document_in(tmp_path), viewer._session.state.config))
     with PageClient(viewer.url) as page:
         page.look(camera())
-        page.upload("upload a capture or a mesh", "broken.ply", b"ply\nnonsense")
+        page.upload("upload a file", "broken.ply", b"ply\nnonsense")
         eventually(lambda: any("broken" in note for note in page.notes()), "nobody was told")
-        page.upload("upload a capture or a mesh", "../../evil.txt", b"text")
+        page.upload("upload a file", "../../evil.txt", b"text")
         eventually(lambda: any("evil.txt" in note for note in page.notes()), "nobody was told")
         assert len(viewer.document.entries) == 1 and not list(tmp_path.rglob("*broken*"))
         triangle = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-        page.upload("upload a capture or a mesh", "../a b.obj", triangle)
+        page.upload("upload a file", "../a b.obj", triangle)
         eventually(lambda: len(viewer.document.entries) == 2, "the mesh is missing")
         assert (tmp_path / "uploads" / "a_b.obj").read_bytes() == triangle
         settled(viewer, page)

@@ -15,8 +15,9 @@ from lumisplat.viewer.frames.first_view import ASPECT, FOV_Y, FirstView
 from lumisplat.viewer.frames.loop import RenderLoop
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import Picture
+from lumisplat.viewer.frames.pose import look_through
 from lumisplat.viewer.hands.gizmo import Gizmo
-from lumisplat.viewer.hands.outlines import draw_outlines, light_outline
+from lumisplat.viewer.hands.helpers import decorated
 from lumisplat.viewer.hands.picking import picked
 from lumisplat.viewer.output.stills import Studio
 from lumisplat.viewer.panels.errands import Errands
@@ -26,11 +27,12 @@ from lumisplat.viewer.panels.notes import tell
 from lumisplat.viewer.panels.pictures import PicturesPanel
 from lumisplat.viewer.panels.rendering import RenderingPanel
 from lumisplat.viewer.panels.status import StatusPanel
-from lumisplat.viewer.panels.things import ThingsPanel
 from lumisplat.viewer.panels.timeline import Timeline
 from lumisplat.viewer.panels.view_options import ViewPanel
+from lumisplat.viewer.panels.viewpoints import Viewpoints
 from lumisplat.viewer.server.page_server import PageServer
 from lumisplat.viewer.state.session import Options, Session, State
+from lumisplat.viewer.things.things_panel import ThingsPanel
 
 if TYPE_CHECKING:
     import viser
@@ -70,7 +72,7 @@ class Viewer:
         self._viser.initial_camera.position, self._viser.initial_camera.look_at = self._first_view.at(ASPECT)
         self._status = StatusPanel(self._viser.gui)
         self._loop = RenderLoop(
-            self._session, device, self._status.progress, on_frame=self._status.frame, decorate=self._decorate
+            self._session, device, self._status.progress, on_frame=self._status.frame, decorate=self._decorated
         )
         self._build_panels(device)
         self._gizmo = Gizmo(self._viser.scene, self._session)
@@ -144,7 +146,9 @@ class Viewer:
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
         with tabs.add_tab("View"):
+            self._viewpoints = Viewpoints(gui, self._session)
             ViewPanel(gui, self._session)
+            self._add_theme()
             self._status.add_details(gui)
         with tabs.add_tab("Film"):
             self._timeline = Timeline(gui, self._session, self._fly)
@@ -164,6 +168,14 @@ class Viewer:
         add("Hide what is selected", hotkey="H").on_trigger(self._actor("hide"))
         add("Delete what is selected", hotkey="X").on_trigger(self._actor("delete"))
         add("Stand what is selected on the ground", hotkey="G").on_trigger(self._actor("to the ground"))
+        add("Duplicate what is selected", hotkey="C").on_trigger(self._actor("duplicate"))
+        add("Look at all of it", hotkey="F").on_trigger(self._viewpoints.look_at_all)
+        add("Look at what is selected", hotkey="F", modifier="shift").on_trigger(self._viewpoints.look_at_selected)
+        add("Play, or stop", hotkey="P").on_trigger(lambda _: self._timeline.toggle())
+
+    def _add_theme(self) -> None:
+        dark = self._viser.gui.add_checkbox("dark page", True)
+        dark.on_update(lambda _: self._server.set_theme(dark=bool(dark.value)))
 
     def _actor(self, action: str) -> Callable[[Any], None]:
         return lambda _: self._things.act(action)
@@ -217,22 +229,11 @@ class Viewer:
 
     def _fly(self, camera: ls.Camera) -> None:
         """Moves all pages to a camera."""
-        scale, (_, down, forward) = self._session.extent.page_from_scene, camera.camera_from_world[:3, :3]
         for client in self._viser.get_clients().values():
-            with client.atomic():
-                client.camera.up_direction, client.camera.fov = -down, camera.fov_y
-                client.camera.position = scale * camera.eye
-                client.camera.look_at = scale * (camera.eye + camera.focus_distance * forward)
+            look_through(client, camera, self._session.extent.page_from_scene)
 
-    def _decorate(self, picture: Picture, frame: ls.Frame) -> Picture:
-        """Draws where lights are."""
-        if not self._session.options.outlines:
-            return picture
-        size, selected = 0.03 * self._session.extent.size, self._session.selected
-        document = self._session.state.document
-        entries = [entry for entry in document.entries if entry.kind == "lights" and not entry.hidden]
-        outlines = [light_outline(entry.lights[0], size, is_selected=entry.id == selected) for entry in entries]
-        return draw_outlines(picture, frame, [outline for outline in outlines if outline is not None])
+    def _decorated(self, picture: Picture, frame: ls.Frame) -> Picture:
+        return decorated(picture, frame, self._session)
 
     # --- Pages ---
 

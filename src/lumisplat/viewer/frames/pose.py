@@ -79,3 +79,12 @@ class Pose:
         matrix[:3, :3] = rotation
         matrix[:3, 3] = -rotation @ np.asarray(self.position)
         return matrix
+
+
+def look_through(client: viser.ClientHandle, camera: ls.Camera, page_from_scene: float) -> None:
+    """Moves a page to a camera; it turns about what that focuses on."""
+    _, down, forward = camera.camera_from_world[:3, :3]
+    with client.atomic():
+        client.camera.up_direction, client.camera.fov = -down, camera.fov_y
+        client.camera.position = page_from_scene * camera.eye
+        client.camera.look_at = page_from_scene * (camera.eye + camera.focus_distance * forward)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
+from lumisplat.viewer.state.boxes import Box, pose_of, scale_of
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.thresholds import DRAG_ENDS_S
@@ -34,21 +35,35 @@ class Grip:
     turns: bool = True
 
 
-def grip_of(entry: ls.SceneEntry, middle: Matrix | None, extent: Extent) -> Grip | None:
+@dataclass(frozen=True)
+class Drag:
+    """What a hand moves."""
+
+    entry: int
+    """Its id."""
+    start: Matrix
+    """``world_from_grip`` when it began."""
+    time: float = 0.0
+    """Of the animation, seconds."""
+
+
+def grip_of(entry: ls.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> Grip | None:
     """Where an entry is held: in the middle of what it shows, or where a light is; None: of a sky, or of nothing.
 
     Args:
         entry: The entry.
-        middle: The middle of what it shows, in its own coordinates, shape (3,).
+        box: Around what it shows, in its own coordinates.
         extent: Of the scene: a sun is held on a dome around it.
+        time: Of the animation, seconds.
     """
     if entry.kind in ("lights", "environment"):
         return _grip_of_light(entry.lights[0], extent)
-    if entry.world_from_file is None or middle is None:
+    pose = pose_of(entry, time)
+    if pose is None or box is None or (entry.kind == "actors" and "path" not in entry.table):
         return None
-    grip, placed = np.eye(4), np.asarray(entry.world_from_file)
-    grip[:3, :3] = placed[:3, :3] / np.cbrt(np.linalg.det(placed[:3, :3]))
-    grip[:3, 3] = placed[:3, :3] @ middle + placed[:3, 3]
+    grip = np.eye(4)
+    grip[:3, :3] = pose[:3, :3] / scale_of(pose)
+    grip[:3, 3] = pose[:3, :3] @ (0.5 * (box[0] + box[1])) + pose[:3, 3]
     return Grip(grip)
 
 
@@ -72,24 +87,27 @@ def _grip_of_light(light: Any, extent: Extent) -> Grip | None:
 
 
 def dragged(  # noqa: PLR0911
-    document: ls.SceneDocument, number: int, start: Matrix, now: Matrix, extent: Extent
+    document: ls.SceneDocument, drag: Drag, now: Matrix, extent: Extent
 ) -> ls.SceneDocument:
-    """The document with an entry moved as its grip was.
+    """The document with an entry moved as its grip was; an actor that moves takes its way with it.
 
     Args:
         document: As it was when the drag began.
-        number: Id of the entry.
-        start: ``world_from_grip`` then.
-        now: And now.
+        drag: What is dragged, from where.
+        now: ``world_from_grip`` now.
         extent: Of the scene.
 
     Raises:
         FormatError: The entry cannot be there.
     """
+    number = drag.entry
     entry = document.entry(number)
-    move = now @ np.linalg.inv(start)
+    move = now @ np.linalg.inv(drag.start)
     if entry.kind not in ("lights", "environment"):
-        return document.placed(number, move @ np.asarray(entry.world_from_file))
+        motion = np.eye(4)
+        if entry.actor is not None and entry.actor.motion is not None:
+            motion = entry.actor.motion.at(drag.time)
+        return document.placed(number, np.linalg.inv(motion) @ move @ motion @ np.asarray(entry.world_from_file))
     light = entry.lights[0]
     position = [float(x) for x in now[:3, 3]]
     match light:
@@ -139,11 +157,9 @@ class Gizmo:
         self._handle: viser.TransformControlsHandle | None = None
         self._held: tuple[int, Grip] | None = None
         """Id of the entry that it is on, and where."""
-        self._drag: tuple[ls.SceneDocument, Matrix] | None = None
-        """The document and the grip when the drag began."""
+        self._drag: tuple[ls.SceneDocument, Drag] | None = None
+        """The document when the drag began, and the drag."""
         self._dragged_at = 0.0
-        self._middle: tuple[tuple[object, ...], Matrix] | None = None
-        """The assets of the entry that was held last, and their middle."""
         session.on_change(self.follow)
 
     def follow(self) -> None:
@@ -152,11 +168,10 @@ class Gizmo:
             if self._drag is not None and time.monotonic() - self._dragged_at < DRAG_ENDS_S:
                 return
             self._drag = None
-            document, number = self._session.state.document, self._session.selected
-            entry = next((entry for entry in document.entries if entry.id == number), None)
+            entry, time_now = self._session.selected_entry, self._session.options.time
             grip = None
             if entry is not None and not entry.hidden:
-                grip = grip_of(entry, self._middle_of(entry), self._session.extent)
+                grip = grip_of(entry, self._session.boxes.of(entry, time_now), self._session.extent, time_now)
             if entry is None or grip is None:
                 self._remove()
             else:
@@ -190,7 +205,8 @@ class Gizmo:
             if self._held is not None and now - self._dragged_at >= DRAG_ENDS_S:
                 self._session.seal()
             if self._held is not None:
-                self._drag = self._session.state.document, self._held[1].world_from_grip
+                drag = Drag(self._held[0], self._held[1].world_from_grip, self._session.options.time)
+                self._drag = self._session.state.document, drag
             self._dragged_at = now
 
     def _move(self) -> None:
@@ -198,11 +214,12 @@ class Gizmo:
             if self._held is None or self._handle is None:
                 return
             number, grip = self._held
-            document, start = self._drag or (self._session.state.document, grip.world_from_grip)
+            here = Drag(number, grip.world_from_grip, self._session.options.time)
+            document, drag = self._drag or (self._session.state.document, here)
             self._dragged_at, now, extent = time.monotonic(), self._now(), self._session.extent
-            if self._drag is None and np.allclose(now, start, atol=1e-6 * extent.size):
+            if self._drag is None and np.allclose(now, drag.start, atol=1e-6 * extent.size):
                 return  # the last move of a drag that has ended already
-            self._session.apply(lambda _: dragged(document, number, start, now, extent), merge=f"drag {number}")
+            self._session.apply(lambda _: dragged(document, drag, now, extent), merge=f"drag {number}")
 
     def _end(self) -> None:
         with self._session.changed:
@@ -211,24 +228,10 @@ class Gizmo:
             self._session.seal()
             self.follow()
 
-    def _middle_of(self, entry: ls.SceneEntry) -> Matrix | None:
-        """The middle of what an entry shows, in its own coordinates; measured once for its assets."""
-        if not (entry.splats or entry.meshes):
-            return None
-        assets = (*(i.gaussians for i in entry.splats), *(i.mesh for i in entry.meshes))
-        same = self._middle is not None and len(self._middle[0]) == len(assets)
-        if self._middle is None or not same or any(a is not b for a, b in zip(self._middle[0], assets, strict=True)):
-            low, high = ls.Scene(entry.splats, entry.meshes).bulk_bounds()
-            file_from_world = np.linalg.inv(np.asarray(entry.world_from_file))
-            self._middle = assets, file_from_world[:3, :3] @ (0.5 * (low + high)) + file_from_world[:3, 3]
-        return self._middle[1]
-
     def _reach_of(self, entry: ls.SceneEntry) -> float:
         """Length at which axes come out of what an entry shows, scene units."""
-        if not (entry.splats or entry.meshes):
-            return 0.0
-        low, high = ls.Scene(entry.splats, entry.meshes).bulk_bounds()
-        return 0.6 * float(np.max(high - low))
+        size = self._session.boxes.size(entry, self._session.options.time)
+        return 0.0 if size is None else 0.6 * float(np.max(size))
 
     def _now(self) -> Matrix:
         """``world_from_grip`` of the handle, in units of the scene."""

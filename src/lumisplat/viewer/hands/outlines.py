@@ -25,6 +25,7 @@ _FARTHEST_PX = 1e5
 """Lines that end farther outside of the picture are left out."""
 _SELECTED = (255, 176, 32)
 _OTHERS = (150, 150, 150)
+_GRID = (90, 110, 130)
 
 
 @dataclass(frozen=True)
@@ -58,12 +59,31 @@ def light_outline(light: object, size: float, *, is_selected: bool) -> Outline |
     return Outline(lines, color)
 
 
-def box_outline(low: npt.ArrayLike, high: npt.ArrayLike) -> Outline:
-    """The edges of a box, world space."""
-    low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
-    corners = np.array([[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
+def box_outline(corners: npt.ArrayLike) -> Outline:
+    """The edges of a box, by its corners as `world_corners` has them, shape (8, 3)."""
+    at = np.asarray(corners, np.float64)
     pairs = [(a, a | 1 << axis) for a in range(8) for axis in range(3) if not a >> axis & 1]
-    return Outline(tuple(_straight(corners[a], corners[b]) for a, b in pairs), _SELECTED)
+    return Outline(tuple(_straight(at[a], at[b]) for a, b in pairs), _SELECTED)
+
+
+def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outline:
+    """Lines on a ground, a power of ten apart, and stronger ones through its middle.
+
+    Args:
+        center: A point of the ground, world space.
+        up: Its unit normal.
+        size: Length of its sides, scene units.
+    """
+    step = 10.0 ** math.floor(math.log10(size / 4.0))
+    count = round(0.5 * size / step)
+    u, v = _frame_about(up)
+    middle, reach = np.asarray(center, np.float64), count * step
+    lines = [
+        _straight(middle + offset * step * a - reach * b, middle + offset * step * a + reach * b)
+        for a, b in ((u, v), (v, u))
+        for offset in range(-count, count + 1)
+    ]
+    return Outline(tuple(lines), _GRID)
 
 
 def draw_outlines(

@@ -1,1 +1,1 @@
-"""What stands beside the picture: settings, lights, materials, the list of things, and what people can do with them."""
+"""What stands beside the picture: settings, views, films, files, and what is being done."""

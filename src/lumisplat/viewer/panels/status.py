@@ -10,6 +10,7 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.frames.pace import Step
 from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.panels.markdown import plain
 from lumisplat.viewer.thresholds import LEVEL_FRACTIONS
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ class StatusPanel:
             (numbers, np.zeros(_FRAMES)),
             ({"label": "frame"}, {"label": "ms", "stroke": "#f5a623", "width": 1}),
             title="milliseconds a frame",
+            scales={"x": {"time": False}},
             height=140,
         )
 
@@ -49,7 +51,7 @@ class StatusPanel:
         self._bar.visible = fraction < 1.0
         self._bar.value = 100.0 * fraction
         if fraction < 1.0:
-            self._line.content = label
+            self._line.content = plain(label)
 
     def frame(self, page: Page, step: Step | None, took: float) -> None:
         """Shows what a frame has taken; not more often than people read.

@@ -41,6 +41,11 @@ class Timeline:
         self._thread.start()
         session.on_change(self._show)
 
+    def toggle(self) -> None:
+        """Plays, or stops."""
+        self._plays.value = not self._plays.value
+        self._wake.set()
+
     def close(self) -> None:
         """Ends the thread."""
         self._is_open = False

@@ -32,6 +32,8 @@ class ViewPanel:
         )
         hint = "Lines where lights are, and how far they reach."
         self._outlines = gui.add_checkbox("outlines", options.outlines, hint=hint)
+        self._grid = gui.add_checkbox("grid", options.grid, hint="Lines on the ground, a power of ten apart.")
+        self._insets = gui.add_checkbox("insets", options.insets, hint="Depth and normals in the corner.")
         self._splits = gui.add_checkbox("compare", False, hint="The left part shows the scene as it was before.")
         self._share = gui.add_slider("compare at", 0.0, 1.0, 0.01, 0.5, visible=False)
         self._mark = gui.add_button("this is before", visible=False, hint="Compare with the scene as it is now.")
@@ -43,6 +45,8 @@ class ViewPanel:
             (self._height, "height"),
             (self._budget, "budget_ms"),
             (self._outlines, "outlines"),
+            (self._grid, "grid"),
+            (self._insets, "insets"),
         ):
             handle.on_update(self._putter(handle, name))
 

@@ -62,7 +62,11 @@ class PageServer:
             )
         self.viser.request_share_url = _refuse_to_share  # pyright: ignore[reportAttributeAccessIssue]
         self.viser.get_event_loop().set_exception_handler(_report)
-        self.viser.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
+        self.set_theme(dark=True)
+
+    def set_theme(self, *, dark: bool) -> None:
+        """Makes all pages dark or light."""
+        self.viser.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
 
     def close(self) -> None:
         """Closes the port and all pages' connections."""

@@ -22,6 +22,8 @@ class Extent:
     center: Vector = (0.0, 0.0, 0.0)
     size: float = 1.0
     """Diagonal of the bulk, scene units, above 0."""
+    height_below: float = 0.5
+    """How far below the centre the bulk ends, scene units."""
 
     @classmethod
     def of(cls, scene: ls.Scene) -> Extent:
@@ -31,7 +33,8 @@ class Extent:
         low, high = scene.bulk_bounds()
         size = float(np.linalg.norm(high - low))
         x, y, z = (float(value) for value in 0.5 * (low + high))
-        return cls((x, y, z), size if 1e-6 < size < math.inf else 1.0)
+        below = 0.5 * float(np.abs(np.array(scene.up_direction)) @ (high - low))
+        return cls((x, y, z), size if 1e-6 < size < math.inf else 1.0, below)
 
     @property
     def page_from_scene(self) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import lumisplat as ls
+from lumisplat.viewer.state.boxes import Boxes
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.thresholds import UNDO_MAX
 
@@ -35,6 +36,10 @@ class Options:
     """Of the animation, seconds."""
     outlines: bool = True
     """Whether lines show where lights are, and what is selected."""
+    grid: bool = False
+    """Whether lines on the ground show how large the scene is."""
+    insets: bool = False
+    """Whether depth and normals are shown in the corner."""
     split: float | None = None
     """Share of the picture, from the left, that shows the state before the edits; None: none of it."""
 
@@ -58,6 +63,8 @@ class Session:
         """Grows with every change of what frames show."""
         self.extent = Extent()
         """Of what was opened."""
+        self.boxes = Boxes()
+        """Around what entries show; read it with the lock held."""
         self._past: list[State] = []
         self._future: list[State] = []
         self._merging: str | None = None
@@ -132,6 +139,11 @@ class Session:
     def scene(self) -> ls.Scene:
         """What is seen now."""
         return self.state.document.scene(self.options.time)
+
+    @property
+    def selected_entry(self) -> ls.SceneEntry | None:
+        """The entry that people edit."""
+        return next((entry for entry in self.state.document.entries if entry.id == self.selected), None)
 
     def select(self, entry: int | None) -> None:
         """Selects an entry, for all pages."""

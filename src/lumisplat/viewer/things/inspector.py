@@ -14,6 +14,7 @@ from lumisplat.viewer.colors import KELVIN_RANGE, color_of_temperature
 from lumisplat.viewer.panels.controls import Control
 from lumisplat.viewer.panels.described import Described, described
 from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.things.crop import Crop
 
 if TYPE_CHECKING:
     import viser
@@ -69,6 +70,7 @@ class Inspector:
         self._shown: tuple[Any, ...] | None = None
         self._controls: dict[str, Control] = {}
         self._parts: list[Any] = []
+        self._crop: Crop | None = None
         folder.visible = False
         session.on_change(self.show)
 
@@ -84,6 +86,8 @@ class Inspector:
             for field, value in self._fields(entry):
                 if field.name in self._controls:
                     self._controls[field.name].show(value)
+            if self._crop is not None:
+                self._crop.show()
 
     def _shape(self, entry: ls.SceneEntry) -> tuple[Any, ...]:
         """What the set of controls depends on."""
@@ -93,7 +97,7 @@ class Inspector:
     def _rebuild(self, entry: ls.SceneEntry | None) -> None:
         for part in reversed(self._parts):
             part.remove()
-        self._parts, self._controls = [], {}
+        self._parts, self._controls, self._crop = [], {}, None
         self._folder.visible = entry is not None
         if entry is None:
             return
@@ -106,6 +110,8 @@ class Inspector:
                 self._add_turn(entry)
             elif entry.splats:
                 self._add_look(entry)
+                self._crop = Crop(self._gui, self._session, entry.id)
+                self._parts.append(self._crop.folder)
             if of_material := [field for field in fields if _is_of_material(field[0])]:
                 folder = self._gui.add_folder("material", expand_by_default=False)
                 with folder:

@@ -1,0 +1,195 @@
+"""New things: lights, simple shapes, files beside the scene, and files that a page uploads."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.viewer.state.extent import Extent
+from lumisplat.viewer.state.session import Session
+
+if TYPE_CHECKING:
+    import viser
+
+_NOTHING = "nothing"
+_MESHES = (".obj", ".stl", ".glb", ".gltf")
+_SKIES = (".hdr", ".exr")
+_READABLE = (".ply", ".spz", ".sog", *_MESHES, *_SKIES)
+_LIGHTS = ("point", "spot", "directional", "sphere", "rect")
+_SHAPES = ("box", "sphere", "plane")
+_UPLOADS = "uploads"
+"""Folder beside the scene."""
+_SIZES = (0.02, 1.5)
+"""Sizes of meshes, as shares of the scene's, that are left as they are in their files."""
+_OWN_SIZE = 0.25
+"""Share that others are scaled to."""
+
+
+class AddPanel:
+    """Controls that add entries, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the entries.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session) -> None:
+        self._session = session
+        self._what = gui.add_dropdown("what", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
+        gui.add_button("add").on_click(lambda _: self._add(str(self._what.value)))
+        hint = "Captures, meshes, and images of the sky."
+        self._file = gui.add_dropdown("file beside the scene", [_NOTHING], hint=hint)
+        hint = (
+            "A rig, or what has an animation of its own: it moves, takes on the light of its place and casts shadows."
+        )
+        self._moves = gui.add_checkbox("as an actor", False, hint=hint)
+        gui.add_button("add the file").on_click(lambda _: self._add_file(str(self._file.value)))
+        upload = gui.add_upload_button("upload a file", mime_type=",".join(_READABLE), hint="And add it.")
+        upload.on_upload(lambda event: self._add_upload(event.target.value))
+
+    def list_files(self) -> None:
+        """Lists the files beside the scene file."""
+        self._file.options = [_NOTHING, *sorted(path.name for path in self._beside())]
+
+    @property
+    def _folder(self) -> Path:
+        return self._session.state.document.file.absolute().parent
+
+    def _beside(self) -> list[Path]:
+        try:
+            return [path for path in self._folder.iterdir() if path.suffix.lower() in _READABLE and path.is_file()]
+        except OSError:
+            return []
+
+    def _add(self, what: str) -> None:
+        """Adds a light above the scene, a sky, or a shape on the ground."""
+        kind = what.removesuffix(" light")
+        tables = light_tables(self._session.extent, np.array(self._session.scene.up_direction))
+        if kind == "environment":
+            self._insert("environment", {"color": [1.0, 1.0, 1.0], "visible": False})
+        elif kind in tables:
+            self._insert("lights", {"type": kind, **tables[kind]})
+        elif kind in _SHAPES:
+            self._insert("meshes", {"shape": kind, "size": 0.1 * self._session.extent.size, "upright": True})
+
+    def _add_file(self, name: str) -> None:
+        """Adds a file beside the scene: one of those that are there, whatever a page says."""
+        for path in self._beside():
+            if path.name == name:
+                self._insert_file(path)
+
+    def _add_upload(self, file: Any) -> None:
+        """Keeps an uploaded file beside the scene, under a plain name that is free, and adds it."""
+        suffix = Path(file.name).suffix.lower()
+        if suffix not in _READABLE or suffix == ".gltf":
+            self._session.report(f"{Path(file.name).name}: is no capture, mesh or image of a sky that is one file")
+            return
+        target = free_name(self._folder / _UPLOADS, Path(file.name).name)
+        try:
+            target.parent.mkdir(exist_ok=True)
+            target.write_bytes(file.content)
+        except OSError as error:
+            self._session.report(f"{target}: cannot be written: {error.strerror}")
+            return
+        if not self._insert_file(target):
+            target.unlink(missing_ok=True)
+
+    def _insert_file(self, path: Path) -> bool:
+        """Adds what a file holds; the image of a sky becomes that of the environment."""
+        kind, table = _kind_of(path), {"path": str(path)}
+        if kind == "environment":
+            return self._session.apply(lambda document: with_sky(document, str(path)))
+        if kind == "meshes":
+            return self._insert("actors" if self._moves.value else kind, table | {"upright": True})
+        return self._insert("actors" if self._moves.value else kind, table)
+
+    def _insert(self, kind: Any, table: dict[str, Any]) -> bool:
+        """Adds an entry and selects it; meshes are put where people see them."""
+        extent, has_more = self._session.extent, bool(self._session.state.document.entries)
+
+        def insert(document: ls.SceneDocument) -> ls.SceneDocument:
+            document, number = document.added(kind, table)
+            if kind == "meshes" and has_more:
+                box = self._session.boxes.of(document.entry(number))
+                assert box is not None
+                document = standing(document, number, box, extent)
+            self._session.selected = number
+            return document
+
+        return self._session.apply(insert)
+
+
+def light_tables(extent: Extent, up: Any) -> dict[str, dict[str, Any]]:
+    """New lights above a scene, by type: as bright as its size asks for."""
+    above = [float(x) for x in np.array(extent.center) + 0.6 * extent.size * up]
+    down = [float(x) for x in -up]
+    size = 0.1 * extent.size
+    return {
+        "point": {"position": above, "intensity": extent.size**2, "radius": 0.05 * size},
+        "spot": {"position": above, "direction": down, "intensity": 2.0 * extent.size**2, "radius": 0.05 * size},
+        "directional": {"direction": down, "intensity": 3.0, "angle_degrees": 0.27},
+        "sphere": {"position": above, "radius": size, "intensity": 30.0},
+        "rect": {"position": above, "target": list(extent.center), "size": [size, size], "intensity": 40.0},
+    }
+
+
+def standing(document: ls.SceneDocument, number: int, box: tuple[Any, Any], extent: Extent) -> ls.SceneDocument:
+    """The document with an entry in the middle of the scene, on its ground, scaled if it is far too small or large.
+
+    Args:
+        document: The scene.
+        number: Id of the entry.
+        box: Around what it shows, in its own coordinates.
+        extent: Of the scene.
+    """
+    placed = np.array(document.entry(number).world_from_file)
+    size = float(np.linalg.norm(placed[:3, :3] @ (box[1] - box[0])))
+    low, high = _SIZES
+    if not low * extent.size <= size <= high * extent.size:
+        placed[:3, :3] *= _OWN_SIZE * extent.size / max(size, 1e-9)
+    up = np.array(document.scene().up_direction)
+    corners = np.array([[box[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]) @ placed[:3, :3].T
+    foot = float((corners @ up).min())
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    ground = np.array(extent.center) - extent.height_below * up
+    placed[:3, 3] = ground - (middle - (middle @ up) * up) - foot * up
+    return document.placed(number, placed)
+
+
+def with_sky(document: ls.SceneDocument, path: str) -> ls.SceneDocument:
+    """The document with an image as its environment, in place of that which it has.
+
+    Raises:
+        FormatError: The image cannot be read.
+    """
+    sky = next((entry for entry in document.entries if entry.kind == "environment"), None)
+    if sky is None:
+        return document.added("environment", {"path": path})[0]
+    return document.changed(sky.id, path=path)
+
+
+def free_name(folder: Path, name: str) -> Path:
+    """A path in a folder that does not exist, of a plain name like the given one."""
+    plain = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "upload"
+    path = folder / plain
+    number = 2
+    while path.exists():
+        stem, dot, rest = plain.partition(".")
+        path = folder / f"{stem}_{number}{dot}{rest}"
+        number += 1
+    return path
+
+
+def _kind_of(path: Path) -> Any:
+    """The heading of a file's entry; a PLY may be a capture or a mesh."""
+    suffix = path.suffix.lower()
+    if suffix in _SKIES:
+        return "environment"
+    if suffix == ".ply":
+        with path.open("rb") as file:
+            return "meshes" if b"element face" in file.read(4096) else "splats"
+    return "meshes" if suffix in _MESHES else "splats"
