@@ -9,20 +9,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_viewer import cloud
+from test_viewer import camera, cloud
 
 import lumisplat as ls
 from lumisplat.viewer.colors import color_of_temperature, linear_from_picked, picked_from_linear
 from lumisplat.viewer.hands.gizmo import Drag, dragged, grip_of
+from lumisplat.viewer.hands.helpers import with_insets
+from lumisplat.viewer.hands.outlines import grid_outline
 from lumisplat.viewer.panels.controls import from_shown, to_shown
 from lumisplat.viewer.panels.described import Described, described
 from lumisplat.viewer.panels.markdown import plain
+from lumisplat.viewer.panels.viewpoints import selected_ball
 from lumisplat.viewer.state.boxes import Boxes, pose_of, world_corners
 from lumisplat.viewer.state.extent import Extent
-from lumisplat.viewer.state.session import Options, Session
+from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.things.adding import standing, with_sky
 from lumisplat.viewer.things.crop import crop_ends, crop_reach, cropped
-from lumisplat.viewer.things.inspector import light_fields, put_field
+from lumisplat.viewer.things.inspector import light_fields, look_of, put_field
 from lumisplat.viewer.things.things_panel import on_ground
 from lumisplat.viewer.things.tree import tree_html
 from support.files.hdr_files import write_hdr
@@ -312,3 +315,48 @@ def test_a_sky_takes_the_place_of_another(tmp_path: Path) -> None:
     document = with_sky(document.changed(number, intensity=0.5), str(tmp_path / "b.hdr"))
     assert len(document.entries) == 1 and document.entry(number).table["path"].endswith("b.hdr")
     assert document.entry(number).table["intensity"] == 0.5
+
+
+def test_meshes_change_between_kinds_of_material() -> None:
+    """From that of their file to another, and back."""
+    start = document()
+    looks = [look_of(start.entry(0))]
+    for kind in ("simple", "pbr"):
+        changed = start.changed(0, material={"type": kind})
+        looks.append(look_of(changed.entry(0)))
+        shown = changed.scene().meshes[0].mesh.material
+        assert isinstance(shown, ls.MaterialSimple if kind == "simple" else ls.MaterialPbr)
+    assert looks == ["as in its file", "simple", "metallic and rough"]
+    assert look_of(changed.changed(0, material=None).entry(0)) == "as in its file"
+
+
+def test_a_grid_is_on_the_ground() -> None:
+    """At right angles to up, a power of ten apart, as wide as was asked for."""
+    outline = grid_outline((1.0, 2.0, 3.0), (0.0, -1.0, 0.0), 6.0)
+    points = np.concatenate(outline.lines)
+    np.testing.assert_allclose(points[:, 1], 2.0)
+    assert len(outline.lines) == 2 * 7 and np.ptp(points[:, 0]) == pytest.approx(6.0)
+
+
+def test_insets_show_depth_and_normals_in_a_corner() -> None:
+    """Framed, in the lower left; the rest of the picture stays."""
+    frame = ls.render(ls.Scene(meshes=[ls.box(2.0)]), camera(), device="cpu")
+    picture = np.asarray(frame, np.uint8)
+    inset = with_insets(picture, frame)
+    changed = (inset != picture).any(axis=2)
+    assert changed.any() and not changed[:60].any() and not changed[:, 100:].any()
+
+
+def test_what_is_selected_is_looked_at() -> None:
+    """The ball around a box is where the box is; around a lamp, a part of the scene; nothing is nowhere."""
+    session = Session(Options())
+    session.open(State(document()))
+    assert selected_ball(session) is None
+    session.select(0)
+    ball = selected_ball(session)
+    assert ball is not None and ball[1] == pytest.approx(math.sqrt(3.0))
+    np.testing.assert_allclose(ball[0], (1.0, -2.0, 3.0), atol=1e-6)
+    session.select(2)
+    lamp = selected_ball(session)
+    assert lamp is not None
+    np.testing.assert_allclose(lamp[0], (1.0, 2.0, 3.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 import lumisplat as ls
 from lumisplat.viewer.frames.picture import Picture
@@ -16,6 +16,8 @@ _LIGHT_SIZE = 0.03
 _INSETS = ("depth", "normal")
 _INSET_SHARE = 0.22
 """Height of an inset, as a share of the picture's."""
+_INSET_GAP = 8
+_INSET_FRAME = (110, 110, 110)
 
 
 def decorated(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
@@ -53,11 +55,12 @@ def _grid(session: Session) -> Outline:
 
 
 def with_insets(picture: Picture, frame: ls.Frame) -> Picture:
-    """A picture with small ones of its depth and its normals in the lower right corner."""
+    """A picture with small framed ones of its depth and its normals in the lower left corner, away from panels."""
     height, width = picture.shape[:2]
     rows, columns = round(_INSET_SHARE * height), round(_INSET_SHARE * width)
     image = Image.fromarray(picture)
-    for number, view in enumerate(_INSETS, start=1):
+    for number, view in enumerate(_INSETS):
         inset = Image.fromarray((255.0 * frame.view(view) + 0.5).astype(np.uint8)).resize((columns, rows))
-        image.paste(inset, (width - number * (columns + 4), height - rows - 4))
+        framed = ImageOps.expand(inset, border=1, fill=_INSET_FRAME)
+        image.paste(framed, (_INSET_GAP + number * (framed.width + _INSET_GAP), height - framed.height - _INSET_GAP))
     return np.asarray(image)

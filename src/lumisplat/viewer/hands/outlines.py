@@ -79,7 +79,7 @@ def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outli
     u, v = _frame_about(up)
     middle, reach = np.asarray(center, np.float64), count * step
     lines = [
-        _straight(middle + offset * step * a - reach * b, middle + offset * step * a + reach * b)
+        _straight(middle + offset * step * a - reach * b, middle + offset * step * a + reach * b, 4 * _PIECES)
         for a, b in ((u, v), (v, u))
         for offset in range(-count, count + 1)
     ]
@@ -125,8 +125,8 @@ def _is_seen(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[
     return distances <= frame.depth[y, x]
 
 
-def _straight(start: npt.ArrayLike, end: npt.ArrayLike) -> Points:
-    return np.linspace(np.asarray(start, np.float64), np.asarray(end, np.float64), _PIECES + 1)
+def _straight(start: npt.ArrayLike, end: npt.ArrayLike, pieces: int = _PIECES) -> Points:
+    return np.linspace(np.asarray(start, np.float64), np.asarray(end, np.float64), pieces + 1)
 
 
 def _circle(center: npt.ArrayLike, radius: float, axis: npt.ArrayLike) -> Points:

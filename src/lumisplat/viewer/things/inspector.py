@@ -19,14 +19,24 @@ from lumisplat.viewer.things.crop import Crop
 if TYPE_CHECKING:
     import viser
 
-_LOOKS = ("as captured", "relit", "simple", "shadows only")
-"""How a capture is shown: its material."""
-_OF_LOOK: dict[str, dict[str, Any]] = {
+_CAPTURE_LOOKS: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_only": None},
     "relit": {"material": {"type": "pbr"}, "shadow_only": None},
     "simple": {"material": {"type": "simple"}, "shadow_only": None},
     "shadows only": {"material": None, "shadow_only": True},
 }
+"""How a capture may look, and the keys of its entry that make it so."""
+_MESH_LOOKS: dict[str, dict[str, Any]] = {
+    "as in its file": {"material": None},
+    "metallic and rough": {"material": {"type": "pbr"}},
+    "simple": {"material": {"type": "simple"}},
+}
+"""How a mesh may look."""
+_CAPTURE_HINT = (
+    "as captured: it shines with its own light. relit, simple: lights light it. shadows only: it keeps its look, and "
+    "others cast shadows on it."
+)
+_MESH_HINT = "The kind of its material; its colours and numbers are below."
 _WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
 """Fields of materials that textures alone use, or that are shown elsewhere."""
 
@@ -47,7 +57,12 @@ def light_fields(light: Any) -> list[tuple[Described, Any]]:
 
 
 def look_of(entry: ls.SceneEntry) -> str:
-    """How a capture is shown."""
+    """How a capture or a mesh looks."""
+    if not entry.splats:
+        given = entry.table.get("material")
+        if given is None:
+            return "as in its file"
+        return "simple" if isinstance(entry.meshes[0].mesh.material, ls.MaterialSimple) else "metallic and rough"
     splat = entry.splats[0]
     if splat.shadow_only:
         return "shadows only"
@@ -91,7 +106,7 @@ class Inspector:
 
     def _shape(self, entry: ls.SceneEntry) -> tuple[Any, ...]:
         """What the set of controls depends on."""
-        look = look_of(entry) if entry.splats else None
+        look = look_of(entry) if entry.splats or entry.meshes else None
         return entry.id, entry.kind, look, tuple(type(light) for light in entry.lights)
 
     def _rebuild(self, entry: ls.SceneEntry | None) -> None:
@@ -108,8 +123,9 @@ class Inspector:
                 self._add_temperature(entry)
             elif entry.kind == "environment":
                 self._add_turn(entry)
-            elif entry.splats:
+            elif entry.splats or entry.meshes:
                 self._add_look(entry)
+            if entry.splats:
                 self._crop = Crop(self._gui, self._session, entry.id)
                 self._parts.append(self._crop.folder)
             if of_material := [field for field in fields if _is_of_material(field[0])]:
@@ -153,17 +169,12 @@ class Inspector:
 
     def _add_look(self, entry: ls.SceneEntry) -> None:
         number = entry.id
-        dropdown = self._gui.add_dropdown(
-            "look",
-            _LOOKS,
-            initial_value=look_of(entry),
-            hint="as captured: it shines with its own light. relit, simple: lights light it. shadows only: it keeps "
-            "its look, and others cast shadows on it.",
-        )
+        looks, hint = (_CAPTURE_LOOKS, _CAPTURE_HINT) if entry.splats else (_MESH_LOOKS, _MESH_HINT)
+        dropdown = self._gui.add_dropdown("look", list(looks), initial_value=look_of(entry), hint=hint)
 
         def change(event: Any) -> None:
-            if event.client_id is not None and dropdown.value in _OF_LOOK:
-                keys = _OF_LOOK[dropdown.value]
+            if event.client_id is not None and dropdown.value in looks:
+                keys = looks[dropdown.value]
                 self._session.apply(lambda document: document.changed(number, **keys))
 
         dropdown.on_update(change)
