@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import io
+import os
+import re
 import shutil
+import signal
+import subprocess
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from test_viewer import HEIGHT, LAMP, difference, eventually, lamp_id, lit_scene
+from test_viewer import HEIGHT, LAMP, difference, document_in, eventually, lamp_id, lit_scene
 
 import lumisplat as ls
 
@@ -45,9 +50,9 @@ def viewer() -> Iterator[ls.Viewer]:
 
 def open_page(browser: Any, viewer: ls.Viewer) -> Any:
     """A page of the viewer, once it shows a finished picture."""
-    page = browser.new_page(viewport=SIZE)
+    page, count = browser.new_page(viewport=SIZE), len(viewer._pages)
     page.goto(viewer.url)
-    eventually(lambda: bool(viewer._pages), "the page did not connect")
+    eventually(lambda: len(viewer._pages) > count, "the page did not connect")
     settle(viewer)
     return page
 
@@ -144,4 +149,76 @@ def test_a_page_that_is_reloaded_needs_no_token(browser: Any, viewer: ls.Viewer)
     other = browser.new_context().new_page()
     assert other.goto(address).status == 401
     other.close()
+    page.close()
+
+
+def pixels(viewer: ls.Viewer) -> np.ndarray:
+    """The renderer's own pixels of the frame that the one page shows."""
+    (page,) = viewer._pages.values()
+    assert page.frame is not None
+    return np.asarray(page.frame, np.uint8).copy()
+
+
+def test_a_setting_in_a_browser_changes_the_picture_and_undo_restores_its_bits(browser: Any, viewer: ls.Viewer) -> None:
+    """The exposure is typed into its field."""
+    page = open_page(browser, viewer)
+    before, seen = pixels(viewer), shot(page)
+    page.get_by_text("Light", exact=True).click()
+    field = page.locator("label:has-text('exposure')").locator("xpath=ancestor::div[.//input][1]").locator("input").last
+    field.fill("2")
+    field.press("Enter")
+    until(lambda: viewer._session.state.exposure == 2.0, page)
+    settle(viewer)
+    assert difference(seen, shot(page)) > 5.0
+    page.get_by_text("undo", exact=True).click()
+    until(lambda: viewer._session.state.exposure == 0.0, page)
+    settle(viewer)
+    np.testing.assert_array_equal(pixels(viewer), before)
+    page.close()
+
+
+def test_two_browser_pages_have_their_own_views(browser: Any, viewer: ls.Viewer) -> None:
+    """One is turned by the mouse; the other one shows what it showed."""
+    left, right = open_page(browser, viewer), open_page(browser, viewer)
+    before = shot(left)
+    assert difference(before, shot(right)) < 0.5
+    right.mouse.move(200, 420)
+    right.mouse.down()
+    for step in range(1, 9):
+        right.mouse.move(200 + 15 * step, 420)
+        right.wait_for_timeout(60)
+    right.mouse.up()
+    until(lambda: len({page.pose for page in viewer._pages.values()}) == 2, right)
+    settle(viewer)
+    assert difference(shot(left), shot(right)) > 2.0
+    assert difference(shot(left), before) < 0.5
+    for page in (left, right):
+        page.close()
+
+
+def test_a_broken_upload_in_a_browser_says_so(browser: Any, viewer: ls.Viewer, tmp_path: Path) -> None:
+    """In a note that names the file; the scene is as it was."""
+    viewer._session.edit(viewer._session.state.__class__(document_in(tmp_path), viewer._session.state.config))
+    page = open_page(browser, viewer)
+    (tmp_path / "broken.glb").write_bytes(b"glTF nonsense")
+    page.get_by_text("add", exact=True).first.click()
+    page.set_input_files("input[type=file]", tmp_path / "broken.glb")
+    page.get_by_text(re.compile("broken.glb")).first.wait_for(timeout=20000)
+    assert len(viewer.document.entries) == 1
+    page.close()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no process can be killed like that")
+def test_a_browser_that_is_killed_can_be_opened_again(browser: Any, viewer: ls.Viewer, tmp_path: Path) -> None:
+    """Its page goes, with its thread; a new one sees the scene as it was left."""
+    command = [CHROMIUM, "--headless", f"--user-data-dir={tmp_path}", *FLAGS, "--window-size=400,300", viewer.url]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    eventually(lambda: bool(viewer._pages), "the page did not connect")
+    settle(viewer)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    eventually(lambda: not viewer._pages, "the page is still there")
+    viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
+    page = open_page(browser, viewer)
+    assert not viewer.scene.lights and ls.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0
     page.close()

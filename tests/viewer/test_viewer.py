@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import shlex
 import socket
 import threading
 import time
@@ -14,6 +15,8 @@ import pytest
 from bench.page_client import PageClient
 
 import lumisplat as ls
+from lumisplat.cli import main
+from lumisplat.viewer.panels.files import command_line
 
 HEIGHT = 90
 UP = (0.0, -1.0, 0.0)
@@ -233,6 +236,30 @@ def test_what_is_saved_renders_the_same(viewer: ls.Viewer, tmp_path: Path) -> No
     assert isinstance(scene, ls.Scene) and settings == config
     expected = ls.render(document.scene(), camera(), config, device="cpu").color
     np.testing.assert_allclose(ls.render(scene, camera(), settings, device="cpu").color, expected, atol=2e-5)
+
+
+def test_the_command_line_renders_what_a_page_shows(viewer: ls.Viewer, tmp_path: Path) -> None:
+    """The scene is saved by its button, and the command that the page tells is run, at the size of the page."""
+    ls.save(tmp_path / "ball.ply", cloud())
+    lamp = "[[lights]]\ntype = 'point'\nposition = [0.0, -1.0, -0.8]\nintensity = 2.0\n"
+    (tmp_path / "scene.toml").write_text(f'[[splats]]\npath = "ball.ply"\nmaterial = {{type = "pbr"}}\n{lamp}')
+    config = viewer._session.state.config
+    viewer._session.edit(viewer._session.state.__class__(ls.SceneDocument.open(tmp_path / "scene.toml"), config))
+    with PageClient(viewer.url) as page:
+        page.look(camera(0.7))
+        page.choose("scene file", "edited.toml")
+        page.press("save the scene")
+        eventually((tmp_path / "edited.toml").exists, "nothing was saved")
+        shown = settled(viewer, page)
+        (open_page,) = viewer._pages.values()
+        assert open_page.pose is not None
+        words = shlex.split(command_line(tmp_path / "edited.toml", open_page.pose, viewer._session))
+    assert words[:2] == ["lumisplat", "render"] and words[-2:] == ["-o", "view.png"]
+    size = ["--width", "160", "--height", str(HEIGHT)]
+    at = words.index("--width")
+    arguments = [*words[1:at], *size, *words[at + 4 : -1], str(tmp_path / "view.png"), "--device", "cpu"]
+    assert main(arguments) == 0
+    assert ls.psnr(ls.load_image(tmp_path / "view.png"), (shown / 255.0).astype(np.float32)) > 35.0
 
 
 def test_pages_that_never_answer_get_frames_all_the_same(viewer: ls.Viewer) -> None:

@@ -1,0 +1,92 @@
+"""``lumisplat view``: what it prints, what it refuses, and how it ends."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.scenes.raster_scenes import random_gaussians
+
+pytest.importorskip("viser", reason="the extra view is not installed")
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    """A small capture."""
+    ls.save(tmp_path / "ball.ply", random_gaussians(1, count=50))
+    return tmp_path / "ball.ply"
+
+
+@contextmanager
+def serving(*args: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The command in a process of its own, and the address that it has printed."""
+    command = [sys.executable, "-m", "lumisplat", "view", *args, "--port", "0", "--no-browser", "--device", "cpu"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process, process.stdout.readline().strip()
+        finally:
+            process.kill()
+
+
+def status(address: str) -> int:
+    """Status of the answer to a request."""
+    try:
+        with urllib.request.urlopen(address, timeout=20) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code
+
+
+def test_it_prints_its_address_serves_and_ends_when_interrupted(capture: Path) -> None:
+    """One line on standard output and no more; the address opens the page, and without its token nothing does."""
+    with serving(str(capture)) as (process, address):
+        assert address.startswith("http://127.0.0.1:") and "/?token=" in address
+        assert status(address) == 200 and status(address.partition("?")[0]) == 401
+        process.send_signal(signal.SIGINT)
+        rest, errors = process.communicate(timeout=30)
+        assert not rest and "Traceback" not in errors and process.returncode in (0, 130)
+
+
+def test_files_that_cannot_be_read_are_left_out(capture: Path) -> None:
+    """Of several; the page is served with the others, and standard error names the one."""
+    with serving(str(capture), str(capture.with_name("gone.obj"))) as (process, address):
+        assert status(address) == 200
+        process.send_signal(signal.SIGINT)
+        assert "gone.obj" in process.communicate(timeout=30)[1]
+
+
+def test_other_machines_are_let_in_only_if_that_is_said(capture: Path) -> None:
+    """Then standard error says so, and the token is still needed."""
+    with serving(str(capture), "--host", "0.0.0.0") as (process, address):
+        assert status(address) == 200 and status(address.partition("?")[0]) == 401
+        process.send_signal(signal.SIGINT)
+        assert "open to all machines that reach 0.0.0.0" in process.communicate(timeout=30)[1]
+
+
+def test_mistakes_are_one_line(tmp_path: Path, capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No scene, no such file, a port in use, two scene files."""
+    work = Workplace(tmp_path, capsys)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        for args, words in (
+            ((), "no scene given"),
+            (("@gone.ply", "--port", "0"), "gone.ply"),
+            ((str(capture), "--port", port), f"port {port} of 127.0.0.1"),
+            (("@a.toml", "@b.toml", "--port", "0"), "both scene files"),
+        ):
+            outcome = work.run("view", *args, "--no-browser", "--device", "cpu")
+            assert outcome.status == 2 and words in outcome.err and outcome.err.count("\n") == 1, outcome
