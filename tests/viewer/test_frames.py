@@ -14,6 +14,7 @@ from lumisplat.viewer.frames.levels import Levels
 from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step
 from lumisplat.viewer.frames.picture import page_depth, split_picture
 from lumisplat.viewer.frames.pose import Pose
+from lumisplat.viewer.frames.renderers import THREAD, Renderers, frame_config
 from lumisplat.viewer.hands.outlines import box_outline, draw_outlines, light_outline
 from lumisplat.viewer.hands.picking import picked
 from lumisplat.viewer.state.boxes import world_corners
@@ -180,3 +181,21 @@ def test_a_split_picture_is_before_to_the_left_and_after_to_the_right() -> None:
     assert (after == 90).all()
     assert (split_picture(before, after, 5.0)[:, :9] == 10).all()
     assert (split_picture(before, after, 0.0)[:, 1:] == 90).all()
+
+
+def test_the_log_has_no_word_of_grain_that_is_still_to_go(caplog: pytest.LogCaptureFixture) -> None:
+    """Frames of one sample are no news in the viewer's thread; in any other they are, also while a viewer is open."""
+    renderers = Renderers("cpu", lambda label, share: None)
+    scene = ls.Scene(meshes=[ls.box(1.0)], lights=[ls.LightEnvironment()])
+    config = frame_config(ls.RenderConfig(pipeline=ls.Pipeline.HYBRID), "color")
+
+    def render() -> None:
+        renderers.of(threading.current_thread().name, config).render(scene, FACING)
+
+    thread = threading.Thread(target=render, name=THREAD)
+    thread.start()
+    thread.join()
+    assert "grainy" not in caplog.text
+    render()
+    assert "grainy" in caplog.text
+    renderers.close()

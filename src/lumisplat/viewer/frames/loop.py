@@ -16,7 +16,7 @@ from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import Picture, Shown, page_depth, picture_of, split_picture
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.frames.renderers import Progress, Renderers, frame_config
+from lumisplat.viewer.frames.renderers import THREAD, Progress, Renderers, frame_config
 from lumisplat.viewer.frames.shown_scenes import ShownScenes
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.thresholds import (
@@ -80,7 +80,7 @@ class RenderLoop:
         self._errand_waited = False
         """Whether a view at rest had the last turn, while there was an errand."""
         self._is_open = True
-        self._thread = threading.Thread(target=self._run, name="lumisplat frames", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=THREAD, daemon=True)
 
     def start(self) -> None:
         """Starts to render."""

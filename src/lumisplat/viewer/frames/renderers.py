@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 
 import lumisplat as ls
 
 Progress = Callable[[str, float], None]
+
+THREAD = "lumisplat frames"
+"""Name of the thread that renders."""
+
+_grain_log = logging.getLogger("lumisplat.grain")
 
 
 def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
@@ -34,6 +40,7 @@ class Renderers:
     def __init__(self, device: str, progress: Progress) -> None:
         self._device, self._progress = device, progress
         self._held: dict[Hashable, ls.Renderer] = {}
+        _grain_log.addFilter(self._is_news)
 
     def of(self, use: Hashable, config: ls.RenderConfig) -> ls.Renderer:
         """The renderer of a use, with settings; another one than before if these have changed.
@@ -56,7 +63,12 @@ class Renderers:
     def close(self) -> None:
         """Forgets all of them."""
         self._held.clear()
+        _grain_log.removeFilter(self._is_news)
 
     def drop(self, use: Hashable) -> None:
         """Forgets the renderer of a use."""
         self._held.pop(use, None)
+
+    def _is_news(self, record: logging.LogRecord) -> bool:
+        """Whether a line about grain is worth a log: that the first of many samples is grainy is not."""
+        return record.threadName != THREAD
