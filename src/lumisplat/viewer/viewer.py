@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.viewer.frames.browser_screen import BrowserScreen
 from lumisplat.viewer.frames.first_view import ASPECT, FOV_Y, FirstView
 from lumisplat.viewer.frames.loop import RenderLoop
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import Picture
-from lumisplat.viewer.frames.pose import look_through
+from lumisplat.viewer.frames.pose import Pose, look_through
 from lumisplat.viewer.hands.gizmo import Gizmo
 from lumisplat.viewer.hands.helpers import decorated
-from lumisplat.viewer.hands.picking import picked
+from lumisplat.viewer.hands.picking import select
 from lumisplat.viewer.output.stills import Studio
 from lumisplat.viewer.panels.errands import Errands
 from lumisplat.viewer.panels.files import FilesPanel
@@ -200,8 +201,8 @@ class Viewer:
         self._session.open(state)
         self._files.suggest(state.document)
         self._things.list_files()
-        for page in list(self._pages.values()):
-            page.look(page.client.camera, self._session.extent.page_from_scene)
+        for client in self._viser.get_clients().values():
+            self._look(client)
         for problem in state.document.problems:
             _log.warning("%s", problem)
             self._session.report(problem)
@@ -238,18 +239,20 @@ class Viewer:
     # --- Pages ---
 
     def _open_page(self, client: viser.ClientHandle) -> None:
-        page = Page(client, self._session.changed)
+        page = Page(BrowserScreen(client), self._session.changed)
         self._pages[client.client_id] = page
-
-        def look(camera: viser.CameraHandle) -> None:
-            page.look(camera, self._session.extent.page_from_scene)
-
         if client.camera.aspect < ASPECT and _is_at(client, self._viser.initial_camera.position):
             self._stand_back(client)
-        client.camera.on_update(look)
+        client.camera.on_update(lambda _: self._look(client))
         client.scene.on_click()(lambda event: self._pick(page, event))
-        look(client.camera)
+        self._look(client)
         self._loop.add(page)
+
+    def _look(self, client: viser.ClientHandle) -> None:
+        """Takes over a page's camera."""
+        page = self._pages.get(client.client_id)
+        if page is not None:
+            page.look(Pose.of(client.camera, self._session.extent.page_from_scene))
 
     def _close_page(self, client: viser.ClientHandle) -> None:
         page = self._pages.pop(client.client_id, None)
@@ -261,20 +264,9 @@ class Viewer:
         if page.frame is None:
             return
         across, down = (float(share) for share in event.screen_pos)
-        pick = picked(page.frame, across, down)
-        if pick is None:
-            self._session.select(None)
-            return
-        document = self._session.state.document
-        try:
-            entry = document.owner(pick.instance, self._session.options.time)
-        except ls.SceneError:  # the frame is older than the scene
-            return
-        self._session.select(entry.id)
-        place = ", ".join(f"{x:z.4g}" for x in pick.position)
-        is_level = not page.frames_at_rest  # of a view that moves, Gaussians may be those of a level
-        gaussian = "" if pick.gaussian < 0 or is_level else f"Gaussian {pick.gaussian:,}, "
-        tell(self._viser, entry.name, f"{gaussian}depth {pick.depth:.4g}, at ({place})")
+        seen = select(self._session, page.frame, across, down, is_level=not page.frames_at_rest)
+        if seen is not None:
+            tell(self._viser, *seen)
 
 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:

@@ -3,33 +3,40 @@
 from __future__ import annotations
 
 import threading
-import time
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import lumisplat as ls
 from lumisplat.viewer.frames.pace import Pace
 from lumisplat.viewer.frames.picture import Picture, Shown
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.thresholds import ANSWER_S, PATIENCE_S
 
-if TYPE_CHECKING:
-    import viser
+
+class Screen(Protocol):
+    """Where pictures are seen: in a browser's page, or in a cell of a notebook."""
+
+    def show(self, shown: Shown) -> None:
+        """Sends a picture, and returns when it is there, or when there is no use in waiting any longer."""
+        ...
+
+    def close(self) -> None:
+        """Ends the wait of `show`, from another thread."""
+        ...
 
 
 class Page:
     """A page and the thread that sends to it.
 
-    Frames wait in a place for one: the next one is sent when the page has answered that the last one is there, so that
-    no queue forms on the way.
+    Frames wait in a place for one: the next one is sent when the last one is there, so that no queue forms on the way.
 
     Args:
-        client: The page's connection.
+        screen: Where it is seen.
         changed: Held while what is known of the page changes, and notified.
     """
 
-    def __init__(self, client: viser.ClientHandle, changed: threading.Condition) -> None:
-        self.client, self._changed = client, changed
+    def __init__(self, screen: Screen, changed: threading.Condition) -> None:
+        self._screen, self._changed = screen, changed
         self.pose: Pose | None = None
+        """Where it looks from; None: it is not to be seen, and has no frames."""
         self.pose_number = 0
         self.changed_at = 0.0
         """When what it should show changed last, seconds of the monotonic clock."""
@@ -47,14 +54,11 @@ class Page:
         self.is_open = True
         self._waiting: Shown | None = None
         self._is_sending = False
-        self._has_answered = False
-        self._answers = True
         self._thread = threading.Thread(target=self._send, name="lumisplat page", daemon=True)
         self._thread.start()
 
-    def look(self, camera: viser.CameraHandle, page_from_scene: float) -> None:
-        """Takes over the page's camera."""
-        pose = Pose.of(camera, page_from_scene)
+    def look(self, pose: Pose | None) -> None:
+        """Looks from another place, or from none."""
         with self._changed:
             if pose != self.pose:
                 self.pose = pose
@@ -83,6 +87,7 @@ class Page:
         with self._changed:
             self.is_open = False
             self._changed.notify_all()
+        self._screen.close()
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
@@ -94,22 +99,5 @@ class Page:
                     return
                 shown, self._waiting, self._is_sending = self._waiting, None, True
                 self._changed.notify_all()
-            self.client.scene.set_background_image(
-                shown.picture, format="jpeg", jpeg_quality=shown.quality, depth=shown.depth
-            )
-            self.client.flush()
-            self._await_answer()
+            self._screen.show(shown)
             self._is_sending = False
-
-    def _await_answer(self) -> None:
-        """Waits until the page has taken what it was sent: it answers in order, and viser's pages answer this."""
-        until = time.monotonic() + (PATIENCE_S if self._has_answered else ANSWER_S)
-        while self._answers and self.is_open:
-            try:
-                self.client.local_storage.get_item("frame", timeout=0.2)
-                self._has_answered = True
-                return
-            except TimeoutError:
-                self._answers = self._has_answered or time.monotonic() < until
-            except RuntimeError:  # it has gone, or keeps nothing, which is an answer, too
-                return

@@ -50,6 +50,16 @@ class Pose:
             float(np.linalg.norm(target - position)),
         )
 
+    @classmethod
+    def through(cls, camera: ls.Camera, focus: float) -> Pose:
+        """That of a camera of a scene, which turns about a point at a distance."""
+        from viser import transforms
+
+        world_from_camera = np.linalg.inv(camera.camera_from_world)
+        x, y, z = (float(value) for value in world_from_camera[:3, 3])
+        a, b, c, d = (float(value) for value in transforms.SO3.from_matrix(world_from_camera[:3, :3]).wxyz)
+        return cls((x, y, z), (a, b, c, d), camera.fov_y, camera.width / camera.height, focus)
+
     def camera(self, height: int, exposure: float = 0.0) -> ls.Camera:
         """The camera of a frame of so many rows; the width follows from the page's aspect, in even numbers.
 

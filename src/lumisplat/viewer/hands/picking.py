@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
+from lumisplat.viewer.state.session import Session
 
 
 @dataclass(frozen=True)
@@ -39,3 +40,30 @@ def picked(frame: ls.Frame, across: float, down: float) -> Pick | None:
         return None
     position = frame.position[y, x].astype(np.float64)
     return Pick(int(frame.instance_index[y, x]), int(frame.gaussian_index[y, x]), depth, position)
+
+
+def select(session: Session, frame: ls.Frame, across: float, down: float, *, is_level: bool) -> tuple[str, str] | None:
+    """Selects what a frame shows at a point, or nothing if nothing is there.
+
+    Args:
+        session: Where it is selected.
+        frame: As of `picked`.
+        across: As of `picked`.
+        down: As of `picked`.
+        is_level: Whether the Gaussians of the frame may be those of a level.
+
+    Returns:
+        The name of the thing, and what is known of the point, in words; None: nothing was selected.
+    """
+    pick = picked(frame, across, down)
+    if pick is None:
+        session.select(None)
+        return None
+    try:
+        entry = session.state.document.owner(pick.instance, session.options.time)
+    except ls.SceneError:  # the frame is older than the scene
+        return None
+    session.select(entry.id)
+    place = ", ".join(f"{x:z.4g}" for x in pick.position)
+    gaussian = "" if pick.gaussian < 0 or is_level else f"Gaussian {pick.gaussian:,}, "
+    return entry.name, f"{gaussian}depth {pick.depth:.4g}, at ({place})"
