@@ -126,6 +126,14 @@ def test_a_click_selects_what_is_seen(viewer: ls.Viewer) -> None:
         eventually(lambda: any(note.startswith("ball: Gaussian ") for note in page.notes()), "nobody was told")
 
 
+def test_the_selection_can_change_without_a_trace(viewer: ls.Viewer, recwarn: pytest.WarningsRecorder) -> None:
+    """Controls of one thing after another are made and removed, each once."""
+    for entry in (*viewer.document.entries, *viewer.document.entries):
+        viewer._session.select(entry.id)
+    viewer._session.select(None)
+    assert not [str(warning.message) for warning in recwarn]
+
+
 def lamp_id(viewer: ls.Viewer) -> int:
     """The id of the lamp's entry."""
     return next(entry.id for entry in viewer.document.entries if entry.name == "lamp")

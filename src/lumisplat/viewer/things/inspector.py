@@ -118,7 +118,7 @@ class Inspector:
             return
         with self._folder:
             fields = self._fields(entry)
-            self._add_fields(entry, [field for field in fields if not _is_of_material(field[0])])
+            self._parts += self._add_fields(entry, [field for field in fields if not _is_of_material(field[0])])
             if entry.kind == "lights":
                 self._add_temperature(entry)
             elif entry.kind == "environment":
@@ -131,14 +131,17 @@ class Inspector:
             if of_material := [field for field in fields if _is_of_material(field[0])]:
                 folder = self._gui.add_folder("material", expand_by_default=False)
                 with folder:
-                    self._add_fields(entry, of_material)
+                    self._add_fields(entry, of_material)  # they go with their folder
                 self._parts.append(folder)
 
-    def _add_fields(self, entry: ls.SceneEntry, fields: list[tuple[Described, Any]]) -> None:
+    def _add_fields(self, entry: ls.SceneEntry, fields: list[tuple[Described, Any]]) -> list[Any]:
+        """Adds controls of fields, and returns them."""
+        handles: list[Any] = []
         for field, value in fields:
             control = Control(self._gui, field, value, self._putter(entry, field), self._session.report)
             self._controls[field.name] = control
-            self._parts.append(control.handle)
+            handles.append(control.handle)
+        return handles
 
     def _fields(self, entry: ls.SceneEntry) -> list[tuple[Described, Any]]:
         """The fields of an entry, with their values."""
