@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,9 @@ from lumisplat.scene.up import UP_AXES, Vector, front_vector, up_vector
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
+
+_BINS = 2**14
+"""Into which heights are sorted roughly."""
 
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
@@ -213,19 +217,46 @@ class Scene:
         return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
+_BULKS: WeakKeyDictionary[Gaussians, tuple[bytes, Bounds]] = WeakKeyDictionary()
+"""Of captures: where the last instance stood whose bulk was measured, and that bulk."""
+
+
 def _bulk(instance: SplatInstance) -> Bounds:
     """Corners of the box of a capture's means that leaves out `BULK_TAIL` of its opacity at each end of each axis."""
-    ends = [bulk_extent(axis, instance.gaussians.opacities) for axis in instance.world_means.T]
-    low, high = np.array(ends).T
-    return low, high
+    place = instance.transform.tobytes()
+    held = _BULKS.get(instance.gaussians)
+    if held is None or held[0] != place:
+        ends = [bulk_extent(axis, instance.gaussians.opacities) for axis in instance.world_means.T]
+        low, high = np.array(ends).T
+        held = _BULKS[instance.gaussians] = place, (low, high)
+    low, high = held[1]
+    return low.copy(), high.copy()
 
 
 def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray) -> tuple[float, float]:
     """The heights between which all but `BULK_TAIL` of the weight at each end lies, from two arrays of shape (N,)."""
-    order = np.argsort(heights)
-    share = np.cumsum(weights[order], dtype=np.float64)
-    first, last = np.searchsorted(share, (BULK_TAIL * share[-1], (1.0 - BULK_TAIL) * share[-1]))
-    return float(heights[order[first]]), float(heights[order[last]])
+    low = float(heights.min())
+    extent = float(heights.max()) - low
+    # Only what is in the bin of an end has to be sorted, of millions that are not.
+    bins = ((heights - low) / (extent or 1.0) * (_BINS - 1)).astype(np.int32)
+    share = np.cumsum(np.bincount(bins, weights, _BINS), dtype=np.float64)
+    first, last = (_height_at(heights, weights, bins, share, end * share[-1]) for end in (BULK_TAIL, 1.0 - BULK_TAIL))
+    return first, last
+
+
+def _height_at(
+    heights: npt.NDArray[np.float64],
+    weights: FloatArray,
+    bins: npt.NDArray[np.int32],
+    share: npt.NDArray[np.float64],
+    wanted: float,
+) -> float:
+    """The height up to which there is a share of the weight, from bins of heights and the weight up to each."""
+    number = int(np.searchsorted(share, wanted))
+    rows = np.flatnonzero(bins == number)
+    rows = rows[np.argsort(heights[rows])]
+    within = np.cumsum(weights[rows], dtype=np.float64) + (share[number - 1] if number else 0.0)
+    return float(heights[rows[min(int(np.searchsorted(within, wanted)), rows.size - 1)]])
 
 
 def check_similarity(

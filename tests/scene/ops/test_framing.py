@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.scene.scene import bulk_extent
 from support.scenes.raster_scenes import quad, random_gaussians
 
 SCENE = ls.Scene([random_gaussians(3, center=(5.0, -2.0, 9.0))])
@@ -162,3 +163,25 @@ def test_wrong_orbits_are_refused(arguments, message):
     """In one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.orbit_cameras(SCENE, **arguments)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0, 1e6])
+@pytest.mark.parametrize("count", [1, 2, 50, 5000])
+def test_the_bulk_leaves_out_two_percent_of_the_opacity_at_each_end(count, spread):
+    """To the bit as after sorting all of them, also where most are equally high, or one is far away."""
+    rng = np.random.default_rng(count)
+    heights = np.round(rng.standard_cauchy(count), 1) * spread
+    weights = rng.uniform(0.0, 1.0, count).astype(np.float32)
+    order = np.argsort(heights)
+    share = np.cumsum(weights[order], dtype=np.float64)
+    ends = np.searchsorted(share, (0.02 * share[-1], 0.98 * share[-1]))
+    assert bulk_extent(heights, weights) == tuple(heights[order[ends]])
+
+
+def test_the_bulk_follows_its_capture():
+    """It is measured once for a place, and anew for another."""
+    capture = SCENE.splats[0].gaussians
+    low, high = ls.Scene([ls.SplatInstance(capture)]).bulk_bounds()
+    for shift in (1.0, 0.0, 2.0):
+        moved = ls.Scene([ls.SplatInstance(capture, position=(shift, 0.0, 0.0))]).bulk_bounds()
+        np.testing.assert_allclose(np.subtract(moved, (low, high)), [[shift, 0.0, 0.0]] * 2, atol=1e-12)
