@@ -1,19 +1,24 @@
-"""What computes the radiance of rays: one of three ways, by the plan of the frame."""
+"""What computes the radiance of rays: one of three ways, by the plan of the frame.
+
+Each is imported and made by the first frame that needs it: the kernels of all of them take half a second to import.
+"""
 
 from __future__ import annotations
 
-from functools import partial
+from typing import TYPE_CHECKING
 
 from lumisplat.config import RenderConfig
-from lumisplat.renderer.integrators.paths import PathIntegrator
-from lumisplat.renderer.integrators.whitted import WhittedIntegrator
-from lumisplat.renderer.realtime.realtime import RealtimeIntegrator
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
-Integrator = PathIntegrator | RealtimeIntegrator | WhittedIntegrator
+if TYPE_CHECKING:
+    from lumisplat.renderer.integrators.paths import PathIntegrator
+    from lumisplat.renderer.integrators.whitted import WhittedIntegrator
+    from lumisplat.renderer.realtime.realtime import RealtimeIntegrator
+
+    Integrator = PathIntegrator | RealtimeIntegrator | WhittedIntegrator
 
 
 class Integrators:
@@ -27,18 +32,27 @@ class Integrators:
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
-        self._whitted = WhittedIntegrator(launcher, buffers, config, tracer)
-        self._paths = PathIntegrator(launcher, buffers, config, tracer)
-        # Made by the first frame in real time: it has arrays of its own, and launches kernels that are loaded by then.
+        self._parts = launcher, buffers, config, tracer
+        self._whitted: WhittedIntegrator | None = None
+        self._paths: PathIntegrator | None = None
         self._realtime: RealtimeIntegrator | None = None
-        self._make_realtime = partial(RealtimeIntegrator, launcher, buffers, config, tracer)
 
     def of(self, plan: FramePlan) -> Integrator:
         """The one that a frame needs."""
         if plan.has_history:
-            self._realtime = self._realtime or self._make_realtime()
+            from lumisplat.renderer.realtime.realtime import RealtimeIntegrator
+
+            self._realtime = self._realtime or RealtimeIntegrator(*self._parts)
             return self._realtime
-        return self._paths if plan.traces_paths else self._whitted
+        if plan.traces_paths:
+            from lumisplat.renderer.integrators.paths import PathIntegrator
+
+            self._paths = self._paths or PathIntegrator(*self._parts)
+            return self._paths
+        from lumisplat.renderer.integrators.whitted import WhittedIntegrator
+
+        self._whitted = self._whitted or WhittedIntegrator(*self._parts)
+        return self._whitted
 
     def forget(self) -> None:
         """Drops all that frames have found for later ones."""
