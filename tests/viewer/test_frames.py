@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.viewer.frames.levels import Levels
-from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step
+from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step, first_step
 from lumisplat.viewer.frames.picture import page_depth, split_picture
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.frames.renderers import THREAD, Renderers, frame_config
@@ -63,6 +63,22 @@ def test_a_pace_does_not_flicker() -> None:
     assert changes <= 0.06 * len(taken)
 
 
+def test_a_pace_far_beyond_its_budget_leaves_out_much_at_once() -> None:
+    """Two frames say that it is so; a single one may be another program's."""
+    pace = Pace()
+    pace.took(10.0, 40.0)
+    pace.took(900.0, 40.0)
+    assert pace.step == BY_GAUSSIANS[1]
+    pace.took(900.0, 40.0)
+    assert pace.step == BY_GAUSSIANS[-1]
+
+
+@pytest.mark.parametrize(("count", "level", "scale"), [(1000, 1, 1.0), (2_000_000, 1, 1.0), (3_000_000, 2, 0.5)])
+def test_large_scenes_begin_coarsely(count: int, level: int, scale: float) -> None:
+    """Their first frame has no more Gaussians than can be drawn at once; others begin at a quarter."""
+    assert BY_GAUSSIANS[first_step(count)] == Step(level, scale)
+
+
 def many(count: int) -> ls.Gaussians:
     """Gaussians in a unit cube."""
     rng = np.random.default_rng(0)
@@ -89,6 +105,43 @@ def test_levels_are_made_once_and_stand_where_the_capture_stands() -> None:
     np.testing.assert_array_equal(coarse.splats[0].transform, scene.splats[0].transform)
     assert levels.scene(scene, 1) is coarse
     assert levels.scene(scene, 2).splats[0].gaussians is coarse.splats[0].gaussians  # a sixteenth would be too few
+    levels.close()
+
+
+def test_levels_of_a_large_scene_have_thinned_ones_in_their_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are there at once, and fill as much; many small captures count as one large one."""
+    monkeypatch.setattr("lumisplat.viewer.frames.levels.GAUSSIANS_AT_ONCE", 4 * LEVEL_GAUSSIANS_MIN)
+    made, busy = threading.Semaphore(0), threading.Event()
+    busy.set()
+    levels = Levels(made.release, is_busy=busy.is_set)
+    capture = many(LEVEL_GAUSSIANS_MIN)
+    scene = ls.Scene([ls.SplatInstance(capture, position=(x, 0.0, 0.0)) for x in range(5)])
+    standing_in = levels.scene(scene, 1).splats[3].gaussians
+    assert standing_in.count == capture.count // 4
+    np.testing.assert_allclose(standing_in.scales, 0.01 * 4.0 ** (1.0 / 3.0), rtol=1e-6)
+    assert np.isin(standing_in.means, capture.means).all() and levels.scene(scene, 1).splats[0].gaussians is standing_in
+    assert not made.acquire(timeout=0.2)  # a view moves: nothing is merged yet
+    busy.clear()
+    assert made.acquire(timeout=60)
+    level = levels.scene(scene, 1)
+    assert {id(i.gaussians) for i in level.splats} == {id(level.splats[0].gaussians)} != {id(standing_in)}
+    levels.close()
+
+
+def test_levels_are_made_in_blocks_that_are_whole_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each Gaussian is merged within a box of space, and their progress is told up to the end."""
+    monkeypatch.setattr("lumisplat.viewer.frames.levels.LEVEL_BLOCK", 8192)
+    made, told = threading.Semaphore(0), list[float]()
+    levels = Levels(made.release, told.append)
+    capture = many(4 * LEVEL_GAUSSIANS_MIN)
+    scene = ls.Scene([capture])
+    levels.scene(scene, 1)
+    assert made.acquire(timeout=60)
+    merged = levels.scene(scene, 1).splats[0].gaussians
+    assert merged.count == pytest.approx(0.25 * capture.count, rel=1e-3)
+    octants = [np.bincount((g.means > 0.5) @ (1, 2, 4), minlength=8) for g in (capture, merged)]
+    np.testing.assert_allclose(octants[1], 0.25 * octants[0], rtol=0.05)
+    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 1.0 and len(told) == 17
     levels.close()
 
 

@@ -13,7 +13,21 @@ LEVEL_FRACTIONS = (1.0, 0.25, 0.0625)
 """Share of the Gaussians of a capture in each of its levels."""
 
 LEVEL_GAUSSIANS_MIN = 20_000
-"""Levels of captures have no fewer Gaussians than this: fewer of them take no less time."""
+"""Levels of scenes have no fewer Gaussians than this: fewer of them take no less time."""
+
+LEVEL_CAPTURE_MIN = 500
+"""Levels of a single capture have no fewer: many small ones make a large scene."""
+
+LEVEL_BLOCK = 2**15
+"""Gaussians of a capture that are merged at a time, at most: a third of a second, between which views that move have
+the processor to themselves."""
+
+LEVEL_PATIENCE_S = 1.0
+"""How long levels wait for a view that moves before they begin, seconds: the first picture comes before them."""
+
+GAUSSIANS_AT_ONCE = 500_000
+"""Gaussians of a view that moves until it is known how long it takes, at most. Scenes of more are thinned until their
+levels are there."""
 
 PIXEL_SCALES = (1.0, 0.71, 0.5, 0.35)
 """Width and height of frames while a view moves, as shares of those at rest."""

@@ -62,6 +62,7 @@ class Viewer:
 
     def __init__(self, load: Load, *, host: str, port: int, device: str, options: Options) -> None:
         self._server = PageServer(host, port)
+        threading.Thread(target=_import_ahead, name="lumisplat imports", daemon=True).start()
         self._viser = self._server.viser
         self._session = Session(options)
         self._pages: dict[int, Page] = {}
@@ -73,7 +74,12 @@ class Viewer:
         self._viser.initial_camera.position, self._viser.initial_camera.look_at = self._first_view.at(ASPECT)
         self._status = StatusPanel(self._viser.gui)
         self._loop = RenderLoop(
-            self._session, device, self._status.progress, on_frame=self._status.frame, decorate=self._decorated
+            self._session,
+            device,
+            self._status.progress,
+            on_frame=self._status.frame,
+            decorate=self._decorated,
+            on_levels=self._status.levels,
         )
         self._build_panels(device)
         self._gizmo = Gizmo(self._viser.scene, self._session)
@@ -267,6 +273,11 @@ class Viewer:
         seen = select(self._session, page.frame, across, down, is_level=not page.frames_at_rest)
         if seen is not None:
             tell(self._viser, *seen)
+
+
+def _import_ahead() -> None:
+    """Imports what renders, while the page is made and the files are read: both take half a second."""
+    _ = ls.create_renderer
 
 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:

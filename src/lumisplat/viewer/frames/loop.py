@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 import traceback
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import lumisplat as ls
 from lumisplat.viewer.frames.levels import Levels
-from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step
+from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step, first_step
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import Picture, Shown, page_depth, picture_of, split_picture
 from lumisplat.viewer.frames.pose import Pose
@@ -59,6 +60,7 @@ class RenderLoop:
         progress: Told when kernels are compiled.
         on_frame: Called after each frame with its page, its step, None at rest, and its milliseconds.
         decorate: Draws on pictures, such as lines that show where lights are.
+        on_levels: Told how much is done of the levels of a capture, 0..1.
     """
 
     def __init__(
@@ -66,12 +68,16 @@ class RenderLoop:
         session: Session,
         device: str,
         progress: Progress,
+        *,
         on_frame: Callable[[Page, Step | None, float], None],
         decorate: Callable[[Picture, ls.Frame], Picture],
+        on_levels: Callable[[float], None],
     ) -> None:
         self._session, self._on_frame, self._decorate = session, on_frame, decorate
         self._renderers = Renderers(device, progress)
-        self._levels = Levels(self._wake)
+        self._moved_at = -math.inf
+        """When a view that moves was drawn last, seconds of the monotonic clock."""
+        self._levels = Levels(self._wake, on_levels, self._is_busy)
         self.scenes = ShownScenes(self._levels, device, progress, session.report)
         """Makes the scenes of frames; for the thread of the loop alone."""
         self._scenes_before = ShownScenes(self._levels, device, progress, session.report)
@@ -123,6 +129,12 @@ class RenderLoop:
         self._renderers.close()
         self._levels.close()
 
+    def _is_busy(self) -> bool:
+        """Whether a view moves, or a page still waits for its first picture."""
+        with self._session.changed:
+            is_waiting = any(page.key is None for page in self._pages)
+        return is_waiting or time.monotonic() - self._moved_at < SETTLED_S
+
     def _wake(self) -> None:
         with self._session.changed:
             self._session.changed.notify_all()
@@ -171,7 +183,9 @@ class RenderLoop:
 
     def _give_up(self, job: _Job, error: Exception) -> None:
         """Leaves a page as it is until something changes, and says why."""
-        job.page.key, job.page.is_finished = job.key, True
+        with self._session.changed:
+            job.page.key, job.page.is_finished = job.key, True
+            self._session.changed.notify_all()
         self._report(error)
 
     def _report(self, error: Exception) -> None:
@@ -221,10 +235,13 @@ class RenderLoop:
     def _draw_moving(self, job: _Job) -> None:
         """A frame of a view that has changed, as fine as the budget allows."""
         page, state, options = job.page, job.state, job.options
+        self._moved_at = time.monotonic()
         follows = state.config.pipeline in _FOLLOWING
         steps = BY_PIXELS if follows else BY_GAUSSIANS
         if page.pace.steps is not steps:
             page.pace = Pace(steps, first=len(steps) - 2)
+        elif page.key is None and not follows:
+            page.pace = Pace(first=first_step(state.document.scene(options.time).gaussian_count))
         step, started = page.pace.step, time.perf_counter()
         config = frame_config(state.config, options.view)
         in_sequence = config.pipeline is ls.Pipeline.REALTIME

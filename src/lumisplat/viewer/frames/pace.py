@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from lumisplat.viewer.thresholds import LEVEL_FRACTIONS, PACE_FORGETS, PACE_HEADROOM, PACE_HOLD, PIXEL_SCALES
+from lumisplat.viewer.thresholds import (
+    GAUSSIANS_AT_ONCE,
+    LEVEL_FRACTIONS,
+    PACE_FORGETS,
+    PACE_HEADROOM,
+    PACE_HOLD,
+    PIXEL_SCALES,
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +45,12 @@ BY_PIXELS = tuple(Step(0, scale) for scale in PIXEL_SCALES)
 """Of frames whose time goes with the rays, or that follow from those before them."""
 
 
+def first_step(count: int) -> int:
+    """The number of the step of `BY_GAUSSIANS` at which scenes of so many Gaussians begin: the second, as a rule."""
+    level = next((n for n in range(1, _LAST) if count * LEVEL_FRACTIONS[n] <= GAUSSIANS_AT_ONCE), _LAST)
+    return next(number for number, step in enumerate(BY_GAUSSIANS) if step.level == level)
+
+
 class Pace:
     """Chooses steps by how long frames have taken.
 
@@ -66,8 +80,9 @@ class Pace:
         known = self._took.get(self._now, milliseconds)
         self._took[self._now] = 0.5 * (known + milliseconds)
         self._held += 1
-        if milliseconds > budget and known > budget and self._now + 1 < len(self.steps):
-            self._move(self._now + 1)
+        excess = min(milliseconds, known) / budget
+        if excess > 1.0 and self._now + 1 < len(self.steps):
+            self._move(min(self._now + 1 + int(math.log2(excess)), len(self.steps) - 1))
         elif self._now > 0 and self._held >= PACE_HOLD:
             finer = self._took.get(self._now - 1, 2.0 * self._took[self._now])
             if finer < PACE_HEADROOM * budget:

@@ -17,9 +17,7 @@ class _Stage:
     scene: ls.Scene
     lighting: ls.AvatarLightingConfig
     background: tuple[float, float, float]
-    lighters: dict[int, tuple[ls.Scene, ls.AvatarLighter]] = field(
-        default_factory=dict[int, tuple[ls.Scene, ls.AvatarLighter]]
-    )
+    lighters: dict[int, tuple[ls.Scene, ls.AvatarLighter]] = field(default_factory=lambda: {})
     """By level: its scene, and the lighter of that."""
     has_failed: bool = False
     """Whether no light could be found; actors then keep their own."""

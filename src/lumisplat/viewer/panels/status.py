@@ -32,6 +32,8 @@ class StatusPanel:
         self._line = gui.add_markdown("starting")
         self._bar = gui.add_progress_bar(0.0, animated=True)
         self._written = 0.0
+        self._shown, self._levels = "", ""
+        """What the line says of the last frame, and of levels that are being made."""
         self._took = np.full(_FRAMES, np.nan)
 
     def add_details(self, gui: viser.GuiApi) -> None:
@@ -51,7 +53,14 @@ class StatusPanel:
         self._bar.visible = fraction < 1.0
         self._bar.value = 100.0 * fraction
         if fraction < 1.0:
+            self._shown = ""
             self._line.content = plain(label)
+
+    def levels(self, fraction: float) -> None:
+        """Shows how far the levels of a capture are, from which views that move will be drawn."""
+        self._levels = f" · coarser levels {fraction:.0%}" if fraction < 1.0 else ""
+        if self._shown:
+            self._line.content = self._shown + self._levels
 
     def frame(self, page: Page, step: Step | None, took: float) -> None:
         """Shows what a frame has taken; not more often than people read.
@@ -68,7 +77,8 @@ class StatusPanel:
             return
         self._written = now
         self._bar.visible = False
-        self._line.content = frame_line(page.frame, step, page.noise, took)
+        self._shown = frame_line(page.frame, step, page.noise, took)
+        self._line.content = self._shown + self._levels
         if page.frame.stats is not None:
             self._stages.content = stage_table(page.frame.stats)
         times = np.nan_to_num(self._took)
