@@ -70,6 +70,7 @@ LAYERS = (
     "viewer.state",
     "viewer.frames",
     "viewer.hands",
+    "viewer.notebook",
     "viewer.output",
     "viewer.panels",
     "viewer.things",

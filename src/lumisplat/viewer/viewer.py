@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from lumisplat.viewer.frames.pose import Pose, look_through
 from lumisplat.viewer.hands.gizmo import Gizmo
 from lumisplat.viewer.hands.helpers import decorated
 from lumisplat.viewer.hands.picking import select
+from lumisplat.viewer.notebook.notebook import Bundle, Notebook
 from lumisplat.viewer.output.stills import Studio
 from lumisplat.viewer.panels.errands import Errands
 from lumisplat.viewer.panels.files import FilesPanel
@@ -81,6 +82,7 @@ class Viewer:
             decorate=self._decorated,
             on_levels=self._status.levels,
         )
+        self._notebook = Notebook(self._session, self._loop, self.url)
         self._build_panels(device)
         self._gizmo = Gizmo(self._viser.scene, self._session)
         self._session.errors.append(lambda line: tell(self._viser, "that did not work", line, is_problem=True))
@@ -91,6 +93,20 @@ class Viewer:
 
     def __repr__(self) -> str:
         return "Viewer(closed)" if self._is_closed else f"Viewer({self.url})"
+
+    def _repr_mimebundle_(
+        self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
+    ) -> Bundle:
+        """The viewer in a notebook: live frames or a picture, and the address. Never raises: there is always text."""
+        self._loader.join()
+        if self._is_closed:
+            return {"text/plain": repr(self)}, {}
+        try:
+            if self._failure is not None:
+                raise self._failure
+            return self._notebook.bundle(repr(self), self._first_view, include, exclude)
+        except Exception as error:  # a notebook would show a traceback in place of the cell's result
+            return {"text/plain": f"{self!r} (no picture: {error})"}, {}
 
     @property
     def url(self) -> str:
@@ -136,6 +152,7 @@ class Viewer:
         self._is_closed = True
         self._loader.join()
         self._timeline.close()
+        self._notebook.close()
         self._loop.close()
         self._server.close()
         self._closed_or_failed.set()
@@ -144,7 +161,7 @@ class Viewer:
         gui = self._viser.gui
         gui.set_panel_label("Lumisplat")
         errands = Errands(gui, self._loop.do)
-        studio = Studio(self._loop.scenes, device)
+        studio = Studio(self._loop.scenes, device, self._loop.is_wanted)
         history = gui.add_button_group("", ["undo", "redo"])
         history.on_click(lambda event: self._step(str(event.target.value)))
         tabs = gui.add_tab_group()

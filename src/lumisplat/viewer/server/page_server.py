@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import logging
 import socket
 import threading
@@ -128,9 +127,15 @@ def _guarded(listener: socket.socket, guard: Guard) -> Generator[list[bool]]:
 
 @contextlib.contextmanager
 def _quiet() -> Generator[None]:
-    """Keeps viser's own lines off standard output, which has the viewer's address alone."""
-    with contextlib.redirect_stdout(io.StringIO()):
+    """Keeps viser's own lines off standard output, which has the viewer's address alone, and out of notebooks."""
+    import rich
+
+    console = rich.get_console()
+    console.quiet, before = True, console.quiet
+    try:
         yield
+    finally:
+        console.quiet = before
 
 
 def _refuse_to_share(verbose: bool = True) -> None:

@@ -1,0 +1,1 @@
+"""Live frames in the cells of notebooks."""
