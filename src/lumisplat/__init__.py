@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         MissingExtraError,
         MissingFileError,
         SceneError,
+        StoppedError,
     )
     from lumisplat.frame.frame import Frame
     from lumisplat.io import (
@@ -186,6 +187,7 @@ _MODULE_OF = {
     "ShadowMethod": "config",
     "Shadows": "config",
     "SplatInstance": "scene.scene",
+    "StoppedError": "errors",
     "SunEstimate": "relighting.sun_estimation",
     "TextureWrap": "scene.textures",
     "ToneMap": "config",
@@ -317,6 +319,7 @@ __all__ = [
     "ShadowMethod",
     "Shadows",
     "SplatInstance",
+    "StoppedError",
     "SunEstimate",
     "TextureWrap",
     "ToneMap",

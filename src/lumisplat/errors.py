@@ -6,7 +6,8 @@ LumisplatError
 ├── SceneError         bad data: shape, NaN, empty (also a ValueError)
 │   └── FormatError    a file we cannot read or write: names the path
 │       └── MissingFileError  a file that does not exist (also a FileNotFoundError)
-└── DeviceError        a missing device, out of memory, a failed launch
+├── DeviceError        a missing device, out of memory, a failed launch
+└── StoppedError       a frame was given up because the caller wanted that
 
 Messages say what, where, what was expected and what to do, in one line.
 """
@@ -37,6 +38,10 @@ class MissingExtraError(LumisplatError, ImportError):
 
     def __init__(self, what: str, extra: str) -> None:
         super().__init__(f"{what} needs a package that is not installed: pip install 'lumisplat[{extra}]'")
+
+
+class StoppedError(LumisplatError):
+    """A frame was given up, as the ``stop`` of `lumisplat.Renderer.render` has asked for."""
 
 
 class SceneError(LumisplatError, ValueError):

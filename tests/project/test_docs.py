@@ -25,7 +25,7 @@ SCENE_FILES = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```toml\n(.*?)```", page.read_text(), re.DOTALL))
 ]
-NAMES = "render|orbit|info|convert|bench|demo|metrics|shadowmap|relight|animate"
+NAMES = "view|render|orbit|info|convert|bench|demo|metrics|shadowmap|relight|animate"
 COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})
 
 

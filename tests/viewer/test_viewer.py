@@ -8,7 +8,9 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -268,6 +270,46 @@ def test_the_command_line_renders_what_a_page_shows(viewer: ls.Viewer, tmp_path:
     arguments = [*words[1:at], *size, *words[at + 4 : -1], str(tmp_path / "view.png"), "--device", "cpu"]
     assert main(arguments) == 0
     assert ls.psnr(ls.load_image(tmp_path / "view.png"), (shown / 255.0).astype(np.float32)) > 35.0
+
+
+def test_long_frames_give_way_to_a_view_that_moves(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sample of a view at rest is given up when the view moves, nobody is told, and it is made again afterwards."""
+    stopped: list[bool] = []
+    render = ls.Renderer.render
+
+    def recorded(*args: Any, **options: Any) -> ls.Frame:
+        try:
+            return render(*args, **options)
+        except ls.StoppedError:
+            stopped.append(True)
+            raise
+
+    monkeypatch.setattr(ls.Renderer, "render", recorded)
+    viewer._session.set_options(height=720)
+    viewer._session.configure(replace(viewer._session.state.config, samples=64, noise=1e-6))
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        page.picture()
+        (shown,) = viewer._pages.values()
+        for step in range(1, 20):
+            number = shown.pose_number
+            page.look(camera(0.1 * step))
+            eventually(lambda number=number: shown.pose_number > number, "the view does not move")
+            rests = lambda: shown.key == (viewer._session.revision, shown.pose_number) and shown.frames_at_rest > 0  # noqa: E731
+            eventually(rests, "the view does not come to rest")
+            if stopped:
+                break
+        assert stopped
+        viewer._session.configure(replace(viewer._session.state.config, samples=4))
+        page.look(camera())
+        assert ls.psnr(settled(viewer, page) / 255.0, rendered_at(720)) > 35.0
+        assert not page.notes()
+
+
+def rendered_at(height: int) -> np.ndarray:
+    """The picture that a page in front of the lit scene should show."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
+    return ls.render(lit_scene(), camera(height=height), config, device="cpu").pixels_srgb()
 
 
 def test_pages_that_never_answer_get_frames_all_the_same(viewer: ls.Viewer) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -100,6 +101,7 @@ class Renderer:
         resume: Frame | None = None,
         encode: bool = False,
         progress: Progress | None = None,
+        stop: Callable[[], bool] | None = None,
     ) -> Frame:
         """Renders one frame.
 
@@ -114,8 +116,11 @@ class Renderer:
                 numpy.uint8)`` and saving a PNG need not; CUDA always does.
             progress: Called after each sample with a label and the fraction done, 0..1. The label has the number of
                 samples and, once they are enough to tell, their noise, after commas.
+            stop: Asked often while samples are made on a CPU, by any thread; once it says True, the frame is given up,
+                and the renderer is as before. Frames in real time follow from each other, and are always finished.
 
         Raises:
+            StoppedError: ``stop`` said so.
             ConfigError: ``resume`` is no frame, has another camera, other settings or another number of Gaussians or
                 triangles, is not ray traced, or has too many samples.
             DeviceError: The device is out of memory.
@@ -142,7 +147,8 @@ class Renderer:
                 images = self._film.unlit_images(pixels, transparent=transparent, encodes=encode)
                 return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
-        counts, budget = self._sampled(plan, camera.exposure, resume, progress)
+        with self._launcher.stoppable(None if plan.has_history else stop):
+            counts, budget = self._sampled(plan, camera.exposure, resume, progress)
         with self._launcher.stage("download"):
             images = self._film.images(camera.exposure, self.config, encodes=encode)
             if "lights" in plan.aovs:

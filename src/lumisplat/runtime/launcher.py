@@ -21,7 +21,7 @@ from typing import Any, TypeVar, cast
 
 import warp as wp
 
-from lumisplat.errors import ConfigError, DeviceError
+from lumisplat.errors import ConfigError, DeviceError, StoppedError
 from lumisplat.runtime.kernel_cache import KernelModule, load_module
 
 _log = logging.getLogger("lumisplat")
@@ -139,6 +139,8 @@ class Launcher:
         self.clock = time.perf_counter
         """What times them, seconds: wall time, or where others use the machine, too, ``time.process_time``."""
         self._pass = ""
+        self._stop: Callable[[], bool] | None = None
+        """Asked before each band."""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
         self._banded: set[object] = set()
@@ -195,6 +197,8 @@ class Launcher:
             *inputs: The kernel's other parameters.
             bands: Number of bands; more of them balance uneven work better. None: one a thread.
         """
+        if not self.is_cuda:
+            self._stop_if_asked()
         bands = min(bands or self.threads, count)
         if self.threads == 1 or bands < 2:
             self.run(kernel, count, 0, *inputs)
@@ -207,6 +211,7 @@ class Launcher:
             launch: Any = None
             try:
                 for start, end in pending:
+                    self._stop_if_asked()
                     launch = self._run_band(launch, kernel, start, end, inputs)
             finally:
                 for _ in pending:  # after an error, no further band starts
@@ -246,6 +251,23 @@ class Launcher:
             launch.set_param_at_index(0, start)
         launch.launch()
         return launch
+
+    @contextmanager
+    def stoppable(self, stop: Callable[[], bool] | None) -> Generator[None]:
+        """Lets banded launches on CPUs be given up; GPUs finish theirs in milliseconds, and graphs must be whole.
+
+        Args:
+            stop: Asked before each band, by any thread; once it is True, `StoppedError` is raised. None: nothing stops.
+        """
+        self._stop = stop
+        try:
+            yield
+        finally:
+            self._stop = None
+
+    def _stop_if_asked(self) -> None:
+        if self._stop is not None and self._stop():
+            raise StoppedError("the frame was given up, as the caller has asked")
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:

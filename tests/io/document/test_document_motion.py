@@ -150,3 +150,20 @@ def test_cameras_come_back_from_their_tables(values: dict[str, Any]) -> None:
     if not camera.aperture:
         assert math.isclose(found.focus_distance, camera.focus_distance, rel_tol=1e-9)
     assert_same_camera(found, camera if camera.name else replace(camera, name=found.name))
+
+
+def test_the_animation_can_be_edited(file: Path) -> None:
+    """Its rate, its length and its light; what is taken away leaves nothing; what is wrong is named."""
+    document = ls.SceneDocument.open(file)
+    lighting = ls.AvatarLightingConfig(direct=0.25, shadows=False)
+    edited = document.with_animation(fps=5.0, duration=3.0, frames=None, lighting=lighting)
+    animation = edited.animation
+    assert animation is not None and (animation.fps, animation.frame_count) == (5.0, 15)
+    assert animation.lighting == lighting
+    edited.save(file.with_name("edited.toml"))
+    saved = ls.load_animation(file.with_name("edited.toml"))
+    assert (saved.fps, saved.frame_count, saved.lighting) == (5.0, 15, lighting)
+    without = edited.with_animation(fps=None, duration=None, lighting=ls.AvatarLightingConfig())
+    assert "animation" not in without.top
+    with pytest.raises(ls.FormatError, match="fps"):
+        document.with_animation(fps=-1.0)

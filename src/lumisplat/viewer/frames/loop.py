@@ -116,6 +116,12 @@ class RenderLoop:
             self._errands.append(errand)
             self._session.changed.notify_all()
 
+    def is_wanted(self) -> bool:
+        """Whether a long frame has to give way: a view moves, or the viewer is to end. Any thread may ask."""
+        revision = self._session.revision
+        pages = [page for page in list(self._pages) if page.pose is not None]
+        return not self._is_open or any(p.key != (revision, p.pose_number) and p.takes_frames for p in pages)
+
     def close(self) -> None:
         """Ends after the frame that is being rendered."""
         with self._session.changed:
@@ -157,6 +163,8 @@ class RenderLoop:
                     self._draw_moving(job)
                 else:
                     self._draw_at_rest(job)
+            except ls.StoppedError:  # it is drawn again when there is time
+                pass
             except Exception as error:  # a frame that fails must not end the session
                 self._give_up(job, error)
         for errand in self._errands:
@@ -277,6 +285,7 @@ class RenderLoop:
             resume=resume,
             encode=options.view == "color",
             progress=None if in_sequence else _ignore,
+            stop=self.is_wanted,
         )
         noise = None if frame.stats is None else frame.stats.noise
         with self._session.changed:
@@ -303,7 +312,9 @@ class RenderLoop:
         if job.moves or page.frames_at_rest <= 1 or page.before is None:
             renderer = self._renderers.of(("before", job.moves), config)
             scene = self._scenes_before.of(job.before.document, config, options.time, level, waits=not job.moves)
-            page.before = picture_of(renderer.render(scene, camera, encode=options.view == "color"), options.view)
+            stop = None if job.moves else self.is_wanted
+            frame = renderer.render(scene, camera, encode=options.view == "color", stop=stop)
+            page.before = picture_of(frame, options.view)
         return split_picture(page.before, picture, options.split)
 
 

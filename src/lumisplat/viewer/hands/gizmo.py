@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Matrix = npt.NDArray[np.float64]
 
 _NODE = "/selected"
-_SIZE = 0.22
+_SIZE = 0.15
 """Length of the handle's axes as a share of the dome's radius, if what it holds is not larger."""
 
 

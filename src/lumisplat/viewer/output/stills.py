@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+import contextlib
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 
 import lumisplat as ls
@@ -19,6 +20,8 @@ class Studio:
     scenes: ShownScenes
     device: str
     """As of `lumisplat.create_renderer`."""
+    stop: Callable[[], bool]
+    """Whether stills have to give way."""
 
     def renderer(self, config: ls.RenderConfig) -> ls.Renderer:
         """A renderer for stills of `still_config`.
@@ -36,6 +39,29 @@ class Studio:
         """
         return self.scenes.of(document, config, time, 0, waits=True)
 
+    def still(self, renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera, samples: int) -> Still:
+        """Renders a picture; a sample that had to give way is made again.
+
+        Args:
+            renderer: With settings of `still_config`.
+            scene: The scene.
+            camera: The camera.
+            samples: Samples a pixel; frames in real time follow each other that often. The sorted raster takes one.
+
+        Raises:
+            LumisplatError: It cannot be rendered.
+        """
+        follows = renderer.config.pipeline is ls.Pipeline.REALTIME
+        frame: ls.Frame | None = None
+        done = 0
+        while frame is None or (done < samples and frame.samples > 0):
+            with contextlib.suppress(ls.StoppedError):
+                resume = None if follows else frame
+                frame = renderer.render(scene, camera, resume=resume, stop=self.stop)
+                done += 1
+            yield done / samples
+        return frame
+
 
 def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.RenderConfig:
     """Settings of one sample of a picture.
@@ -49,25 +75,3 @@ def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.Re
     """
     samples = None if config.pipeline is ls.Pipeline.REALTIME else 1
     return replace(config, samples=samples, noise=None, time_limit=None, adaptive=None, aovs=(*config.aovs, *layers))
-
-
-def still(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera, samples: int) -> Still:
-    """Renders a picture.
-
-    Args:
-        renderer: With settings of `still_config`.
-        scene: The scene.
-        camera: The camera.
-        samples: Samples a pixel; frames in real time follow each other that often. The sorted raster takes one.
-
-    Raises:
-        LumisplatError: It cannot be rendered.
-    """
-    follows = renderer.config.pipeline is ls.Pipeline.REALTIME
-    frame = renderer.render(scene, camera)
-    for done in range(1, samples):
-        if frame.samples == 0:
-            break
-        yield done / samples
-        frame = renderer.render(scene, camera, resume=None if follows else frame)
-    return frame

@@ -14,7 +14,7 @@ from PIL import Image
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import picture_of
-from lumisplat.viewer.output.stills import Studio, still, still_config
+from lumisplat.viewer.output.stills import Studio, still_config
 from lumisplat.viewer.panels.errands import Errands, Steps
 from lumisplat.viewer.panels.pictures import HEIGHTS
 from lumisplat.viewer.state.flight import Key, keys_of, with_key, without_flight, without_last_key
@@ -110,7 +110,7 @@ class FilmPanel:
                 files: list[Path] = []
                 for number, (time, camera) in enumerate(zip(animation.times.tolist(), cameras, strict=True)):
                     scene = self._studio.scene(state.document, config, time)
-                    frame = yield from _part(still(renderer, scene, camera, samples), number, len(cameras))
+                    frame = yield from _part(self._studio.still(renderer, scene, camera, samples), number, len(cameras))
                     files.append(Path(folder) / f"{number:06d}.png")
                     Image.fromarray(picture_of(frame, "color")).save(files[-1], compress_level=1)
                 film = film_file(map(ls.load_image, files), animation.fps, suffix)

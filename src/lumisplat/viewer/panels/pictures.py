@@ -13,7 +13,7 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.output.capture_page import capture_page
-from lumisplat.viewer.output.stills import Studio, still, still_config
+from lumisplat.viewer.output.stills import Studio, still_config
 from lumisplat.viewer.panels.errands import Errands, Steps
 from lumisplat.viewer.state.session import Session
 
@@ -88,7 +88,7 @@ class PicturesPanel:
             renderer = self._studio.renderer(config)
             _as_file(renderer.render(scene, camera.scaled(height=HEIGHTS[0])), suffix, layers)  # fails now, not at last
             renderer.reset()
-            frame = yield from still(renderer, scene, camera, samples)
+            frame = yield from self._studio.still(renderer, scene, camera, samples)
             client.send_file_download(f"view.{suffix}", _as_file(frame, suffix, layers), save_immediately=True)
 
         self._errands.start(f"picture of {camera.width} × {camera.height}", steps())

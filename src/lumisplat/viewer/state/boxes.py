@@ -47,6 +47,11 @@ class Boxes:
             self._held[entry.id] = held
         return held[1]
 
+    def keep(self, document: ls.SceneDocument) -> None:
+        """Forgets the boxes, and so the assets, of entries that a document does not have."""
+        present = {entry.id for entry in document.entries}
+        self._held = {number: held for number, held in self._held.items() if number in present}
+
     def size(self, entry: ls.SceneEntry, time: float = 0.0) -> Vector | None:
         """Lengths of an entry's box along its own axes, as large as it stands in the scene, shape (3,)."""
         box, pose = self.of(entry, time), pose_of(entry, time)

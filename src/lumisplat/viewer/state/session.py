@@ -180,6 +180,8 @@ class Session:
             return True
 
     def _show(self, state: State) -> None:
+        if state.document is not self.state.document:
+            self.boxes.keep(state.document)
         self.state = state
         self.revision += 1
         self.changed.notify_all()

@@ -1,0 +1,61 @@
+"""Frames that are given up: at any time, without a trace in those that follow."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+LIT = ls.Scene(
+    [ls.SplatInstance(random_gaussians(1, count=200), material=ls.MaterialPbr())],
+    [ls.MeshInstance(ls.box(0.5), position=(0.3, 0.0, 4.0))],
+    [ls.LightPoint((0.0, -2.0, 1.0), intensity=9.0, radius=0.2), ls.LightEnvironment(intensity=0.3)],
+)
+CAMERA = front_camera(width=96, height=64)
+
+
+def after(count: int) -> Callable[[], bool]:
+    """Says True from the given question on."""
+    asked = itertools.count(1)
+    return lambda: next(asked) >= count
+
+
+def renderer(pipeline: ls.Pipeline) -> ls.Renderer:
+    """With soft shadows, on two threads: work is cut into bands."""
+    config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.SOFT, samples=2)
+    return ls.create_renderer(config, "cpu", threads=2)
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE, ls.Pipeline.PATH])
+def test_a_frame_that_is_given_up_leaves_no_trace(pipeline: ls.Pipeline) -> None:
+    """Wherever it was stopped, the next frame is that of a new renderer, to the bit, and so is one that is resumed."""
+    expected = renderer(pipeline).render(LIT, CAMERA)
+    used = renderer(pipeline)
+    for count in (1, 2, 7, 30, 90):
+        with pytest.raises(ls.StoppedError):
+            used.render(LIT, CAMERA, stop=after(count))
+        np.testing.assert_array_equal(used.render(LIT, CAMERA).color, expected.color)
+    with pytest.raises(ls.StoppedError):
+        used.render(LIT, CAMERA, resume=expected, stop=after(20))
+    again = renderer(pipeline).render(LIT, CAMERA, resume=expected)
+    np.testing.assert_array_equal(used.render(LIT, CAMERA, resume=expected).color, again.color)
+
+
+def test_a_frame_that_nobody_stops_is_whole() -> None:
+    """It is asked all the time, and says no."""
+    asked: list[bool] = []
+    frame = renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA, stop=lambda: bool(asked.append(True)))
+    assert len(asked) > 20
+    np.testing.assert_array_equal(frame.color, renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA).color)
+
+
+def test_frames_in_real_time_are_always_finished() -> None:
+    """They follow from each other."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
+    frames = [ls.create_renderer(config, "cpu").render(LIT, CAMERA, stop=stop) for stop in (None, lambda: True)]
+    np.testing.assert_array_equal(frames[0].color, frames[1].color)
