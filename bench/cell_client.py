@@ -64,7 +64,7 @@ class CellClient:
 
     def _to_kernel(self, data: dict[str, Any]) -> None:
         assert self._frames is not None, "no frame is shown"
-        self._frames.handle_msg({"content": {"data": data}})
+        self._frames.handle_msg({"content": {"data": data}, "buffers": []})
 
     def _open(self, **options: Any) -> BaseComm:
         comm = _Comm(self._take, **options)

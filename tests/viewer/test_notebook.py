@@ -1,0 +1,452 @@
+"""The viewer as the result of a notebook's cell: how its camera turns, what it shows, and what it leaves behind."""
+
+from __future__ import annotations
+
+import base64
+import io
+import logging
+import math
+import sys
+import threading
+import time
+from collections.abc import Generator, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_viewer import HEIGHT, UP, difference, eventually, lit_scene, page_threads
+
+import lumisplat as ls
+from lumisplat.viewer.frames.picture import Shown
+from lumisplat.viewer.notebook import frame_buffer, host
+from lumisplat.viewer.notebook.frame_buffer import CellScreen
+from lumisplat.viewer.notebook.hand import Hand
+from lumisplat.viewer.notebook.notebook import Notebook
+from lumisplat.viewer.notebook.orbit import ELEVATION_MAX, Orbit
+
+WIDGET = "application/vnd.jupyter.widget-view+json"
+CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
+EYE, TARGET = (3.0, -2.0, -4.0), (0.5, 0.2, -0.3)
+TILTED = (0.6, -0.8, 0.0)
+
+
+def seen_at(orbit: Orbit, point: Any) -> np.ndarray:
+    """Where a point is in the picture of a camera, in heights of the picture from its middle: right, down."""
+    camera = orbit.pose(1.0).camera(100)
+    x, y, z = camera.camera_from_world[:3, :3] @ np.asarray(point, float) + camera.camera_from_world[:3, 3]
+    return np.array([camera.fx * x / z, camera.fy * y / z]) / 100.0
+
+
+def hand(orbit: Orbit | None = None) -> Hand:
+    """A hand on a frame of 640 x 360."""
+    return Hand(orbit or Orbit.of(EYE, TARGET, UP, 0.8), 1.0, 640.0, 360.0)
+
+
+def pressed(mouse: Hand, across: float, down: float, button: int = 1, modifiers: tuple[str, ...] = ()) -> Any:
+    """What a drag from the middle of the frame gives."""
+    held: dict[str, Any] = {"button": button, "modifiers": modifiers}
+    mouse.feel({"type": "pointer_down", "x": 320.0, "y": 180.0, **held})
+    mouse.feel({"type": "pointer_move", "x": 320.0 + across, "y": 180.0 + down, **held})
+    return mouse.feel({"type": "pointer_up", "x": 320.0 + across, "y": 180.0 + down, **held})
+
+
+@pytest.mark.parametrize("up", [UP, TILTED])
+@pytest.mark.parametrize(("around", "above"), [(0.3, 0.0), (-2.0, 0.4), (7.0, -0.9)])
+def test_turning_keeps_the_target_its_distance_and_the_horizon(
+    up: tuple[float, ...], around: float, above: float
+) -> None:
+    """The eye goes around the vertical by the one angle and up by the other, and the target stays in the middle."""
+    before = Orbit.of(EYE, TARGET, up, 0.8)
+    after = before.turned(around, above)
+    assert math.dist(after.eye, TARGET) == pytest.approx(math.dist(EYE, TARGET))
+    np.testing.assert_allclose(seen_at(after, TARGET), 0.0, atol=1e-9)
+    assert after.elevation == pytest.approx(before.elevation + above)
+    level = [np.array(orbit.backward) - np.dot(orbit.backward, up) * np.array(up) for orbit in (before, after)]
+    cosine = level[0] @ level[1] / np.linalg.norm(level[0]) / np.linalg.norm(level[1])
+    assert cosine == pytest.approx(math.cos(around))
+    right, down, _ = after.pose(1.0).camera(2).camera_from_world[:3, :3]
+    assert abs(right @ np.array(up)) < 1e-9 and down @ np.array(up) < 0.0
+
+
+@pytest.mark.parametrize("above", [-50.0, 50.0])
+def test_cameras_stop_short_of_the_poles(above: float) -> None:
+    """And come back from there on the side from which they went."""
+    start = Orbit.of(EYE, TARGET, UP, 0.8)
+    steep = start.turned(0.0, above)
+    assert steep.elevation == pytest.approx(math.copysign(ELEVATION_MAX, above))
+    back = steep.turned(0.0, start.elevation - steep.elevation)
+    np.testing.assert_allclose(back.eye, EYE, atol=1e-9)
+
+
+def test_a_camera_straight_above_can_be_turned() -> None:
+    """It looks a little from the side instead."""
+    orbit = Orbit.of((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), UP, 0.8)
+    assert orbit.elevation == pytest.approx(ELEVATION_MAX) and orbit.distance == pytest.approx(5.0)
+    assert np.isfinite(orbit.turned(1.0, -0.5).pose(1.5).camera(90).camera_from_world).all()
+
+
+def test_the_first_pose_is_the_view_that_it_was_given() -> None:
+    """The camera of a frame looks from the eye at the target, upright, at the aspect of the cell."""
+    wanted = ls.Camera.look_at(EYE, TARGET, UP, width=160, height=90, fov_y=0.8)
+    camera = Orbit.of(EYE, TARGET, UP, 0.8).pose(16 / 9).camera(90)
+    np.testing.assert_allclose(camera.camera_from_world, wanted.camera_from_world, atol=1e-9)
+    assert (camera.width, camera.height) == (160, 90) and camera.fy == pytest.approx(wanted.fy)
+
+
+def test_a_moved_target_goes_with_the_pointer() -> None:
+    """By the shares of the picture's height that were asked for; nothing turns."""
+    before = Orbit.of(EYE, TARGET, TILTED, 0.8)
+    after = before.moved(0.25, -0.1)
+    np.testing.assert_allclose(seen_at(after, TARGET), (0.25, -0.1), atol=1e-9)
+    assert after.backward == before.backward and after.distance == before.distance
+
+
+def test_zooming_changes_the_distance_alone_within_bounds() -> None:
+    """However often the wheel is turned."""
+    orbit = Orbit.of(EYE, TARGET, UP, 0.8)
+    assert orbit.zoomed(0.5, 0.1, 100.0) == replace(orbit, distance=0.5 * orbit.distance)
+    assert orbit.zoomed(1e-9, 0.1, 100.0).distance == 0.1 and orbit.zoomed(1e9, 0.1, 100.0).distance == 100.0
+
+
+def test_a_drag_turns_the_scene_with_the_hand() -> None:
+    """What is nearer than the target follows the pointer; once across the height is once around."""
+    mouse = hand()
+    near = np.array(TARGET) + 0.1 * np.array(mouse.orbit.backward)
+    pressed(mouse, 20.0, 0.0)
+    assert seen_at(mouse.orbit, near)[0] > 1e-4
+    mouse = hand()
+    pressed(mouse, 0.0, 20.0)
+    assert seen_at(mouse.orbit, near)[1] > 1e-4
+    mouse = hand()
+    pressed(mouse, 360.0, 0.0)
+    np.testing.assert_allclose(mouse.orbit.eye, EYE, atol=1e-9)
+
+
+@pytest.mark.parametrize(("button", "modifiers"), [(2, ()), (1, ("Shift",)), (3, ())])
+def test_other_buttons_and_shift_move(button: int, modifiers: tuple[str, ...]) -> None:
+    """The target is where the pointer has gone."""
+    mouse = hand()
+    assert pressed(mouse, 72.0, -36.0, button, modifiers) is None
+    np.testing.assert_allclose(seen_at(mouse.orbit, TARGET), (0.2, -0.1), atol=1e-9)
+
+
+def test_a_press_without_a_way_is_a_click() -> None:
+    """At its share of the frame as it is now; a drag is none, nor is another button, nor a release without a press."""
+    mouse = hand()
+    mouse.feel({"type": "resize", "width": 960.0, "height": 240.0})
+    assert mouse.aspect == 4.0 and pressed(mouse, 0.0, 0.0) == (320.0 / 960.0, 180.0 / 240.0)
+    assert pressed(mouse, 30.0, 0.0) is None and pressed(mouse, 0.0, 0.0, button=2) is None
+    assert mouse.feel({"type": "pointer_up", "x": 1.0, "y": 1.0, "button": 1, "modifiers": ()}) is None
+
+
+def test_moves_without_a_press_and_unknown_events_do_nothing() -> None:
+    """Keys and pointers that pass by leave the camera alone; the wheel does not."""
+    mouse = hand()
+    start = mouse.orbit
+    mouse.feel({"type": "pointer_move", "x": 5.0, "y": 9.0, "button": 0, "modifiers": ()})
+    mouse.feel({"type": "key_down", "key": "a", "modifiers": ()})
+    assert mouse.orbit == start
+    mouse.feel({"type": "wheel", "dy": 100.0})
+    assert mouse.orbit.distance > start.distance and mouse.orbit.target == start.target
+
+
+# --- Live frames ---
+
+
+@pytest.fixture
+def viewer() -> Iterator[ls.Viewer]:
+    """A viewer on the lit scene, with outlines off: pictures are the renderer's own."""
+    viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
+    viewer._loader.join()
+    viewer._session.set_options(outlines=False)
+    yield viewer
+    viewer.close()
+
+
+@pytest.fixture
+def notebook() -> Iterator[Any]:
+    """A notebook without a browser."""
+    pytest.importorskip("jupyter_rfb", reason="the extra notebook is not installed")
+    from bench.cell_client import CellClient
+
+    with CellClient() as client:
+        yield client
+
+
+def settled(viewer: ls.Viewer, notebook: Any) -> np.ndarray:
+    """The picture in the cell, once nothing more is to come."""
+    notebook.picture()
+    page, session = viewer._notebook._cell.page, viewer._session  # pyright: ignore[reportOptionalMemberAccess]
+
+    def rests() -> bool:
+        return page.is_at_rest and page.key == (session.revision, page.pose_number)
+
+    for _ in range(3):  # the last picture may still be on its way
+        time.sleep(0.1)
+        eventually(rests, "the cell does not come to rest")
+    return notebook.picture()
+
+
+def expected(viewer: ls.Viewer, scene: ls.Scene) -> np.ndarray:
+    """What the renderer makes of a scene at the camera of the cell, in bytes."""
+    pose = viewer._notebook._cell.page.pose  # pyright: ignore[reportOptionalMemberAccess]
+    assert pose is not None
+    return 255.0 * ls.render(scene, pose.camera(HEIGHT), CONFIG, device="cpu").pixels_srgb()
+
+
+def test_a_cell_shows_what_the_renderer_renders(viewer: ls.Viewer, notebook: Any) -> None:
+    """At rest the frame is that of as many samples at the cell's camera; the bundle has the widget, and a picture."""
+    data, about = viewer._repr_mimebundle_()
+    assert data[WIDGET]["model_id"] and data["text/plain"] == repr(viewer)
+    assert about["image/png"] == {"width": 160, "height": 90} and data["image/png"]
+    shown = settled(viewer, notebook)
+    assert shown.shape == (90, 160, 3)
+    assert ls.psnr(shown / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
+
+
+def test_a_drag_in_the_cell_turns_the_picture(viewer: ls.Viewer, notebook: Any) -> None:
+    """To what is seen from there; and back again to what it was."""
+    viewer._repr_mimebundle_()
+    before = settled(viewer, notebook)
+    notebook.drag(90.0, 40.0)
+    turned = settled(viewer, notebook)
+    assert difference(before, turned) > 2.0
+    assert ls.psnr(turned / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
+    notebook.drag(-90.0, -40.0)
+    assert difference(before, settled(viewer, notebook)) < 1.0
+
+
+def test_edits_of_programs_and_pages_are_seen_in_the_cell(viewer: ls.Viewer, notebook: Any) -> None:
+    """It is one more page of the session: another scene comes, and an undo brings the last one back."""
+    viewer._repr_mimebundle_()
+    before = settled(viewer, notebook)
+    darker = replace(lit_scene(), lights=(ls.LightPoint((0.0, -1.0, -0.8), intensity=0.3),))
+    viewer.show(darker)
+    after = settled(viewer, notebook)
+    assert after.mean() < 0.7 * before.mean()
+    assert ls.psnr(after / 255.0, expected(viewer, darker) / 255.0) > 35.0
+    assert viewer._session.undo()
+    np.testing.assert_array_equal(settled(viewer, notebook), before)
+
+
+def line_of(viewer: ls.Viewer) -> str:
+    """The line below the frame."""
+    return viewer._notebook._cell._line.value  # pyright: ignore[reportOptionalMemberAccess]
+
+
+def test_a_click_in_the_cell_selects(viewer: ls.Viewer, notebook: Any) -> None:
+    """What is seen there; the line below says what, beside the page's address. Nothing is selected where nothing is."""
+    viewer._repr_mimebundle_()
+    settled(viewer, notebook)
+    assert viewer.url in line_of(viewer)
+    frame = viewer._notebook._cell.page.frame  # pyright: ignore[reportOptionalMemberAccess]
+    assert frame is not None
+    rows, columns = np.nonzero(frame.instance_index == 1)
+    notebook.click((np.median(columns) + 0.5) / 160.0, (np.median(rows) + 0.5) / 90.0)
+    assert viewer._session.selected_entry is not None and viewer._session.selected_entry.name == "crate"
+    assert "crate: depth" in line_of(viewer) and viewer.url in line_of(viewer)
+    settled(viewer, notebook)
+    notebook.click(0.01, 0.01)
+    assert viewer._session.selected is None and "crate" not in line_of(viewer)
+
+
+def test_problems_are_told_in_the_cell(viewer: ls.Viewer, notebook: Any) -> None:
+    """As text, whatever is in it."""
+    viewer._repr_mimebundle_()
+    viewer._session.report("<b>lamp</b> is broken")
+    assert "&lt;b&gt;lamp&lt;/b&gt; is broken" in line_of(viewer)
+
+
+def wait_for_views_that_move(viewer: ls.Viewer) -> None:
+    """Until the loop has nothing to draw for a view that has changed, and goes on with an errand."""
+    begun = threading.Event()
+
+    def errand() -> Generator[None]:
+        begun.set()
+        yield
+
+    viewer._loop.do(errand())
+    assert begun.wait(60.0)
+
+
+def test_cells_that_are_out_of_sight_are_not_rendered(viewer: ls.Viewer, notebook: Any) -> None:
+    """Until they are seen again, then with what has changed; a browser that comes anew gets a picture at once."""
+    viewer._repr_mimebundle_()
+    before = settled(viewer, notebook)
+    notebook.send("hide")
+    count, page = len(notebook.pictures), viewer._notebook._cell.page  # pyright: ignore[reportOptionalMemberAccess]
+    number = page.key
+    viewer.show(replace(lit_scene(), lights=()))
+    wait_for_views_that_move(viewer)
+    assert len(notebook.pictures) == count and page.key == number
+    notebook.send("show")
+    assert difference(before, settled(viewer, notebook)) > 1.0
+    count = len(notebook.pictures)
+    notebook.send("show")
+    notebook.picture(after=count)
+
+
+def test_a_cell_that_is_shown_twice_is_one(viewer: ls.Viewer, notebook: Any) -> None:
+    """Both show the same widget; after that was closed there is another one."""
+    first, again = viewer._repr_mimebundle_()[0], viewer._repr_mimebundle_()[0]
+    assert first[WIDGET] == again[WIDGET]
+    notebook.send("close")
+    assert viewer._repr_mimebundle_()[0][WIDGET] != first[WIDGET]
+
+
+class Buffer:
+    """In place of the widget: it counts frames, and answers when it is told to."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.answer: Any = None
+
+    def observe(self, answer: Any, names: str) -> None:
+        """Keeps what answers."""
+        self.answer = answer
+
+    def send_frame(self, picture: np.ndarray) -> None:
+        """Counts."""
+        self.frames += 1
+
+
+def test_a_frame_waits_for_the_answer_to_the_last_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An answer to an older frame is none; closing ends the wait."""
+    monkeypatch.setattr(frame_buffer, "ANSWER_S", 60.0)
+    buffer: Any = Buffer()
+    screen, shown = CellScreen(buffer), Shown(np.zeros((2, 2, 3), np.uint8), 80)
+
+    def start() -> threading.Thread:
+        count, thread = buffer.frames, threading.Thread(target=screen.show, args=(shown,), daemon=True)
+        thread.start()
+        eventually(lambda: buffer.frames > count, "no frame was sent")
+        return thread
+
+    first = start()
+    buffer.answer({"new": {}})
+    first.join(timeout=0.1)
+    assert first.is_alive()
+    buffer.answer({"new": {"index": 1}})
+    first.join(timeout=10.0)
+    assert not first.is_alive()
+    second = start()
+    buffer.answer({"new": {"index": 1}})
+    second.join(timeout=0.1)
+    assert second.is_alive()
+    screen.close()
+    second.join(timeout=10.0)
+    assert not second.is_alive()
+
+
+def test_kernels_that_hear_no_answers_show_frames_all_the_same(viewer: ls.Viewer, notebook: Any) -> None:
+    """As while a cell runs that edits the scene."""
+    notebook.answers = False
+    viewer._repr_mimebundle_()
+    for step in range(3):
+        count = len(notebook.pictures)
+        viewer.show(replace(lit_scene(), lights=(ls.LightPoint((0.0, -1.0, -0.8), intensity=1.0 + step),)))
+        notebook.picture(after=count)
+
+
+@pytest.mark.parametrize("what", ["viewer", "widget"])
+def test_what_is_closed_leaves_no_thread(what: str, notebook: Any) -> None:
+    """Neither of the cell nor of the viewer; the cell says so, and later edits reach nobody."""
+    before, threads = page_threads(), set(threading.enumerate())
+    viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
+    viewer._repr_mimebundle_()
+    assert page_threads() - before
+    cell = viewer._notebook._cell
+    assert cell is not None
+    if what == "widget":
+        cell.buffer.close()
+        assert not page_threads() - before
+        viewer.show(ls.Scene())
+    viewer.close()
+    assert "closed" in line_of(viewer) and viewer.url not in line_of(viewer)
+    assert not viewer._session.errors or cell.tell not in viewer._session.errors
+    eventually(
+        lambda: not [t for t in set(threading.enumerate()) - threads if t.name.startswith("lumisplat")],
+        "a thread is left",
+    )
+    assert viewer._repr_mimebundle_() == ({"text/plain": "Viewer(closed)"}, {})
+
+
+# --- Pictures ---
+
+
+def shell(*, allow_stdin: bool, types: tuple[str, ...] = ("image/png", "text/plain")) -> SimpleNamespace:
+    """IPython's shell in a kernel."""
+    kernel = SimpleNamespace(get_parent=lambda channel: {"content": {"allow_stdin": allow_stdin}})
+    return SimpleNamespace(kernel=kernel, display_formatter=SimpleNamespace(active_types=types))
+
+
+def picture_of(data: dict[str, Any]) -> np.ndarray:
+    """The picture of a bundle."""
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data["image/png"]))))
+
+
+def test_without_a_kernel_there_is_a_picture(viewer: ls.Viewer) -> None:
+    """A PNG of the scene as pages see it at first, and the text; no page and no thread is left of it."""
+    before = page_threads()
+    data, about = viewer._repr_mimebundle_()
+    assert (
+        set(data) == {"image/png", "text/plain"} and data["text/plain"] == repr(viewer) and viewer.url in repr(viewer)
+    )
+    assert about == {"image/png": {"width": 160, "height": 90}}
+    view = ls.frame_camera(lit_scene(), width=160, height=90, fov_y=0.8)
+    wanted = np.asarray(ls.render(lit_scene(), view, CONFIG, device="cpu"), np.uint8)
+    assert ls.psnr(picture_of(data) / 255.0, wanted / 255.0) > 40.0
+    assert page_threads() == before and not viewer._loop._pages
+
+
+def test_a_program_that_runs_a_notebook_gets_a_picture(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As nbconvert: there is a kernel, but nobody who could type, or turn a camera."""
+    monkeypatch.setattr(host, "_shell", lambda: shell(allow_stdin=False))
+    assert set(viewer._repr_mimebundle_()[0]) == {"image/png", "text/plain"}
+
+
+def test_a_terminal_gets_text_alone(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No frame is rendered for what cannot be seen."""
+    formatter = SimpleNamespace(active_types=["text/plain"])
+    monkeypatch.setattr(host, "_shell", lambda: SimpleNamespace(display_formatter=formatter))
+    monkeypatch.setattr(Notebook, "_picture", None)
+    assert viewer._repr_mimebundle_() == ({"text/plain": repr(viewer)}, {})
+
+
+def test_a_missing_extra_is_named_once(
+    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In the log and in the text, beside the picture."""
+    monkeypatch.setattr(host, "_shell", lambda: shell(allow_stdin=True))
+    monkeypatch.setitem(sys.modules, "jupyter_rfb", None)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        bundles = [viewer._repr_mimebundle_()[0] for _ in range(2)]
+    assert [set(data) for data in bundles] == [{"image/png", "text/plain"}] * 2
+    address, line = bundles[1]["text/plain"].splitlines()
+    assert address == repr(viewer) and "pip install 'lumisplat[notebook]'" in line
+    assert [record.message for record in caplog.records] == [line]
+
+
+def test_a_notebook_gets_the_types_that_it_asks_for(viewer: ls.Viewer, notebook: Any) -> None:
+    """Types that are not included, or are excluded, are left out; text alone makes no widget and no frame."""
+    assert set(viewer._repr_mimebundle_(include={"text/plain"})[0]) == {"text/plain"}
+    assert set(viewer._repr_mimebundle_(exclude={WIDGET, "image/png", "image/jpeg"})[0]) == {"text/plain"}
+    assert viewer._notebook._cell is None
+    assert set(viewer._repr_mimebundle_(exclude={WIDGET})[0]) == {"image/png", "text/plain"}
+    assert set(viewer._repr_mimebundle_(include={WIDGET})[0]) == {WIDGET}
+
+
+def test_what_cannot_be_shown_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that is missing, and whatever else goes wrong: a cell never gets an exception."""
+    viewer = ls.view(tmp_path / "missing.ply", device="cpu")
+    data, about = viewer._repr_mimebundle_()
+    assert "missing.ply" in data["text/plain"] and viewer.url in data["text/plain"] and about == {}
+    viewer.close()
+    viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
+    monkeypatch.setattr(Notebook, "bundle", None)
+    assert "no picture" in viewer._repr_mimebundle_()[0]["text/plain"]
+    viewer.close()
