@@ -86,6 +86,8 @@ def test_mistakes_are_one_line(tmp_path: Path, capture: Path, capsys: pytest.Cap
             ((), "no scene given"),
             (("@gone.ply", "--port", "0"), "gone.ply"),
             ((str(capture), "--port", port), f"port {port} of 127.0.0.1"),
+            ((str(capture), "--height", "60"), "height is 60, expected 90 to 2160"),
+            ((str(capture), "--budget", "nan"), "budget is nan"),
             (("@a.toml", "@b.toml", "--port", "0"), "both scene files"),
         ):
             outcome = work.run("view", *args, "--no-browser", "--device", "cpu")

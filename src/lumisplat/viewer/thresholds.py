@@ -77,3 +77,9 @@ PLAY_STEPS_PER_S = 30.0
 
 PACE_FORGETS = 0.995
 """Factor by which a step that was too slow is taken to be quicker with every frame, until it is tried again."""
+
+HEIGHTS = (90, 2160)
+"""Rows that pictures at rest may have."""
+
+BUDGETS_MS = (10.0, 500.0)
+"""What a frame of a view that moves may be given, milliseconds."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.state.session import Options, State
+from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS
 from lumisplat.viewer.viewer import Progress, Viewer
 
 Viewable = ls.Scene | ls.Animation | ls.SceneDocument | ls.Gaussians | ls.Mesh | str | os.PathLike[str]
@@ -45,16 +46,20 @@ def view(
         port: Port to listen on; 0: a free one.
         host: Address to listen on. Others than a loopback address let other machines in, if they have the token.
         device: As of `lumisplat.create_renderer`.
-        height: Rows of frames of views at rest.
-        budget_ms: Milliseconds that a frame of a view that moves may take: fewer Gaussians are drawn first, then fewer
-            pixels.
+        height: Rows of frames of views at rest, 90 to 2160.
+        budget_ms: Milliseconds that a frame of a view that moves may take, 10 to 500: fewer Gaussians are drawn first,
+            then fewer pixels.
         up: Up of files that do not say it; None: as of `lumisplat.Scene`.
         drop_invalid: Of files, as of `lumisplat.load`.
 
     Raises:
+        ConfigError: ``height`` or ``budget_ms`` is out of its range.
         MissingExtraError: The extra ``view`` is not installed.
         DeviceError: The port cannot be opened.
     """
+    for name, value, (low, high) in (("height", height, HEIGHTS), ("budget", budget_ms, BUDGETS_MS)):
+        if not low <= value <= high:
+            raise ls.ConfigError(f"{name} is {value}, expected {low:g} to {high:g}")
 
     def load(progress: Progress) -> State:
         document = _document(scene, up, drop_invalid, progress)

@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
 from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS
 
 if TYPE_CHECKING:
     import viser
-
-_HEIGHTS = (90, 2160)
-_BUDGETS = (10.0, 500.0)
 
 
 class ViewPanel:
@@ -26,9 +24,13 @@ class ViewPanel:
         self._session = session
         options = session.options
         self._view = gui.add_dropdown("view", ("color", *ls.Frame.VIEWS), initial_value=options.view)
-        self._height = gui.add_slider("rows", *_HEIGHTS, 10, options.height, hint="Of pictures at rest.")
+        self._height = gui.add_slider("rows", *HEIGHTS, 10, options.height, hint="Of pictures at rest.")
         self._budget = gui.add_slider(
-            "budget", *_BUDGETS, 5.0, options.budget_ms, hint="Milliseconds that a frame may take while the view moves."
+            "budget",
+            *BUDGETS_MS,
+            5.0,
+            options.budget_ms,
+            hint="Milliseconds that a frame may take while the view moves.",
         )
         hint = "Lines where lights are, and how far they reach."
         self._outlines = gui.add_checkbox("outlines", options.outlines, hint=hint)

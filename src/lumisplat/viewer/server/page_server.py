@@ -6,6 +6,7 @@ import contextlib
 import logging
 import socket
 import threading
+import warnings
 from collections.abc import Awaitable, Callable, Generator
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +50,8 @@ class PageServer:
 
     def __init__(self, host: str, port: int) -> None:
         viser = import_viser()
+        # A page may go at any moment: what was on its way to it is no news.
+        warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         listener = listening_socket(host, port)
         self.guard = Guard(host, listener.getsockname()[1])
         with _guarded(listener, self.guard) as asked, _quiet():
