@@ -22,6 +22,7 @@ from lumisplat.viewer.hands.helpers import decorated
 from lumisplat.viewer.hands.picking import select
 from lumisplat.viewer.notebook.notebook import Bundle, Notebook
 from lumisplat.viewer.output.stills import Studio
+from lumisplat.viewer.panels.buttons import add_buttons
 from lumisplat.viewer.panels.errands import Errands
 from lumisplat.viewer.panels.files import FilesPanel
 from lumisplat.viewer.panels.film import FilmPanel
@@ -162,8 +163,7 @@ class Viewer:
         gui.set_panel_label("Lumisplat")
         errands = Errands(gui, self._loop.do)
         studio = Studio(self._loop.scenes, device, self._loop.is_wanted)
-        history = gui.add_button_group("", ["undo", "redo"])
-        history.on_click(lambda event: self._step(str(event.target.value)))
+        add_buttons(gui, ["undo", "redo"], self._step)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Things"):
             self._things = ThingsPanel(gui, self._session)

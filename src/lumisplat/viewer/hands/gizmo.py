@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
+from lumisplat.viewer.server.turns import in_turn
 from lumisplat.viewer.state.boxes import Box, pose_of, scale_of
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Session
@@ -190,40 +191,45 @@ class Gizmo:
                 position=position,
                 wxyz=wxyz,
             )
-            self._handle.on_update(self._on_update)
+            callback: Any = in_turn(_move_of, self._on_update)
+            self._handle.on_update(callback)
         elif not np.allclose(self._held[1].world_from_grip, matrix, atol=1e-9 * extent.size):
             self._handle.position, self._handle.wxyz = position, np.array(wxyz)
         self._held = entry.id, grip
 
-    def _on_update(self, event: viser.TransformControlsEvent) -> None:
-        {"start": self._begin, "update": self._move, "end": self._end}[event.phase]()
+    def _on_update(self, move: tuple[str, Matrix]) -> None:
+        phase, place = move
+        if phase == "start":
+            self._begin()
+        elif phase == "update":
+            self._move(place)
+        else:
+            self._end(place)
 
     def _begin(self) -> None:
-        """Starts a drag; what has moved just before is part of it, for messages may overtake each other."""
+        """Starts a drag."""
         with self._session.changed:
-            now = time.monotonic()
-            if self._held is not None and now - self._dragged_at >= DRAG_ENDS_S:
-                self._session.seal()
             if self._held is not None:
+                self._session.seal()
                 drag = Drag(self._held[0], self._held[1].world_from_grip, self._session.options.time)
                 self._drag = self._session.state.document, drag
-            self._dragged_at = now
+            self._dragged_at = time.monotonic()
 
-    def _move(self) -> None:
+    def _move(self, place: Matrix) -> None:
+        """Moves what is held to where a page has the handle: ``world_from_grip`` in units of the page."""
         with self._session.changed:
-            if self._held is None or self._handle is None:
+            if self._held is None:
                 return
             number, grip = self._held
             here = Drag(number, grip.world_from_grip, self._session.options.time)
             document, drag = self._drag or (self._session.state.document, here)
-            self._dragged_at, now, extent = time.monotonic(), self._now(), self._session.extent
-            if self._drag is None and np.allclose(now, drag.start, atol=1e-6 * extent.size):
-                return  # the last move of a drag that has ended already
+            self._dragged_at, extent, now = time.monotonic(), self._session.extent, place.copy()
+            now[:3, 3] /= extent.page_from_scene
             self._session.apply(lambda _: dragged(document, drag, now, extent), merge=f"drag {number}")
 
-    def _end(self) -> None:
+    def _end(self, place: Matrix) -> None:
         with self._session.changed:
-            self._move()
+            self._move(place)
             self._drag, self._dragged_at = None, 0.0
             self._session.seal()
             self.follow()
@@ -233,20 +239,20 @@ class Gizmo:
         size = self._session.boxes.size(entry, self._session.options.time)
         return 0.0 if size is None else 0.6 * float(np.max(size))
 
-    def _now(self) -> Matrix:
-        """``world_from_grip`` of the handle, in units of the scene."""
-        from viser import transforms
-
-        assert self._handle is not None
-        matrix = np.eye(4)
-        matrix[:3, :3] = transforms.SO3(np.asarray(self._handle.wxyz)).normalize().as_matrix()
-        matrix[:3, 3] = np.asarray(self._handle.position) / self._session.extent.page_from_scene
-        return matrix
-
     def _remove(self) -> None:
         if self._handle is not None:
             self._handle.remove()
         self._handle = self._held = None
+
+
+def _move_of(event: viser.TransformControlsEvent) -> tuple[str, Matrix]:
+    """The phase of a drag, and where the handle is, in units of the page."""
+    from viser import transforms
+
+    matrix = np.eye(4)
+    matrix[:3, :3] = transforms.SO3(np.asarray(event.target.wxyz)).normalize().as_matrix()
+    matrix[:3, 3] = np.asarray(event.target.position)
+    return event.phase, matrix
 
 
 def _wxyz(rotation: Matrix) -> tuple[float, float, float, float]:

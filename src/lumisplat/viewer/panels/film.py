@@ -15,6 +15,7 @@ import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import picture_of
 from lumisplat.viewer.output.stills import Studio, still_config
+from lumisplat.viewer.panels.buttons import add_buttons
 from lumisplat.viewer.panels.errands import Errands, Steps
 from lumisplat.viewer.panels.pictures import HEIGHTS
 from lumisplat.viewer.state.flight import Key, keys_of, with_key, without_flight, without_last_key
@@ -53,8 +54,7 @@ class FilmPanel:
         self._seconds = gui.add_number("seconds", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
         hint = "The place from which this page looks becomes the next one of the flight."
         gui.add_button("add this view", hint=hint).on_click(self._add)
-        group = gui.add_button_group("", ["drop the last", "drop all"])
-        group.on_click(self._drop)
+        add_buttons(gui, ["drop the last", "drop all"], self._drop)
         self._fps = gui.add_number("frames a second", 25.0, min=1.0, max=50.0, step=1.0)
         self._fps.on_update(self._put_fps)
         self._height = gui.add_number("film rows", 540, min=HEIGHTS[0], max=HEIGHTS[1], step=2)
@@ -87,9 +87,9 @@ class FilmPanel:
         key, seconds = Key(camera, (x, y, z)), float(self._seconds.value)
         self._session.apply(lambda document: with_key(document, key, seconds))
 
-    def _drop(self, event: Any) -> None:
+    def _drop(self, which: str) -> None:
         if keys_of(self._session.state.document):
-            self._session.apply(without_last_key if event.target.value == "drop the last" else without_flight)
+            self._session.apply(without_last_key if which == "drop the last" else without_flight)
 
     def _film(self, event: Any) -> None:
         page = self._pages.get(event.client_id)

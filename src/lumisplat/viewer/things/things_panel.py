@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.viewer.panels.buttons import add_buttons
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.things.adding import AddPanel
 from lumisplat.viewer.things.inspector import Inspector
@@ -35,10 +36,8 @@ class ThingsPanel:
         self._tree = gui.add_html("")
         self._selected = gui.add_dropdown("selected", [_NOTHING], hint="Or click a thing in the picture.")
         self._selected.on_update(self._select)
-        self._actions = gui.add_button_group("", ["duplicate", "hide", "delete"])
-        self._actions.on_click(self._act)
-        self._more = gui.add_button_group("", ["to the ground", "split"])
-        self._more.on_click(self._act)
+        add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
+        add_buttons(gui, ["to the ground", "split"], self.act)
         self._inspector = Inspector(gui, session, gui.add_folder("selected"))
         with gui.add_folder("add", expand_by_default=False):
             self._adding = AddPanel(gui, session)
@@ -79,9 +78,6 @@ class ThingsPanel:
             document = document.changed(number, position=[x + step, y, z])
         self._session.selected = number
         return document
-
-    def _act(self, event: Any) -> None:
-        self.act(str(event.target.value))
 
     def _select(self, event: Any) -> None:
         if event.client_id is not None:
