@@ -7,7 +7,7 @@ import io
 import threading
 import time
 import uuid
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -41,7 +41,7 @@ class PageClient:
         self._thread = threading.Thread(target=self._receive, daemon=True)
         self._thread.start()
 
-    def __enter__(self) -> PageClient:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

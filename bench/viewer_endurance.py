@@ -1,0 +1,434 @@
+"""Whether the viewer bears long work: nothing lost, nothing left behind, memory that does not grow.
+
+``python -m bench.viewer_endurance`` opens three pages over bare WebSockets on a small lit scene, and edits it by what
+pages send, as an hour of work would: handles are dragged, materials, lights and settings changed, things added,
+uploaded, duplicated, hidden and deleted, edits undone and redone, pages closed and opened again, while all pages move.
+After each edit, the document is compared with a ledger that the same edits are entered in.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import random
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lumisplat as ls
+from bench.page_client import PageClient
+from bench.timing import parser, quiet_warp
+from lumisplat.viewer.thresholds import UNDO_MAX
+
+EDITS = 5000
+"""More than an hour has, at one in a second."""
+HEIGHT = 90
+PAGES = 3
+ENTRIES = (3, 9)
+"""Fewest and most things of the scene."""
+LOST_S = 30.0
+"""An edit that has not been done by then is lost."""
+WARM_UP = 0.2
+"""Share of the edits before memory is measured: lists of what can be undone, and caches, have filled up."""
+TRIANGLE = b"v 0 0 0\nv 0.3 0 0\nv 0 0.3 0\nf 1 2 3\n"
+WEIGHTS = {
+    "drag": 6,
+    "value": 8,
+    "exposure": 2,
+    "undo": 4,
+    "redo": 2,
+    "duplicate": 2,
+    "hide": 2,
+    "delete": 2,
+    "add": 1,
+    "upload": 1,
+    "reconnect": 1,
+}
+"""How often what is done."""
+
+
+@dataclass(frozen=True)
+class Thing:
+    """What the ledger knows of an entry."""
+
+    is_light: bool
+    value: float | None
+    """Intensity of a light, roughness of others; None: as the file has it."""
+    position: tuple[float, ...] | None
+    """Of a light."""
+    is_off: bool = False
+
+
+@dataclass(frozen=True)
+class Content:
+    """What the ledger knows of a state."""
+
+    things: dict[int, Thing]
+    exposure: float = 0.0
+
+
+@dataclass
+class Ledger:
+    """The edits, entered without the viewer; undone as it says that they are."""
+
+    now: Content
+    past: list[Content] = field(default_factory=list[Content])
+    future: list[Content] = field(default_factory=list[Content])
+    merging: str | None = None
+
+    def edit(self, content: Content, merge: str | None = None) -> None:
+        """Goes on; edits of one name in a row are one."""
+        if merge is None or merge != self.merging:
+            self.past = [*self.past[-UNDO_MAX:], self.now]
+        self.now, self.merging, self.future = content, merge, []
+
+    def put(self, number: int, thing: Thing | None, merge: str | None = None) -> None:
+        """Enters another thing in place of one; None: it is gone."""
+        things = {key: value for key, value in self.now.things.items() if key != number}
+        self.edit(replace(self.now, things=things if thing is None else things | {number: thing}), merge)
+
+    def step(self, source: list[Content], target: list[Content]) -> None:
+        """Undoes or does again, if there is anything."""
+        if source:
+            target.append(self.now)
+            self.now, self.merging = source.pop(), None
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came of it."""
+
+    seconds: float
+    done: Counter[str]
+    memory_mib: tuple[float, ...]
+    """After the warm-up, and in equal steps until the end."""
+    threads: tuple[list[str], list[str]]
+    """Names of the viewer's, after the warm-up, and at the end."""
+    errors: list[str]
+    """What was logged or reported."""
+
+
+class LeanPage(PageClient):
+    """A page that forgets what it need not know, so that its memory is not taken for the viewer's."""
+
+    def _take(self, message: dict[str, Any], buffers: list[bytes]) -> None:
+        is_control = isinstance(message.get("props"), dict) and "uuid" in message
+        if message["type"] == "GuiRemoveMessage":
+            self.messages[:] = [each for each in self.messages if each["uuid"] != message["uuid"]]
+        elif is_control or message["type"].startswith(("LocalStorage", "BackgroundImage")):
+            super()._take(message, buffers)
+        with self._arrived:
+            del self.pictures[:-1]
+
+    def push(self, button: str) -> None:
+        """Presses a button of a group."""
+        found: list[str] = []
+
+        def is_there() -> bool:
+            found[:] = [m["uuid"] for m in list(self.messages) if button in (m["props"].get("options") or ())]
+            return bool(found)
+
+        wait_until(is_there, f"there is no button {button}")
+        self.send("GuiUpdateMessage", uuid=found[0], updates={"value": button})
+
+
+class Hand:
+    """Edits by what pages send, and enters in the ledger what should come of it.
+
+    Args:
+        viewer: The viewer.
+        seed: Of what is done.
+    """
+
+    def __init__(self, viewer: ls.Viewer, seed: int = 0) -> None:
+        self._viewer, self._random = viewer, random.Random(seed)
+        self.pages: list[LeanPage] = []
+        for _ in range(PAGES):
+            self._open()
+        self.ledger = Ledger(content_of(viewer))
+        self.done: Counter[str] = Counter()
+        self._looks = 0
+
+    def act(self) -> None:
+        """Does the next thing, and waits until it is done."""
+        low, high = ENTRIES
+        count = len(self.ledger.now.things)
+        what = self._random.choices(list(WEIGHTS), list(WEIGHTS.values()))[0]
+        if count >= high and what in ("duplicate", "add", "upload"):
+            what = "delete"
+        if count <= low and what == "delete":
+            what = "duplicate"
+        for page in self.pages:
+            self._looks += 1
+            page.look(orbit(0.01 * self._looks))
+        getattr(self, f"_{what}")(self._random.choice(self.pages))
+        self._agree(what)
+        self.done[what] += 1
+
+    def _open(self) -> None:
+        """Opens a page; until it is known by its camera, nothing that it says is heard."""
+        page = LeanPage(self._viewer.url)
+        page.look(orbit(0.0))
+        self.pages.append(page)
+        wait_until(lambda: len(self._viewer._pages) == len(self.pages), "a page is not there, or one that has gone is")
+
+    def close(self) -> None:
+        """Closes the pages."""
+        for page in self.pages:
+            page.close()
+
+    def _agree(self, what: str) -> None:
+        """Waits until the viewer shows what the ledger has, and can undo and redo as much."""
+        session, ledger = self._viewer._session, self.ledger
+
+        def agrees() -> bool:
+            with session.changed:
+                counts = len(session._past), len(session._future)
+            return content_of(self._viewer) == ledger.now and counts == (len(ledger.past), len(ledger.future))
+
+        wait_until(agrees, f"{what} was lost")
+
+    def _select(self, fits: Callable[[Thing], bool] = lambda thing: True) -> tuple[int, Thing] | None:
+        """Selects a thing at random of those that fit; None: none does."""
+        things = [(number, thing) for number, thing in self.ledger.now.things.items() if fits(thing)]
+        if not things:
+            return None
+        number, thing = self._random.choice(things)
+        if self._viewer._session.selected != number:
+            self._viewer._session.select(number)
+            self.ledger.merging = None
+        return number, thing
+
+    def _any(self) -> tuple[int, Thing]:
+        selected = self._select()
+        assert selected is not None
+        return selected
+
+    def _drag(self, page: LeanPage) -> None:
+        if (selected := self._select(lambda thing: thing.is_light and not thing.is_off)) is None:
+            return
+        number, thing = selected
+        shared = {"name": "/selected"}
+        place = [round(self._random.uniform(-2.0, 2.0), 4) for _ in range(3)]
+        page.send("TransformControlsDragStartMessage", **shared)
+        for step in range(1, 6):
+            position = [0.2 * step * x for x in place]
+            page.send("TransformControlsUpdateMessage", **shared, wxyz=[1.0, 0.0, 0.0, 0.0], position=position)
+        page.send("TransformControlsDragEndMessage", **shared)
+        self.ledger.put(number, replace(thing, position=rounded(place)))
+        self._agree("drag")
+        gizmo, session, self.ledger.merging = self._viewer._gizmo, self._viewer._session, None
+        wait_until(lambda: gizmo._drag is None and session._merging is None, "the drag did not end")
+
+    def _value(self, page: LeanPage) -> None:
+        if (selected := self._select(lambda thing: not thing.is_off)) is None:
+            return
+        number, thing = selected
+        name = "intensity" if thing.is_light else "material.roughness"
+        value = round(self._random.uniform(0.1, 0.9), 3)
+        control = self._viewer._things._inspector._controls[name]
+        is_new = value != control._shown
+        page.send("GuiUpdateMessage", uuid=control.handle._impl.uuid, updates={"value": value})
+        if is_new:
+            self.ledger.put(number, replace(thing, value=value), f"{number} {name}")
+
+    def _exposure(self, page: LeanPage) -> None:
+        value = round(self._random.uniform(-2.0, 2.0), 1)
+        page.choose("exposure", value)
+        if value != self.ledger.now.exposure:
+            self.ledger.edit(replace(self.ledger.now, exposure=value), "exposure")
+
+    def _undo(self, page: LeanPage) -> None:
+        self.ledger.step(self.ledger.past, self.ledger.future)
+        page.push("undo")
+
+    def _redo(self, page: LeanPage) -> None:
+        self.ledger.step(self.ledger.future, self.ledger.past)
+        page.push("redo")
+
+    def _duplicate(self, page: LeanPage) -> None:
+        _, thing = self._any()
+        page.push("duplicate")
+        number = self._new_id()
+        if thing.position is not None:
+            place = content_of(self._viewer).things[number].position
+            assert place is not None
+            step = np.array(place) - thing.position
+            assert np.allclose(step, (0.05 * self._viewer._session.extent.size, 0.0, 0.0), atol=1e-5), "not aside"
+            thing = replace(thing, position=place)
+        self.ledger.put(number, thing)
+
+    def _hide(self, page: LeanPage) -> None:
+        number, thing = self._any()
+        page.push("hide")
+        self.ledger.put(number, replace(thing, is_off=not thing.is_off))
+
+    def _delete(self, page: LeanPage) -> None:
+        number, _ = self._any()
+        page.push("delete")
+        self.ledger.put(number, None)
+        wait_until(lambda: self._viewer._session.selected is None, "what was deleted is still selected")
+
+    def _add(self, page: LeanPage) -> None:
+        page.choose("what", "point light")
+        page.choose("add", True, folder="add")
+        number = self._new_id()
+        self.ledger.put(number, content_of(self._viewer).things[number])
+
+    def _upload(self, page: LeanPage) -> None:
+        page.upload("upload a file", "triangle.obj", TRIANGLE)
+        self.ledger.put(self._new_id(), Thing(is_light=False, value=None, position=None))
+
+    def _reconnect(self, page: LeanPage) -> None:
+        self.pages.remove(page)
+        page.close()
+        self._open()
+
+    def _new_id(self) -> int:
+        """That of the entry which has come."""
+        known = self.ledger.now.things.keys()
+        wait_until(lambda: content_of(self._viewer).things.keys() > known, "nothing was added")
+        (number,) = content_of(self._viewer).things.keys() - known
+        return number
+
+
+def content_of(viewer: ls.Viewer) -> Content:
+    """What the viewer shows, as the ledger has it."""
+    with viewer._session.changed:  # whoever edits holds it until all panels show the edit
+        state = viewer._session.state
+    things: dict[int, Thing] = {}
+    for entry in state.document.entries:
+        table: dict[str, Any] = dict(entry.table)
+        is_light = entry.kind == "lights"
+        value = table.get("intensity") if is_light else dict(table.get("material", {})).get("roughness")
+        is_off = not table.get("enabled", True) or bool(table.get("hidden"))
+        things[entry.id] = Thing(is_light, value, rounded(table["position"]) if is_light else None, is_off)
+    return Content(things, round(state.exposure, 6))
+
+
+def rounded(place: Any) -> tuple[float, ...]:
+    """A position, to a millionth."""
+    return tuple(round(float(x), 6) + 0.0 for x in place)
+
+
+def wait_until(holds: Callable[[], bool], what: str) -> None:
+    """Waits for something that threads of the viewer do."""
+    until = time.monotonic() + LOST_S
+    while not holds():
+        if time.monotonic() > until:
+            raise AssertionError(what)
+        time.sleep(0.002)
+
+
+def orbit(angle: float) -> ls.Camera:
+    """A camera on a circle around the scene."""
+    eye = (3.5 * np.sin(angle), -0.6, -3.5 * np.cos(angle))
+    return ls.Camera.look_at(eye, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=HEIGHT)
+
+
+def scene_in(folder: Path) -> Path:
+    """A scene file: a relit ball of Gaussians, a box and a lamp."""
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(400, 3))
+    ball = ls.Gaussians(
+        means=0.5 * directions / np.linalg.norm(directions, axis=1, keepdims=True),
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (400, 1)),
+        scales=np.full((400, 3), 0.06),
+        opacities=np.full(400, 0.9),
+        sh=rng.uniform(-0.5, 1.0, (400, 1, 3)),
+    )
+    ls.save(folder / "ball.ply", ball)
+    file = folder / "scene.toml"
+    file.write_text(
+        '[[splats]]\npath = "ball.ply"\nmaterial = { type = "pbr" }\n\n'
+        '[[meshes]]\nshape = "box"\nsize = 0.8\nposition = [0.8, 0.0, 0.0]\n\n'
+        '[[lights]]\ntype = "point"\nposition = [0.0, -1.0, -0.8]\nintensity = 2.0\n'
+    )
+    return file
+
+
+class Faults(logging.Handler):
+    """Collects what is logged as a warning or worse."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Notes a record."""
+        self.lines.append(record.getMessage())
+
+
+def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Report:
+    """Opens a viewer and edits so many times.
+
+    Raises:
+        AssertionError: An edit was lost.
+    """
+    faults = Faults()
+    logging.getLogger().addHandler(faults)
+    viewer = ls.view(scene_in(folder), height=HEIGHT, device=device)
+    viewer._loader.join()
+    viewer._session.errors.append(faults.lines.append)
+    hand = Hand(viewer, seed)
+    begun = time.monotonic()
+    try:
+        for page in hand.pages:
+            page.picture()
+        memory: list[float] = []
+        threads: list[list[str]] = []
+        for number in range(edits + 1):
+            if number in np.linspace(WARM_UP * edits, edits, 5).astype(int):
+                memory.append(memory_mib())
+                threads.append(settled_threads(viewer))
+            if number < edits:
+                hand.act()
+    finally:
+        hand.close()
+        viewer.close()
+        logging.getLogger().removeHandler(faults)
+    return Report(time.monotonic() - begun, hand.done, tuple(memory), (threads[0], threads[-1]), faults.lines)
+
+
+def settled_threads(viewer: ls.Viewer) -> list[str]:
+    """Threads of the viewer once all pages that have gone are forgotten."""
+
+    def ours() -> list[str]:
+        return sorted(thread.name for thread in threading.enumerate() if thread.name.startswith("lumisplat"))
+
+    wait_until(lambda: len(viewer._pages) == ours().count("lumisplat page") == PAGES, "a page that has gone is there")
+    return ours()
+
+
+def memory_mib() -> float:
+    """What this process holds."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def main() -> None:
+    """Prints what came of it."""
+    arguments = parser("viewer_endurance", __doc__)
+    arguments.add_argument("--edits", type=int, default=EDITS)
+    options = arguments.parse_args()
+    quiet_warp()
+    with tempfile.TemporaryDirectory() as folder:
+        report = endured(options.edits, Path(folder), options.device)
+    print("edits:", ", ".join(f"{count} {what}" for what, count in report.done.most_common()))
+    print(f"{report.done.total():,} in {report.seconds:.0f} s, none lost")
+    print("memory, MiB:", " ".join(f"{mib:.0f}" for mib in report.memory_mib))
+    print(f"threads: {len(report.threads[0])} -> {len(report.threads[1])}")
+    print("errors:", report.errors[:10] or "none")
+
+
+if __name__ == "__main__":
+    main()
