@@ -141,7 +141,7 @@ def test_levels_are_made_in_blocks_that_are_whole_together(monkeypatch: pytest.M
     assert merged.count == pytest.approx(0.25 * capture.count, rel=1e-3)
     octants = [np.bincount((g.means > 0.5) @ (1, 2, 4), minlength=8) for g in (capture, merged)]
     np.testing.assert_allclose(octants[1], 0.25 * octants[0], rtol=0.05)
-    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 1.0 and len(told) == 17
+    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 1.0 and len(told) == 18
     levels.close()
 
 

@@ -121,9 +121,11 @@ class Levels:
         """Makes the levels of a capture that have been asked for, and that it has not; block by block."""
         made = self._made[gaussians]
         numbers = [number for number in range(1, made.coarsest + 1) if number not in made.levels]
+        self._progress(0.0)
+        self._give_way(LEVEL_PATIENCE_S)
         blocks = list(_blocks(gaussians.means, np.arange(gaussians.count)))
         parts: dict[int, list[ls.Gaussians]] = {number: [] for number in numbers}
-        pause = LEVEL_PATIENCE_S
+        pause = 0.0
         for done, rows in enumerate(blocks):
             self._progress(done / len(blocks))
             self._give_way(pause)
