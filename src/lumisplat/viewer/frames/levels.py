@@ -123,11 +123,10 @@ class Levels:
         numbers = [number for number in range(1, made.coarsest + 1) if number not in made.levels]
         self._progress(0.0)
         self._give_way(LEVEL_PATIENCE_S)
-        blocks = list(_blocks(gaussians.means, np.arange(gaussians.count)))
         parts: dict[int, list[ls.Gaussians]] = {number: [] for number in numbers}
-        pause = 0.0
-        for done, rows in enumerate(blocks):
-            self._progress(done / len(blocks))
+        done, pause = 0, 0.0
+        for rows in _blocks(gaussians.means, np.arange(gaussians.count)):
+            self._progress(done / gaussians.count)
             self._give_way(pause)
             if self._closing.is_set():
                 return
@@ -136,7 +135,7 @@ class Levels:
             for number in numbers:
                 part = ls.decimate(part, max(1, round(rows.size * LEVEL_FRACTIONS[number])))
                 parts[number].append(part)
-            pause = 2.0 * (time.monotonic() - begun)
+            done, pause = done + rows.size, 2.0 * (time.monotonic() - begun)
         made.levels |= {number: ls.merge(parts[number]) for number in numbers}
         made.thinned.clear()
         self._progress(1.0)
