@@ -10,6 +10,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,15 @@ def shown(viewer: ls.Viewer) -> np.ndarray:
     return np.asarray(image)[200:, :440]
 
 
+def shows_its_frame(page: Any, viewer: ls.Viewer) -> bool:
+    """Whether a page shows what the renderer has rendered for it, but for the JPEG; a busy browser may take a while."""
+    for _ in range(20):
+        if ls.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0:
+            return True
+        page.wait_for_timeout(500)
+    return False
+
+
 def until(holds: Callable[[], bool], page: Any) -> None:
     """Waits while the browser works."""
     end = time.monotonic() + 20.0
@@ -92,7 +102,7 @@ def test_a_browser_shows_the_renderers_picture(browser: Any, viewer: ls.Viewer) 
     """All over the page: not mirrored, shifted or too dark."""
     viewer._session.set_options(outlines=False)
     page = open_page(browser, viewer)
-    assert ls.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0
+    assert shows_its_frame(page, viewer)
     page.close()
 
 
@@ -132,9 +142,9 @@ def handle_tip(viewer: ls.Viewer) -> tuple[float, float]:
 
 def step_back(viewer: ls.Viewer) -> None:
     """Moves the page's camera so far away that the lamp is seen."""
-    (page,) = viewer._pages.values()
-    page.client.camera.look_at = (0.0, -0.5, 0.0)
-    page.client.camera.position = (0.0, -0.5, -5.0)
+    (page,), (client,) = viewer._pages.values(), viewer._viser.get_clients().values()
+    client.camera.look_at = (0.0, -0.5, 0.0)
+    client.camera.position = (0.0, -0.5, -5.0)
     eventually(lambda: page.pose is not None and page.pose.position[2] < -4.9, "the camera did not move")
 
 
@@ -198,7 +208,7 @@ def test_two_browser_pages_have_their_own_views(browser: Any, viewer: ls.Viewer)
 
 def test_a_broken_upload_in_a_browser_says_so(browser: Any, viewer: ls.Viewer, tmp_path: Path) -> None:
     """In a note that names the file; the scene is as it was."""
-    viewer._session.edit(viewer._session.state.__class__(document_in(tmp_path), viewer._session.state.config))
+    viewer._session.edit(lambda state: replace(state, document=document_in(tmp_path)))
     page = open_page(browser, viewer)
     (tmp_path / "broken.glb").write_bytes(b"glTF nonsense")
     page.get_by_text("add", exact=True).first.click()
@@ -220,5 +230,6 @@ def test_a_browser_that_is_killed_can_be_opened_again(browser: Any, viewer: ls.V
     eventually(lambda: not viewer._pages, "the page is still there")
     viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
     page = open_page(browser, viewer)
-    assert not viewer.scene.lights and ls.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0
+    viewer._session.set_options(outlines=False)
+    assert not viewer.scene.lights and shows_its_frame(page, viewer)
     page.close()

@@ -54,6 +54,9 @@ def test_pages_of_this_machine_with_the_token_come_in(host: str) -> None:
         (WITH_TOKEN, OWN | {"Origin": "https://evil.example"}, 403),
         (WITH_TOKEN, OWN | {"Origin": "http://127.0.0.1:9999"}, 403),
         (WITH_TOKEN, OWN | {"Origin": "null"}, 403),
+        (WITH_TOKEN, OWN | {"Origin": "http://["}, 403),
+        ("//[", OWN, 401),
+        ("/", OWN | {"Cookie": "lumisplat-8080=\udcff"}, 401),
     ],
 )
 def test_others_do_not(path: str, headers: dict[str, str], expected: int) -> None:
@@ -70,6 +73,15 @@ def test_a_viewer_for_others_takes_any_name_but_never_another_origin() -> None:
     other = {"Host": "desk.lan:8080", "Origin": "http://evil.example"}
     assert status(guard, f"/?token={guard.token}", other) == 403
     assert guard.url.startswith("http://127.0.0.1:8080/?token=")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.2", "::1", "[::1]"])
+def test_the_printed_address_opens_the_viewer(host: str) -> None:
+    """Whatever name of this machine it listens on."""
+    guard = Guard(host, 8080)
+    address = guard.url.removeprefix("http://")
+    assert status(guard, f"/?token={guard.token}", {"Host": address.partition("/")[0]}) == 200
+    assert "[[" not in address
 
 
 def test_tokens_are_long_and_new() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -13,17 +15,19 @@ from test_viewer import camera, cloud
 
 import lumisplat as ls
 from lumisplat.viewer.colors import color_of_temperature, linear_from_picked, picked_from_linear
+from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.hands.gizmo import Drag, dragged, grip_of
 from lumisplat.viewer.hands.helpers import with_insets
 from lumisplat.viewer.hands.outlines import grid_outline
 from lumisplat.viewer.panels.controls import from_shown, to_shown
 from lumisplat.viewer.panels.described import Described, described
+from lumisplat.viewer.panels.files import command_line
 from lumisplat.viewer.panels.markdown import plain
 from lumisplat.viewer.panels.viewpoints import selected_ball
 from lumisplat.viewer.state.boxes import Boxes, pose_of, world_corners
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Options, Session, State
-from lumisplat.viewer.things.adding import standing, with_sky
+from lumisplat.viewer.things.adding import free_name, standing, with_sky
 from lumisplat.viewer.things.crop import crop_ends, crop_reach, cropped
 from lumisplat.viewer.things.inspector import light_fields, look_of, put_field
 from lumisplat.viewer.things.things_panel import on_ground
@@ -158,7 +162,7 @@ def moved_of(start: ls.SceneDocument, number: int, move: np.ndarray, time: float
     """A document with the grip of an entry moved at a time."""
     grip = grip_of(start.entry(number), (np.full(3, -1.0), np.full(3, 1.0)), EXTENT, time)
     assert grip is not None
-    return dragged(start, Drag(number, grip.world_from_grip, time), move @ grip.world_from_grip, EXTENT)
+    return dragged(start, Drag(start.entry(number), grip.world_from_grip, time), move @ grip.world_from_grip, EXTENT)
 
 
 def shift(x: float, y: float, z: float) -> np.ndarray:
@@ -360,3 +364,71 @@ def test_what_is_selected_is_looked_at() -> None:
     lamp = selected_ball(session)
     assert lamp is not None
     np.testing.assert_allclose(lamp[0], (1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("number", [3, 4, 5])
+def test_what_a_light_looks_at_can_be_edited_as_a_direction(number: int) -> None:
+    """Also of lights that are given by what they aim at: the direction takes its place."""
+    start = document()
+    keys = {3: {"direction": None}, 4: {"direction": None, "position": [0, -3, 0]}, 5: {"edge_u": None, "edge_v": None}}
+    size = {"size": [1.0, 1.0]} if number == 5 else {}
+    aimed = start.changed(number, target=[0.0, 3.0, 0.5], **size, **keys[number])
+    name, value = ("edge_u", (0.0, 0.0, 2.0)) if number == 5 else ("direction", (1.0, 0.0, 0.0))
+    light = put_field(aimed, number, name, value).scene().lights[number - 2]
+    np.testing.assert_allclose(getattr(light, name), value, atol=1e-9)
+
+
+def test_numbers_that_follow_each_other_soon_are_one_undo_and_choices_never() -> None:
+    """A slider that is dragged is one; two pipelines, one after the other, are two."""
+    session = Session(Options())
+    session.open(State(document()))
+    for value in (1.0, 2.0):
+        session.edit(lambda state, value=value: replace(state, exposure=value), merge="exposure")
+    assert session.undo() and session.state.exposure == 0.0
+    for pipeline in ("hybrid", "path"):
+        session.configure(lambda config, pipeline=pipeline: replace(config, pipeline=pipeline))
+    assert session.undo() and session.state.config.pipeline is ls.Pipeline.HYBRID
+    session.edit(lambda state: replace(state, exposure=1.0), merge="exposure", within=0.0)
+    session.edit(lambda state: replace(state, exposure=2.0), merge="exposure", within=-1.0)
+    assert session.undo() and session.state.exposure == 1.0
+
+
+def test_edits_of_several_threads_are_all_there() -> None:
+    """One that takes long, as it reads a file, loses nothing of what is changed meanwhile."""
+    session, begun = Session(Options()), threading.Event()
+    session.open(State(document()))
+
+    def slow(document: ls.SceneDocument) -> ls.SceneDocument:
+        begun.set()
+        time.sleep(0.3)
+        return document.added("lights", {"type": "point", "position": [0, 0, 0]})[0]
+
+    thread = threading.Thread(target=session.apply, args=(slow,))
+    thread.start()
+    begun.wait()
+    session.configure(lambda config: replace(config, seed=7))
+    session.apply(lambda document: document.changed(2, intensity=5.0))
+    thread.join()
+    assert session.state.config.seed == 7 and len(session.state.document.entries) == 8
+    assert session.state.document.entry(2).lights[0].intensity == 5.0  # pyright: ignore
+
+
+def test_long_names_of_uploads_are_cut(tmp_path: Path) -> None:
+    """To what every file system takes; the extension stays."""
+    path = free_name(tmp_path, "x" * 400 + ".ply")
+    assert path.suffix == ".ply" and len(path.name) <= 100
+    path.write_bytes(b"")
+    assert free_name(tmp_path, "x" * 400 + ".ply") != path
+
+
+def test_the_command_line_is_of_a_frame_that_there_is(tmp_path: Path) -> None:
+    """At the end of the time the last one; actors that are hidden do not count."""
+    session = Session(Options())
+    session.open(State(walker(tmp_path).with_animation(duration=2.0, fps=5.0)))
+    session.set_options(time=2.0)
+    pose = Pose((0.0, 0.0, -3.0), (1.0, 0.0, 0.0, 0.0), 0.8, 1.6, 3.0)
+    assert "animate" in command_line(Path("a.toml"), pose, session) and "--frames 9 " in command_line(
+        Path("a.toml"), pose, session
+    )
+    session.apply(lambda document: document.changed(0, hidden=True))
+    assert command_line(Path("a.toml"), pose, session).startswith("lumisplat render")

@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from bench.page_client import PageClient
 
 import lumisplat as ls
 from lumisplat.cli import main
+from lumisplat.viewer.frames.browser_screen import BrowserScreen
+from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.panels.files import command_line
 
 HEIGHT = 90
@@ -181,7 +184,7 @@ def test_a_setting_on_the_page_changes_the_picture(viewer: ls.Viewer) -> None:
 
 def test_files_that_are_damaged_say_so_and_the_viewer_lives_on(viewer: ls.Viewer, tmp_path: Path) -> None:
     """An upload that is no mesh leaves neither an entry nor a file; a mesh becomes an entry, under a plain name."""
-    viewer._session.edit(viewer._session.state.__class__(document_in(tmp_path), viewer._session.state.config))
+    viewer._session.edit(lambda state: replace(state, document=document_in(tmp_path)))
     with PageClient(viewer.url) as page:
         page.look(camera())
         page.upload("upload a file", "broken.ply", b"ply\nnonsense")
@@ -253,8 +256,7 @@ def test_the_command_line_renders_what_a_page_shows(viewer: ls.Viewer, tmp_path:
     ls.save(tmp_path / "ball.ply", cloud())
     lamp = "[[lights]]\ntype = 'point'\nposition = [0.0, -1.0, -0.8]\nintensity = 2.0\n"
     (tmp_path / "scene.toml").write_text(f'[[splats]]\npath = "ball.ply"\nmaterial = {{type = "pbr"}}\n{lamp}')
-    config = viewer._session.state.config
-    viewer._session.edit(viewer._session.state.__class__(ls.SceneDocument.open(tmp_path / "scene.toml"), config))
+    viewer._session.edit(lambda state: replace(state, document=ls.SceneDocument.open(tmp_path / "scene.toml")))
     with PageClient(viewer.url) as page:
         page.look(camera(0.7))
         page.choose("scene file", "edited.toml")
@@ -288,7 +290,7 @@ def test_long_frames_give_way_to_a_view_that_moves(viewer: ls.Viewer, monkeypatc
 
     monkeypatch.setattr(ls.Renderer, "render", recorded)
     viewer._session.set_options(height=720)
-    viewer._session.configure(replace(viewer._session.state.config, samples=64, noise=1e-6))
+    viewer._session.configure(lambda config: replace(config, samples=64, noise=1e-6))
     with PageClient(viewer.url) as page:
         for step in range(40):
             page.look(camera(0.1 * step))
@@ -297,7 +299,7 @@ def test_long_frames_give_way_to_a_view_that_moves(viewer: ls.Viewer, monkeypatc
             if stopped.is_set():
                 break
         assert stopped.is_set()
-        viewer._session.configure(replace(viewer._session.state.config, samples=4))
+        viewer._session.configure(lambda config: replace(config, samples=4))
         page.look(camera())
         assert ls.psnr(settled(viewer, page) / 255.0, rendered_at(720)) > 35.0
         assert not page.notes()
@@ -369,3 +371,133 @@ def test_nothing_to_see_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ls.LumisplatError, match=r"missing\.ply"):
         viewer.wait()
     viewer.close()
+
+
+def test_a_scene_whose_animation_is_wrong_is_an_error(tmp_path: Path) -> None:
+    """Though its captures can be read: the one who waits is told, and the viewer can be closed."""
+    ls.save(tmp_path / "ball.ply", cloud())
+    (tmp_path / "scene.toml").write_text('[[splats]]\npath = "ball.ply"\n[animation]\nfps = -3.0\n')
+    viewer = ls.view(tmp_path / "scene.toml", device="cpu")
+    with pytest.raises(ls.FormatError, match="fps"):
+        viewer.wait()
+    viewer.close()
+
+
+def test_what_a_page_asks_of_the_view_is_checked(viewer: ls.Viewer) -> None:
+    """A budget that is none, or a view that there is not, is told, and frames go on as before."""
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        before, options = settled(viewer, page), viewer._session.options
+        page.choose("budget", 0.0)
+        page.choose("view", "magic")
+        eventually(lambda: sum("expected" in note for note in page.notes()) == 2, "nobody was told")
+        assert viewer._session.options == options
+        np.testing.assert_array_equal(settled(viewer, page), before)
+
+
+def test_a_split_picture_shows_before_and_after_at_rest(viewer: ls.Viewer) -> None:
+    """Each as fine as at rest, also while another page moves."""
+    with PageClient(viewer.url) as page, PageClient(viewer.url) as other:
+        page.look(camera())
+        other.look(camera(1.0))
+        before = settled(viewer, page)
+        viewer._session.apply(lambda document: document.changed(lamp_id(viewer), color=[0.2, 0.3, 1.0], intensity=20.0))
+        after = settled(viewer, page)
+        viewer._session.set_options(split=0.5)
+        for step in range(6):
+            other.look(camera(1.0 + 0.1 * step))
+            time.sleep(0.1)
+        joined = settled(viewer, page)
+        assert difference(joined[:, :78], before[:, :78]) < 2.0 and difference(joined[:, 83:], after[:, 83:]) < 2.0
+        assert difference(before, after) > 4.0
+
+
+def test_a_page_that_went_before_it_was_added_is_not_kept(viewer: ls.Viewer) -> None:
+    """Nobody would ever remove it."""
+    page = Page(BrowserScreen(cast(Any, None)), viewer._session.changed)
+    page.close()
+    viewer._loop.add(page)
+    assert page not in viewer._loop._pages
+
+
+def test_sliders_that_stand_for_something_else_follow_undo(viewer: ls.Viewer) -> None:
+    """A temperature that was chosen is taken back, with its slider: the same one can be chosen again."""
+    viewer._session.select(lamp_id(viewer))
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        page.picture()
+        for _ in range(2):
+            page.choose("temperature", 3000.0)
+            eventually(lambda: viewer.scene.lights[0].color != (1.0, 1.0, 1.0), "the colour stayed")
+            assert viewer._session.undo() and viewer.scene.lights[0].color == (1.0, 1.0, 1.0)
+
+
+def test_a_drag_leaves_alone_what_others_edit(viewer: ls.Viewer) -> None:
+    """What another page has removed stays so; the dragged thing itself may be removed under the hand."""
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        page.picture()
+        viewer._session.select(lamp_id(viewer))
+        move = {"name": "/selected", "wxyz": [1.0, 0.0, 0.0, 0.0]}
+        page.send("TransformControlsDragStartMessage", name="/selected")
+        page.send("TransformControlsUpdateMessage", **move, position=[1.0, -1.0, 0.0])
+        eventually(lambda: viewer.scene.lights[0].position[0] == 1.0, "the lamp did not move")  # pyright: ignore
+        crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
+        viewer._session.apply(lambda document: document.removed(crate))
+        page.send("TransformControlsUpdateMessage", **move, position=[2.0, -1.0, 0.0])
+        eventually(lambda: viewer.scene.lights[0].position[0] == 2.0, "the lamp did not move")  # pyright: ignore
+        assert not viewer.scene.meshes
+        viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
+        page.send("TransformControlsUpdateMessage", **move, position=[3.0, -1.0, 0.0])
+        page.send("TransformControlsDragEndMessage", name="/selected")
+        page.choose("exposure", 1.0)  # which is done after what was sent before
+        eventually(lambda: viewer._session.state.exposure == 1.0, "the exposure stayed")
+        assert not viewer.scene.lights and not page.notes()
+
+
+def test_looking_at_all_brings_the_scene_back(viewer: ls.Viewer) -> None:
+    """From wherever a page has flown: the middle of the scene is in the middle of the picture."""
+    with PageClient(viewer.url) as page:
+        away = ls.Camera.look_at((9.0, -0.4, -3.5), (9.0, 0.0, 0.0), UP, width=160, height=HEIGHT)
+        page.look(away, target=(9.0, 0.0, 0.0))
+        page.picture()
+        (client,) = viewer._viser.get_clients().values()
+        viewer._viewpoints.look_at_all(SimpleNamespace(client=client))
+        np.testing.assert_allclose(client.camera.look_at, viewer._session.extent.center, atol=1e-6)
+        backward = np.asarray(client.camera.position) - client.camera.look_at
+        np.testing.assert_allclose(backward / np.linalg.norm(backward), (0.0, -0.114, -0.993), atol=1e-2)
+
+
+def test_each_page_reads_of_its_own_picture(viewer: ls.Viewer) -> None:
+    """In its own line: another one's size, or its samples, are not there."""
+    with PageClient(viewer.url) as wide, PageClient(viewer.url) as narrow:
+        wide.look(camera())
+        narrow.look(replace(camera(), width=60))
+        for page in (wide, narrow):
+            settled(viewer, page)
+        for page, mine, other in ((wide, "160 × 90", "60 × 90"), (narrow, "60 × 90", "160 × 90")):
+            said = [str(m["updates"].get("_markdown", "")) for m in page.messages if m["type"] == "GuiUpdateMessage"]
+            lines = [line for line in said if "ms" in line and "×" in line]
+            assert lines and all(mine in line and f"· {other}" not in line for line in lines), lines
+            assert not any(line.startswith(other) for line in lines)
+
+
+def test_what_was_left_out_is_not_lost_in_silence(viewer: ls.Viewer, tmp_path: Path) -> None:
+    """The file that names it is not replaced; another one is saved, and says what it lacks."""
+    document_in(tmp_path)
+    file = tmp_path / "scene.toml"
+    file.write_text(file.read_text() + '[[meshes]]\npath = "gone.obj"\n')
+    text = file.read_text()
+    viewer._session.edit(lambda state: replace(state, document=ls.SceneDocument.open(file)))
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        page.picture()
+        page.choose("scene file", "scene.toml")
+        page.choose("overwrite", True)
+        page.press("save the scene")
+        eventually(lambda: any("is not replaced" in note for note in page.notes()), "nobody was told")
+        assert file.read_text() == text
+        page.choose("scene file", "other.toml")
+        page.press("save the scene")
+        eventually(lambda: any("without 1 thing" in note for note in page.notes()), "nobody was told")
+        assert (tmp_path / "other.toml").exists()

@@ -83,3 +83,6 @@ HEIGHTS = (90, 2160)
 
 BUDGETS_MS = (10.0, 500.0)
 """What a frame of a view that moves may be given, milliseconds."""
+
+MERGE_S = 1.5
+"""Edits of one control that follow each other within this time, seconds, are undone as one."""

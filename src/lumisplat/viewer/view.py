@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.state.session import Options, State
-from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS
 from lumisplat.viewer.viewer import Progress, Viewer
 
 Viewable = ls.Scene | ls.Animation | ls.SceneDocument | ls.Gaussians | ls.Mesh | str | os.PathLike[str]
@@ -22,7 +21,7 @@ Viewable = ls.Scene | ls.Animation | ls.SceneDocument | ls.Gaussians | ls.Mesh |
 def view(
     scene: Viewable | Sequence[str | os.PathLike[str]],
     *,
-    config: ls.RenderConfig | None = None,
+    config: ls.RenderConfig | Callable[[ls.RenderConfig], ls.RenderConfig] | None = None,
     port: int = 0,
     host: str = "127.0.0.1",
     device: str = "auto",
@@ -42,7 +41,7 @@ def view(
     Args:
         scene: What is seen: a scene, an animation, a document, an asset, or a file or several of these.
         config: Settings of frames; None: those of the scene file, else ``Pipeline.HYBRID`` if the scene has lights or
-            is of meshes alone, and as captured otherwise.
+            is of meshes alone, and as captured otherwise. A function makes them of those.
         port: Port to listen on; 0: a free one.
         host: Address to listen on. Others than a loopback address let other machines in, if they have the token.
         device: As of `lumisplat.create_renderer`.
@@ -57,16 +56,15 @@ def view(
         MissingExtraError: The extra ``view`` is not installed.
         DeviceError: The port cannot be opened.
     """
-    for name, value, (low, high) in (("height", height, HEIGHTS), ("budget", budget_ms, BUDGETS_MS)):
-        if not low <= value <= high:
-            raise ls.ConfigError(f"{name} is {value}, expected {low:g} to {high:g}")
 
     def load(progress: Progress) -> State:
         document = _document(scene, up, drop_invalid, progress)
-        settings = document.config if config is None else config
-        if config is None and "render" not in document.top and document.scene().is_lit_by_default:
+        if isinstance(config, ls.RenderConfig):
+            return State(document, config)
+        settings = document.config
+        if "render" not in document.top and document.scene().is_lit_by_default:
             settings = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID)
-        return State(document, settings)
+        return State(document, settings if config is None else config(settings))
 
     options = Options(height=height, budget_ms=budget_ms)
     return Viewer(load, host=host, port=port, device=device, options=options)

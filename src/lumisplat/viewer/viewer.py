@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import traceback
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,7 @@ from lumisplat.viewer.panels.timeline import Timeline
 from lumisplat.viewer.panels.view_options import ViewPanel
 from lumisplat.viewer.panels.viewpoints import Viewpoints
 from lumisplat.viewer.server.page_server import PageServer
+from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.things.things_panel import ThingsPanel
 
@@ -70,7 +72,7 @@ class Viewer:
         self._pages: dict[int, Page] = {}
         self._is_closed = False
         self._closed_or_failed = threading.Event()
-        self._failure: ls.LumisplatError | None = None
+        self._failure: Exception | None = None
         """Why there is nothing to see."""
         self._first_view = FirstView()
         self._viser.initial_camera.position, self._viser.initial_camera.look_at = self._first_view.at(ASPECT)
@@ -133,7 +135,7 @@ class Viewer:
         self._loader.join()
         document = scene if isinstance(scene, ls.SceneDocument) else ls.SceneDocument.of(scene)
         with self._session.changed:
-            self._session.edit(replace(self._session.state, document=document))
+            self._session.edit(lambda state: replace(state, document=document))
             self._session.select(None)
 
     def wait(self) -> None:
@@ -186,16 +188,18 @@ class Viewer:
     def _add_keys(self) -> None:
         """Commands of the palette, with their keys."""
         add = self._viser.gui.add_command
-        add("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: self._step("undo"))
-        add("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: self._step("redo"))
-        add("Save the scene", hotkey="S", modifier="cmd/ctrl").on_trigger(lambda _: self._save())
-        add("Hide what is selected", hotkey="H").on_trigger(self._actor("hide"))
-        add("Delete what is selected", hotkey="X").on_trigger(self._actor("delete"))
-        add("Stand what is selected on the ground", hotkey="G").on_trigger(self._actor("to the ground"))
-        add("Duplicate what is selected", hotkey="C").on_trigger(self._actor("duplicate"))
-        add("Look at all of it", hotkey="F").on_trigger(self._viewpoints.look_at_all)
-        add("Look at what is selected", hotkey="F", modifier="shift").on_trigger(self._viewpoints.look_at_selected)
-        add("Play, or stop", hotkey="P").on_trigger(lambda _: self._timeline.toggle())
+        add("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(pressed(lambda _: self._step("undo")))
+        add("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(pressed(lambda _: self._step("redo")))
+        add("Save the scene", hotkey="S", modifier="cmd/ctrl").on_trigger(pressed(lambda _: self._save()))
+        add("Hide what is selected", hotkey="H").on_trigger(pressed(self._actor("hide")))
+        add("Delete what is selected", hotkey="X").on_trigger(pressed(self._actor("delete")))
+        add("Stand what is selected on the ground", hotkey="G").on_trigger(pressed(self._actor("to the ground")))
+        add("Duplicate what is selected", hotkey="C").on_trigger(pressed(self._actor("duplicate")))
+        add("Look at all of it", hotkey="F").on_trigger(pressed(self._viewpoints.look_at_all))
+        add("Look at what is selected", hotkey="F", modifier="shift").on_trigger(
+            pressed(self._viewpoints.look_at_selected)
+        )
+        add("Play, or stop", hotkey="P").on_trigger(pressed(lambda _: self._timeline.toggle()))
 
     def _add_theme(self) -> None:
         dark = self._viser.gui.add_checkbox("dark page", True)
@@ -214,12 +218,21 @@ class Viewer:
 
     def _load(self, load: Load) -> None:
         try:
-            state = load(self._status.progress)
-        except ls.LumisplatError as error:
+            self._open(load(self._status.progress))
+        except Exception as error:  # who waits must not wait for ever
+            if not isinstance(error, ls.LumisplatError):
+                _log.error("the viewer could not open the scene:\n%s", traceback.format_exc())
             self._failure = error
-            self._status.progress(str(error), 0.0)
+            self._status.progress(" ".join(str(error).split()), 0.0)
             self._closed_or_failed.set()
-            return
+
+    def _open(self, state: State) -> None:
+        """Shows what was loaded.
+
+        Raises:
+            LumisplatError: Its cameras, or how it moves, are wrong.
+        """
+        _ = state.document.animation, state.document.cameras
         self._place_camera(state.document.scene())
         self._session.open(state)
         self._files.suggest(state.document)
@@ -249,7 +262,8 @@ class Viewer:
         """Moves a page so that it sees all of the scene, however narrow it is."""
         position, target = self._first_view.at(min(client.camera.aspect, ASPECT))
         client.camera.up_direction, client.camera.fov = self._first_view.up, FOV_Y
-        client.camera.look_at, client.camera.position = target, position
+        client.camera.position = position  # first, for it takes along what is looked at
+        client.camera.look_at = target
 
     def _fly(self, camera: ls.Camera) -> None:
         """Moves all pages to a camera."""
@@ -264,6 +278,7 @@ class Viewer:
     def _open_page(self, client: viser.ClientHandle) -> None:
         page = Page(BrowserScreen(client), self._session.changed)
         self._pages[client.client_id] = page
+        self._status.open(page, client.gui)
         if client.camera.aspect < ASPECT and _is_at(client, self._viser.initial_camera.position):
             self._stand_back(client)
         client.camera.on_update(lambda _: self._look(client))
@@ -280,6 +295,7 @@ class Viewer:
     def _close_page(self, client: viser.ClientHandle) -> None:
         page = self._pages.pop(client.client_id, None)
         if page is not None:
+            self._status.close(page)
             self._loop.remove(page)
 
     def _pick(self, page: Page, event: Any) -> None:

@@ -58,7 +58,7 @@ class View(LoadingCommand, DeviceCommand):
         self.start_warp()
         viewer = ls.view(
             list(self.scene),
-            config=self._config(),
+            config=self._config,
             port=self.port,
             host=self.host,
             device=self.device,
@@ -70,20 +70,25 @@ class View(LoadingCommand, DeviceCommand):
         try:
             print(viewer.url, flush=True)
             if self.host not in ("127.0.0.1", "localhost", "::1"):
-                print(f"open to all machines that reach {self.host}, if they have this address", file=sys.stderr)
+                print(
+                    f"open to all machines that reach {self.host}, if they have this address, with this machine's name "
+                    "in place of 127.0.0.1; the connection is not encrypted",
+                    file=sys.stderr,
+                )
             if not self.no_browser and not _open_browser(viewer.url):
                 print("no browser could be opened: open the address above", file=sys.stderr)
             viewer.wait()
         finally:
             viewer.close()
 
-    def _config(self) -> ls.RenderConfig | None:
-        """The settings that were given; None: none were."""
+    def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
+        """Settings with those that were given in their place.
+
+        Raises:
+            ConfigError: A value is out of its range.
+        """
         own: Changes = {} if self.pipeline is None else {"pipeline": ls.Pipeline(self.pipeline)}
-        changes = (own, self.rays.changes(), self.light.changes())
-        if not any(value != {} for change in changes for value in change.values()):
-            return None
-        return changed_config(ls.RenderConfig(), *changes)
+        return changed_config(base, own, self.rays.changes(), self.light.changes())
 
 
 def _open_browser(url: str) -> bool:

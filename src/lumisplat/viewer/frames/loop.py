@@ -95,7 +95,8 @@ class RenderLoop:
     def add(self, page: Page) -> None:
         """Renders for a page, too."""
         with self._session.changed:
-            self._pages.append(page)
+            if page.is_open:  # else it went before it was here
+                self._pages.append(page)
             self._session.changed.notify_all()
 
     def remove(self, page: Page) -> None:
@@ -138,7 +139,7 @@ class RenderLoop:
     def _is_busy(self) -> bool:
         """Whether a view moves, or a page still waits for its first picture."""
         with self._session.changed:
-            is_waiting = any(page.key is None for page in self._pages)
+            is_waiting = any(page.key is None and page.pose is not None for page in self._pages)
         return is_waiting or time.monotonic() - self._moved_at < SETTLED_S
 
     def _wake(self) -> None:
@@ -287,18 +288,20 @@ class RenderLoop:
             progress=None if in_sequence else _ignore,
             stop=self.is_wanted,
         )
-        noise = None if frame.stats is None else frame.stats.noise
-        with self._session.changed:
-            page.frame, page.frames_at_rest = frame, page.frames_at_rest + 1
-            page.noise = page.noise if noise is None else noise
-            page.is_finished = _is_finished(page, state.config)
-            shows = page.takes_frames or page.is_finished
-        if shows:
+        rests, noise = page.frames_at_rest + 1, page.noise
+        if frame.stats is not None and frame.stats.noise is not None:
+            noise = frame.stats.noise
+        is_finished = _is_finished(frame, rests, noise, state.config)
+        shown: Shown | None = None
+        if page.takes_frames or is_finished:
             picture = self._decorate(picture_of(frame, options.view), frame)
             if options.split is not None:
                 picture = self._split(job, picture, camera, level=0)
-            depth = page_depth(frame, self._session.extent.page_from_scene)
-            page.show(Shown(picture, QUALITY_AT_REST, depth))
+            shown = Shown(picture, QUALITY_AT_REST, page_depth(frame, self._session.extent.page_from_scene))
+        with self._session.changed:
+            page.frame, page.frames_at_rest, page.noise, page.is_finished = frame, rests, noise, is_finished
+        if shown is not None:
+            page.show(shown)
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
 
     def _split(self, job: _Job, picture: Picture, camera: ls.Camera, level: int) -> Picture:
@@ -309,12 +312,13 @@ class RenderLoop:
         if config.pipeline is not ls.Pipeline.REALTIME and not job.moves:
             config = replace(config, samples=BEFORE_SAMPLES)
         camera = replace(camera, exposure=job.before.exposure)
-        if job.moves or page.frames_at_rest <= 1 or page.before is None:
+        key = job.key, job.moves, level, camera.width, camera.height
+        if page.before is None or page.before_key != key:
             renderer = self._renderers.of(("before", job.moves), config)
             scene = self._scenes_before.of(job.before.document, config, options.time, level, waits=not job.moves)
             stop = None if job.moves else self.is_wanted
             frame = renderer.render(scene, camera, encode=options.view == "color", stop=stop)
-            page.before = picture_of(frame, options.view)
+            page.before, page.before_key = picture_of(frame, options.view), key
         return split_picture(page.before, picture, options.split)
 
 
@@ -322,13 +326,12 @@ def _ignore(label: str, fraction: float) -> None:
     """Progress that nobody sees: asking for it has the noise estimated."""
 
 
-def _is_finished(page: Page, config: ls.RenderConfig) -> bool:
-    """Whether a page at rest needs no further frame."""
-    assert page.frame is not None
+def _is_finished(frame: ls.Frame, rests: int, noise: float | None, config: ls.RenderConfig) -> bool:
+    """Whether a page at rest needs no further frame after so many."""
     if config.pipeline is ls.Pipeline.REALTIME:
-        return page.frames_at_rest >= REALTIME_FRAMES_AT_REST
-    if page.frame.samples == 0:
+        return rests >= REALTIME_FRAMES_AT_REST
+    if frame.samples == 0:
         return True  # the sorted raster is exact
-    if page.noise is not None and page.noise <= (config.noise or NOISE_AT_REST):
+    if noise is not None and noise <= (config.noise or NOISE_AT_REST):
         return True
-    return page.frame.samples >= (config.samples or SAMPLES_AT_REST)
+    return frame.samples >= (config.samples or SAMPLES_AT_REST)

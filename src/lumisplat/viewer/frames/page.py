@@ -45,6 +45,8 @@ class Page:
         self.pace = Pace()
         self.frame: ls.Frame | None = None
         """What it shows."""
+        self.before_key: object = None
+        """Of which view and size that is."""
         self.before: Picture | None = None
         """What the left part of a split picture shows."""
         self.is_finished = False

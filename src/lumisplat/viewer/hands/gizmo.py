@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -40,8 +41,8 @@ class Grip:
 class Drag:
     """What a hand moves."""
 
-    entry: int
-    """Its id."""
+    entry: ls.SceneEntry
+    """As it was when the drag began."""
     start: Matrix
     """``world_from_grip`` when it began."""
     time: float = 0.0
@@ -87,28 +88,37 @@ def _grip_of_light(light: Any, extent: Extent) -> Grip | None:
             return None
 
 
+def moved(document: ls.SceneDocument, entry: ls.SceneEntry, move: Matrix, time: float) -> ls.SceneDocument:
+    """The document with a capture, a mesh or an actor moved in the world, as it stands at a time, seconds.
+
+    Raises:
+        SceneError: It has been removed.
+    """
+    motion = np.eye(4)
+    if entry.actor is not None and entry.actor.motion is not None:
+        motion = entry.actor.motion.at(time)
+    return document.placed(entry.id, np.linalg.inv(motion) @ move @ motion @ np.asarray(entry.world_from_file))
+
+
 def dragged(  # noqa: PLR0911
     document: ls.SceneDocument, drag: Drag, now: Matrix, extent: Extent
 ) -> ls.SceneDocument:
     """The document with an entry moved as its grip was; an actor that moves takes its way with it.
 
     Args:
-        document: As it was when the drag began.
+        document: The scene, whatever else has been edited since the drag began.
         drag: What is dragged, from where.
         now: ``world_from_grip`` now.
         extent: Of the scene.
 
     Raises:
         FormatError: The entry cannot be there.
+        SceneError: It has been removed.
     """
-    number = drag.entry
-    entry = document.entry(number)
+    entry, number = drag.entry, drag.entry.id
     move = now @ np.linalg.inv(drag.start)
     if entry.kind not in ("lights", "environment"):
-        motion = np.eye(4)
-        if entry.actor is not None and entry.actor.motion is not None:
-            motion = entry.actor.motion.at(drag.time)
-        return document.placed(number, np.linalg.inv(motion) @ move @ motion @ np.asarray(entry.world_from_file))
+        return moved(document, entry, move, drag.time)
     light = entry.lights[0]
     position = [float(x) for x in now[:3, 3]]
     match light:
@@ -158,15 +168,15 @@ class Gizmo:
         self._handle: viser.TransformControlsHandle | None = None
         self._held: tuple[int, Grip] | None = None
         """Id of the entry that it is on, and where."""
-        self._drag: tuple[ls.SceneDocument, Drag] | None = None
-        """The document when the drag began, and the drag."""
+        self._drag: Drag | None = None
         self._dragged_at = 0.0
         session.on_change(self.follow)
 
     def follow(self) -> None:
         """Goes to what is selected, and where that is now; a hand that drags it is not disturbed."""
         with self._session.changed:
-            if self._drag is not None and time.monotonic() - self._dragged_at < DRAG_ENDS_S:
+            is_dragged = self._drag is not None and self._drag.entry.id == self._session.selected
+            if is_dragged and time.monotonic() - self._dragged_at < DRAG_ENDS_S:
                 return
             self._drag = None
             entry, time_now = self._session.selected_entry, self._session.options.time
@@ -209,23 +219,27 @@ class Gizmo:
     def _begin(self) -> None:
         """Starts a drag."""
         with self._session.changed:
-            if self._held is not None:
-                self._session.seal()
-                drag = Drag(self._held[0], self._held[1].world_from_grip, self._session.options.time)
-                self._drag = self._session.state.document, drag
-            self._dragged_at = time.monotonic()
+            self._session.seal()
+            self._drag, self._dragged_at = self._new_drag(), time.monotonic()
 
     def _move(self, place: Matrix) -> None:
         """Moves what is held to where a page has the handle: ``world_from_grip`` in units of the page."""
         with self._session.changed:
-            if self._held is None:
+            drag = self._drag or self._new_drag()
+            if drag is None or all(entry.id != drag.entry.id for entry in self._session.state.document.entries):
+                self._drag = None  # it was removed under the hand
                 return
-            number, grip = self._held
-            here = Drag(number, grip.world_from_grip, self._session.options.time)
-            document, drag = self._drag or (self._session.state.document, here)
             self._dragged_at, extent, now = time.monotonic(), self._session.extent, place.copy()
             now[:3, 3] /= extent.page_from_scene
-            self._session.apply(lambda _: dragged(document, drag, now, extent), merge=f"drag {number}")
+            name = f"drag {drag.entry.id}"
+            self._session.apply(lambda document: dragged(document, drag, now, extent), name, within=math.inf)
+
+    def _new_drag(self) -> Drag | None:
+        """A drag of what is held, from where it is."""
+        entry = self._session.selected_entry
+        if self._held is None or entry is None or entry.id != self._held[0]:
+            return None
+        return Drag(entry, self._held[1].world_from_grip, self._session.options.time)
 
     def _end(self, place: Matrix) -> None:
         with self._session.changed:

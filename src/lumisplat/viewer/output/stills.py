@@ -74,4 +74,5 @@ def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.Re
         ConfigError: There is no such image.
     """
     samples = None if config.pipeline is ls.Pipeline.REALTIME else 1
-    return replace(config, samples=samples, noise=None, time_limit=None, adaptive=None, aovs=(*config.aovs, *layers))
+    needed = [name for name in layers if name not in ls.Frame.LAYERS or name in ls.Frame.NEEDS]
+    return replace(config, samples=samples, noise=None, time_limit=None, adaptive=None, aovs=(*config.aovs, *needed))

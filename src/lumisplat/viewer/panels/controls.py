@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import lumisplat as ls
 from lumisplat.viewer.colors import linear_from_picked, picked_from_linear
 from lumisplat.viewer.panels.described import Described
+from lumisplat.viewer.server.turns import chosen
 
 if TYPE_CHECKING:
     import viser
@@ -44,18 +45,16 @@ class Control:
         self.handle: Any = _handle(gui, field, value)
         self._shown = value
 
-        def on_update(event: Any) -> None:
-            if event.client_id is None:  # it was set from here
-                return
+        def take(shown: tuple[Any]) -> None:
             try:
-                chosen = from_shown(field, self.handle.value)
-                if chosen != self._shown:
-                    put(chosen)
+                value = from_shown(field, shown[0])
+                if value != self._shown:
+                    put(value)
             except ls.LumisplatError as error:
                 report(" ".join(str(error).split()))
                 self.show(self._shown)
 
-        self.handle.on_update(on_update)
+        self.handle.on_update(chosen(lambda value: (value,), take))
 
     def show(self, value: Any) -> None:
         """Shows another value."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
+from lumisplat.viewer.server.turns import pressed
 
 if TYPE_CHECKING:
     import viser
@@ -27,7 +28,7 @@ class Errands:
         self._line = gui.add_markdown("", visible=False)
         self._bar = gui.add_progress_bar(0.0, visible=False)
         self._button = gui.add_button("cancel", visible=False, color="red")
-        self._button.on_click(self._cancel)
+        self._button.on_click(pressed(self._cancel))
         self._is_busy = self._is_cancelled = False
 
     def start(self, label: str, steps: Steps) -> None:

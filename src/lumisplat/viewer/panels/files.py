@@ -13,6 +13,7 @@ import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.panels.notes import tell
+from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
@@ -37,12 +38,13 @@ class FilesPanel:
         self._server, self._session, self._pages = server, session, pages
         self._name = gui.add_text("scene file", "edited.toml", hint="Beside the scene that was opened.")
         self._overwrite = gui.add_checkbox("overwrite", False, hint="Replace a file of that name.")
-        gui.add_button("save the scene").on_click(lambda _: self._save())
-        gui.add_button("command line").on_click(self._show_command)
+        gui.add_button("save the scene").on_click(pressed(lambda _: self._save()))
+        gui.add_button("command line").on_click(pressed(self._show_command))
 
     def suggest(self, document: ls.SceneDocument) -> None:
         """Suggests a name that is not that of the file that was opened."""
-        self._name.value = f"{document.file.stem}-edited.toml"
+        stem = re.sub(r"[^A-Za-z0-9 ._-]", "_", document.file.stem).lstrip(" ._-") or "scene"
+        self._name.value = f"{stem[:70]}-edited.toml"
 
     def save(self) -> bool:
         """Saves the scene file; whether it could."""
@@ -52,13 +54,19 @@ class FilesPanel:
             self._session.report(f"scene file is '{given}', expected a plain name that ends in .toml")
             return False
         state = self._session.state
+        left_out, overwrites = len(state.document.problems), bool(self._overwrite.value)
+        if left_out and overwrites and target.exists():
+            self._session.report(
+                f"{target.name} is not replaced: {left_out} of its things could not be read, and would go"
+            )
+            return False
         try:
-            state.document.with_config(state.config).save(target, overwrite=bool(self._overwrite.value))
+            state.document.with_config(state.config).save(target, overwrite=overwrites)
         except ls.LumisplatError as error:
             self._session.report(str(error))
             return False
         self._overwrite.value = False
-        tell(self._server, "saved", str(target))
+        tell(self._server, "saved", f"{target}{f', without {left_out} things that could not be read' * bool(left_out)}")
         return True
 
     def _save(self) -> None:
@@ -78,7 +86,7 @@ class FilesPanel:
         line = command_line(self._target() or Path("edited.toml"), page.pose, self._session)
         with client.gui.add_modal("the same from the command line") as modal:
             client.gui.add_markdown(f"Save the scene first, then:\n\n```\n{line}\n```")
-            client.gui.add_button("close").on_click(lambda _: modal.close())
+            client.gui.add_button("close").on_click(pressed(lambda _: modal.close()))
 
 
 def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
@@ -87,12 +95,13 @@ def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
     matrix = np.linalg.inv(camera.camera_from_world)
     eye, forward = matrix[:3, 3], matrix[:3, 2]
     target = eye + forward * max(pose.focus, 1e-3)
-    has_actors = any(entry.actor is not None for entry in state.document.entries)
+    has_actors = any(entry.actor is not None and not entry.hidden for entry in state.document.entries)
     words = ["lumisplat", "animate" if has_actors else "render", shlex.quote(str(scene_file))]
     # An equals sign: a value that begins with a minus sign would be taken for an option.
     words += [f"{name}={','.join(f'{x:.6g}' for x in at)}" for name, at in (("--eye", eye), ("--target", target))]
     words += [f"--fov {np.degrees(pose.fov_y):.5g}", f"--width {camera.width}", f"--height {camera.height}"]
     words += [f"--exposure={camera.exposure:g}"] if camera.exposure else []
     if has_actors and (animation := state.document.animation) is not None:
-        return " ".join([*words, f"--frames {round(session.options.time * animation.fps)}", "-o frames"])
+        number = min(round(session.options.time * animation.fps), animation.frame_count - 1)
+        return " ".join([*words, f"--frames {number}", "-o frames"])
     return " ".join([*words, "-o view.png"])

@@ -18,6 +18,7 @@ from lumisplat.viewer.output.stills import Studio, still_config
 from lumisplat.viewer.panels.buttons import add_buttons
 from lumisplat.viewer.panels.errands import Errands, Steps
 from lumisplat.viewer.panels.pictures import HEIGHTS
+from lumisplat.viewer.server.turns import chosen, pressed
 from lumisplat.viewer.state.flight import Key, keys_of, with_key, without_flight, without_last_key
 from lumisplat.viewer.state.session import Session
 
@@ -53,14 +54,14 @@ class FilmPanel:
         hint = "From the last place of the flight to the next one."
         self._seconds = gui.add_number("seconds", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
         hint = "The place from which this page looks becomes the next one of the flight."
-        gui.add_button("add this view", hint=hint).on_click(self._add)
+        gui.add_button("add this view", hint=hint).on_click(pressed(self._add))
         add_buttons(gui, ["drop the last", "drop all"], self._drop)
         self._fps = gui.add_number("frames a second", 25.0, min=1.0, max=50.0, step=1.0)
-        self._fps.on_update(self._put_fps)
+        self._fps.on_update(chosen(float, self._put_fps))
         self._height = gui.add_number("film rows", 540, min=HEIGHTS[0], max=HEIGHTS[1], step=2)
         self._samples = gui.add_number("film samples", 8, min=1, max=65536, step=1, hint="A pixel of each frame.")
         self._format = gui.add_dropdown("film format", FORMATS, hint="mp4 takes pip install 'lumisplat[video]'.")
-        gui.add_button("make the film").on_click(self._film)
+        gui.add_button("make the film").on_click(pressed(self._film))
         session.on_change(self._show)
         self._shown: object = None
 
@@ -72,10 +73,8 @@ class FilmPanel:
         self._table.content = flight_table(document)
         self._fps.value = float(document.top.get("animation", {}).get("fps", 25.0))
 
-    def _put_fps(self, event: Any) -> None:
-        if event.client_id is not None:
-            fps = float(self._fps.value)
-            self._session.apply(lambda document: document.with_animation(fps=fps), merge="fps")
+    def _put_fps(self, fps: float) -> None:
+        self._session.apply(lambda document: document.with_animation(fps=fps), merge="fps")
 
     def _add(self, event: Any) -> None:
         page = self._pages.get(event.client_id)

@@ -15,6 +15,7 @@ from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.output.capture_page import capture_page
 from lumisplat.viewer.output.stills import Studio, still_config
 from lumisplat.viewer.panels.errands import Errands, Steps
+from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
@@ -55,9 +56,9 @@ class PicturesPanel:
         self._samples = gui.add_number("samples", 64, min=1, max=65536, step=1, hint="A pixel.")
         self._format = gui.add_dropdown("format", FORMATS, hint="PNG: as shown. EXR: linear light, with layers.")
         self._layers = gui.add_text("layers", "", hint=_LAYERS_HINT)
-        gui.add_button("take a picture").on_click(self._for_page(self._picture))
+        gui.add_button("take a picture").on_click(pressed(self._for_page(self._picture)))
         hint = "One HTML file with the captures as they are, without lights: it opens in any browser, without a server."
-        gui.add_button("captures as a page", hint=hint).on_click(self._for_page(self._capture_page))
+        gui.add_button("captures as a page", hint=hint).on_click(pressed(self._for_page(self._capture_page)))
 
     def _for_page(self, start: Callable[[viser.ClientHandle, Page], None]) -> Callable[[Any], None]:
         def on_click(event: Any) -> None:
@@ -120,5 +121,5 @@ def _as_file(frame: ls.Frame, suffix: str, layers: tuple[str, ...]) -> bytes:
     always = tuple(name for name in ls.Frame.LAYERS if name not in ls.Frame.NEEDS)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"view.{suffix}"
-        frame.save(path, layers=(*always, *layers) if suffix == "exr" else None)
+        frame.save(path, layers=dict.fromkeys((*always, *layers)) if suffix == "exr" else None)
         return path.read_bytes()

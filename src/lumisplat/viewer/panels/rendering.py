@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
 from lumisplat.viewer.panels.settings import SettingsPanel
+from lumisplat.viewer.server.turns import chosen
 from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ class RenderingPanel:
         self._exposure = gui.add_slider(
             "exposure", -_EXPOSURE_STOPS, _EXPOSURE_STOPS, 0.1, 0.0, hint="Stops by which lit pictures are brightened."
         )
-        self._exposure.on_update(self._put_exposure)
+        self._exposure.on_update(chosen(float, self._put_exposure))
         with gui.add_folder("all settings", expand_by_default=False):
             self._rest = SettingsPanel(gui, config, self._put, session.report, without=(*_FIRST, "aovs"))
         self._actors = gui.add_folder("light of actors", expand_by_default=False, visible=False)
@@ -42,18 +44,20 @@ class RenderingPanel:
         self._top: object = None
         session.on_change(self._show)
 
-    def _put(self, config: ls.RenderConfig, field: str) -> None:
-        self._session.configure(config, merge=f"config {field}")
+    def _put(self, change: Callable[[ls.RenderConfig], ls.RenderConfig], field: str | None) -> None:
+        self._session.configure(change, merge=None if field is None else f"config {field}")
 
-    def _put_realtime(self, realtime: ls.RealtimeConfig, field: str) -> None:
-        self._put(replace(self._session.state.config, realtime=realtime), f"realtime.{field}")
+    def _put_realtime(self, change: Callable[[ls.RealtimeConfig], ls.RealtimeConfig], field: str | None) -> None:
+        self._put(lambda config: replace(config, realtime=change(config.realtime)), field)
 
-    def _put_lighting(self, lighting: ls.AvatarLightingConfig, field: str) -> None:
-        self._session.apply(lambda document: document.with_animation(lighting=lighting), merge=f"lighting {field}")
+    def _put_lighting(self, change: Callable[[Any], ls.AvatarLightingConfig], field: str | None) -> None:
+        self._session.apply(
+            lambda document: document.with_animation(lighting=change(_lighting(document))),
+            merge=None if field is None else f"lighting {field}",
+        )
 
-    def _put_exposure(self, event: Any) -> None:
-        if event.client_id is not None:
-            self._session.edit(replace(self._session.state, exposure=float(self._exposure.value)), merge="exposure")
+    def _put_exposure(self, exposure: float) -> None:
+        self._session.edit(lambda state: replace(state, exposure=exposure), merge="exposure")
 
     def _show(self) -> None:
         state = self._session.state
@@ -65,5 +69,10 @@ class RenderingPanel:
         self._actors.visible = any(entry.actor is not None for entry in state.document.entries)
         if self._actors.visible and self._top is not state.document.top:
             self._top = state.document.top
-            animation = state.document.animation
-            self._lighting.show(ls.AvatarLightingConfig() if animation is None else animation.lighting)
+            self._lighting.show(_lighting(state.document))
+
+
+def _lighting(document: ls.SceneDocument) -> ls.AvatarLightingConfig:
+    """How the actors of a document are lit."""
+    animation = document.animation
+    return ls.AvatarLightingConfig() if animation is None else animation.lighting

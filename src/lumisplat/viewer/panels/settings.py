@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from lumisplat.viewer.panels.controls import Control
-from lumisplat.viewer.panels.described import described
+from lumisplat.viewer.panels.described import Described, described
 
 if TYPE_CHECKING:
     import viser
@@ -16,13 +16,18 @@ if TYPE_CHECKING:
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
+Put = Callable[[Callable[[Any], Any], "str | None"], None]
+"""Takes a change of settings."""
+
+
 class SettingsPanel(Generic[Settings]):
     """Controls of one object of settings, in the present folder.
 
     Args:
         gui: Where.
         settings: What they show at first.
-        put: Called with changed settings and the name of the field; raises a LumisplatError if a value is refused.
+        put: Called with what makes new settings of the present ones, which raises a LumisplatError if a value is
+            refused, and the name of the field, None where each edit is undone on its own.
         report: Told why a value is refused.
         without: Fields that are shown elsewhere, or nowhere.
         only: If given, these fields alone.
@@ -32,13 +37,13 @@ class SettingsPanel(Generic[Settings]):
         self,
         gui: viser.GuiApi,
         settings: Settings,
-        put: Callable[[Settings, str], None],
+        put: Put,
         report: Callable[[str], None],
         *,
         without: Collection[str] = (),
         only: Collection[str] | None = None,
     ) -> None:
-        self._settings, self._put = settings, put
+        self._put = put
         self._controls: dict[str, Control] = {}
         self._groups: dict[str, SettingsPanel[Any]] = {}
         for field in described(type(settings)):
@@ -49,11 +54,10 @@ class SettingsPanel(Generic[Settings]):
                 with gui.add_folder(field.label, expand_by_default=False):
                     self._groups[field.name] = SettingsPanel(gui, value, self._group_changed(field.name), report)
             else:
-                self._controls[field.name] = Control(gui, field, value, self._field_changed(field.name), report)
+                self._controls[field.name] = Control(gui, field, value, self._field_changed(field), report)
 
     def show(self, settings: Settings) -> None:
         """Shows other settings."""
-        self._settings = settings
         for name, control in self._controls.items():
             control.show(getattr(settings, name))
         for name, group in self._groups.items():
@@ -64,14 +68,18 @@ class SettingsPanel(Generic[Settings]):
         for control in self._controls.values():
             control.handle.visible = visible
 
-    def _field_changed(self, name: str) -> Callable[[Any], None]:
+    def _field_changed(self, field: Described) -> Callable[[Any], None]:
+        name = field.name
+        merge = name if field.kind in ("whole", "number", "color", "vector") else None
+
         def put(value: Any) -> None:
-            self._put(replace(self._settings, **{name: value}), name)
+            self._put(lambda settings: replace(settings, **{name: value}), merge)
 
         return put
 
-    def _group_changed(self, name: str) -> Callable[[Any, str], None]:
-        def put(value: Any, field: str) -> None:
-            self._put(replace(self._settings, **{name: value}), f"{name}.{field}")
+    def _group_changed(self, name: str) -> Put:
+        def put(change: Callable[[Any], Any], field: str | None) -> None:
+            merge = None if field is None else f"{name}.{field}"
+            self._put(lambda settings: replace(settings, **{name: change(getattr(settings, name))}), merge)
 
         return put

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,15 @@ _FRAMES = 100
 """Frames in the plot."""
 
 
+@dataclass
+class _Line:
+    """The line of a page."""
+
+    handle: viser.GuiMarkdownHandle
+    written: float = 0.0
+    """When it was written last, seconds of the monotonic clock."""
+
+
 class StatusPanel:
     """A line on top, progress below it, and a folder with stages and a plot.
 
@@ -30,10 +40,9 @@ class StatusPanel:
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._line = gui.add_markdown("starting")
+        self._lines: dict[Page, _Line] = {}
+        """Of each page: how fine its own picture is."""
         self._bar = gui.add_progress_bar(0.0, animated=True)
-        self._written = 0.0
-        self._shown, self._levels = "", ""
-        """What the line says of the last frame, and of levels that are being made."""
         self._took = np.full(_FRAMES, np.nan)
 
     def add_details(self, gui: viser.GuiApi) -> None:
@@ -53,14 +62,25 @@ class StatusPanel:
         self._bar.visible = fraction < 1.0
         self._bar.value = 100.0 * fraction
         if fraction < 1.0:
-            self._shown = ""
-            self._line.content = plain(label)
+            self._line.content, self._line.visible = plain(label), True
 
     def levels(self, fraction: float) -> None:
         """Shows how far the levels of a capture are, from which views that move will be drawn."""
-        self._levels = f" · coarser levels {fraction:.0%}" if fraction < 1.0 else ""
-        if self._shown:
-            self._line.content = self._shown + self._levels
+        self._line.content = f"coarser levels, for views that move: {fraction:.0%}"
+        self._line.visible = fraction < 1.0
+
+    def open(self, page: Page, gui: viser.GuiApi) -> None:
+        """Gives a page a line of its own.
+
+        Args:
+            page: The page.
+            gui: Its controls.
+        """
+        self._lines[page] = _Line(gui.add_markdown("", order=self._line.order, visible=False))
+
+    def close(self, page: Page) -> None:
+        """Forgets the line of a page that has gone."""
+        self._lines.pop(page, None)
 
     def frame(self, page: Page, step: Step | None, took: float) -> None:
         """Shows what a frame has taken; not more often than people read.
@@ -72,13 +92,13 @@ class StatusPanel:
         """
         self._took = np.roll(self._took, -1)
         self._took[-1] = took
-        now = time.monotonic()
-        if page.frame is None or (now - self._written < _EVERY_S and not page.is_finished):
+        now, line = time.monotonic(), self._lines.get(page)
+        if page.frame is None or line is None or (now - line.written < _EVERY_S and not page.is_finished):
             return
-        self._written = now
-        self._bar.visible = False
-        self._shown = frame_line(page.frame, step, page.noise, took)
-        self._line.content = self._shown + self._levels
+        line.written = now
+        if self._bar.visible:
+            self._bar.visible = self._line.visible = False
+        line.handle.content, line.handle.visible = frame_line(page.frame, step, page.noise, took), True
         if page.frame.stats is not None:
             self._stages.content = stage_table(page.frame.stats)
         times = np.nan_to_num(self._took)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
-from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.server.turns import chosen, pressed
+from lumisplat.viewer.state.session import VIEWS, Session
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ class ViewPanel:
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
         self._session = session
         options = session.options
-        self._view = gui.add_dropdown("view", ("color", *ls.Frame.VIEWS), initial_value=options.view)
+        self._view = gui.add_dropdown("view", VIEWS, initial_value=options.view)
         self._height = gui.add_slider("rows", *HEIGHTS, 10, options.height, hint="Of pictures at rest.")
         self._budget = gui.add_slider(
             "budget",
@@ -41,7 +43,7 @@ class ViewPanel:
         self._mark = gui.add_button("this is before", visible=False, hint="Compare with the scene as it is now.")
         self._splits.on_update(lambda _: self._split())
         self._share.on_update(lambda _: self._split())
-        self._mark.on_click(lambda _: session.mark())
+        self._mark.on_click(pressed(lambda _: session.mark()))
         for handle, name in (
             (self._view, "view"),
             (self._height, "height"),
@@ -50,16 +52,19 @@ class ViewPanel:
             (self._grid, "grid"),
             (self._insets, "insets"),
         ):
-            handle.on_update(self._putter(handle, name))
+            handle.on_update(chosen(lambda value: (value,), self._putter(handle, name)))
 
     def _split(self) -> None:
         splits = bool(self._splits.value)
         self._share.visible = self._mark.visible = splits
         self._session.set_options(split=float(self._share.value) if splits else None)
 
-    def _putter(self, handle: Any, name: str) -> Any:
-        def put(event: Any) -> None:
-            if event.client_id is not None:
-                self._session.set_options(**{name: handle.value})
+    def _putter(self, handle: Any, name: str) -> Callable[[tuple[Any]], None]:
+        def put(shown: tuple[Any]) -> None:
+            try:
+                self._session.set_options(**{name: shown[0]})
+            except ls.LumisplatError as error:
+                self._session.report(str(error))
+                handle.value = getattr(self._session.options, name)
 
         return put

@@ -9,6 +9,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.viewer.frames.pose import look_through
+from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.boxes import pose_of, world_corners
 from lumisplat.viewer.state.session import Session
 
@@ -30,7 +31,7 @@ class Viewpoints:
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
         self._session = session
         self._place = gui.add_dropdown("look at", [_ALL, _SELECTED], hint="Or through a camera of the scene file.")
-        gui.add_button("go there").on_click(self._go)
+        gui.add_button("go there").on_click(pressed(self._go))
         self._cameras: dict[str, ls.Camera] = {}
         self._shown: object = None
         session.on_change(self._show)
@@ -74,8 +75,8 @@ class Viewpoints:
         backward = backward / max(float(np.linalg.norm(backward)), 1e-9)
         narrow = math.atan(math.tan(0.5 * camera.fov) * min(camera.aspect, 1.0))
         with client.atomic():
-            camera.look_at = scale * center
             camera.position = scale * (center + backward * radius / math.sin(narrow))
+            camera.look_at = scale * center  # last, for the position takes it along
 
 
 def selected_ball(session: Session) -> tuple[np.ndarray, float] | None:

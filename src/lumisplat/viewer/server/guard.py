@@ -8,7 +8,7 @@ import ipaddress
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
 
 Refusal = tuple[http.HTTPStatus, str]
 """Status and text of an answer to who may not come in."""
@@ -45,7 +45,7 @@ class Guard:
     @property
     def url(self) -> str:
         """The address that opens the viewer, with the token."""
-        shown = "127.0.0.1" if self.host in ("", "0.0.0.0", "::") else self.host
+        shown = "127.0.0.1" if self.host in ("", "0.0.0.0", "::") else self.host.strip("[]")
         return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}/?token={self.token}"
 
     @property
@@ -61,10 +61,10 @@ class Guard:
             headers: Of the request, by any case of their names.
         """
         host = headers.get("Host", "")
-        if is_loopback(self.host) and host.rsplit(":", 1)[0] not in LOOPBACK_NAMES:
+        if is_loopback(self.host) and host.rsplit(":", 1)[0] not in (*LOOPBACK_NAMES, self.host):
             return http.HTTPStatus.FORBIDDEN, "Host: this viewer is open to this machine alone\n"
         origin = headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and _split(origin).netloc != host:
             return http.HTTPStatus.FORBIDDEN, "Origin: a page of another site may not use this viewer\n"
         if not (self._is_token(self.token_of(path)) or self._is_token(self._cookie_of(headers))):
             return http.HTTPStatus.UNAUTHORIZED, "open the address with the token that the viewer has printed\n"
@@ -72,7 +72,7 @@ class Guard:
 
     def token_of(self, path: str) -> str:
         """The token in the query of a path; empty: there is none."""
-        return parse_qs(urlsplit(path).query).get("token", [""])[0]
+        return parse_qs(_split(path).query).get("token", [""])[0]
 
     def set_cookie(self) -> str:
         """The value of ``Set-Cookie`` that lets a page come back without the token."""
@@ -84,4 +84,12 @@ class Guard:
 
     def _is_token(self, given: str) -> bool:
         """Compares in a time that does not depend on where they differ."""
-        return hmac.compare_digest(given.encode(), self.token.encode())
+        return hmac.compare_digest(given.encode(errors="replace"), self.token.encode())
+
+
+def _split(address: str) -> SplitResult:
+    """The parts of an address; of one that is none, empty ones."""
+    try:
+        return urlsplit(address)
+    except ValueError:
+        return SplitResult("", "", "", "", "")

@@ -101,8 +101,10 @@ class Inbox:
                 return "an upload has more parts than bytes"
             self._left[transfer] = size
         elif kind == "FileTransferPart":
+            if transfer not in self._left:
+                return "a part is of no upload"
             content = fields.get("content")
-            if not isinstance(content, bytes) or len(content) > self._left.get(transfer, 0):
+            if not isinstance(content, bytes) or len(content) > self._left[transfer]:
                 return "an upload is larger than it said"
             self._left[transfer] -= len(content)
             if self._left[transfer] == 0:

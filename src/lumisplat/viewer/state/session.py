@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import lumisplat as ls
 from lumisplat.viewer.state.boxes import Boxes
 from lumisplat.viewer.state.extent import Extent
-from lumisplat.viewer.thresholds import UNDO_MAX
+from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, MERGE_S, UNDO_MAX
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,10 @@ class State:
     config: ls.RenderConfig = field(default_factory=ls.RenderConfig)
     exposure: float = 0.0
     """Stops, of lit frames."""
+
+
+VIEWS = ("color", *ls.Frame.VIEWS)
+"""What pages may show of frames."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,13 @@ class Options:
     """Whether depth and normals are shown in the corner."""
     split: float | None = None
     """Share of the picture, from the left, that shows the state before the edits; None: none of it."""
+
+    def __post_init__(self) -> None:
+        for name, value, (low, high) in (("height", self.height, HEIGHTS), ("budget", self.budget_ms, BUDGETS_MS)):
+            if not low <= value <= high:
+                raise ls.ConfigError(f"{name} is {value}, expected {low:g} to {high:g}")
+        if self.view not in VIEWS:
+            raise ls.ConfigError(f"view is '{self.view}', expected one of {', '.join(VIEWS)}")
 
 
 class Session:
@@ -68,6 +80,7 @@ class Session:
         self._past: list[State] = []
         self._future: list[State] = []
         self._merging: str | None = None
+        self._edited_at = 0.0
         self._listeners: list[Callable[[], None]] = []
         self.errors: list[Callable[[str], None]] = []
         """Told what went wrong, in a line."""
@@ -79,42 +92,72 @@ class Session:
             self._past, self._future, self._merging = [], [], None
             self._show(state)
 
-    def edit(self, state: State, merge: str | None = None) -> None:
+    def edit(self, change: Callable[[State], State], merge: str | None = None, *, within: float = MERGE_S) -> None:
         """Goes on to a new state.
 
         Args:
-            state: What follows from `state`.
-            merge: Edits of the same name that follow each other are undone as one; `seal` ends such a row.
+            change: Makes it of the present one.
+            merge: Edits of the same name that follow each other soon are undone as one; `seal` ends such a row.
+            within: How soon, seconds.
+
+        Raises:
+            LumisplatError: The change is refused.
         """
         with self.changed:
-            if merge is None or merge != self._merging:
-                self._past = [*self._past[-UNDO_MAX:], self.state]
-            self._merging = merge
-            self._future.clear()
-            self._show(state)
+            self._commit(change(self.state), merge, within)
 
-    def apply(self, edit: Callable[[ls.SceneDocument], ls.SceneDocument], merge: str | None = None) -> bool:
+    def _commit(self, state: State, merge: str | None, within: float) -> None:
+        """Goes on to a state; the lock is held."""
+        now = time.monotonic()
+        if merge is None or merge != self._merging or now - self._edited_at > within:
+            self._past = [*self._past[-UNDO_MAX:], self.state]
+        self._merging, self._edited_at = merge, now
+        self._future.clear()
+        self._show(state)
+
+    def apply(
+        self,
+        edit: Callable[[ls.SceneDocument], ls.SceneDocument],
+        merge: str | None = None,
+        *,
+        within: float = MERGE_S,
+    ) -> bool:
         """Edits the document; what cannot be done is reported, and changes nothing.
 
         Args:
-            edit: Makes the new document of the present one.
+            edit: Makes the new document of the present one. It may read files, which holds up nobody: if something else
+                was edited meanwhile, it is asked once more.
             merge: As of `edit`.
+            within: As of `edit`.
 
         Returns:
             Whether it was done.
         """
         try:
-            with self.changed:
-                self.edit(replace(self.state, document=edit(self.state.document)), merge)
+            while True:
+                before = self.state.document
+                after = edit(before)
+                with self.changed:
+                    if self.state.document is before:
+                        self._commit(replace(self.state, document=after), merge, within)
+                        break
         except ls.LumisplatError as error:
             self.report(" ".join(str(error).split()).removeprefix(f"{self.state.document.file}: "))
             self._tell()
             return False
         return True
 
-    def configure(self, config: ls.RenderConfig, merge: str | None = None) -> None:
-        """Goes on with other settings."""
-        self.edit(replace(self.state, config=config), merge)
+    def configure(self, change: Callable[[ls.RenderConfig], ls.RenderConfig], merge: str | None = None) -> None:
+        """Goes on with other settings.
+
+        Args:
+            change: Makes them of the present ones.
+            merge: As of `edit`.
+
+        Raises:
+            ConfigError: A value is refused.
+        """
+        self.edit(lambda state: replace(state, config=change(state.config)), merge)
 
     def seal(self) -> None:
         """The next edit is undone on its own."""
@@ -153,7 +196,11 @@ class Session:
                 self._show(self.state)
 
     def set_options(self, **changes: object) -> None:
-        """Shows the same state in another way."""
+        """Shows the same state in another way.
+
+        Raises:
+            ConfigError: A value is refused.
+        """
         with self.changed:
             self.options = replace(self.options, **changes)  # pyright: ignore[reportArgumentType]
             self._show(self.state)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Session
 
@@ -23,6 +24,8 @@ _LIGHTS = ("point", "spot", "directional", "sphere", "rect")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
 """Folder beside the scene."""
+_NAME_MAX = 100
+"""Longest name of an uploaded file, characters."""
 _SIZES = (0.02, 1.5)
 """Sizes of meshes, as shares of the scene's, that are left as they are in their files."""
 _OWN_SIZE = 0.25
@@ -40,16 +43,16 @@ class AddPanel:
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
         self._session = session
         self._what = gui.add_dropdown("what", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
-        gui.add_button("add").on_click(lambda _: self._add(str(self._what.value)))
+        gui.add_button("add").on_click(pressed(lambda _: self._add(str(self._what.value))))
         hint = "Captures, meshes, and images of the sky."
         self._file = gui.add_dropdown("file beside the scene", [_NOTHING], hint=hint)
         hint = (
             "A rig, or what has an animation of its own: it moves, takes on the light of its place and casts shadows."
         )
         self._moves = gui.add_checkbox("as an actor", False, hint=hint)
-        gui.add_button("add the file").on_click(lambda _: self._add_file(str(self._file.value)))
+        gui.add_button("add the file").on_click(pressed(lambda _: self._add_file(str(self._file.value))))
         upload = gui.add_upload_button("upload a file", mime_type=",".join(_READABLE), hint="And add it.")
-        upload.on_upload(lambda event: self._add_upload(event.target.value))
+        upload.on_upload(pressed(lambda event: self._add_upload(event.target.value)))
 
     def list_files(self) -> None:
         """Lists the files beside the scene file."""
@@ -113,7 +116,7 @@ class AddPanel:
 
         def insert(document: ls.SceneDocument) -> ls.SceneDocument:
             document, number = document.added(kind, table)
-            if kind == "meshes" and has_more:
+            if kind in ("meshes", "actors") and has_more:
                 box = self._session.boxes.of(document.entry(number))
                 assert box is not None
                 document = standing(document, number, box, extent)
@@ -175,10 +178,10 @@ def with_sky(document: ls.SceneDocument, path: str) -> ls.SceneDocument:
 def free_name(folder: Path, name: str) -> Path:
     """A path in a folder that does not exist, of a plain name like the given one."""
     plain = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "upload"
-    path = folder / plain
+    stem, dot, rest = plain[-_NAME_MAX:].partition(".")
+    path = folder / f"{stem}{dot}{rest}"
     number = 2
     while path.exists():
-        stem, dot, rest = plain.partition(".")
         path = folder / f"{stem}_{number}{dot}{rest}"
         number += 1
     return path

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
+from lumisplat.viewer.server.turns import chosen
 from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
@@ -49,13 +50,13 @@ class Crop:
         hint = "In the file's own coordinates; at its ends a slider leaves out nothing."
         step = (high - low) / _STEPS
         slider = gui.add_multi_slider(f"crop {'xyz'[axis]}", low, high, step, (low, high), hint=hint)
-        slider.on_update(self._change)
+        slider.on_update(chosen(lambda value: (axis, *value), self._change))
         return slider
 
-    def _change(self, event: Any) -> None:
-        if event.client_id is None:  # it was set from here
-            return
+    def _change(self, moved: tuple[Any, ...]) -> None:
+        """Crops between the ends of all sliders; that which was moved says where its ends are."""
         ends = np.array([slider.value for slider in self._sliders], np.float64).T
+        ends[:, moved[0]] = moved[1:3]
         number, reach, everything = self._number, self._reach, self._everything
         self._session.apply(lambda document: cropped(document, number, ends, reach, everything), merge=f"{number} crop")
 

@@ -13,12 +13,15 @@ import lumisplat as ls
 from lumisplat.viewer.colors import KELVIN_RANGE, color_of_temperature
 from lumisplat.viewer.panels.controls import Control
 from lumisplat.viewer.panels.described import Described, described
+from lumisplat.viewer.server.turns import chosen
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.things.crop import Crop
 
 if TYPE_CHECKING:
     import viser
 
+_WHITE_K = 6500.0
+"""Temperature that is shown of a light whose colour is not of a temperature that was chosen here."""
 _CAPTURE_LOOKS: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_only": None},
     "relit": {"material": {"type": "pbr"}, "shadow_only": None},
@@ -86,6 +89,8 @@ class Inspector:
         self._controls: dict[str, Control] = {}
         self._parts: list[Any] = []
         self._crop: Crop | None = None
+        self._follow: Callable[[ls.SceneEntry], None] | None = None
+        """Brings a slider that stands for something else to where its entry is."""
         folder.visible = False
         session.on_change(self.show)
 
@@ -103,6 +108,8 @@ class Inspector:
                     self._controls[field.name].show(value)
             if self._crop is not None:
                 self._crop.show()
+            if self._follow is not None:
+                self._follow(entry)
 
     def _shape(self, entry: ls.SceneEntry) -> tuple[Any, ...]:
         """What the set of controls depends on."""
@@ -112,7 +119,7 @@ class Inspector:
     def _rebuild(self, entry: ls.SceneEntry | None) -> None:
         for part in reversed(self._parts):
             part.remove()
-        self._parts, self._controls, self._crop = [], {}, None
+        self._parts, self._controls, self._crop, self._follow = [], {}, None, None
         self._folder.visible = entry is not None
         if entry is None:
             return
@@ -164,9 +171,10 @@ class Inspector:
 
     def _putter(self, entry: ls.SceneEntry, field: Described) -> Callable[[Any], None]:
         number, name = entry.id, field.name
+        merge = f"{number} {name}" if field.kind in ("whole", "number", "color", "vector") else None
 
         def put(value: Any) -> None:
-            self._session.apply(lambda document: put_field(document, number, name, value), merge=f"{number} {name}")
+            self._session.apply(lambda document: put_field(document, number, name, value), merge=merge)
 
         return put
 
@@ -175,38 +183,49 @@ class Inspector:
         looks, hint = (_CAPTURE_LOOKS, _CAPTURE_HINT) if entry.splats else (_MESH_LOOKS, _MESH_HINT)
         dropdown = self._gui.add_dropdown("look", list(looks), initial_value=look_of(entry), hint=hint)
 
-        def change(event: Any) -> None:
-            if event.client_id is not None and dropdown.value in looks:
-                keys = looks[dropdown.value]
-                self._session.apply(lambda document: document.changed(number, **keys))
+        def change(look: str) -> None:
+            if look in looks:
+                self._session.apply(lambda document: document.changed(number, **looks[look]))
 
-        dropdown.on_update(change)
+        dropdown.on_update(chosen(str, change))
         self._parts.append(dropdown)
 
     def _add_temperature(self, entry: ls.SceneEntry) -> None:
         number, (low, high) = entry.id, KELVIN_RANGE
-        slider = self._gui.add_slider("temperature", low, high, 50.0, 6500.0, hint="Colour of a black body, kelvins.")
+        slider = self._gui.add_slider("temperature", low, high, 50.0, _WHITE_K, hint="Colour of a black body, kelvins.")
 
-        def change(event: Any) -> None:
-            if event.client_id is not None:
-                color = [round(channel, 5) for channel in color_of_temperature(float(slider.value))]
-                self._session.apply(lambda document: document.changed(number, color=color), merge=f"{number} kelvin")
+        def change(kelvins: float) -> None:
+            color = _rounded_color(kelvins)
+            self._session.apply(lambda document: document.changed(number, color=color), merge=f"{number} kelvin")
 
-        slider.on_update(change)
+        def follow(now: ls.SceneEntry) -> None:
+            color: Any = getattr(now.lights[0], "color", ())
+            if list(color) != _rounded_color(float(slider.value)):
+                slider.value = _WHITE_K
+
+        slider.on_update(chosen(float, change))
+        self._follow = follow
         self._parts.append(slider)
 
     def _add_turn(self, entry: ls.SceneEntry) -> None:
         number = entry.id
         slider = self._gui.add_slider("turn", -180.0, 180.0, 1.0, 0.0, hint="About the vertical, degrees.")
-        sky: Any = entry.lights[0]
-        start: tuple[float, ...] = tuple(sky.rotation_wxyz)
+        start = _sky_rotation(entry)
+        """Of the sky where the slider is in the middle."""
 
-        def change(event: Any) -> None:
-            if event.client_id is not None:
-                keys = {"rotation_wxyz": turned_about(start, self._session.scene.up_direction, float(slider.value))}
-                self._session.apply(lambda document: document.changed(number, **keys), merge=f"{number} turn")
+        def change(degrees: float) -> None:
+            keys = {"rotation_wxyz": turned_about(start, self._session.scene.up_direction, degrees)}
+            self._session.apply(lambda document: document.changed(number, **keys), merge=f"{number} turn")
 
-        slider.on_update(change)
+        def follow(now: ls.SceneEntry) -> None:
+            nonlocal start
+            turned = turned_about(start, self._session.scene.up_direction, float(slider.value))
+            if not np.allclose(turned, _sky_rotation(now), atol=1e-9):
+                start = _sky_rotation(now)
+                slider.value = 0.0
+
+        slider.on_update(chosen(float, change))
+        self._follow = follow
         self._parts.append(slider)
 
 
@@ -226,7 +245,18 @@ def put_field(document: ls.SceneDocument, number: int, name: str, value: Any) ->
         return document.placed(number, _moved(np.asarray(entry.world_from_file), name, value))
     if name == "hidden":
         return document.changed(number, hidden=True if value else None)
-    return document.changed(number, **{name: _plain(value)})
+    return document.changed(number, **_without_words(entry, name), **{name: _plain(value)})
+
+
+def _without_words(entry: ls.SceneEntry, name: str) -> dict[str, Any]:
+    """Keys that say in words what a field says: where a light looks, and how large it is."""
+    if name == "direction":
+        return {"target": None} | ({"position": None} if isinstance(entry.lights[0], ls.LightDirectional) else {})
+    if name in ("edge_u", "edge_v"):
+        light: Any = entry.lights[0]
+        edges = {key: _plain(tuple(getattr(light, key))) for key in ("edge_u", "edge_v") if key != name}
+        return {"target": None, "size": None, **edges}
+    return {}
 
 
 def turned_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
@@ -266,6 +296,16 @@ def _moved(matrix: Any, name: str, value: Any) -> Any:
     else:
         moved[:3, :3] = scale * transforms.SO3.from_rpy_radians(*np.radians(value)).as_matrix()
     return moved
+
+
+def _sky_rotation(entry: ls.SceneEntry) -> tuple[float, ...]:
+    sky: Any = entry.lights[0]
+    return tuple(float(x) for x in sky.rotation_wxyz)
+
+
+def _rounded_color(kelvins: float) -> list[float]:
+    """The colour of a black body, five digits, as people write them."""
+    return [round(channel, 5) for channel in color_of_temperature(kelvins)]
 
 
 def _plain(value: Any) -> Any:

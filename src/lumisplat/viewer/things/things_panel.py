@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.viewer.hands.gizmo import moved
 from lumisplat.viewer.panels.buttons import add_buttons
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.things.adding import AddPanel
@@ -38,7 +39,7 @@ class ThingsPanel:
         self._selected.on_update(self._select)
         add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
         add_buttons(gui, ["to the ground", "split"], self.act)
-        self._inspector = Inspector(gui, session, gui.add_folder("selected"))
+        self._inspector = Inspector(gui, session, gui.add_folder(None))
         with gui.add_folder("add", expand_by_default=False):
             self._adding = AddPanel(gui, session)
         session.on_change(self._show)
@@ -70,9 +71,9 @@ class ThingsPanel:
         document, number = document.duplicated(self._session.selected)
         entry, step = document.entry(number), 0.05 * self._session.extent.size
         if entry.kind not in ("lights", "environment"):
-            moved = np.array(entry.world_from_file)
-            moved[0, 3] += step
-            document = document.placed(number, moved)
+            placed = np.array(entry.world_from_file)
+            placed[0, 3] += step
+            document = document.placed(number, placed)
         elif "position" in entry.table and entry.table.get("type") != "directional":
             x, y, z = entry.table["position"]
             document = document.changed(number, position=[x + step, y, z])
@@ -117,14 +118,14 @@ def on_ground(document: ls.SceneDocument, number: int) -> ls.SceneDocument:
     """
     entry = document.entry(number)
     others = document.removed(number).scene()
-    if not (entry.splats or entry.meshes) or not (others.splats or others.meshes):
-        raise ls.SceneError("to the ground: it takes a capture or a mesh, and something else that has a ground")
+    mine = entry.at(0.0)
+    if not mine or not (others.splats or others.meshes):
+        raise ls.SceneError("to the ground: it takes a capture, a mesh or an actor, and something else with a ground")
     up = np.array(others.up_direction)
     ground = min(_height(instance, up) for instance in (*others.splats, *others.meshes))
-    mine = min(_height(instance, up) for instance in (*entry.splats, *entry.meshes))
-    moved = np.array(entry.world_from_file)
-    moved[:3, 3] += (ground - mine) * up
-    return document.placed(number, moved)
+    shift = np.eye(4)
+    shift[:3, 3] = (ground - min(_height(instance, up) for instance in mine)) * up
+    return moved(document, entry, shift, 0.0)
 
 
 def _height(instance: ls.SplatInstance | ls.MeshInstance, up: Any) -> float:
