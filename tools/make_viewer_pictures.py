@@ -22,7 +22,7 @@ import lumisplat as ls
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-SIZE = {"width": 1280, "height": 800}
+SIZE: Any = {"width": 1280, "height": 800}
 FILM_FRAMES, FILM_SIZE = 24, (640, 400)
 LAMP = (0.9, 1.5, 0.9)
 
