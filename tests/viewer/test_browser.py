@@ -60,8 +60,14 @@ def open_page(browser: Any, viewer: ls.Viewer) -> Any:
 
 def settle(viewer: ls.Viewer) -> None:
     """Waits until all pages show all that there is to show."""
-    time.sleep(0.3)
-    eventually(lambda: all(page.is_finished for page in viewer._pages.values()), "the picture is not finished")
+
+    def rests() -> bool:
+        pages, revision = list(viewer._pages.values()), viewer._session.revision
+        return bool(pages) and all(page.is_at_rest and page.key == (revision, page.pose_number) for page in pages)
+
+    for _ in range(3):  # a message that is on its way may end the rest once more
+        time.sleep(0.3)
+        eventually(rests, "the picture is not finished")
     time.sleep(1.0)  # the browser decodes and draws it
 
 
