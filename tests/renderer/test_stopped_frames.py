@@ -35,8 +35,8 @@ def renderer(pipeline: ls.Pipeline) -> ls.Renderer:
 def test_a_frame_that_is_given_up_leaves_no_trace(pipeline: ls.Pipeline) -> None:
     """Wherever it was stopped, the next frame is that of a new renderer, to the bit, and so is one that is resumed."""
     expected = renderer(pipeline).render(LIT, CAMERA)
-    used = renderer(pipeline)
     for count in (1, 2, 7, 30, 90):
+        used = renderer(pipeline)
         with pytest.raises(ls.StoppedError):
             used.render(LIT, CAMERA, stop=after(count))
         np.testing.assert_array_equal(used.render(LIT, CAMERA).color, expected.color)

@@ -213,7 +213,9 @@ def test_nonsense_from_a_page_disturbs_nobody(viewer: ls.Viewer) -> None:
         other.look(camera())
         settled(viewer, page)
         page.send_raw(b"\xff\x00nonsense")
-        page.send("ViewerCameraMessage", wxyz=[0.0] * 4, position=[1.0] * 3, fov=0.8, near=0.1, far=1.0)
+        size = {"image_height": 90, "image_width": 160}
+        away = {"look_at": [0.0] * 3, "up_direction": [0.0, -1.0, 0.0]}
+        page.send("ViewerCameraMessage", wxyz=[0.0] * 4, position=[1.0] * 3, fov=0.8, near=0.1, far=1.0, **size, **away)
         page.send("GuiUpdateMessage", uuid=page.control("exposure"), updates={"value": "bright"})
         page.send("GuiUpdateMessage", uuid=page.control("pipeline"), updates={"value": "magic"})
         page.send("ScenePointerMessage", event_type="click", screen_pos=[], modifier=None)

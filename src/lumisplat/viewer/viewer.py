@@ -24,6 +24,7 @@ from lumisplat.viewer.hands.picking import select
 from lumisplat.viewer.notebook.notebook import Bundle, Notebook
 from lumisplat.viewer.output.stills import Studio
 from lumisplat.viewer.panels.buttons import add_buttons
+from lumisplat.viewer.panels.desk import Desk
 from lumisplat.viewer.panels.errands import Errands
 from lumisplat.viewer.panels.files import FilesPanel
 from lumisplat.viewer.panels.film import FilmPanel
@@ -163,8 +164,8 @@ class Viewer:
     def _build_panels(self, device: str) -> None:
         gui = self._viser.gui
         gui.set_panel_label("Lumisplat")
-        errands = Errands(gui, self._loop.do)
         studio = Studio(self._loop.scenes, device, self._loop.is_wanted)
+        desk = Desk(self._session, self._pages, Errands(gui, self._loop.do), studio)
         add_buttons(gui, ["undo", "redo"], self._step)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Things"):
@@ -178,11 +179,11 @@ class Viewer:
             self._status.add_details(gui)
         with tabs.add_tab("Film"):
             self._timeline = Timeline(gui, self._session, self._fly)
-            FilmPanel(gui, self._session, self._pages, errands, studio)
+            FilmPanel(gui, desk)
         with tabs.add_tab("Save"):
             self._files = FilesPanel(self._viser, self._session, self._pages)
             with gui.add_folder("pictures"):
-                PicturesPanel(gui, self._session, self._pages, errands, studio)
+                PicturesPanel(gui, desk)
         self._add_keys()
 
     def _add_keys(self) -> None:

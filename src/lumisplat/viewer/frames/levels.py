@@ -1,6 +1,6 @@
 """Captures of fewer Gaussians, for frames of views that move; each is made once, in the background.
 
-Until they are there, thinned captures stand in for them in large scenes: every so-manieth Gaussian, somewhat larger.
+Until they are there, thinned captures stand in for them in large scenes: one Gaussian in so many, somewhat larger.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class Levels:
 
 
 def thinned(gaussians: ls.Gaussians, fraction: float) -> ls.Gaussians:
-    """Every so-manieth Gaussian, larger by the cube root of that number.
+    """One Gaussian in so many, larger by the cube root of that number.
 
     That is between what fills surfaces, its square root, and what keeps their outlines: the picture is nearest there to
     that of all of them.

@@ -45,10 +45,10 @@ class Page:
         self.pace = Pace()
         self.frame: ls.Frame | None = None
         """What it shows."""
-        self.before_key: object = None
-        """Of which view and size that is."""
         self.before: Picture | None = None
         """What the left part of a split picture shows."""
+        self.before_key: object = None
+        """Of which view and size that is."""
         self.is_finished = False
         """Whether it shows all that there is to show of a view at rest."""
         self.noise: float | None = None

@@ -60,6 +60,13 @@ class Pose:
         a, b, c, d = (float(value) for value in transforms.SO3.from_matrix(world_from_camera[:3, :3]).wxyz)
         return cls((x, y, z), (a, b, c, d), camera.fov_y, camera.width / camera.height, focus)
 
+    @property
+    def target(self) -> tuple[float, float, float]:
+        """The point that the camera turns about, in the middle of its picture."""
+        forward = self._camera_from_world()[2, :3]
+        x, y, z = (float(value) for value in np.asarray(self.position) + max(self.focus, 1e-3) * forward)
+        return x, y, z
+
     def camera(self, height: int, exposure: float = 0.0) -> ls.Camera:
         """The camera of a frame of so many rows; the width follows from the page's aspect, in even numbers.
 

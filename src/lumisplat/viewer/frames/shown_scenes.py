@@ -22,6 +22,15 @@ class _Stage:
     has_failed: bool = False
     """Whether no light could be found; actors then keep their own."""
 
+    def is_of(self, scene: ls.Scene, lighting: ls.AvatarLightingConfig, background: tuple[float, float, float]) -> bool:
+        """Whether this is what stands still, and how it is lit."""
+        return (
+            (self.lighting, self.background) == (lighting, background)
+            and _same(self.scene.splats, scene.splats)
+            and _same(self.scene.meshes, scene.meshes)
+            and _same(self.scene.lights, scene.lights)
+        )
+
 
 class ShownScenes:
     """Makes the scenes of frames.
@@ -125,18 +134,11 @@ class ShownScenes:
         lighting, scene = animation.lighting, animation.scene
         if not scene.splats or not (lighting.shadows or lighting.relight):
             return None
-        held = self._stage
-        is_same = (
-            held is not None
-            and (held.lighting, held.background) == (lighting, background)
-            and _same(held.scene.splats, scene.splats)
-            and _same(held.scene.meshes, scene.meshes)
-            and _same(held.scene.lights, scene.lights)
-        )
-        if not is_same and waits:
-            held, is_same = _Stage(scene, lighting, background), True
-            self._stage = held
-        return held if is_same and held is not None and not held.has_failed else None
+        if self._stage is None or not self._stage.is_of(scene, lighting, background):
+            if not waits:
+                return None
+            self._stage = _Stage(scene, lighting, background)
+        return None if self._stage.has_failed else self._stage
 
 
 def _same(first: Sequence[object], second: Sequence[object]) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
+from lumisplat.viewer.panels.desk import pose_of_page
 from lumisplat.viewer.panels.notes import tell
 from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.session import Session
@@ -38,7 +39,7 @@ class FilesPanel:
         self._server, self._session, self._pages = server, session, pages
         self._name = gui.add_text("scene file", "edited.toml", hint="Beside the scene that was opened.")
         self._overwrite = gui.add_checkbox("overwrite", False, hint="Replace a file of that name.")
-        gui.add_button("save the scene").on_click(pressed(lambda _: self._save()))
+        gui.add_button("save the scene").on_click(pressed(lambda _: self.save()))
         gui.add_button("command line").on_click(pressed(self._show_command))
 
     def suggest(self, document: ls.SceneDocument) -> None:
@@ -46,31 +47,27 @@ class FilesPanel:
         stem = re.sub(r"[^A-Za-z0-9 ._-]", "_", document.file.stem).lstrip(" ._-") or "scene"
         self._name.value = f"{stem[:70]}-edited.toml"
 
-    def save(self) -> bool:
-        """Saves the scene file; whether it could."""
+    def save(self) -> None:
+        """Saves the scene file, and tells that, or why not."""
         target = self._target()
         if target is None:
             given = str(self._name.value)[:90]
             self._session.report(f"scene file is '{given}', expected a plain name that ends in .toml")
-            return False
+            return
         state = self._session.state
         left_out, overwrites = len(state.document.problems), bool(self._overwrite.value)
         if left_out and overwrites and target.exists():
             self._session.report(
                 f"{target.name} is not replaced: {left_out} of its things could not be read, and would go"
             )
-            return False
+            return
         try:
             state.document.with_config(state.config).save(target, overwrite=overwrites)
         except ls.LumisplatError as error:
             self._session.report(str(error))
-            return False
+            return
         self._overwrite.value = False
         tell(self._server, "saved", f"{target}{f', without {left_out} things that could not be read' * bool(left_out)}")
-        return True
-
-    def _save(self) -> None:
-        self.save()
 
     def _target(self) -> Path | None:
         """The file of the name that was typed, beside the scene; None: it is no plain name."""
@@ -80,10 +77,10 @@ class FilesPanel:
 
     def _show_command(self, event: Any) -> None:
         client: viser.ClientHandle = event.client
-        page = self._pages.get(event.client_id)
-        if page is None or page.pose is None:
+        pose = pose_of_page(self._pages, event)
+        if pose is None:
             return
-        line = command_line(self._target() or Path("edited.toml"), page.pose, self._session)
+        line = command_line(self._target() or Path("edited.toml"), pose, self._session)
         with client.gui.add_modal("the same from the command line") as modal:
             client.gui.add_markdown(f"Save the scene first, then:\n\n```\n{line}\n```")
             client.gui.add_button("close").on_click(pressed(lambda _: modal.close()))
@@ -92,13 +89,13 @@ class FilesPanel:
 def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
     """The command that renders what a page shows of a saved scene; of one with actors, the frame of that time."""
     state, camera = session.state, pose.camera(_ROWS, session.state.exposure)
-    matrix = np.linalg.inv(camera.camera_from_world)
-    eye, forward = matrix[:3, 3], matrix[:3, 2]
-    target = eye + forward * max(pose.focus, 1e-3)
     has_actors = any(entry.actor is not None and not entry.hidden for entry in state.document.entries)
     words = ["lumisplat", "animate" if has_actors else "render", shlex.quote(str(scene_file))]
     # An equals sign: a value that begins with a minus sign would be taken for an option.
-    words += [f"{name}={','.join(f'{x:.6g}' for x in at)}" for name, at in (("--eye", eye), ("--target", target))]
+    words += [
+        f"{name}={','.join(f'{x:.6g}' for x in at)}"
+        for name, at in (("--eye", pose.position), ("--target", pose.target))
+    ]
     words += [f"--fov {np.degrees(pose.fov_y):.5g}", f"--width {camera.width}", f"--height {camera.height}"]
     words += [f"--exposure={camera.exposure:g}"] if camera.exposure else []
     if has_actors and (animation := state.document.animation) is not None:

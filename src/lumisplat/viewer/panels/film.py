@@ -12,15 +12,14 @@ import numpy.typing as npt
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import picture_of
-from lumisplat.viewer.output.stills import Studio, still_config
+from lumisplat.viewer.output.stills import still_config
 from lumisplat.viewer.panels.buttons import add_buttons
-from lumisplat.viewer.panels.errands import Errands, Steps
+from lumisplat.viewer.panels.desk import Desk, file_bytes, pose_of_page
+from lumisplat.viewer.panels.errands import Steps
 from lumisplat.viewer.panels.pictures import HEIGHTS
 from lumisplat.viewer.server.turns import chosen, pressed
 from lumisplat.viewer.state.flight import Key, keys_of, with_key, without_flight, without_last_key
-from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
     import viser
@@ -35,21 +34,11 @@ class FilmPanel:
 
     Args:
         gui: The pages' controls.
-        session: Has the scene, whose first camera with keyframes is the flight.
-        pages: Open pages by the id of their connection.
-        errands: Do the work.
-        studio: What it is done with.
+        desk: Its session has the scene, whose first camera with keyframes is the flight.
     """
 
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        session: Session,
-        pages: dict[int, Page],
-        errands: Errands,
-        studio: Studio,
-    ) -> None:
-        self._session, self._pages, self._errands, self._studio = session, pages, errands, studio
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk, self._session = desk, desk.session
         self._table = gui.add_markdown("")
         hint = "From the last place of the flight to the next one."
         self._seconds = gui.add_number("seconds", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
@@ -62,8 +51,8 @@ class FilmPanel:
         self._samples = gui.add_number("film samples", 8, min=1, max=65536, step=1, hint="A pixel of each frame.")
         self._format = gui.add_dropdown("film format", FORMATS, hint="mp4 takes pip install 'lumisplat[video]'.")
         gui.add_button("make the film").on_click(pressed(self._film))
-        session.on_change(self._show)
         self._shown: object = None
+        self._session.on_change(self._show)
 
     def _show(self) -> None:
         document = self._session.state.document
@@ -77,13 +66,11 @@ class FilmPanel:
         self._session.apply(lambda document: document.with_animation(fps=fps), merge="fps")
 
     def _add(self, event: Any) -> None:
-        page = self._pages.get(event.client_id)
-        if page is None or page.pose is None:
+        pose = pose_of_page(self._desk.pages, event)
+        if pose is None:
             return
-        camera = page.pose.camera(_KEY_ROWS, self._session.state.exposure)
-        _, _, forward = camera.camera_from_world[:3, :3]
-        x, y, z = (float(value) for value in camera.eye + max(page.pose.focus, 1e-3) * forward)
-        key, seconds = Key(camera, (x, y, z)), float(self._seconds.value)
+        key = Key(pose.camera(_KEY_ROWS, self._session.state.exposure), pose.target)
+        seconds = float(self._seconds.value)
         self._session.apply(lambda document: with_key(document, key, seconds))
 
     def _drop(self, which: str) -> None:
@@ -91,8 +78,8 @@ class FilmPanel:
             self._session.apply(without_last_key if which == "drop the last" else without_flight)
 
     def _film(self, event: Any) -> None:
-        page = self._pages.get(event.client_id)
-        if page is None or page.pose is None:
+        pose, studio = pose_of_page(self._desk.pages, event), self._desk.studio
+        if pose is None:
             return
         state, suffix = self._session.state, str(self._format.value)
         animation = state.document.animation
@@ -100,16 +87,16 @@ class FilmPanel:
             self._session.report("there is nothing to film: add two views, or an actor that moves")
             return
         config, height = still_config(state.config), int(np.clip(self._height.value, *HEIGHTS))
-        cameras = film_cameras(animation, page.pose.camera(height, state.exposure))
+        cameras = film_cameras(animation, pose.camera(height, state.exposure))
         samples, client = int(self._samples.value), event.client
 
         def steps() -> Steps:
-            renderer = self._studio.renderer(config)
+            renderer = studio.renderer(config)
             with tempfile.TemporaryDirectory() as folder:
                 files: list[Path] = []
                 for number, (time, camera) in enumerate(zip(animation.times.tolist(), cameras, strict=True)):
-                    scene = self._studio.scene(state.document, config, time)
-                    frame = yield from _part(self._studio.still(renderer, scene, camera, samples), number, len(cameras))
+                    scene = studio.scene(state.document, config, time)
+                    frame = yield from _part(studio.still(renderer, scene, camera, samples), number, len(cameras))
                     files.append(Path(folder) / f"{number:06d}.png")
                     Image.fromarray(picture_of(frame, "color")).save(files[-1], compress_level=1)
                 film = film_file(map(ls.load_image, files), animation.fps, suffix)
@@ -117,7 +104,7 @@ class FilmPanel:
 
         try:
             film_file([np.zeros((16, 16, 3), np.float32)], animation.fps, suffix)  # now, not after an hour of frames
-            self._errands.start(f"film of {len(cameras)} frames", steps())
+            self._desk.errands.start(f"film of {len(cameras)} frames", steps())
         except ls.LumisplatError as error:
             self._session.report(" ".join(str(error).split()))
 
@@ -145,10 +132,7 @@ def film_file(pictures: Iterable[npt.NDArray[np.float32]], fps: float, suffix: s
     Raises:
         LumisplatError: It cannot be made.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"film.{suffix}"
-        ls.save_animation(path, pictures, fps)
-        return path.read_bytes()
+    return file_bytes(f"film.{suffix}", lambda path: ls.save_animation(path, pictures, fps))
 
 
 def _part(steps: Generator[float, None, ls.Frame], number: int, count: int) -> Generator[float, None, ls.Frame]:

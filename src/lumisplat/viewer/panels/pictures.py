@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.output.capture_page import capture_page
-from lumisplat.viewer.output.stills import Studio, still_config
-from lumisplat.viewer.panels.errands import Errands, Steps
+from lumisplat.viewer.output.stills import still_config
+from lumisplat.viewer.panels.desk import Desk, file_bytes, pose_of_page
+from lumisplat.viewer.panels.errands import Steps
 from lumisplat.viewer.server.turns import pressed
-from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
     import viser
@@ -35,21 +33,11 @@ class PicturesPanel:
 
     Args:
         gui: The pages' controls.
-        session: Has the scene.
-        pages: Open pages by the id of their connection.
-        errands: Do the work.
-        studio: What it is done with.
+        desk: Its session has the scene.
     """
 
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        session: Session,
-        pages: dict[int, Page],
-        errands: Errands,
-        studio: Studio,
-    ) -> None:
-        self._session, self._pages, self._errands, self._studio = session, pages, errands, studio
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk, self._session = desk, desk.session
         self._height = gui.add_number("rows", 1080, min=HEIGHTS[0], max=HEIGHTS[1], step=1)
         hint = "0: as wide as the page shows it."
         self._width = gui.add_number("columns", 0, min=0, max=HEIGHTS[1], step=1, hint=hint)
@@ -60,23 +48,22 @@ class PicturesPanel:
         hint = "One HTML file with the captures as they are, without lights: it opens in any browser, without a server."
         gui.add_button("captures as a page", hint=hint).on_click(pressed(self._for_page(self._capture_page)))
 
-    def _for_page(self, start: Callable[[viser.ClientHandle, Page], None]) -> Callable[[Any], None]:
+    def _for_page(self, start: Callable[[viser.ClientHandle, Pose], None]) -> Callable[[Any], None]:
         def on_click(event: Any) -> None:
-            page = self._pages.get(event.client_id)
-            if page is None or page.pose is None:
+            pose = pose_of_page(self._desk.pages, event)
+            if pose is None:
                 return
             try:
-                start(event.client, page)
+                start(event.client, pose)
             except ls.LumisplatError as error:
                 self._session.report(str(error))
 
         return on_click
 
-    def _picture(self, client: viser.ClientHandle, page: Page) -> None:
+    def _picture(self, client: viser.ClientHandle, pose: Pose) -> None:
         """Renders a page's view at any size."""
-        assert page.pose is not None
         state, suffix = self._session.state, str(self._format.value)
-        pose, height = page.pose, int(np.clip(self._height.value, *HEIGHTS))
+        height, studio = int(np.clip(self._height.value, *HEIGHTS)), self._desk.studio
         if self._width.value:
             pose = replace(pose, aspect=int(np.clip(self._width.value, *HEIGHTS)) / height)
         layers = listed(str(self._layers.value)) if suffix == "exr" else ()
@@ -85,16 +72,16 @@ class PicturesPanel:
         time = self._session.options.time
 
         def steps() -> Steps:
-            scene = self._studio.scene(state.document, config, time)
-            renderer = self._studio.renderer(config)
+            scene = studio.scene(state.document, config, time)
+            renderer = studio.renderer(config)
             _as_file(renderer.render(scene, camera.scaled(height=HEIGHTS[0])), suffix, layers)  # fails now, not at last
             renderer.reset()
-            frame = yield from self._studio.still(renderer, scene, camera, samples)
+            frame = yield from studio.still(renderer, scene, camera, samples)
             client.send_file_download(f"view.{suffix}", _as_file(frame, suffix, layers), save_immediately=True)
 
-        self._errands.start(f"picture of {camera.width} × {camera.height}", steps())
+        self._desk.errands.start(f"picture of {camera.width} × {camera.height}", steps())
 
-    def _capture_page(self, client: viser.ClientHandle, _: Page) -> None:
+    def _capture_page(self, client: viser.ClientHandle, _: Pose) -> None:
         """Makes a page of the captures, as captured."""
         scene = self._session.scene
         if not scene.splats:
@@ -104,7 +91,7 @@ class PicturesPanel:
             yield 0.0
             client.send_file_download("capture.html", capture_page(scene).encode(), save_immediately=True)
 
-        self._errands.start("captures as a page", steps())
+        self._desk.errands.start("captures as a page", steps())
 
 
 def listed(layers: str) -> tuple[str, ...]:
@@ -119,7 +106,5 @@ def _as_file(frame: ls.Frame, suffix: str, layers: tuple[str, ...]) -> bytes:
         ConfigError: The frame has no such layer.
     """
     always = tuple(name for name in ls.Frame.LAYERS if name not in ls.Frame.NEEDS)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"view.{suffix}"
-        frame.save(path, layers=dict.fromkeys((*always, *layers)) if suffix == "exr" else None)
-        return path.read_bytes()
+    wanted = dict.fromkeys((*always, *layers)) if suffix == "exr" else None
+    return file_bytes(f"view.{suffix}", lambda path: frame.save(path, wanted))

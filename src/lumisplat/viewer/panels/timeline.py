@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import lumisplat as ls
+from lumisplat.viewer.server.turns import chosen
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.thresholds import PLAY_STEPS_PER_S
 
@@ -30,7 +31,7 @@ class Timeline:
         self._plays = gui.add_checkbox("play", False, visible=False)
         hint = "Pages go along the flight as the time does."
         self._flies = gui.add_checkbox("fly along", False, visible=False, hint=hint)
-        self._time.on_update(lambda event: self._go(float(self._time.value)) if event.client_id is not None else None)
+        self._time.on_update(chosen(float, self._go))
         self._plays.on_update(lambda _: self._wake.set())
         self._animation: ls.Animation | None = None
         self._shown: tuple[object, ...] = ()

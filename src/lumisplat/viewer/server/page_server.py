@@ -71,7 +71,8 @@ class PageServer:
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
 
     def close(self) -> None:
-        """Closes the port and all pages' connections."""
+        """Closes the port and all pages' connections; what they have just asked for is dropped without a word."""
+        self.viser.get_event_loop().set_exception_handler(_say_nothing)
         with _quiet():
             self.viser.stop()
 
@@ -144,6 +145,10 @@ def _quiet() -> Generator[None]:
 def _refuse_to_share(verbose: bool = True) -> None:
     """In place of the tunnel to a public server."""
     _log.warning("a page asked to be shared with the world, which the viewer does not do")
+
+
+def _say_nothing(_: object, context: dict[str, Any]) -> None:
+    """In place of `_report`, once nobody is there to read it."""
 
 
 def _report(_: object, context: dict[str, Any]) -> None:

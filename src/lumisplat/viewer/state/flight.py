@@ -48,7 +48,7 @@ def with_key(document: ls.SceneDocument, key: Key, seconds: float) -> ls.SceneDo
         seconds: Time from the last place to this one.
 
     Raises:
-        FormatError: The place is that of the last one at the same time.
+        FormatError: No scene file can hold the place.
     """
     held = keys_of(document)
     time = round(float(held[-1]["time"]) + seconds, 6) if held else 0.0

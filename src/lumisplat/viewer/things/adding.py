@@ -10,6 +10,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.viewer.server.turns import pressed
+from lumisplat.viewer.state.boxes import Box, world_corners
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Session
 
@@ -46,9 +47,7 @@ class AddPanel:
         gui.add_button("add").on_click(pressed(lambda _: self._add(str(self._what.value))))
         hint = "Captures, meshes, and images of the sky."
         self._file = gui.add_dropdown("file beside the scene", [_NOTHING], hint=hint)
-        hint = (
-            "A rig, or what has an animation of its own: it moves, takes on the light of its place and casts shadows."
-        )
+        hint = "It moves by its own clip, takes on the light of its place, and casts shadows on captures."
         self._moves = gui.add_checkbox("as an actor", False, hint=hint)
         gui.add_button("add the file").on_click(pressed(lambda _: self._add_file(str(self._file.value))))
         upload = gui.add_upload_button("upload a file", mime_type=",".join(_READABLE), hint="And add it.")
@@ -117,7 +116,8 @@ class AddPanel:
         def insert(document: ls.SceneDocument) -> ls.SceneDocument:
             document, number = document.added(kind, table)
             if kind in ("meshes", "actors") and has_more:
-                box = self._session.boxes.of(document.entry(number))
+                with self._session.changed:
+                    box = self._session.boxes.of(document.entry(number))
                 assert box is not None
                 document = standing(document, number, box, extent)
             self._session.selected = number
@@ -140,7 +140,7 @@ def light_tables(extent: Extent, up: Any) -> dict[str, dict[str, Any]]:
     }
 
 
-def standing(document: ls.SceneDocument, number: int, box: tuple[Any, Any], extent: Extent) -> ls.SceneDocument:
+def standing(document: ls.SceneDocument, number: int, box: Box, extent: Extent) -> ls.SceneDocument:
     """The document with an entry in the middle of the scene, on its ground, scaled if it is far too small or large.
 
     Args:
@@ -149,13 +149,14 @@ def standing(document: ls.SceneDocument, number: int, box: tuple[Any, Any], exte
         box: Around what it shows, in its own coordinates.
         extent: Of the scene.
     """
-    placed = np.array(document.entry(number).world_from_file)
+    placed = np.array(document.entry(number).world_from_file, np.float64)
+    placed[:3, 3] = 0.0
     size = float(np.linalg.norm(placed[:3, :3] @ (box[1] - box[0])))
     low, high = _SIZES
     if not low * extent.size <= size <= high * extent.size:
         placed[:3, :3] *= _OWN_SIZE * extent.size / max(size, 1e-9)
     up = np.array(document.scene().up_direction)
-    corners = np.array([[box[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]) @ placed[:3, :3].T
+    corners = world_corners(box, placed)
     foot = float((corners @ up).min())
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     ground = np.array(extent.center) - extent.height_below * up

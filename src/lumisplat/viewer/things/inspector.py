@@ -14,6 +14,7 @@ from lumisplat.viewer.colors import KELVIN_RANGE, color_of_temperature
 from lumisplat.viewer.panels.controls import Control
 from lumisplat.viewer.panels.described import Described, described
 from lumisplat.viewer.server.turns import chosen
+from lumisplat.viewer.state.boxes import scale_of
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.things.crop import Crop
 
@@ -273,7 +274,7 @@ def _placement(matrix: Any) -> list[tuple[Described, Any]]:
     """Position, turns about x, y and z, and scale of a similarity."""
     from viser import transforms
 
-    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    scale = scale_of(matrix)
     angles = transforms.SO3.from_matrix(matrix[:3, :3] / scale).as_rpy_radians()
     degrees = tuple(math.degrees(float(angle)) for angle in (angles.roll, angles.pitch, angles.yaw))
     return [
@@ -288,7 +289,7 @@ def _moved(matrix: Any, name: str, value: Any) -> Any:
     from viser import transforms
 
     moved = np.array(matrix)
-    scale = np.cbrt(np.linalg.det(moved[:3, :3]))
+    scale = scale_of(moved)
     if name == "position":
         moved[:3, 3] = value
     elif name == "scale":

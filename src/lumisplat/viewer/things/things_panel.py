@@ -10,6 +10,7 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.hands.gizmo import moved
 from lumisplat.viewer.panels.buttons import add_buttons
+from lumisplat.viewer.server.turns import chosen
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.things.adding import AddPanel
 from lumisplat.viewer.things.inspector import Inspector
@@ -30,13 +31,13 @@ class ThingsPanel:
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
-        self._gui, self._session = gui, session
+        self._session = session
         self._numbers: list[int] = []
         self._listed: tuple[ls.SceneDocument, int | None] | None = None
         """The document and the selection of the list."""
         self._tree = gui.add_html("")
         self._selected = gui.add_dropdown("selected", [_NOTHING], hint="Or click a thing in the picture.")
-        self._selected.on_update(self._select)
+        self._selected.on_update(chosen(str, self._select))
         add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
         add_buttons(gui, ["to the ground", "split"], self.act)
         self._inspector = Inspector(gui, session, gui.add_folder(None))
@@ -80,11 +81,10 @@ class ThingsPanel:
         self._session.selected = number
         return document
 
-    def _select(self, event: Any) -> None:
-        if event.client_id is not None:
-            options = list(self._selected.options)
-            place = options.index(self._selected.value) - 1 if self._selected.value in options else -1
-            self._session.select(self._numbers[place] if place >= 0 else None)
+    def _select(self, name: str) -> None:
+        options = list(self._selected.options)
+        place = options.index(name) - 1 if name in options else -1
+        self._session.select(self._numbers[place] if place >= 0 else None)
 
     def _show(self) -> None:
         document = self._session.state.document
