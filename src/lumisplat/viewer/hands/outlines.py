@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,26 +95,27 @@ def draw_outlines(
     image = Image.fromarray(picture)
     for outline in outlines:
         mask = Image.new("L", image.size)  # lines that cross, or meet, are no stronger there
-        pieces = [piece for line in outline.lines for piece in _pieces(frame, line)]
         draw = ImageDraw.Draw(mask)
-        for strength, ends in sorted(pieces):
-            draw.line(ends, fill=round(255 * strength))
+        hidden, seen = _pieces(frame, outline.lines)
+        for strength, pieces in ((_HIDDEN, hidden), (1.0, seen)):
+            for ends in pieces.tolist():
+                draw.line(ends, fill=round(255 * strength))
         image.paste(outline.color, mask=mask)
     return np.asarray(image)
 
 
-def _pieces(frame: ls.Frame, line: Points) -> Iterator[tuple[float, list[tuple[float, float]]]]:
-    """The parts of a line in the picture: how strong each is, and its ends, pixels."""
-    camera = frame.camera
-    local = line @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
-    in_front = local[:, 2] > camera.near
+def _pieces(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Points, Points]:
+    """The parts of lines in the picture that are hidden and those that are seen: their ends, pixels, shape (N, 4)."""
+    camera, points = frame.camera, np.concatenate(lines)
+    local = points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     depth = np.maximum(local[:, 2], camera.near)
     pixels = local[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    seen = _is_seen(frame, pixels, np.linalg.norm(local, axis=1))
-    ends: list[tuple[float, float]] = [(float(x), float(y)) for x, y in pixels]
-    for i in range(len(line) - 1):
-        if in_front[i] and in_front[i + 1] and np.abs(pixels[i : i + 2]).max() < _FARTHEST_PX:
-            yield 1.0 if seen[i] and seen[i + 1] else _HIDDEN, ends[i : i + 2]
+    is_drawn = (local[:, 2] > camera.near) & (np.abs(pixels).max(axis=1) < _FARTHEST_PX)
+    is_seen = _is_seen(frame, pixels, np.linalg.norm(local, axis=1))
+    joined = is_drawn[:-1] & is_drawn[1:]
+    joined[np.cumsum([len(line) for line in lines])[:-1] - 1] = False  # one line ends, and the next one begins
+    seen, ends = is_seen[:-1] & is_seen[1:], np.hstack([pixels[:-1], pixels[1:]])
+    return ends[joined & ~seen], ends[joined & seen]
 
 
 def _is_seen(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[np.bool_]:
@@ -146,8 +147,12 @@ def _frame_about(axis: npt.ArrayLike) -> tuple[Points, Points]:
     return u, v
 
 
+_UNIT_CIRCLES = tuple(_circle(np.zeros(3), 1.0, axis) for axis in np.eye(3))
+"""About each axis."""
+
+
 def _ball(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
-    return tuple(_circle(center, radius, axis) for axis in np.eye(3))
+    return tuple(np.asarray(center) + radius * circle for circle in _UNIT_CIRCLES)
 
 
 def _cone(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
