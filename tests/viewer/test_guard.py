@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import sys
 import threading
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 import pytest
@@ -17,6 +19,7 @@ import lumisplat as ls
 from lumisplat.viewer.server.guard import Guard, is_loopback
 from lumisplat.viewer.server.messages import Inbox
 from lumisplat.viewer.server.page_server import PageServer, listening_socket
+from lumisplat.viewer.server.wakeups import AnyThreadEvent
 from lumisplat.viewer.thresholds import UPLOAD_BYTES_MAX
 
 GUARD = Guard("127.0.0.1", 8080, token="a" * 32)
@@ -157,6 +160,50 @@ def test_the_web_socket_is_behind_the_guard(server: PageServer) -> None:
     assert socket_status(server, origin=None, token=token) == 101
     assert socket_status(server, origin="https://evil.example", token=token) == 403
     assert socket_status(server, origin=own, token="") == 401
+
+
+def test_events_are_set_from_any_thread() -> None:
+    """While others wait for it and go: asyncio's own raises then, and messages to pages, and edits, are lost."""
+    event, ends, woken = AnyThreadEvent(), threading.Event(), [0]
+    errors: list[BaseException] = []
+
+    async def wait() -> None:
+        while not ends.is_set():
+            waiters = [asyncio.ensure_future(event.wait()) for _ in range(50)]
+            await asyncio.sleep(0)
+            waiters[0].cancel()
+            await asyncio.wait(waiters, timeout=5.0)
+            woken[0] += sum(task.done() and not task.cancelled() for task in waiters)
+            event.clear()
+
+    def push(loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            for _ in range(3000):
+                event.set()
+                loop.call_soon_threadsafe(event.set)
+        except RuntimeError as error:
+            errors.append(error)
+
+    async def run() -> None:
+        waiting = asyncio.ensure_future(wait())
+        await asyncio.gather(*(asyncio.to_thread(push, asyncio.get_running_loop()) for _ in range(2)))
+        ends.set()
+        event.set()
+        await waiting
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        asyncio.run(run())
+    finally:
+        sys.setswitchinterval(before)
+    assert errors == [] and woken[0] >= 49
+
+
+def test_the_server_of_pages_has_such_events(server: PageServer) -> None:
+    """That of all pages; those of each page are made in the same way."""
+    buffer: Any = server.viser
+    assert isinstance(buffer._websock_server._broadcast_buffer.message_event, AnyThreadEvent)
 
 
 def test_a_port_in_use_is_named() -> None:

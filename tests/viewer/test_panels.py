@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,8 +28,8 @@ from lumisplat.viewer.panels.viewpoints import selected_ball
 from lumisplat.viewer.state.boxes import Boxes, pose_of, world_corners
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Options, Session, State
-from lumisplat.viewer.things.adding import free_name, standing, with_sky
-from lumisplat.viewer.things.crop import crop_ends, crop_reach, cropped
+from lumisplat.viewer.things.adding import free_name, light_tables, standing, with_sky
+from lumisplat.viewer.things.crop import crop_ends, crop_reach, crop_table, cropped
 from lumisplat.viewer.things.inspector import light_fields, look_of, put_field
 from lumisplat.viewer.things.things_panel import on_ground
 from lumisplat.viewer.things.tree import tree_html
@@ -297,6 +298,12 @@ def test_a_crop_leaves_out_what_is_beyond_its_sliders() -> None:
     assert "crop_low" not in cropped(half, 0, reach, reach, everything).entry(0).table
 
 
+def test_the_ends_of_a_crop_are_told_in_numbers() -> None:
+    """A row for each axis."""
+    ends = np.array([[-1.0, 0.25, 1e-3], [2.0, 1000.5, 12.3456]])
+    assert crop_table(ends).splitlines()[2:] == ["| x | -1 | 2 |", "| y | 0.25 | 1000 |", "| z | 0.001 | 12.35 |"]
+
+
 def test_new_meshes_stand_where_people_see_them(tmp_path: Path) -> None:
     """In the middle, on the ground, upright; one that is far too large is made smaller, others keep their size."""
     extent = Extent((1.0, 2.0, 3.0), 4.0, height_below=1.5)
@@ -314,11 +321,37 @@ def test_a_sky_takes_the_place_of_another(tmp_path: Path) -> None:
     """The same entry, with its other keys."""
     for name in ("a.hdr", "b.hdr"):
         write_hdr(tmp_path / name, np.ones((4, 8, 3), np.float32))
-    document = with_sky(ls.SceneDocument.of(ls.Scene()), str(tmp_path / "a.hdr"))
-    number = document.entries[0].id
-    document = with_sky(document.changed(number, intensity=0.5), str(tmp_path / "b.hdr"))
-    assert len(document.entries) == 1 and document.entry(number).table["path"].endswith("b.hdr")
+    document, number = with_sky(ls.SceneDocument.of(ls.Scene()), str(tmp_path / "a.hdr"))
+    document, again = with_sky(document.changed(number, intensity=0.5), str(tmp_path / "b.hdr"))
+    assert number == again and len(document.entries) == 1 and document.entry(number).table["path"].endswith("b.hdr")
     assert document.entry(number).table["intensity"] == 0.5
+
+
+@pytest.mark.parametrize("aspect", [0.46, 1.2, 2.0])
+def test_new_lamps_are_seen_and_light_what_is_looked_at(aspect: float) -> None:
+    """However narrow the page is; with the same irradiance at the point that it turns about, by closed forms."""
+    pose = Pose.through(ls.Camera.look_at((1.0, 2.0, -4.0), (0.5, 0.0, 1.0), (0.0, -1.0, 0.0)), 3.0)
+    pose = replace(pose, aspect=aspect)
+    view, target = pose.camera(100), np.array(pose.target)
+    tables = light_tables(pose, np.array((0.0, -1.0, 0.0)))
+    for kind, table in tables.items():
+        light: Any = ls.SceneDocument.of(ls.Scene()).added("lights", {"type": kind, **table})[0].scene().lights[0]
+        if kind == "directional":
+            assert np.array(light.direction) @ (0.0, 1.0, 0.0) > 0.5, "it shines from above"
+            continue
+        local = view.camera_from_world @ (*light.position, 1.0)
+        x, y = local[0] / local[2] * view.fx + view.cx, local[1] / local[2] * view.fy + view.cy
+        assert 0.2 * view.width < x < 0.8 * view.width and 0.05 * view.height < y < 0.5 * view.height
+        distance = np.linalg.norm(target - light.position)
+        area = {"sphere": math.pi * table.get("radius", 0.0) ** 2, "rect": math.prod(table.get("size", (0.0,)))}
+        assert table["intensity"] * area.get(kind, 1.0) / distance**2 == pytest.approx(3.0)
+
+
+def test_a_scale_of_nothing_is_refused_in_words() -> None:
+    """Not as a matrix that is singular, and not as a mirror."""
+    for scale in (0.0, -2.0, math.inf):
+        with pytest.raises(ls.ConfigError, match=f"^scale is {scale:g}, expected more than 0$"):
+            put_field(document(), 0, "scale", scale)
 
 
 def test_meshes_change_between_kinds_of_material() -> None:

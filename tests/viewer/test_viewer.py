@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import shlex
 import socket
 import threading
@@ -367,10 +368,20 @@ def test_a_viewer_that_is_closed_leaves_nothing_behind() -> None:
         assert not thread.is_alive(), thread
 
 
+def test_files_that_are_not_there_open_no_page(tmp_path: Path) -> None:
+    """Not even for a moment: nobody should be given an address that leads nowhere."""
+    for missing in (tmp_path / "a.ply", [tmp_path / "a.ply", str(tmp_path / "b.toml")]):
+        threads = threading.active_count()
+        with pytest.raises(ls.MissingFileError, match=r"a\.ply: no such file"):
+            ls.view(missing)
+        assert threading.active_count() == threads
+
+
 def test_nothing_to_see_is_an_error(tmp_path: Path) -> None:
-    """The one who waits is told which file is missing."""
-    viewer = ls.view(tmp_path / "missing.ply", device="cpu")
-    with pytest.raises(ls.LumisplatError, match=r"missing\.ply"):
+    """The one who waits is told which file cannot be read."""
+    (tmp_path / "damaged.ply").write_bytes(b"ply, or not")
+    viewer = ls.view(tmp_path / "damaged.ply", device="cpu")
+    with pytest.raises(ls.LumisplatError, match=r"damaged\.ply"):
         viewer.wait()
     viewer.close()
 
@@ -412,6 +423,29 @@ def test_a_split_picture_shows_before_and_after_at_rest(viewer: ls.Viewer) -> No
         joined = settled(viewer, page)
         assert difference(joined[:, :78], before[:, :78]) < 2.0 and difference(joined[:, 83:], after[:, 83:]) < 2.0
         assert difference(before, after) > 4.0
+        viewer._session.set_options(insets=True)
+        assert difference(settled(viewer, page)[64:, :30], joined[64:, :30]) > 4.0, "an inset is on both parts"
+
+
+def test_what_nobody_was_there_for_is_told_to_the_next_page(viewer: ls.Viewer) -> None:
+    """Also what is logged about a scene; a line that comes again and again is one note."""
+    log = logging.getLogger("lumisplat")
+    log.warning("colours of leaves are odd")
+    viewer._session.report("a file was left out")
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        eventually(lambda: len(page.notes()) == 2, "nobody was told")
+        for _ in range(5):
+            viewer._session.report("a crop that leaves nothing")
+        log.error("for those at the machine")
+        viewer._session.report("the last one")
+        eventually(lambda: len(page.notes()) >= 4, "nobody was told")
+        assert page.notes() == [
+            "mind: colours of leaves are odd",
+            "that did not work: a file was left out",
+            "that did not work: a crop that leaves nothing",
+            "that did not work: the last one",
+        ]
 
 
 def test_a_page_that_went_before_it_was_added_is_not_kept(viewer: ls.Viewer) -> None:

@@ -154,14 +154,17 @@ class Launcher:
         Takes seconds at their first use on a machine, which one log line announces, so that nobody waits unknowingly;
         they are then cached on disk. Warp's compilers release the GIL.
         """
-        label = "compiling kernels (once)"
+        label = "loading kernels"
         if progress:
             progress(label, 0.0)
         jobs = [self._pool.submit(self._load, module) for module in modules]
         with _joined(jobs):
             loading = wait(jobs, COMPILING_ANNOUNCED_S, FIRST_EXCEPTION).not_done
             if loading:
+                label = "compiling kernels (once)"
                 _log.warning("%s: this takes up to a minute", label)
+                if progress:
+                    progress(label, 0.0)
             for done, job in enumerate(as_completed(jobs), start=1):
                 job.result()
                 if progress:

@@ -53,6 +53,7 @@ def view(
 
     Raises:
         ConfigError: ``height`` or ``budget_ms`` is out of its range.
+        MissingFileError: None of the files is there. What else is wrong with files is told on the page.
         MissingExtraError: The extra ``view`` is not installed.
         DeviceError: The port cannot be opened.
     """
@@ -67,7 +68,16 @@ def view(
         return State(document, settings if config is None else config(settings))
 
     options = Options(height=height, budget_ms=budget_ms)
+    _refuse_missing(scene)
     return Viewer(load, host=host, port=port, device=device, options=options)
+
+
+def _refuse_missing(scene: Any) -> None:
+    """Raises a MissingFileError if files are to be seen of which none is there."""
+    files: list[Any] = list(cast("list[Any]", scene)) if isinstance(scene, list | tuple) else [scene]
+    paths = [Path(os.fspath(file)) for file in files if isinstance(file, str | os.PathLike)]
+    if paths and len(paths) == len(files) and not any(path.exists() for path in paths):
+        raise ls.MissingFileError(paths[0], "no such file")
 
 
 def _document(scene: Any, up: Any, drop_invalid: bool, progress: Progress) -> ls.SceneDocument:

@@ -28,7 +28,7 @@ from lumisplat.viewer.panels.desk import Desk
 from lumisplat.viewer.panels.errands import Errands
 from lumisplat.viewer.panels.files import FilesPanel
 from lumisplat.viewer.panels.film import FilmPanel
-from lumisplat.viewer.panels.notes import tell
+from lumisplat.viewer.panels.notes import QUIET_LOG, Notes
 from lumisplat.viewer.panels.pictures import PicturesPanel
 from lumisplat.viewer.panels.rendering import RenderingPanel
 from lumisplat.viewer.panels.status import StatusPanel
@@ -77,6 +77,7 @@ class Viewer:
         """Why there is nothing to see."""
         self._first_view = FirstView()
         self._viser.initial_camera.position, self._viser.initial_camera.look_at = self._first_view.at(ASPECT)
+        self._notes = Notes(self._viser)
         self._status = StatusPanel(self._viser.gui)
         self._loop = RenderLoop(
             self._session,
@@ -89,7 +90,7 @@ class Viewer:
         self._notebook = Notebook(self._session, self._loop, self.url)
         self._build_panels(device)
         self._gizmo = Gizmo(self._viser.scene, self._session)
-        self._session.errors.append(lambda line: tell(self._viser, "that did not work", line, is_problem=True))
+        self._session.errors.append(self._notes.problem)
         self._viser.on_client_connect(self._open_page)
         self._viser.on_client_disconnect(self._close_page)
         self._loader = threading.Thread(target=self._load, args=(load,), name="lumisplat loading", daemon=True)
@@ -159,6 +160,7 @@ class Viewer:
         self._notebook.close()
         self._loop.close()
         self._server.close()
+        self._notes.close()
         self._closed_or_failed.set()
 
     def _build_panels(self, device: str) -> None:
@@ -169,7 +171,7 @@ class Viewer:
         add_buttons(gui, ["undo", "redo"], self._step)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Things"):
-            self._things = ThingsPanel(gui, self._session)
+            self._things = ThingsPanel(gui, self._session, self._pages)
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
         with tabs.add_tab("View"):
@@ -181,7 +183,7 @@ class Viewer:
             self._timeline = Timeline(gui, self._session, self._fly)
             FilmPanel(gui, desk)
         with tabs.add_tab("Save"):
-            self._files = FilesPanel(self._viser, self._session, self._pages)
+            self._files = FilesPanel(gui, self._notes, self._session, self._pages)
             with gui.add_folder("pictures"):
                 PicturesPanel(gui, desk)
         self._add_keys()
@@ -215,7 +217,7 @@ class Viewer:
     def _step(self, direction: str) -> None:
         moved = self._session.undo() if direction == "undo" else self._session.redo()
         if not moved:
-            tell(self._viser, direction, f"there is nothing to {direction}")
+            self._notes.tell(direction, f"there is nothing to {direction}")
 
     def _load(self, load: Load) -> None:
         try:
@@ -241,7 +243,7 @@ class Viewer:
         for client in self._viser.get_clients().values():
             self._look(client)
         for problem in state.document.problems:
-            _log.warning("%s", problem)
+            QUIET_LOG.warning("%s", problem)
             self._session.report(problem)
         self._loop.start()
 
@@ -280,6 +282,7 @@ class Viewer:
         page = Page(BrowserScreen(client), self._session.changed)
         self._pages[client.client_id] = page
         self._status.open(page, client.gui)
+        self._notes.open(client)
         if client.camera.aspect < ASPECT and _is_at(client, self._viser.initial_camera.position):
             self._stand_back(client)
         client.camera.on_update(lambda _: self._look(client))
@@ -306,7 +309,7 @@ class Viewer:
         across, down = (float(share) for share in event.screen_pos)
         seen = select(self._session, page.frame, across, down, is_level=not page.frames_at_rest)
         if seen is not None:
-            tell(self._viser, *seen)
+            self._notes.tell(*seen)
 
 
 def _import_ahead() -> None:

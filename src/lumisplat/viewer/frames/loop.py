@@ -259,9 +259,7 @@ class RenderLoop:
         scene = self.scenes.of(state.document, config, options.time, step.level, waits=False)
         camera = job.pose.camera(max(2, round(options.height * step.scale)), state.exposure)
         frame = renderer.render(scene, camera, encode=options.view == "color")
-        picture = self._decorate(picture_of(frame, options.view), frame)
-        if options.split is not None:
-            picture = self._split(job, picture, camera, step.level)
+        picture = self._picture(job, frame, step.level)
         took = 1e3 * (time.perf_counter() - started)
         if is_warm:  # the first frame compiles and uploads
             page.pace.took(took, options.budget_ms)
@@ -294,20 +292,24 @@ class RenderLoop:
         is_finished = _is_finished(frame, rests, noise, state.config)
         shown: Shown | None = None
         if page.takes_frames or is_finished:
-            picture = self._decorate(picture_of(frame, options.view), frame)
-            if options.split is not None:
-                picture = self._split(job, picture, camera, level=0)
-            shown = Shown(picture, QUALITY_AT_REST, page_depth(frame, self._session.extent.page_from_scene))
+            depth = page_depth(frame, self._session.extent.page_from_scene)
+            shown = Shown(self._picture(job, frame, level=0), QUALITY_AT_REST, depth)
         with self._session.changed:
             page.frame, page.frames_at_rest, page.noise, page.is_finished = frame, rests, noise, is_finished
         if shown is not None:
             page.show(shown)
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
 
-    def _split(self, job: _Job, picture: Picture, camera: ls.Camera, level: int) -> Picture:
-        """The picture with what the scene was before in its left part; at rest with as many samples, up to a few."""
+    def _picture(self, job: _Job, frame: ls.Frame, level: int) -> Picture:
+        """What a page shows of a frame: beside what was before, if they are compared, and with lines and insets."""
+        picture, share = picture_of(frame, job.options.view), job.options.split
+        if share is not None:
+            picture = split_picture(self._picture_before(job, frame.camera, level), picture, share)
+        return self._decorate(picture, frame)
+
+    def _picture_before(self, job: _Job, camera: ls.Camera, level: int) -> Picture:
+        """What the scene was before; at rest with as many samples, up to a few."""
         page, options = job.page, job.options
-        assert options.split is not None
         config = frame_config(job.before.config, options.view)
         if config.pipeline is not ls.Pipeline.REALTIME and not job.moves:
             config = replace(config, samples=BEFORE_SAMPLES)
@@ -319,7 +321,7 @@ class RenderLoop:
             stop = None if job.moves else self.is_wanted
             frame = renderer.render(scene, camera, encode=options.view == "color", stop=stop)
             page.before, page.before_key = picture_of(frame, options.view), key
-        return split_picture(page.before, picture, options.split)
+        return page.before
 
 
 def _ignore(label: str, fraction: float) -> None:

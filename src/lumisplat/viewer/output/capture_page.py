@@ -40,7 +40,7 @@ def capture_page(scene: ls.Scene) -> str:
                 np.clip(_SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0, 1.0),
                 gaussians.opacities[:, None],
             )
-        return api.as_html(dark_mode=True)
+        return api.as_html(dark_mode=True).replace("<title>Viser</title>", "<title>Lumisplat</title>", 1)
     finally:
         server.close()
 

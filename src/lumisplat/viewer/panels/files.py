@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.panels.desk import pose_of_page
-from lumisplat.viewer.panels.notes import tell
+from lumisplat.viewer.panels.notes import Notes
 from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.session import Session
 
@@ -29,14 +29,14 @@ class FilesPanel:
     """Controls that save, in the present folder.
 
     Args:
-        server: Tells pages what was saved.
+        gui: The pages' controls.
+        notes: Tells pages what was saved.
         session: Has the scene.
         pages: Open pages by the id of their connection.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Session, pages: dict[int, Page]) -> None:
-        gui = server.gui
-        self._server, self._session, self._pages = server, session, pages
+    def __init__(self, gui: viser.GuiApi, notes: Notes, session: Session, pages: dict[int, Page]) -> None:
+        self._notes, self._session, self._pages = notes, session, pages
         self._name = gui.add_text("scene file", "edited.toml", hint="Beside the scene that was opened.")
         self._overwrite = gui.add_checkbox("overwrite", False, hint="Replace a file of that name.")
         gui.add_button("save the scene").on_click(pressed(lambda _: self.save()))
@@ -67,7 +67,7 @@ class FilesPanel:
             self._session.report(str(error))
             return
         self._overwrite.value = False
-        tell(self._server, "saved", f"{target}{f', without {left_out} things that could not be read' * bool(left_out)}")
+        self._notes.tell("saved", f"{target}{f', without {left_out} things that could not be read' * bool(left_out)}")
 
     def _target(self) -> Path | None:
         """The file of the name that was typed, beside the scene; None: it is no plain name."""
@@ -82,7 +82,8 @@ class FilesPanel:
             return
         line = command_line(self._target() or Path("edited.toml"), pose, self._session)
         with client.gui.add_modal("the same from the command line") as modal:
-            client.gui.add_markdown(f"Save the scene first, then:\n\n```\n{line}\n```")
+            client.gui.add_markdown("Save the scene first, then run this in a shell:")
+            client.gui.add_text("", line, multiline=True)
             client.gui.add_button("close").on_click(pressed(lambda _: modal.close()))
 
 

@@ -83,9 +83,10 @@ class PicturesPanel:
 
     def _capture_page(self, client: viser.ClientHandle, _: Pose) -> None:
         """Makes a page of the captures, as captured."""
-        scene = self._session.scene
+        document = self._session.state.document
+        scene = document.scene() if document.animation is None else document.animation.scene
         if not scene.splats:
-            raise ls.SceneError("captures as a page: there is no capture")
+            raise ls.SceneError("captures as a page: there is no capture that stands still")
 
         def steps() -> Steps:
             yield 0.0

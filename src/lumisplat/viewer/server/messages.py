@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from lumisplat.viewer.thresholds import MESSAGE_BYTES_MAX, UPLOAD_BYTES_MAX
 
-_log = logging.getLogger("lumisplat")
+_log = logging.getLogger("lumisplat.pages")
 
 _KINDS = frozenset(
     {

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import lumisplat as ls
 from lumisplat.viewer.server.guard import Guard
 from lumisplat.viewer.server.messages import FilteredConnection
+from lumisplat.viewer.server.wakeups import let_threads_push
 
 if TYPE_CHECKING:
     import viser
 
-_log = logging.getLogger("lumisplat")
+_log = logging.getLogger("lumisplat.pages")
 
 _SERVE = threading.Lock()
 """Held while the function by which viser opens its port is replaced."""
@@ -33,6 +34,7 @@ def import_viser() -> Any:
         import viser
     except ImportError:
         raise ls.MissingExtraError("the viewer", "view") from None
+    let_threads_push()
     return viser
 
 
@@ -64,6 +66,7 @@ class PageServer:
             )
         self.viser.request_share_url = _refuse_to_share  # pyright: ignore[reportAttributeAccessIssue]
         self.viser.get_event_loop().set_exception_handler(_report)
+        self.viser.gui.main_panel.dock_right()  # beside the picture, which it would hide
         self.set_theme(dark=True)
 
     def set_theme(self, *, dark: bool) -> None:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.pose import Pose
+from lumisplat.viewer.panels.desk import pose_of_page
 from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.boxes import Box, world_corners
 from lumisplat.viewer.state.extent import Extent
@@ -27,6 +32,11 @@ _UPLOADS = "uploads"
 """Folder beside the scene."""
 _NAME_MAX = 100
 """Longest name of an uploaded file, characters."""
+_LAMP_AT = (-0.45, -0.7, 0.5)
+"""Where new lamps are in the picture of the page that asks for them, -1..1 across and down, and as a share of the
+distance to what it looks at: near enough to the middle not to be behind the panel."""
+_BRIGHTNESS = 3.0
+"""Irradiance of new lamps at what the page looks at."""
 _SIZES = (0.02, 1.5)
 """Sizes of meshes, as shares of the scene's, that are left as they are in their files."""
 _OWN_SIZE = 0.25
@@ -39,12 +49,13 @@ class AddPanel:
     Args:
         gui: The pages' controls.
         session: Has the entries.
+        pages: Open pages by the id of their connection.
     """
 
-    def __init__(self, gui: viser.GuiApi, session: Session) -> None:
-        self._session = session
+    def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
+        self._session, self._pages = session, pages
         self._what = gui.add_dropdown("what", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
-        gui.add_button("add").on_click(pressed(lambda _: self._add(str(self._what.value))))
+        gui.add_button("add").on_click(pressed(self._add))
         hint = "Captures, meshes, and images of the sky."
         self._file = gui.add_dropdown("file beside the scene", [_NOTHING], hint=hint)
         hint = "It moves by its own clip, takes on the light of its place, and casts shadows on captures."
@@ -67,10 +78,13 @@ class AddPanel:
         except OSError:
             return []
 
-    def _add(self, what: str) -> None:
-        """Adds a light above the scene, a sky, or a shape on the ground."""
-        kind = what.removesuffix(" light")
-        tables = light_tables(self._session.extent, np.array(self._session.scene.up_direction))
+    def _add(self, event: Any) -> None:
+        """Adds a light where the page sees it, a sky, or a shape on the ground."""
+        kind = str(self._what.value).removesuffix(" light")
+        pose = pose_of_page(self._pages, event)
+        if pose is None:
+            return
+        tables = light_tables(pose, np.array(self._session.scene.up_direction))
         if kind == "environment":
             self._insert("environment", {"color": [1.0, 1.0, 1.0], "visible": False})
         elif kind in tables:
@@ -104,10 +118,11 @@ class AddPanel:
         """Adds what a file holds; the image of a sky becomes that of the environment."""
         kind, table = _kind_of(path), {"path": str(path)}
         if kind == "environment":
-            return self._session.apply(lambda document: with_sky(document, str(path)))
-        if kind == "meshes":
-            return self._insert("actors" if self._moves.value else kind, table | {"upright": True})
-        return self._insert("actors" if self._moves.value else kind, table)
+            return self._session.apply(lambda document: self._selected(*with_sky(document, str(path))))
+        table |= {"upright": True} if kind == "meshes" else {}
+        done = self._insert("actors" if self._moves.value else kind, table)
+        self._moves.value = False
+        return done
 
     def _insert(self, kind: Any, table: dict[str, Any]) -> bool:
         """Adds an entry and selects it; meshes are put where people see them."""
@@ -120,24 +135,43 @@ class AddPanel:
                     box = self._session.boxes.of(document.entry(number))
                 assert box is not None
                 document = standing(document, number, box, extent)
-            self._session.selected = number
-            return document
+            return self._selected(document, number)
 
         return self._session.apply(insert)
 
+    def _selected(self, document: ls.SceneDocument, number: int) -> ls.SceneDocument:
+        """The document; one of its entries is selected when it is shown."""
+        self._session.selected = number
+        return document
 
-def light_tables(extent: Extent, up: Any) -> dict[str, dict[str, Any]]:
-    """New lights above a scene, by type: as bright as its size asks for."""
-    above = [float(x) for x in np.array(extent.center) + 0.6 * extent.size * up]
-    down = [float(x) for x in -up]
-    size = 0.1 * extent.size
+
+def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
+    """New lights, by type: half-way to what a page looks at, in its picture to the upper left, and as bright there.
+
+    Args:
+        pose: Where the page looks from.
+        up: Unit vector, shape (3,).
+    """
+    camera, target = pose.camera(2), np.array(pose.target)
+    sideways, down, forward = camera.camera_from_world[:3, :3]
+    reach = _LAMP_AT[2] * pose.focus
+    slopes = _LAMP_AT[0] * pose.aspect * sideways + _LAMP_AT[1] * down
+    place = camera.eye + reach * (forward + math.tan(0.5 * pose.fov_y) * slopes)
+    distance = float(np.linalg.norm(target - place))
+    at, towards, slanted = _listed(place), _listed((target - place) / distance), forward - 2.0 * up
+    intensity, size = _BRIGHTNESS * distance**2, 0.15 * distance
+    radius = 0.5 * size
     return {
-        "point": {"position": above, "intensity": extent.size**2, "radius": 0.05 * size},
-        "spot": {"position": above, "direction": down, "intensity": 2.0 * extent.size**2, "radius": 0.05 * size},
-        "directional": {"direction": down, "intensity": 3.0, "angle_degrees": 0.27},
-        "sphere": {"position": above, "radius": size, "intensity": 30.0},
-        "rect": {"position": above, "target": list(extent.center), "size": [size, size], "intensity": 40.0},
+        "point": {"position": at, "intensity": intensity, "radius": 0.1 * size},
+        "spot": {"position": at, "direction": towards, "intensity": intensity, "radius": 0.1 * size},
+        "directional": {"direction": _listed(slanted), "intensity": _BRIGHTNESS, "angle_degrees": 0.27},
+        "sphere": {"position": at, "radius": radius, "intensity": intensity / (math.pi * radius**2)},
+        "rect": {"position": at, "target": list(pose.target), "size": [size, size], "intensity": intensity / size**2},
     }
+
+
+def _listed(vector: Any) -> list[float]:
+    return [float(x) for x in vector]
 
 
 def standing(document: ls.SceneDocument, number: int, box: Box, extent: Extent) -> ls.SceneDocument:
@@ -164,16 +198,16 @@ def standing(document: ls.SceneDocument, number: int, box: Box, extent: Extent) 
     return document.placed(number, placed)
 
 
-def with_sky(document: ls.SceneDocument, path: str) -> ls.SceneDocument:
-    """The document with an image as its environment, in place of that which it has.
+def with_sky(document: ls.SceneDocument, path: str) -> tuple[ls.SceneDocument, int]:
+    """The document with an image as its environment, in place of that which it has, and the id of that entry.
 
     Raises:
         FormatError: The image cannot be read.
     """
     sky = next((entry for entry in document.entries if entry.kind == "environment"), None)
     if sky is None:
-        return document.added("environment", {"path": path})[0]
-    return document.changed(sky.id, path=path)
+        return document.added("environment", {"path": path})
+    return document.changed(sky.id, path=path), sky.id
 
 
 def free_name(folder: Path, name: str) -> Path:

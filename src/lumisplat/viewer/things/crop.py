@@ -37,6 +37,7 @@ class Crop:
         self.folder = gui.add_folder("crop", expand_by_default=False)
         with self.folder:
             self._sliders = [self._slider(gui, axis) for axis in range(3)]
+            self._numbers = gui.add_markdown("")
         self.show()
 
     def show(self) -> None:
@@ -44,6 +45,7 @@ class Crop:
         ends = crop_ends(self._session.state.document.entry(self._number), self._reach)
         for axis, slider in enumerate(self._sliders):
             slider.value = (float(ends[0, axis]), float(ends[1, axis]))
+        self._numbers.content = crop_table(ends)
 
     def _slider(self, gui: viser.GuiApi, axis: int) -> Any:
         low, high = (float(end) for end in self._reach[:, axis])
@@ -79,6 +81,12 @@ def crop_ends(entry: ls.SceneEntry, reach: Ends) -> Ends:
     if low is None or high is None:
         return reach
     return np.clip([low, high], reach[0], reach[1])
+
+
+def crop_table(ends: Ends) -> str:
+    """Where sliders stand, in numbers."""
+    rows = [f"| {'xyz'[axis]} | {ends[0, axis]:.4g} | {ends[1, axis]:.4g} |" for axis in range(3)]
+    return "\n".join(["| | from | to |", "| --- | ---: | ---: |", *rows])
 
 
 def cropped(document: ls.SceneDocument, number: int, ends: Ends, reach: Ends, everything: Ends) -> ls.SceneDocument:

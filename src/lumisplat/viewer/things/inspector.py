@@ -160,7 +160,7 @@ class Inspector:
             fields += _placement(np.asarray(entry.world_from_file))
         material: Any = None
         if entry.splats:
-            fields.append((_whole("sh_degree", 0, 3), entry.splats[0].sh_degree))
+            fields.append((_whole("sh_degree", 0, entry.splats[0].gaussians.sh_degree), entry.splats[0].sh_degree))
             material = entry.splats[0].material
         elif entry.meshes:
             material = entry.meshes[0].mesh.material
@@ -285,7 +285,11 @@ def _placement(matrix: Any) -> list[tuple[Described, Any]]:
 
 
 def _moved(matrix: Any, name: str, value: Any) -> Any:
-    """A similarity with another position, rotation or scale."""
+    """A similarity with another position, rotation or scale.
+
+    Raises:
+        ConfigError: The scale is not above 0.
+    """
     from viser import transforms
 
     moved = np.array(matrix)
@@ -293,6 +297,8 @@ def _moved(matrix: Any, name: str, value: Any) -> Any:
     if name == "position":
         moved[:3, 3] = value
     elif name == "scale":
+        if not 0.0 < value < math.inf:
+            raise ls.ConfigError(f"scale is {value:g}, expected more than 0")
         moved[:3, :3] *= value / scale
     else:
         moved[:3, :3] = scale * transforms.SO3.from_rpy_radians(*np.radians(value)).as_matrix()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.hands.gizmo import moved
 from lumisplat.viewer.panels.buttons import add_buttons
 from lumisplat.viewer.server.turns import chosen
@@ -28,9 +29,10 @@ class ThingsPanel:
     Args:
         gui: The pages' controls.
         session: Has the entries.
+        pages: Open pages by the id of their connection.
     """
 
-    def __init__(self, gui: viser.GuiApi, session: Session) -> None:
+    def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
         self._session = session
         self._numbers: list[int] = []
         self._listed: tuple[ls.SceneDocument, int | None] | None = None
@@ -42,7 +44,7 @@ class ThingsPanel:
         add_buttons(gui, ["to the ground", "split"], self.act)
         self._inspector = Inspector(gui, session, gui.add_folder(None))
         with gui.add_folder("add", expand_by_default=False):
-            self._adding = AddPanel(gui, session)
+            self._adding = AddPanel(gui, session, pages)
         session.on_change(self._show)
 
     def list_files(self) -> None:
