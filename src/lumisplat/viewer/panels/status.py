@@ -61,8 +61,7 @@ class StatusPanel:
         """Shows what is being done, until the fraction is 1."""
         self._bar.visible = fraction < 1.0
         self._bar.value = 100.0 * fraction
-        if fraction < 1.0:
-            self._line.content, self._line.visible = plain(label), True
+        self._line.content, self._line.visible = plain(label), fraction < 1.0
 
     def levels(self, fraction: float) -> None:
         """Shows how far the levels of a capture are, from which views that move will be drawn."""
