@@ -82,6 +82,12 @@ if TYPE_CHECKING:
     from lumisplat.renderer.ray_profiles import RayProfile
     from lumisplat.renderer.ray_queries import RayHits
     from lumisplat.renderer.renderer import Renderer, create_renderer
+    from lumisplat.renderer.splat_gradients import (
+        DifferentiableRenderer,
+        SetGradient,
+        SplatGradients,
+        splat_gradients,
+    )
     from lumisplat.scene.animation.actors import Actor, Animation
     from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.animation.keyframes import Keyframes
@@ -134,6 +140,7 @@ _MODULE_OF = {
     "DeepShadowConfig": "config",
     "DeepShadowMap": "shadow_maps.deep_shadow_map",
     "DeviceError": "errors",
+    "DifferentiableRenderer": "renderer.splat_gradients",
     "EnvironmentProbe": "relighting.probe",
     "FormatError": "errors",
     "Frame": "frame.frame",
@@ -183,9 +190,11 @@ _MODULE_OF = {
     "SceneDocument": "io.document.scene_document",
     "SceneEntry": "io.document.entries",
     "SceneError": "errors",
+    "SetGradient": "renderer.splat_gradients",
     "ShadowConfig": "config",
     "ShadowMethod": "config",
     "Shadows": "config",
+    "SplatGradients": "renderer.splat_gradients",
     "SplatInstance": "scene.scene",
     "StoppedError": "errors",
     "SunEstimate": "relighting.sun_estimation",
@@ -242,6 +251,7 @@ _MODULE_OF = {
     "smooth_normals": "scene.ops.smooth_normals",
     "sphere": "scene.primitives",
     "sort_morton": "scene.editing.morton",
+    "splat_gradients": "renderer.splat_gradients",
     "ssim": "metrics.images",
     "stand_on_ground": "scene.ops.ground",
     "trace_rays": "renderer.one_shot",
@@ -266,6 +276,7 @@ __all__ = [
     "DeepShadowConfig",
     "DeepShadowMap",
     "DeviceError",
+    "DifferentiableRenderer",
     "EnvironmentProbe",
     "FilterConfig",
     "FormatError",
@@ -315,9 +326,11 @@ __all__ = [
     "SceneDocument",
     "SceneEntry",
     "SceneError",
+    "SetGradient",
     "ShadowConfig",
     "ShadowMethod",
     "Shadows",
+    "SplatGradients",
     "SplatInstance",
     "StoppedError",
     "SunEstimate",
@@ -374,6 +387,7 @@ __all__ = [
     "smooth_normals",
     "sort_morton",
     "sphere",
+    "splat_gradients",
     "ssim",
     "stand_on_ground",
     "trace_rays",

@@ -15,6 +15,7 @@ STRIPS = wp.constant(TILE_PX // STRIP_PX)
 TileFloats = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.float32)
 TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)
 StripFloats = wp.types.vector(length=TILE_PX * TILE_PX // STRIP_PX, dtype=wp.float32)
+StripSums = wp.types.vector(length=STRIP_PX, dtype=wp.float32)
 RowFloats = wp.types.vector(length=TILE_PX, dtype=wp.float32)
 
 

@@ -42,6 +42,12 @@ def tile_range(camera: CameraData, splat: Splat) -> TileRect:
 
 
 @wp.func
+def rect_area(rect: TileRect) -> int:
+    """Tiles in a rectangle."""
+    return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
+
+
+@wp.func
 def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
     """The first row of a tile whose pixel centres the splat's box covers, and the one after the last."""
     center_y = splat.center[1] - float(top)

@@ -11,6 +11,7 @@ capacities rather than counts, so that nothing is read back.
 import warp as wp
 
 from lumisplat.constants import COUNT_SUM_THREADS, DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
+from lumisplat.device.gaussian.splat_coverage import rect_area
 from lumisplat.device.math.search import first_not_below
 from lumisplat.device.structs.raster import ChunkData, TileRect
 
@@ -26,12 +27,6 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 def chunk_edge(chunk: int, chunks: int, count: int) -> int:
     """First item of a chunk."""
     return int(wp.int64(count) * wp.int64(chunk) / wp.int64(chunks))
-
-
-@wp.func
-def rect_area(rect: TileRect) -> int:
-    """Tiles in a rectangle."""
-    return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
 
 
 @wp.kernel

@@ -70,7 +70,8 @@ class SplatRaster:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, binning: Binning) -> None:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
-        self._settings = buffers.upload("raster.settings", RasterData, raster_table(config))
+        self.settings = buffers.upload("raster.settings", RasterData, raster_table(config))
+        """A 1-element ``RasterData`` array."""
 
     def project(self, scene: DeviceScene) -> ProjectedSplats:
         """The splats of all Gaussians of the scene."""
@@ -84,7 +85,7 @@ class SplatRaster:
             self._launcher.run_banded(
                 splat_raster_kernels.project_splats,
                 asset.placed_count,
-                *(scene.camera, self._settings, scene.splat_instances, asset.instance_ids, asset.data),
+                *(scene.camera, self.settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
             )
         return splats
@@ -166,7 +167,7 @@ class SplatRaster:
         They are composited once more, with what is averaged in place of colours and normals.
         """
         count, run, kernels = len(hits.hits), self._launcher.run_banded, mean_surface_kernels
-        inputs = (scene.camera, self._settings, scene.shading, scene.gaussians, splats.rects, splats.data)
+        inputs = (scene.camera, self.settings, scene.shading, scene.gaussians, splats.rects, splats.data)
         run(kernels.show_surfaces, splats.count, *inputs)
         sums = self._buffers.struct("raster.means", GaussianHits, count, EXTRA_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData(), sums))
@@ -196,7 +197,7 @@ class SplatRaster:
 
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
         """Runs one of three kernels with the same result."""
-        inputs = (scene.camera, self._settings, scene.splat_instances, *arguments)
+        inputs = (scene.camera, self.settings, scene.splat_instances, *arguments)
         if by_pixel:
             self._run_pixels(scene, splat_pixel_kernels.composite_pixels, inputs)
         elif self._launcher.is_parallel:

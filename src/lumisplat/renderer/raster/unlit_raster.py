@@ -6,14 +6,28 @@ its hits and shade them, only to show what the compositor has in its registers.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.raster import MeshPixels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
-from lumisplat.renderer.raster.splat_raster import SplatRaster
+from lumisplat.renderer.raster.splat_raster import ProjectedSplats, SplatRaster, SplatTiles
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnSplats:
+    """What the pixels of a frame were composited from."""
+
+    splats: ProjectedSplats
+    tiles: SplatTiles
+    meshes: MeshPixels
+    settings: DeviceArray
+    """A 1-element ``RasterData`` array."""
 
 
 class UnlitRaster:
@@ -32,6 +46,8 @@ class UnlitRaster:
     ) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._binning, self._meshes, self._splats = binning, meshes, splats
+        self.drawn: DrawnSplats | None = None
+        """What the last frame was composited from."""
 
     def draw(self, scene: DeviceScene) -> PixelBuffers[PixelData]:
         """The pixels of a frame.
@@ -46,9 +62,10 @@ class UnlitRaster:
         return pixels
 
     def _replay(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:
-        self._launcher.replay("frame", (scene.graph_key, self._binning.growth), lambda: self._passes(scene, pixels))
+        key = scene.graph_key, self._binning.growth
+        self.drawn = self._launcher.replay("frame", key, lambda: self._passes(scene, pixels))
 
-    def _passes(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:
+    def _passes(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> DrawnSplats:
         stage = self._launcher.stage
         self._binning.begin()
         with stage("mesh"):
@@ -61,3 +78,4 @@ class UnlitRaster:
             tiles = self._splats.bin(scene, order, splats)
         with stage("composite"):
             self._splats.draw(scene, tiles, meshes, pixels.data)
+        return DrawnSplats(splats, tiles, meshes, self._splats.settings)

@@ -1,0 +1,66 @@
+"""Data of the rasteriser's backward pass: derivatives of one number, the loss, by what is drawn."""
+
+import warp as wp
+
+from lumisplat.device.structs.declare import struct
+
+
+@struct
+class PixelGradient:
+    """By the images of a frame, an element a pixel."""
+
+    color: wp.array[wp.vec3]
+    """By the colour over the background."""
+    alpha: wp.array[float]
+
+
+@struct
+class SplatGradient:
+    """By a splat, over the pixels of one tile or of all, 48 bytes."""
+
+    color: wp.vec3
+    log_opacity: float
+    center: wp.vec2
+    along: float
+    shear: float
+    across: float
+    center_absolute: wp.vec2
+    """Sum of the magnitudes of what pixels add to ``center`` (AbsGS, Ye et al. 2024)."""
+    weight: float
+    """Sum of the weights with which it is blended."""
+
+
+@struct
+class GaussianGradient:
+    """By the parameters of a Gaussian asset, an element a Gaussian."""
+
+    means: wp.array[wp.vec3]
+    rotations: wp.array[wp.quat]
+    """By a quaternion that is normalised after it has changed: at right angles to it."""
+    scales: wp.array[wp.vec3]
+    opacities: wp.array[float]
+    sh: wp.array[wp.vec3]
+    """``sh_count`` consecutive ones a Gaussian."""
+    sh_count: int
+
+
+@struct
+class PoseGradient:
+    """By where the camera is, of some Gaussians of one instance."""
+
+    camera_from_object: wp.mat33
+    camera_from_object_offset: wp.vec3
+    eye: wp.vec3
+    """In object space, by way of the directions from which colours are seen."""
+
+
+@struct
+class SplatOrigin:
+    """By what one splat comes from: a Gaussian, and the camera that sees it."""
+
+    mean: wp.vec3
+    rotation: wp.quat
+    scale: wp.vec3
+    opacity: float
+    camera_from_object: wp.mat33
+    camera_from_object_offset: wp.vec3

@@ -1,0 +1,113 @@
+"""Derivatives of the loss by the Gaussians of an asset, and by the camera's pose, from those by their splats.
+
+The equations are in docs/method/gradients.md.
+"""
+
+import warp as wp
+
+from lumisplat.constants import FUSED_FLAGS
+from lumisplat.constants.training import POSE_CHUNK
+from lumisplat.device.gaussian.projection_gradient import color_dot, open_channels, sh_weights, splat_origin
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gradients import GaussianGradient, PoseGradient, SplatGradient
+from lumisplat.device.structs.raster import RasterData, Splat, TileRect
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+
+CHUNK = wp.constant(POSE_CHUNK)
+
+
+@wp.func
+def evaluated_degree(settings: RasterData, instance: SplatInstanceData, sh_count: int) -> int:
+    """Degree of the harmonics of an instance in the frame."""
+    stored = int(wp.sqrt(float(sh_count))) - 1
+    return wp.min(wp.min(settings.sh_degree, instance.sh_degree), stored)
+
+
+@wp.func
+def is_drawn(rect: TileRect) -> bool:
+    """Whether a splat is in any tile; what is culled has no derivatives."""
+    return rect.x0 < rect.x1
+
+
+@wp.kernel
+def backward_gaussians(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    instance_ids: wp.array[int],
+    gaussians: GaussianData,
+    splats: wp.array[Splat],
+    rects: wp.array[TileRect],
+    gradients: wp.array[SplatGradient],
+    gaussians_out: GaussianGradient,
+):
+    """Item = Gaussian of the asset: the sum over its instances."""
+    i = start + wp.tid()
+    view = camera[0]
+    raster = settings[0]
+    mean = wp.vec3(0.0)
+    rotation = wp.quat(0.0, 0.0, 0.0, 0.0)
+    scale = wp.vec3(0.0)
+    opacity = float(0.0)
+    first = i * gaussians.sh_count
+    for k in range(gaussians.sh_count):
+        gaussians_out.sh[first + k] = wp.vec3(0.0)
+    for number in range(instance_ids.shape[0]):
+        instance = instances[instance_ids[number]]
+        index = instance.first + i
+        if not is_drawn(rects[index]):
+            continue
+        by_splat = gradients[index]
+        origin = splat_origin(view, raster.dilation, instance, gaussians, i, by_splat)
+        degree = evaluated_degree(raster, instance, gaussians.sh_count)
+        by_color = open_channels(splats[index].color, by_splat.color)
+        weights = sh_weights(gaussians.sh, first, degree, by_color)
+        by_mean, _eye, _degree, harmonics = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
+        for k in range((degree + 1) * (degree + 1)):
+            gaussians_out.sh[first + k] = gaussians_out.sh[first + k] + harmonics[k] * by_color
+        mean += origin.mean + by_mean
+        rotation += origin.rotation
+        scale += origin.scale
+        opacity += origin.opacity
+    gaussians_out.means[i] = mean
+    gaussians_out.rotations[i] = rotation
+    gaussians_out.scales[i] = scale
+    gaussians_out.opacities[i] = opacity
+
+
+@wp.kernel
+def backward_pose(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    number: int,
+    gaussians: GaussianData,
+    splats: wp.array[Splat],
+    rects: wp.array[TileRect],
+    gradients: wp.array[SplatGradient],
+    chunks_out: wp.array[PoseGradient],
+):
+    """Item = chunk of the Gaussians of one instance: the sum of their derivatives by where the camera is."""
+    chunk = start + wp.tid()
+    view = camera[0]
+    raster = settings[0]
+    instance = instances[number]
+    total = PoseGradient()
+    for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, gaussians.means.shape[0])):
+        index = instance.first + i
+        if not is_drawn(rects[index]):
+            continue
+        by_splat = gradients[index]
+        origin = splat_origin(view, raster.dilation, instance, gaussians, i, by_splat)
+        degree = evaluated_degree(raster, instance, gaussians.sh_count)
+        by_color = open_channels(splats[index].color, by_splat.color)
+        weights = sh_weights(gaussians.sh, i * gaussians.sh_count, degree, by_color)
+        _mean, by_eye, _degree, _harmonics = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
+        total.camera_from_object += origin.camera_from_object
+        total.camera_from_object_offset += origin.camera_from_object_offset
+        total.eye += by_eye
+    chunks_out[chunk] = total

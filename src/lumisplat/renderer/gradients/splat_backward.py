@@ -1,0 +1,124 @@
+"""Host pass: derivatives of a loss by what an unlit raster frame was drawn from, given those by its pixels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.constants import TILE_BANDS_PER_THREAD
+from lumisplat.constants.training import POSE_CHUNK
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, PoseGradient, SplatGradient
+from lumisplat.renderer.gradients import (
+    projection_backward_kernels,
+    splat_backward_block_kernels,
+    splat_backward_kernels,
+)
+from lumisplat.renderer.raster.unlit_raster import DrawnSplats
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.splat_assets import SplatAsset
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import prefix_sum
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSums:
+    """Derivatives by where the camera is, of one instance; float64."""
+
+    camera_from_object: npt.NDArray[np.float64]
+    """Shape (3, 3)."""
+    camera_from_object_offset: npt.NDArray[np.float64]
+    """Shape (3,)."""
+    eye: npt.NDArray[np.float64]
+    """In object space, shape (3,)."""
+
+
+class SplatBackward:
+    """Goes back from pixels to splats, and from these to Gaussians and to the camera.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+
+    def splats(self, scene: DeviceScene, drawn: DrawnSplats, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
+        """Derivatives by all splats of a frame, an element of ``SplatGradient`` each; undefined where none was drawn.
+
+        Args:
+            scene: The scene on the device, as it was drawn.
+            drawn: What was drawn.
+            pixels: What came of it.
+            gradient: Derivatives by these.
+        """
+        run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
+        count = drawn.splats.count
+        counts, starts = (get(f"backward.pair_{name}", wp.int32, count + 1) for name in ("counts", "starts"))
+        run(splat_backward_kernels.count_pairs, count + 1, drawn.splats.rects, counts)
+        prefix_sum(counts, starts, inclusive=False)
+        pairs = get("backward.pairs", SplatGradient, drawn.tiles.items.shape[0])
+        lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
+        inputs = (scene.camera, drawn.settings, *lists, drawn.meshes, pixels, gradient, pairs)
+        with self._launcher.stage("backward: pixels"):
+            if self._launcher.is_parallel:
+                self._launcher.run_blocks(splat_backward_block_kernels.backward_blocks, tiles, *inputs)
+            else:
+                bands = TILE_BANDS_PER_THREAD * self._launcher.threads
+                run(splat_backward_kernels.backward_tiles, tiles, *inputs, bands=bands)
+        sums = get("backward.splats", SplatGradient, count)
+        with self._launcher.stage("backward: splats"):
+            run(splat_backward_kernels.add_pairs, count, starts, pairs, sums)
+        return sums
+
+    def gaussians(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> GaussianGradient:
+        """Derivatives by the Gaussians of an asset, 0 for those that were not drawn.
+
+        Args:
+            scene: As of ``splats``.
+            drawn: As of ``splats``.
+            by_splat: Derivatives by splats.
+            number: The asset's, in the scene.
+        """
+        asset = scene.assets[number]
+        out = self._gradient_of(asset, number)
+        data = (asset.instance_ids, asset.data, drawn.splats.data, drawn.splats.rects, by_splat)
+        inputs = (scene.camera, drawn.settings, scene.splat_instances, *data, out)
+        with self._launcher.stage("backward: Gaussians"):
+            self._launcher.run_banded(projection_backward_kernels.backward_gaussians, asset.gaussians.count, *inputs)
+        return out
+
+    def pose(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> PoseSums:
+        """Derivatives by where the camera is from one instance.
+
+        Args:
+            scene: As of ``splats``.
+            drawn: As of ``splats``.
+            by_splat: Derivatives by splats.
+            number: The instance's, in the scene.
+        """
+        asset = next(asset for asset in scene.assets if number in asset.placed)
+        chunks = -(-asset.gaussians.count // POSE_CHUNK)
+        sums = self._buffers.get("backward.pose", PoseGradient, chunks)
+        data = (number, asset.data, drawn.splats.data, drawn.splats.rects, by_splat)
+        inputs = (scene.camera, drawn.settings, scene.splat_instances, *data, sums)
+        self._launcher.run_banded(projection_backward_kernels.backward_pose, chunks, *inputs)
+        table = sums.numpy()
+        return PoseSums(*(table[name].sum(axis=0, dtype=np.float64) for name in PoseSums.__slots__))
+
+    def _gradient_of(self, asset: SplatAsset, number: int) -> GaussianGradient:
+        get, count = self._buffers.get, asset.gaussians.count
+        out = GaussianGradient()
+        out.means = get(f"backward.means{number}", wp.vec3, count)
+        out.rotations = get(f"backward.rotations{number}", wp.quat, count)
+        out.scales = get(f"backward.scales{number}", wp.vec3, count)
+        out.opacities = get(f"backward.opacities{number}", wp.float32, count)
+        out.sh_count = asset.data.sh_count
+        out.sh = get(f"backward.sh{number}", wp.vec3, count * out.sh_count)
+        return out

@@ -1,0 +1,262 @@
+"""Derivatives of a number, such as a loss, by everything that an unlit raster frame shows: `splat_gradients`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.config import Pipeline, RasterStrategy, RenderConfig
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
+from lumisplat.errors import ConfigError, SceneError
+from lumisplat.frame.frame import Frame
+from lumisplat.math.arrays import FloatArray
+from lumisplat.renderer.checks import checked_config
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.gradients.splat_backward import PoseSums, SplatBackward
+from lumisplat.renderer.raster.unlit_raster import DrawnSplats
+from lumisplat.renderer.renderer import Renderer
+from lumisplat.runtime.buffers import device_array
+from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import Scene, SplatInstance
+
+Doubles = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetGradient:
+    """Derivatives by the Gaussians of one set, as that stores them; 0 for those that the camera does not see."""
+
+    means: FloatArray
+    """Shape (N, 3)."""
+    rotations_wxyz: FloatArray
+    """By quaternions that are normalised after they have changed, so at right angles to them; shape (N, 4)."""
+    scales: FloatArray
+    """By standard deviations, not by their logarithms; shape (N, 3)."""
+    opacities: FloatArray
+    """By 0..1, not by logits; shape (N,)."""
+    sh: FloatArray
+    """Shape (N, K, 3); 0 for degrees above those of the frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplatGradients:
+    """Derivatives of a number by what a frame was drawn from."""
+
+    sets: tuple[SetGradient, ...]
+    """By the distinct Gaussian sets of the scene, in the order of their first instances; over all instances of each."""
+    background: Doubles
+    """By the colour of the background, shape (3,)."""
+    camera_from_world: Doubles | None
+    """By the elements of the camera's pose, shape (4, 4), whose last row is 0; None: it was not asked for. Small turns
+    and shifts of the camera follow from it by the chain rule."""
+    centers: FloatArray
+    """By where splats are in the image, pixels; of all Gaussians of the scene, instance by instance, shape (N, 2)."""
+    centers_absolute: FloatArray
+    """The same with the magnitudes of what pixels add (AbsGS, Ye et al. 2024), shape (N, 2)."""
+    weights: FloatArray
+    """Sum of the weights with which each is blended in the frame, shape (N,)."""
+
+
+class DifferentiableRenderer(Renderer):
+    """A renderer of unlit, sorted raster frames that can be differentiated. Not safe to share between threads.
+
+    ``render`` draws what every renderer with ``Pipeline.RASTER`` draws, to the bit; ``gradients`` then goes back from
+    the pixels of the last frame, front to back once more (docs/method/gradients.md). There are no atomics in it: for
+    any number of threads, the result has the same bits.
+
+    Args:
+        config: Settings; None: the defaults. Its pipeline is ``RASTER``.
+        device: As of `lumisplat.create_renderer`.
+        threads: As of `lumisplat.create_renderer`.
+        progress: As of `lumisplat.create_renderer`.
+
+    Raises:
+        ConfigError: Another pipeline or strategy, or lights are asked for.
+        DeviceError: There is no such device.
+    """
+
+    def __init__(
+        self,
+        config: RenderConfig | None = None,
+        device: str = "auto",
+        *,
+        threads: int | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        super().__init__(_checked(checked_config(config)), Launcher(device, threads), progress)
+        self._backward = SplatBackward(self._launcher, self._buffers)
+        self._shown: tuple[Scene, Camera] | None = None
+
+    def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
+        """As `lumisplat.Renderer.render`."""
+        self._shown = None
+        frame = super().render(scene, camera, **options)
+        self._shown = scene, camera
+        return frame
+
+    def gradients(
+        self, dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None = None, *, pose: bool = False
+    ) -> SplatGradients:
+        """Derivatives of a number by what the last frame was drawn from.
+
+        Args:
+            dL_dcolor: Its derivatives by ``frame.color`` over ``config.background``, display-referred sRGB, shape
+                (H, W, 3). Arrays of other packages are taken by ``__array_interface__``, ``__array__`` or DLPack.
+            dL_dalpha: Its derivatives by ``frame.alpha``, shape (H, W); None: 0.
+            pose: Whether to differentiate by the camera's pose, too.
+
+        Raises:
+            ConfigError: Nothing was rendered yet.
+            SceneError: A shape does not fit, a value is not finite, or the scene is lit.
+        """
+        drawn = self._unlit_raster.drawn
+        if self._shown is None or drawn is None:
+            raise ConfigError("gradients: render a frame first")
+        scene, camera = self._shown
+        by_color = _image("dL_dcolor", dL_dcolor, (camera.height, camera.width, 3))
+        shape = (camera.height, camera.width)
+        by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else _image("dL_dalpha", dL_dalpha, shape)
+        pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
+        gradient = PixelGradient()
+        gradient.color = self._buffers.upload("gradient.color", wp.vec3, by_color.reshape(-1, 3))
+        gradient.alpha = self._buffers.upload("gradient.alpha", wp.float32, by_alpha.reshape(-1))
+        by_splat = self._backward.splats(self._scene, drawn, pixels, gradient)
+        sets = [
+            _downloaded(self._backward.gaussians(self._scene, drawn, by_splat, number))
+            for number in range(len(self._scene.assets))
+        ]
+        splats = _visible(by_splat.numpy(), drawn)
+        transmittance = np.where(_values(drawn.meshes.depth_z) < np.inf, 0.0, 1.0 - _values(pixels.alpha))
+        return SplatGradients(
+            sets=tuple(sets),
+            background=np.asarray(transmittance.astype(np.float64) @ by_color.reshape(-1, 3), np.float64),
+            camera_from_world=self._by_pose(scene, camera, drawn, by_splat) if pose else None,
+            centers=splats["center"],
+            centers_absolute=splats["center_absolute"],
+            weights=splats["weight"],
+        )
+
+    def _by_pose(self, scene: Scene, camera: Camera, drawn: DrawnSplats, by_splat: Any) -> Doubles:
+        total = np.zeros((4, 4))
+        for number, instance in enumerate(scene.splats):
+            sums = self._backward.pose(self._scene, drawn, by_splat, number)
+            total[:3] += pose_gradient(sums, instance, camera)
+        return total
+
+
+def splat_gradients(
+    scene: Scene,
+    camera: Camera,
+    dL_dcolor: npt.ArrayLike,
+    dL_dalpha: npt.ArrayLike | None = None,
+    config: RenderConfig | None = None,
+    *,
+    pose: bool = False,
+    device: str = "auto",
+) -> SplatGradients:
+    """Derivatives of a number by the Gaussians of a scene, given those by the pixels of an unlit raster frame.
+
+    For more than one frame, a `lumisplat.DifferentiableRenderer` keeps what they share::
+
+        frame = ls.render(scene, camera)
+        gradients = ls.splat_gradients(scene, camera, 2.0 * (frame.color - photograph))
+        gradients.sets[0].means  # of the first Gaussian set, shape (N, 3)
+
+    Args:
+        scene: What was drawn.
+        camera: From where.
+        dL_dcolor: As of `lumisplat.DifferentiableRenderer.gradients`.
+        dL_dalpha: As of `lumisplat.DifferentiableRenderer.gradients`.
+        config: Settings; None: the defaults.
+        pose: Whether to differentiate by the camera's pose, too.
+        device: As of `lumisplat.create_renderer`.
+
+    Raises:
+        ConfigError: Another pipeline or strategy, or lights are asked for.
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: As of `lumisplat.Renderer.render`; or a shape does not fit, or a value is not finite.
+    """
+    renderer = DifferentiableRenderer(config, device)
+    renderer.render(scene, camera)
+    return renderer.gradients(dL_dcolor, dL_dalpha, pose=pose)
+
+
+def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Doubles:
+    """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4), of what one instance shows.
+
+    Its own matrix is ``camera_from_world @ world_from_object``; the eye is where that of the camera is 0.
+    """
+    world_from_object = np.asarray(instance.transform, np.float64)
+    by_object = np.column_stack([sums.camera_from_object, sums.camera_from_object_offset])
+    total = by_object @ world_from_object.T
+    by_eye = np.linalg.inv(world_from_object[:3, :3]).T @ sums.eye
+    rotation, offset = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+    total[:, :3] -= np.outer(offset, by_eye)  # eye = -rotation^T offset
+    total[:, 3] -= rotation @ by_eye
+    return total
+
+
+def _checked(config: RenderConfig) -> RenderConfig:
+    """The settings, without light, if frames with them can be differentiated.
+
+    Raises:
+        ConfigError: They cannot.
+    """
+    if config.pipeline is not Pipeline.RASTER or config.raster.strategy is not RasterStrategy.SORTED:
+        raise ConfigError(
+            f"gradients are those of sorted frames of Pipeline.RASTER, not of {config.pipeline.name} and "
+            f"{config.raster.strategy.name}"
+        )
+    if config.lighting or config.aovs:
+        raise ConfigError("gradients are those of unlit frames without further images: leave lighting and aovs alone")
+    return replace(config, lighting=False)
+
+
+def _image(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
+    """A caller's image as float32.
+
+    Raises:
+        SceneError: It has another shape, or values that are not finite.
+    """
+    if (
+        not hasattr(values, "__array_interface__")
+        and not hasattr(values, "__array__")
+        and hasattr(values, "__dlpack__")
+    ):
+        values = np.from_dlpack(values)
+    image = np.ascontiguousarray(values, dtype=np.float32)
+    if image.shape != shape:
+        raise SceneError(f"{name} has shape {image.shape}, expected {shape}")
+    bad = image.size - int(np.isfinite(image).sum())
+    if bad:
+        raise SceneError(f"{name}: {bad:,} of {image.size:,} values are not finite")
+    return image
+
+
+def _downloaded(gradient: GaussianGradient) -> SetGradient:
+    rotations = _values(gradient.rotations)
+    return SetGradient(
+        means=_values(gradient.means),
+        rotations_wxyz=np.roll(rotations, 1, axis=1),
+        scales=_values(gradient.scales),
+        opacities=_values(gradient.opacities),
+        sh=_values(gradient.sh).reshape(len(rotations), gradient.sh_count, 3),
+    )
+
+
+def _values(array: wp.array[Any]) -> FloatArray:
+    """A copy on the host."""
+    return np.array(device_array(array).numpy(), np.float32)
+
+
+def _visible(splats: npt.NDArray[np.void], drawn: DrawnSplats) -> npt.NDArray[np.void]:
+    """Derivatives by splats, 0 for those that are in no tile."""
+    rects = drawn.splats.rects.numpy()
+    splats = splats.copy()
+    splats[rects["x0"] >= rects["x1"]] = np.zeros(1, splats.dtype)
+    return splats

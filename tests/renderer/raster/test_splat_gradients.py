@@ -1,0 +1,222 @@
+"""Derivatives of unlit raster frames, against central differences of a float64 twin and against each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.gradient_oracle import Loss, Parameters, differences
+
+SIZE = 36, 30
+BACKGROUND = (0.3, 0.5, 0.2)
+
+
+def cloud(seed: int = 3, count: int = 16, degree: int = 1, *, antialiased: bool = False) -> ls.Gaussians:
+    """Gaussians of all shapes in a unit box; some are opaque enough to end pixels."""
+    rng = np.random.default_rng(seed)
+    return ls.Gaussians(
+        means=rng.uniform(-1.0, 1.0, (count, 3)) * (1.0, 1.0, 0.6),
+        rotations_wxyz=rng.normal(size=(count, 4)),
+        scales=np.exp(rng.uniform(-2.6, -1.2, (count, 3))),
+        opacities=1.0 / (1.0 + np.exp(-rng.uniform(-1.5, 6.0, count))),
+        sh=rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.5 + 0.2,
+        antialiased=antialiased,
+    )
+
+
+def view(width: int = SIZE[0], height: int = SIZE[1]) -> ls.Camera:
+    """Not along an axis, so that no derivative is 0 by symmetry."""
+    return ls.Camera.look_at(
+        (0.3, -0.2, -3.0), (0.0, 0.0, 0.0), (0.1, -1.0, 0.0), width=width, height=height, fov_y=0.8
+    )
+
+
+def by_pixels(camera: ls.Camera, seed: int = 7) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives by colour and alpha, of no pattern, as float32 has them."""
+    rng = np.random.default_rng(seed)
+    shape = camera.height, camera.width
+    return rng.normal(size=(*shape, 3)).astype(np.float32), rng.normal(size=shape).astype(np.float32)
+
+
+def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None) -> ls.SplatGradients:
+    """Of the pixels of ``by_pixels``."""
+    renderer = ls.DifferentiableRenderer(ls.RenderConfig(background=BACKGROUND), "cpu", threads=threads)
+    renderer.render(scene, camera)
+    return renderer.gradients(*by_pixels(camera), pose=True)
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
+def test_derivatives_are_central_differences_of_the_twin(antialiased: bool) -> None:
+    """Of every parameter, where two step sizes agree: median below 1e-5 of their mean magnitude, worst 1e-3."""
+    gaussians, camera = cloud(antialiased=antialiased), view()
+    found = gradients_of(ls.Scene([gaussians]), camera)
+    loss = Loss(camera, *by_pixels(camera), antialiased)
+    parameters = Parameters.of(gaussians, BACKGROUND, camera)
+    assert found.camera_from_world is not None
+    values = vars_of(found) | {"background": found.background, "camera_from_world": found.camera_from_world}
+    for name, value in values.items():
+        expected, agree = differences(loss, parameters, name)
+        rows = slice(3) if name == "camera_from_world" else slice(None)  # its last row is no parameter
+        expected, agree = expected[rows], agree[rows]
+        error = np.abs(value[rows] - expected)[agree] / np.abs(expected).mean()
+        assert agree.mean() > 0.8, name
+        assert np.median(error) < 1e-5 and error.max() < 1e-3, (name, np.median(error), error.max())
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
+def test_they_are_the_adjoint_of_what_moves_pixels(antialiased: bool) -> None:
+    """``<J v, w> = <v, J^T w>`` for random directions v of all parameters at once and random w over the pixels."""
+    gaussians, camera = cloud(5, antialiased=antialiased), view()
+    loss = Loss(camera, *by_pixels(camera), antialiased)
+    found, start = vars_of(gradients_of(ls.Scene([gaussians]), camera)), Parameters.of(gaussians, BACKGROUND, camera)
+    rng = np.random.default_rng(11)
+    agreed = 0
+    for _ in range(12):
+        way = {name: rng.normal(size=value.shape) * np.abs(getattr(start, name)) for name, value in found.items()}
+        moved = [
+            (loss(along(start, way, step)) - loss(along(start, way, -step))) / (2.0 * step) for step in (1e-6, 3e-7)
+        ]
+        expected = sum(float((found[name] * way[name]).sum()) for name in found)
+        scale = sum(float(np.abs(found[name] * way[name]).sum()) for name in found)
+        if abs(moved[0] - moved[1]) < 1e-6 * scale:  # no pixel crosses a threshold between the two
+            agreed += 1
+            assert abs(moved[1] - expected) < 1e-5 * scale
+    assert agreed >= 6
+
+
+def along(start: Parameters, way: dict[str, np.ndarray], step: float) -> Parameters:
+    """Parameters moved along a direction."""
+    return replace(start, **{name: getattr(start, name) + step * value for name, value in way.items()})
+
+
+def test_what_is_culled_has_derivatives_of_exactly_0() -> None:
+    """Behind the eye, beside the image, too transparent to be seen; and all that an opaque wall hides."""
+    base = cloud(count=8)
+    means = base.means.copy()
+    means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
+    opacities = base.opacities.copy()
+    opacities[2] = 1.0 / 300.0
+    found = gradients_of(ls.Scene([replace(base, means=means, opacities=opacities)]), view())
+    for name, value in vars_of(found).items():
+        assert not value[:3].any(), name
+        assert value[3:].any(axis=tuple(range(1, value.ndim))).all() if value.ndim > 1 else value[3:].all(), name
+    assert not found.centers[:3].any() and not found.weights[:3].any() and (found.weights[3:] > 0.0).all()
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    """Each record has one writer, and sums have one order."""
+    scene, camera = ls.Scene([cloud(count=400)]), view(150, 100)
+    one, two, five = (gradients_of(scene, camera, threads) for threads in (1, 2, 5))
+    for other in (two, five):
+        for name, value in vars_of(one).items():
+            np.testing.assert_array_equal(value, vars_of(other)[name], err_msg=name)
+        np.testing.assert_array_equal(one.camera_from_world, other.camera_from_world)
+        np.testing.assert_array_equal(one.centers_absolute, other.centers_absolute)
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
+def test_the_schedule_of_gpus_agrees(antialiased: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of pixels on a CPU give the derivatives of tiles, but for the order of sums."""
+    scene, camera = ls.Scene([cloud(count=60, antialiased=antialiased)]), view(50, 40)
+    tiles = gradients_of(scene, camera)
+    monkeypatch.setattr(
+        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+    )
+    blocks = gradients_of(scene, camera)
+    for name, value in vars_of(tiles).items():
+        scale = np.abs(value).mean()
+        assert np.abs(vars_of(blocks)[name] - value).max() < 1e-4 * scale, name
+    np.testing.assert_allclose(blocks.weights, tiles.weights, rtol=1e-5)
+    np.testing.assert_allclose(blocks.centers_absolute, tiles.centers_absolute, rtol=1e-4, atol=1e-5)
+
+
+def test_frames_are_those_of_every_renderer() -> None:
+    """To the bit: what is differentiated is what is shown."""
+    scene, camera, config = ls.Scene([cloud(count=200)]), view(150, 100), ls.RenderConfig(background=BACKGROUND)
+    shown = ls.DifferentiableRenderer(config, "cpu").render(scene, camera)
+    np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config, device="cpu").color)
+
+
+def test_instances_add_up_and_their_places_are_undone() -> None:
+    """A set that is turned, scaled and moved has the derivatives of one that is so in its file, and two of one add."""
+    gaussians, camera = cloud(9, degree=0), view()
+    place = np.eye(4)
+    turn = ls.transform(gaussians, place)  # a copy
+    angle, scale = 0.7, 1.3
+    place[:3, :3] = scale * np.array(
+        [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
+    )
+    place[:3, 3] = 0.1, -0.2, 0.3
+    placed = gradients_of(ls.Scene([ls.SplatInstance(turn, place)]), camera)
+    baked = gradients_of(ls.Scene([ls.transform(gaussians, place)]), camera)
+    close(placed.sets[0].means, baked.sets[0].means @ place[:3, :3])
+    close(placed.sets[0].scales, scale * baked.sets[0].scales)
+    close(placed.sets[0].opacities, baked.sets[0].opacities)
+    assert placed.camera_from_world is not None and baked.camera_from_world is not None
+    close(placed.camera_from_world, baked.camera_from_world)
+    aside = np.eye(4)
+    aside[0, 3] = 100.0  # out of sight
+    twice = gradients_of(ls.Scene([ls.SplatInstance(turn, place), ls.SplatInstance(turn, aside)]), camera)
+    assert len(twice.sets) == 1 and len(twice.centers) == 2 * turn.count
+    close(twice.sets[0].means, placed.sets[0].means)
+
+
+def close(value: np.ndarray, expected: np.ndarray) -> None:
+    """Equal but for the rounding of float32."""
+    assert np.abs(value - expected).max() < 2e-4 * np.abs(expected).mean()
+
+
+def test_a_mesh_hides_what_is_behind_it() -> None:
+    """Splats behind it have no derivatives, those before it have those over its colour."""
+    gaussians, camera = cloud(count=12), view()
+    wall = ls.MeshInstance(
+        ls.Mesh(
+            np.array([[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [9.0, 9.0, 0.0], [-9.0, 9.0, 0.0]]),
+            np.array([[0, 1, 2], [0, 2, 3]]),
+            material=ls.MaterialPbr(base_color=(0.2, 0.4, 0.6)),
+        )
+    )
+    found = gradients_of(ls.Scene([gaussians], [wall]), camera)
+    depth = gaussians.means @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    step = camera.camera_from_world[2, 3]
+    behind = (depth > step + 0.3) & (gaussians.means[:, 2] > 0.3)
+    before = gaussians.means[:, 2] < -0.3
+    assert behind.any() and before.any()
+    assert not found.sets[0].means[behind].any() and found.sets[0].means[before].any(axis=1).all()
+    assert not found.background.any(), "it is hidden, too"
+
+
+@pytest.mark.parametrize(
+    ("images", "problem"),
+    [
+        ((np.zeros((3, 3, 3)), None), r"^dL_dcolor has shape \(3, 3, 3\), expected \(30, 36, 3\)$"),
+        ((np.zeros((30, 36, 3)), np.zeros(4)), r"^dL_dalpha has shape \(4,\), expected \(30, 36\)$"),
+        ((np.full((30, 36, 3), np.nan), None), r"^dL_dcolor: 3,240 of 3,240 values are not finite$"),
+    ],
+)
+def test_images_that_do_not_fit_are_refused(images: tuple[np.ndarray, np.ndarray | None], problem: str) -> None:
+    """In a line that says which."""
+    with pytest.raises(ls.SceneError, match=problem):
+        ls.splat_gradients(ls.Scene([cloud()]), view(), *images, device="cpu")
+
+
+def test_only_what_is_drawn_unlit_and_sorted_is_differentiated() -> None:
+    """Other frames, and none at all, are refused."""
+    with pytest.raises(ls.ConfigError, match="render a frame first"):
+        ls.DifferentiableRenderer(device="cpu").gradients(np.zeros((30, 36, 3)))
+    for config in (
+        ls.RenderConfig(pipeline=ls.Pipeline.TRACE),
+        ls.RenderConfig(lighting=True),
+        ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)),
+    ):
+        with pytest.raises(ls.ConfigError, match=r"^gradients are those of"):
+            ls.DifferentiableRenderer(config, "cpu")
+
+
+def vars_of(found: ls.SplatGradients) -> dict[str, np.ndarray]:
+    """The derivatives by the first set, by name."""
+    return {name: getattr(found.sets[0], name) for name in ("means", "rotations_wxyz", "scales", "opacities", "sh")}
