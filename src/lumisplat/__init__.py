@@ -68,6 +68,8 @@ if TYPE_CHECKING:
     )
     from lumisplat.io.document.entries import SceneEntry
     from lumisplat.io.document.scene_document import SceneDocument
+    from lumisplat.io.photographs.loading import load_photographs
+    from lumisplat.io.photographs.photographs import Photograph, Photographs
     from lumisplat.metrics.images import flip, psnr, ssim
     from lumisplat.metrics.lighting import apf_y, ncm_ab, paa_y
     from lumisplat.metrics.lit_points import LitPoints
@@ -174,6 +176,8 @@ _MODULE_OF = {
     "RealtimeQuality": "config",
     "PathConfig": "config",
     "PathPrimary": "config",
+    "Photograph": "io.photographs.photographs",
+    "Photographs": "io.photographs.photographs",
     "Pipeline": "config",
     "RasterConfig": "config",
     "RasterStrategy": "config",
@@ -227,6 +231,7 @@ _MODULE_OF = {
     "load_cameras": "io",
     "load_config": "io",
     "load_image": "io",
+    "load_photographs": "io.photographs.loading",
     "load_radiance": "io",
     "load_rig": "io",
     "load_sequence": "io",
@@ -306,6 +311,8 @@ __all__ = [
     "NormalMethod",
     "PathConfig",
     "PathPrimary",
+    "Photograph",
+    "Photographs",
     "Pipeline",
     "ProbeConfig",
     "RadianceCacheConfig",
@@ -363,6 +370,7 @@ __all__ = [
     "load_cameras",
     "load_config",
     "load_image",
+    "load_photographs",
     "load_radiance",
     "load_rig",
     "load_sequence",

@@ -18,6 +18,7 @@ from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.distortion import distort, distortion_jacobian, undistort
+from lumisplat.math.resampling import cubic_samples
 from lumisplat.scene.camera import Camera
 
 _Image = npt.NDArray[Any]
@@ -155,27 +156,9 @@ def _filtered(image: _Image, points: list[Doubles], empty: Doubles) -> _Image:
     """The mean over points of an image, (H, W, C), interpolated by Catmull-Rom's cubics without overshoot."""
     total = np.zeros((*points[0].shape[:2], image.shape[2]))
     for point in points:
-        seen = ~np.isnan(point[..., 0])
-        corner = np.where(seen[..., None], point - 0.5, 0.0)
-        first = np.floor(corner).astype(np.int64)
-        weights = _cubic(np.asarray(corner - first, dtype=np.float64))
-        value: Doubles = np.zeros(total.shape)
-        low, high = np.full_like(total, np.inf), np.full_like(total, -np.inf)
-        for j, i in np.ndindex(4, 4):
-            x = np.clip(first[..., 0] + i - 1, 0, image.shape[1] - 1)
-            y = np.clip(first[..., 1] + j - 1, 0, image.shape[0] - 1)
-            texel: Doubles = image[y, x].astype(np.float64)
-            value = np.asarray(value + weights[i][..., :1] * weights[j][..., 1:] * texel, dtype=np.float64)
-            if i in (1, 2) and j in (1, 2):
-                low, high = np.minimum(low, texel), np.maximum(high, texel)
-        total += np.where(seen[..., None], np.clip(value, low, high), empty)
+        seen = ~np.isnan(point[..., :1])
+        total += np.where(seen, cubic_samples(image.astype(np.float64), np.where(seen, point, 0.5)), empty)
     return (total / len(points)).astype(image.dtype)
-
-
-def _cubic(share: Doubles) -> list[Doubles]:
-    """Weights of the four neighbours of a point at a share of the way between the middle two (Catmull-Rom 1974)."""
-    s, r = share, 1.0 - share
-    return [-0.5 * s * r * r, 1.0 + s * s * (1.5 * s - 2.5), 1.0 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s]
 
 
 def _empty(frame: Frame) -> dict[str, Any]:

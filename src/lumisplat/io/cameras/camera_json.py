@@ -23,7 +23,7 @@ def read_camera_json(path: PathLike, width: int | None = None, height: int | Non
     path = Path(path)
     fallback = None if width is None or height is None else (width, height)
     with parsing(path, "a camera file (transforms.json or cameras.json)"):
-        content = _parse(path)
+        content = parse_json(path)
         if is_object(content) and is_list(entries := content.get("frames")):
             decode = partial(transforms_camera, path, content, fallback)
         elif is_object(content) and is_list(entries := content.get("camera_path")):
@@ -38,14 +38,14 @@ def read_camera_json(path: PathLike, width: int | None = None, height: int | Non
             )
         if not entries:
             raise FormatError(path, "has no frames")
-        return unique_names([_decode_frame(path, k, entry, decode) for k, entry in enumerate(entries)])
+        return unique_names([decode_frame(path, k, entry, decode) for k, entry in enumerate(entries)])
 
 
 def read_path_rate(path: PathLike) -> float | None:
     """Frames a second of a `camera_path.json`; None: it is another camera file."""
     path = Path(path)
     with parsing(path, "a camera file"):
-        content = _parse(path)
+        content = parse_json(path)
         if is_object(content) and "camera_path" in content and "frames" not in content:
             try:
                 return path_rate(content)
@@ -58,7 +58,12 @@ def _is_inria(entries: list[Any]) -> bool:
     return not entries or any("rotation" in entry for entry in entries)
 
 
-def _parse(path: Path) -> object:
+def parse_json(path: Path) -> object:
+    """The content of a JSON file.
+
+    Raises:
+        FormatError: It cannot be read, or is no JSON.
+    """
     try:
         return json.loads(read_bytes(path).decode("utf-8-sig"))
     except json.JSONDecodeError as error:
@@ -67,8 +72,12 @@ def _parse(path: Path) -> object:
         ) from None
 
 
-def _decode_frame(path: Path, index: int, entry: object, decode: Callable[[Entry], Camera]) -> Camera:
-    """Decodes one entry; errors name its frame."""
+def decode_frame(path: Path, index: int, entry: object, decode: Callable[[Entry], Camera]) -> Camera:
+    """Decodes one entry.
+
+    Raises:
+        FormatError: It is no object, or ``decode`` refuses it; names the frame.
+    """
     if not is_object(entry):
         raise FormatError(path, f"frame {index} is {quote(entry)}, expected an object with a pose")
     name = str(entry.get("file_path", entry.get("img_name", "")))

@@ -65,15 +65,20 @@ def read_colmap(path: PathLike) -> list[Camera]:
     Raises:
         FormatError: A file is missing or damaged, or has a camera of another model.
     """
+    return [camera for camera, _ in read_colmap_images(path)]
+
+
+def read_colmap_images(path: PathLike) -> list[tuple[Camera, str]]:
+    """As `read_colmap`, each camera with the name of its image, which is a path from the folder of the images."""
     path = Path(path)
     folder = path if path.is_dir() else path.parent
     with parsing(path, "a sparse model of COLMAP"):
         lenses = dict(_read_cameras(_file(folder, "cameras")))
         images = _file(folder, "images")
-        cameras = [_camera(images, lenses, entry) for entry in _read_images(images)]
-        if not cameras:
+        found = [(_camera(images, lenses, entry), entry[3]) for entry in _read_images(images)]
+        if not found:
             raise FormatError(images, "has no images with a pose")
-        return cameras
+        return found
 
 
 def _file(folder: Path, stem: str) -> Path:
@@ -127,7 +132,7 @@ def _camera(path: Path, lenses: dict[int, _Lens], entry: tuple[int, list[float],
 def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
     """Number and lens of each camera."""
     if path.suffix == ".txt":
-        for line in _lines(path):
+        for line in text_lines(path):
             number, model, width, height, *values = line.split()
             yield int(number), (model, int(width), int(height), [float(value) for value in values])
         return
@@ -147,7 +152,7 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
 def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
     """Number, pose, camera's number and name of each image."""
     if path.suffix == ".txt":
-        lines = _lines(path, blank=True)
+        lines = text_lines(path, blank=True)
         for line in lines:
             if not line.strip():
                 continue
@@ -169,7 +174,7 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
         yield number, pose, camera, name
 
 
-def _lines(path: Path, blank: bool = False) -> Iterator[str]:
+def text_lines(path: Path, blank: bool = False) -> Iterator[str]:
     """The lines of a text file without its comments, and without empty ones unless asked for."""
     for line in read_bytes(path).decode(errors="surrogateescape").splitlines():
         if not line.startswith("#") and (blank or line.strip()):

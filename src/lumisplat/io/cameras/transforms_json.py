@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.errors import FormatError, SceneError
+from lumisplat.errors import SceneError
 from lumisplat.io.cameras.json_values import (
     Entry,
     inverse_rigid,
@@ -24,6 +24,7 @@ from lumisplat.io.cameras.json_values import (
 from lumisplat.io.cameras.names import name_from_image
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.images.texture import image_size
 from lumisplat.scene.camera import Camera, CameraModel
 
 _log = logging.getLogger("lumisplat")
@@ -87,6 +88,13 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
     )
 
 
+def frame_image(folder: Path, values: Entry) -> Path | None:
+    """The image of a frame, of whose name the extension may be left off; None: there is none in the folder."""
+    stem = str(values.get("file_path", ""))
+    candidates = (folder / (stem + extension) for extension in _IMAGE_EXTENSIONS)
+    return next((path for path in candidates if os.path.isfile(path)), None)
+
+
 def write_transforms(path: PathLike, cameras: Sequence[Camera]) -> None:
     """As `lumisplat.io.save_cameras`."""
     model = _common_model(cameras)
@@ -147,21 +155,13 @@ def _image_size(path: Path, values: Entry, fallback: tuple[int, int] | None) -> 
     """Width and height from the file, else from the header of the frame's image, else the fallback."""
     if "w" in values and "h" in values:
         return number(values, "w"), number(values, "h")
-    from PIL import Image
-
-    stem = str(values.get("file_path", ""))
-    for extension in _IMAGE_EXTENSIONS:
-        image_path = path.parent / (stem + extension)
-        if image_path.is_file():
-            try:
-                with Image.open(image_path) as image:
-                    return image.size
-            except Exception as error:  # Pillow's decoders raise many kinds of errors
-                raise FormatError(image_path, "cannot be read for its size: expected PNG or JPEG") from error
+    image = frame_image(path.parent, values)
+    if image is not None:
+        return image_size(image)
     if fallback is not None:
         return fallback
     raise SceneError(
-        f"has no w and h, and there is no image {stem!r} to take them from: "
+        f"has no w and h, and there is no image {str(values.get('file_path', ''))!r} to take them from: "
         "add them, or give --width and --height (width=, height=)"
     )
 

@@ -23,6 +23,23 @@ def read_texture(path: PathLike, total: TextureBytes | None = None) -> npt.NDArr
     return decode_texture(read_bytes(path), path, total=total)
 
 
+def image_size(path: PathLike) -> tuple[int, int]:
+    """Width and height of an image file, from its header.
+
+    Raises:
+        FormatError: The file is missing, or no image.
+    """
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as image:
+                return image.size
+    except Exception as error:  # Pillow's decoders raise many kinds of errors
+        raise FormatError(path, "cannot be read for its size: expected PNG, JPEG or WebP") from error
+
+
 def decode_texture(
     data: bytes, path: PathLike, label: str | None = None, total: TextureBytes | None = None
 ) -> npt.NDArray[np.uint8]:

@@ -1,0 +1,181 @@
+"""Folders of photographs with poses: what they hold, which of it is held out, and how large the scene is."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lumisplat.config.checks import check_range, check_whole, is_number, quoted
+from lumisplat.config.colors import Color, display_color
+from lumisplat.constants.photographs import HOLD_OUT, PHOTOGRAPH_CACHE_BYTES
+from lumisplat.errors import ConfigError, FormatError, MissingFileError
+from lumisplat.io.cameras.colmap import is_colmap
+from lumisplat.io.cameras.colmap_points import read_colmap_points
+from lumisplat.io.cameras.names import unique_names
+from lumisplat.io.files.references import references_outside
+from lumisplat.io.files.source import PathLike
+from lumisplat.io.images.texture import image_size
+from lumisplat.io.photographs.cache import PixelCache
+from lumisplat.io.photographs.lens import is_bent, pinhole_of
+from lumisplat.io.photographs.listing import Listed, colmap_photographs, transforms_photographs
+from lumisplat.io.photographs.photographs import Photograph, Photographs
+from lumisplat.io.photographs.pixels import Source, read_mask
+from lumisplat.io.photographs.surroundings import camera_extent, camera_target
+from lumisplat.math.arrays import FloatArray
+from lumisplat.scene.camera import Camera, CameraModel
+
+_log = logging.getLogger("lumisplat")
+
+_EXPECTED = "transforms.json (nerfstudio), transforms_train.json (Blender) or a sparse model of COLMAP"
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What a folder holds."""
+
+    file: Path
+    """The one that lists the photographs."""
+    photographs: list[Listed]
+    held_out: list[Listed] | None = None
+    """Photographs that have a file of their own; None: there is none."""
+    points: tuple[FloatArray, FloatArray] | None = None
+
+
+def load_photographs(
+    folder: PathLike,
+    *,
+    scale: float = 1.0,
+    hold_out: int = HOLD_OUT,
+    background: str | Sequence[float] | None = None,
+    cache_bytes: int = PHOTOGRAPH_CACHE_BYTES,
+    allow_outside: bool = False,
+) -> Photographs:
+    """Finds the photographs of a folder and their poses; pixels are decoded when they are asked for.
+
+    The first that is there counts: ``transforms_train.json`` (Blender, NeRF-synthetic; what is held out are the
+    photographs of ``transforms_test.json``, else of ``transforms_val.json``), ``transforms.json`` (nerfstudio,
+    instant-ngp), or a sparse model of COLMAP in ``sparse/0``, ``sparse`` or the folder itself, with its photographs in
+    ``images``. Where ``masks`` holds a mask of the name of a photograph, or the file names one, only what is not black
+    there counts.
+
+    Lenses that distort, and fisheyes, are straightened: the cameras are pinholes of the same focal lengths and size,
+    whose pixels are resampled by Catmull-Rom's cubics; a log line says so. What the pinhole sees beyond the picture of
+    the lens is masked out, what it does not see is left out. Smaller photographs are means over areas, of
+    display-referred values, for captures blend in these; they are made smaller before they are straightened.
+
+    Args:
+        folder: The folder.
+        scale: Size of the photographs, as a share of that of the files, above 0, at most 1.
+        hold_out: The first of the photographs in the order of their names, and each so many after it, are held out, at
+            least 2; 0: none is, also of a test file.
+        background: Behind transparent pixels, as of `RenderConfig`: three numbers in 0..1, a name or ``"#rrggbb"``;
+            None or ``"transparent"``: they stay premultiplied by alpha.
+        cache_bytes: Memory for decoded photographs, 8 bits a value, at least 0; what does not fit is decoded again.
+        allow_outside: Whether the file may name photographs outside of its own folder, as files that you trust do.
+
+    Raises:
+        ConfigError: A setting is out of its range.
+        FormatError: The folder holds none of these, or fewer than two photographs; a file is damaged; a pose is not
+            rigid or not finite; a photograph has another size than its camera says, or cannot be read; a mask is black
+            everywhere, or has another size; a camera is orthographic. Names the file.
+        MissingFileError: There is no such folder.
+    """
+    if not is_number(scale) or not 0.0 < scale <= 1.0:
+        raise ConfigError(f"scale is {quoted(scale)}, expected more than 0 and at most 1")
+    check_whole("hold_out", hold_out, 0, 1 << 31)
+    check_range("cache_bytes", cache_bytes, 0, 1 << 62)
+    if hold_out == 1:
+        raise ConfigError("hold_out is 1, which leaves no photograph to learn from: expected 2 or more, or 0 for none")
+    color = display_color("background", background)
+    with references_outside(allow_outside):
+        found = _find(Path(folder), hold_out > 0)
+    cache = PixelCache(cache_bytes)
+    views = _views(found.file, found.photographs, scale, color, cache)
+    if found.held_out is None:
+        held = [view for index, view in enumerate(views) if hold_out and index % hold_out == 0]
+        views = [view for view in views if view not in held]
+    else:
+        held = _views(found.file, found.held_out, scale, color, cache)
+    cameras = [view.camera for view in views]
+    points, colors = found.points or (None, None)
+    return Photographs(
+        training=tuple(views),
+        held_out=tuple(held),
+        points=points,
+        point_colors=colors,
+        extent=camera_extent(cameras),
+        target=camera_target(cameras),
+    )
+
+
+def _find(folder: Path, with_held_out: bool) -> _Found:
+    """What a folder holds, its files read."""
+    if not folder.exists():
+        raise MissingFileError(folder, "no such folder")
+    if not folder.is_dir():
+        raise FormatError(folder, f"is a file, expected the folder that holds {_EXPECTED}")
+    train = folder / "transforms_train.json"
+    if train.is_file():
+        tests = (folder / f"transforms_{name}.json" for name in ("test", "val"))
+        test = next((path for path in tests if path.is_file() and with_held_out), None)
+        return _Found(train, transforms_photographs(train), None if test is None else transforms_photographs(test))
+    if (folder / "transforms.json").is_file():
+        return _Found(folder / "transforms.json", transforms_photographs(folder / "transforms.json"))
+    models = (folder / "sparse" / "0", folder / "sparse", folder)
+    model = next((path for path in models if is_colmap(path)), None)
+    if model is None:
+        raise FormatError(
+            folder,
+            f"has no photographs with poses: expected {_EXPECTED} in sparse/0; for photographs without poses, "
+            "find_poses makes one",
+        )
+    return _Found(model, colmap_photographs(model, folder), points=read_colmap_points(model))
+
+
+def _views(
+    file: Path, listed: Sequence[Listed], scale: float, background: Color | None, cache: PixelCache
+) -> list[Photograph]:
+    """The photographs of a file, in the order of their names, smaller by a factor."""
+    if len(listed) < 2:
+        raise FormatError(file, "has a single photograph, expected two or more: depth shows between photographs only")
+    for photograph in listed:
+        _check(file, photograph)
+    ordered = sorted(listed, key=lambda photograph: photograph.image)
+    cameras = unique_names([photograph.camera for photograph in ordered])
+    bent = sum(is_bent(camera) for camera in cameras)
+    if bent:
+        _log.warning("%s: %d photographs of distorting lenses are straightened: resampled as of pinholes", file, bent)
+    views: list[Photograph] = []
+    for camera, photograph in zip(cameras, ordered, strict=True):
+        lens = _smaller(camera, scale)
+        source = Source(lens, photograph.image, photograph.mask)
+        views.append(Photograph(camera.name, pinhole_of(lens), photograph.image, background, source, cache))
+    return views
+
+
+def _check(file: Path, photograph: Listed) -> None:
+    """Refuses a photograph that is not what its camera says."""
+    camera, size = photograph.camera, image_size(photograph.image)
+    if camera.model is CameraModel.ORTHOGRAPHIC:
+        raise FormatError(file, f"{camera.name} is of an orthographic camera, expected a pinhole or a fisheye")
+    if size != (camera.width, camera.height):
+        raise FormatError(
+            photograph.image,
+            f"has {size[0]} x {size[1]} pixels, its camera in {file} {camera.width} x {camera.height}: expected the "
+            "photographs that the cameras were made for (scale makes them smaller)",
+        )
+    if photograph.mask is None:
+        return
+    if (mask_size := image_size(photograph.mask)) != size:
+        raise FormatError(
+            photograph.mask,
+            f"has {mask_size[0]} x {mask_size[1]} pixels, expected the {size[0]} x {size[1]} of {photograph.image}",
+        )
+    read_mask(photograph.mask)
+
+
+def _smaller(camera: Camera, scale: float) -> Camera:
+    """The camera at a share of its size, in whole pixels."""
+    return camera.scaled(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))

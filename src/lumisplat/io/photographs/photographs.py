@@ -1,0 +1,83 @@
+"""A set of photographs with poses, held in bounded memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.config.colors import Color
+from lumisplat.io.photographs.cache import PixelCache, Pixels, Plane
+from lumisplat.io.photographs.pixels import Source, decode
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.scene.camera import Camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photograph:
+    """A photograph as a pinhole camera sees it. Its pixels are decoded when they are asked for, and kept for a while.
+
+    Every method reads the files if their contents are no longer kept, and raises `FormatError` if that fails.
+    """
+
+    name: str
+    """That of the image without its extension; each of a set has its own."""
+    camera: Camera
+    """A pinhole without distortion, of the size of the pixels."""
+    path: Path
+    """The image."""
+    background: Color | None
+    """Display-referred sRGB, 0..1, behind the transparent pixels; None: they stay premultiplied, as over black."""
+    _source: Source = field(repr=False)
+    _cache: PixelCache = field(repr=False)
+
+    def pixels(self) -> FloatArray:
+        """Display-referred sRGB, 0..1, over the background, shape (H, W, 3)."""
+        kept = self._kept()
+        color = _share(kept.color)
+        if kept.alpha is None or self.background is None:
+            return color
+        behind = (1.0 - _share(kept.alpha))[..., None] * np.array(self.background)
+        return (color + behind).astype(np.float32)
+
+    def alpha(self) -> FloatArray | None:
+        """How much of each pixel shows something, 0..1, shape (H, W); None: the image has no transparency."""
+        alpha = self._kept().alpha
+        return None if alpha is None else _share(alpha)
+
+    def mask(self) -> FloatArray | None:
+        """How much of each pixel counts, 0..1, shape (H, W); None: all of it.
+
+        It is 0 where the mask of the photograph is black, and where its lens does not show what the pinhole sees.
+        """
+        mask = self._kept().mask
+        return None if mask is None else _share(mask)
+
+    def _kept(self) -> Pixels:
+        return self._cache.get(self.path, partial(decode, self._source))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photographs:
+    """Photographs of a scene with poses, as `load_photographs` reads them."""
+
+    training: tuple[Photograph, ...]
+    """Those to learn from, at least one, ordered by name."""
+    held_out: tuple[Photograph, ...]
+    """Those to measure with, ordered by name; there may be none."""
+    points: FloatArray | None
+    """Points of the scene that COLMAP has found, world space, shape (N, 3); None: there are none."""
+    point_colors: FloatArray | None
+    """Their display-referred sRGB, 0..1, shape (N, 3)."""
+    extent: float
+    """1.1 times the largest distance of a training camera from the mean of their positions, scene units; 0: all of
+    them stand in one place."""
+    target: Doubles
+    """What the training cameras look at: the point nearest to their optical axes in the sense of least squares, shape
+    (3,). Where all axes are parallel it is the mean of the positions."""
+
+
+def _share(plane: Plane) -> FloatArray:
+    return np.divide(plane, 255.0, dtype=np.float32)
