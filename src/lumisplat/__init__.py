@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from lumisplat.io.document.scene_document import SceneDocument
     from lumisplat.io.photographs.loading import load_photographs
     from lumisplat.io.photographs.photographs import Photograph, Photographs
+    from lumisplat.io.photographs.poses import find_poses
     from lumisplat.metrics.images import flip, psnr, ssim
     from lumisplat.metrics.lighting import apf_y, ncm_ab, paa_y
     from lumisplat.metrics.lit_points import LitPoints
@@ -220,6 +221,7 @@ _MODULE_OF = {
     "estimate_lights": "relighting.light_estimation",
     "estimate_sun": "relighting.sun_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
+    "find_poses": "io.photographs.poses",
     "flip": "metrics.images",
     "focused": "renderer.one_shot",
     "frame_camera": "scene.ops.framing",
@@ -359,6 +361,7 @@ __all__ = [
     "estimate_lights",
     "estimate_normals",
     "estimate_sun",
+    "find_poses",
     "flip",
     "focused",
     "frame_camera",

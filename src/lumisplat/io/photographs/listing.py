@@ -119,7 +119,12 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, folder: Path
     """
     if not missing:
         return
-    names = ", ".join(missing[:_SHOWN]) + (", ..." if len(missing) > _SHOWN else "")
+    names = some_names(missing)
     if len(missing) == count:
         raise FormatError(path, f"none of its {count:,} photographs is there ({names}): expected them in {folder}")
     _log.warning("%s: %d of %d photographs are not in %s (%s): left out", path, len(missing), count, folder, names)
+
+
+def some_names(names: Sequence[str]) -> str:
+    """The first few names, for a message."""
+    return ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
