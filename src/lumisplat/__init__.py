@@ -12,9 +12,11 @@ if TYPE_CHECKING:
         AtlasLayout,
         AvatarLightingConfig,
         DeepShadowConfig,
+        Densification,
         FilterConfig,
         GaussianSurface,
         HitDistance,
+        LearningRates,
         LightEstimationConfig,
         NormalEstimate,
         NormalMethod,
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
         ToneMap,
         TraceConfig,
         TraceStrategy,
+        TrainConfig,
     )
     from lumisplat.demo.scene import demo_cameras, demo_scene
     from lumisplat.demo.scene_lit import demo_scene_lit
@@ -74,6 +77,7 @@ if TYPE_CHECKING:
     from lumisplat.metrics.images import flip, psnr, ssim
     from lumisplat.metrics.lighting import apf_y, ncm_ab, paa_y
     from lumisplat.metrics.lit_points import LitPoints
+    from lumisplat.metrics.ms_ssim import ms_ssim, ms_ssim_scales
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
     from lumisplat.relighting.avatar_lighter import AvatarLighter
     from lumisplat.relighting.captured_shadow import shadowed
@@ -121,6 +125,9 @@ if TYPE_CHECKING:
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
     from lumisplat.scene.textures import TextureWrap
     from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
+    from lumisplat.training.held_out import HeldOutScore
+    from lumisplat.training.train import TrainResult, train
+    from lumisplat.training.trainer import DivergedError
     from lumisplat.viewer.view import view
     from lumisplat.viewer.viewer import Viewer
 
@@ -142,16 +149,20 @@ _MODULE_OF = {
     "ConfigError": "errors",
     "DeepShadowConfig": "config",
     "DeepShadowMap": "shadow_maps.deep_shadow_map",
+    "Densification": "config",
     "DeviceError": "errors",
     "DifferentiableRenderer": "renderer.splat_gradients",
+    "DivergedError": "training.trainer",
     "EnvironmentProbe": "relighting.probe",
     "FormatError": "errors",
     "Frame": "frame.frame",
     "GaussianSequence": "scene.animation.sequence",
     "GaussianSurface": "config",
     "Gaussians": "scene.gaussians",
+    "HeldOutScore": "training.held_out",
     "HitDistance": "config",
     "Keyframes": "scene.animation.keyframes",
+    "LearningRates": "config",
     "LightDirectional": "scene.lights",
     "LightEnvironment": "scene.lights",
     "LightEstimate": "relighting.light_estimation",
@@ -207,6 +218,8 @@ _MODULE_OF = {
     "ToneMap": "config",
     "TraceConfig": "config",
     "TraceStrategy": "config",
+    "TrainConfig": "config",
+    "TrainResult": "training.train",
     "Viewer": "viewer.viewer",
     "apf_y": "metrics.lighting",
     "bind_gaussians": "scene.animation.rigged_gaussians",
@@ -238,6 +251,8 @@ _MODULE_OF = {
     "load_rig": "io",
     "load_sequence": "io",
     "merge": "scene.editing.merge",
+    "ms_ssim": "metrics.ms_ssim",
+    "ms_ssim_scales": "metrics.ms_ssim",
     "ncm_ab": "metrics.lighting",
     "orbit_cameras": "scene.ops.orbit",
     "paa_y": "metrics.lighting",
@@ -262,6 +277,7 @@ _MODULE_OF = {
     "ssim": "metrics.images",
     "stand_on_ground": "scene.ops.ground",
     "trace_rays": "renderer.one_shot",
+    "train": "training.train",
     "transform": "scene.editing.transform",
     "transmittance": "renderer.one_shot",
     "view": "viewer.view",
@@ -282,8 +298,10 @@ __all__ = [
     "ConfigError",
     "DeepShadowConfig",
     "DeepShadowMap",
+    "Densification",
     "DeviceError",
     "DifferentiableRenderer",
+    "DivergedError",
     "EnvironmentProbe",
     "FilterConfig",
     "FormatError",
@@ -291,8 +309,10 @@ __all__ = [
     "GaussianSequence",
     "GaussianSurface",
     "Gaussians",
+    "HeldOutScore",
     "HitDistance",
     "Keyframes",
+    "LearningRates",
     "LightDirectional",
     "LightEnvironment",
     "LightEstimate",
@@ -347,6 +367,8 @@ __all__ = [
     "ToneMap",
     "TraceConfig",
     "TraceStrategy",
+    "TrainConfig",
+    "TrainResult",
     "Viewer",
     "apf_y",
     "bind_gaussians",
@@ -378,6 +400,8 @@ __all__ = [
     "load_rig",
     "load_sequence",
     "merge",
+    "ms_ssim",
+    "ms_ssim_scales",
     "ncm_ab",
     "orbit_cameras",
     "paa_y",
@@ -402,6 +426,7 @@ __all__ = [
     "ssim",
     "stand_on_ground",
     "trace_rays",
+    "train",
     "transform",
     "transmittance",
     "view",

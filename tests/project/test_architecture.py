@@ -64,6 +64,7 @@ LAYERS = (
     "renderer.integrators",
     "renderer",
     "relighting",
+    "training",
     "public",
     "viewer.thresholds",
     "viewer.colors",

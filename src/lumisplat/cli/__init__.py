@@ -19,12 +19,14 @@ from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.bench import Bench
 from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
+from lumisplat.cli.commands.evaluate import Evaluate
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.orbit import Orbit
 from lumisplat.cli.commands.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
+from lumisplat.cli.commands.train import Train
 from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.options.command import Command
@@ -43,6 +45,8 @@ Once round it, as a video: lumisplat orbit garden.ply --video orbit.mp4
 
 A picture for each camera: lumisplat render garden.ply --cameras transforms.json -o out
 
+A capture of photographs with poses: lumisplat train fox/ -o fox.ply
+
 Rays, with mirrors and glass: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png
 
 Lights, soft shadows: lumisplat render scene.toml --pipeline hybrid --shadows soft --samples 32 -o view.png
@@ -57,12 +61,14 @@ _Command = (
     Annotated[Render, subcommand("render")]
     | Annotated[View, subcommand("view")]
     | Annotated[Orbit, subcommand("orbit")]
+    | Annotated[Train, subcommand("train")]
     | Annotated[Animate, subcommand("animate")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Metrics, subcommand("metrics")]
+    | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Relight, subcommand("relight")]
     | Annotated[ShadowMap, subcommand("shadowmap")]
 )

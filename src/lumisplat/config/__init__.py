@@ -30,6 +30,7 @@ from lumisplat.config.render import (
     ToneMap,
 )
 from lumisplat.config.shadow_maps import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
+from lumisplat.config.training import Densification, LearningRates, TrainConfig
 
 __all__ = [
     "AOVS",
@@ -42,9 +43,11 @@ __all__ = [
     "AtlasLayout",
     "AvatarLightingConfig",
     "DeepShadowConfig",
+    "Densification",
     "FilterConfig",
     "GaussianSurface",
     "HitDistance",
+    "LearningRates",
     "LightEstimationConfig",
     "NormalEstimate",
     "NormalMethod",
@@ -67,6 +70,7 @@ __all__ = [
     "ToneMap",
     "TraceConfig",
     "TraceStrategy",
+    "TrainConfig",
     "check_flag",
     "check_kind",
     "check_range",

@@ -9,3 +9,82 @@ SH_COEFFICIENTS_MAX = 16
 
 POSE_CHUNK = 256
 """Gaussians whose derivatives by the camera's pose are added up by one item."""
+
+# --- The optimiser (Kingma and Ba 2015; values of Kerbl et al. 2023) ---
+
+ADAM_BETA_1 = 0.9
+ADAM_BETA_2 = 0.999
+ADAM_EPSILON = 1e-15
+
+# --- Markov chain Monte Carlo (Kheradmand et al. 2024; values of gsplat) ---
+
+NOISE_OPACITY = 0.005
+"""Opacity below which Gaussians move at random, and are dead: others take their places."""
+
+NOISE_SLOPE = 100.0
+"""How sharply the noise ends there."""
+
+# --- The loss ---
+
+SSIM_TAPS = 11
+"""Pixels across the window of SSIM."""
+
+SSIM_C1 = 0.01**2
+SSIM_C2 = 0.03**2
+"""Wang et al. 2004, section III-C, of pictures in 0..1."""
+
+# --- How Gaussians come and go ---
+
+DENSIFY_AFTER = 500
+"""Steps before the first change of the number of Gaussians, but for short trainings: a sixtieth of these."""
+
+DENSIFY_EVERY = 100
+"""Steps between two changes."""
+
+DENSIFY_UNTIL = {"mcmc": 0.83, "adaptive": 0.5}
+"""Share of the steps after which their number stays. gsplat's 25,000 and 15,000 of 30,000."""
+
+DEAD_OPACITY = 0.005
+"""Opacity at or below which a Gaussian is dead, or pruned. Kerbl et al. 2023, Kheradmand et al. 2024."""
+
+GROWTH = 1.05
+"""Factor by which their number grows in a change, up to the cap. gsplat's."""
+
+RELOCATED_MAX = 51
+"""Gaussians that share a place, at most: more are counted as so many. gsplat's."""
+
+SPLIT_SCALE = 0.01
+"""Scale, as a share of the extent, above which a Gaussian is split and not cloned. Kerbl et al. 2023."""
+
+SPLIT_SHRINKS = 1.6
+"""Factor by which both halves are smaller. Kerbl et al. 2023, section 5.2."""
+
+TOO_LARGE = 0.1
+"""Scale, as a share of the extent, above which a Gaussian is pruned."""
+
+TOO_LARGE_AFTER = 3000
+RESET_EVERY = 3000
+"""Steps between two resets of opacities. Kerbl et al. 2023."""
+
+RESET_OPACITY = 0.01
+"""Opacity to which they are reset. Kerbl et al. 2023."""
+
+# --- The start ---
+
+INITIAL_OPACITY = {"mcmc": 0.5, "adaptive": 0.1}
+INITIAL_SCALE = {"mcmc": 0.3, "adaptive": 1.0}
+"""Scale of the first Gaussians, as a share of the mean distance to their three nearest neighbours."""
+
+INITIAL_DEPTHS = (0.4, 1.8)
+"""Depths of points at random, as shares of the distance to what the cameras look at."""
+
+INITIAL_SCALE_MIN = 1e-6
+"""Least scale of the first Gaussians, scene units: points may coincide."""
+
+# --- Rates ---
+
+SH_REST_SHARE = 0.05
+"""How far harmonics above the constant one move, as a share of that. Kerbl et al. 2023."""
+
+NOISE_STRENGTH = 5e5
+"""Of the noise, times the rate of the means. gsplat's."""

@@ -17,6 +17,7 @@ import lumisplat as ls
 from lumisplat.cli.input.picture_pairs import Pair, picture_pairs
 from lumisplat.cli.options.command import Flag, LoadingCommand
 from lumisplat.cli.output.console import Report, print_columns, progress_bars
+from lumisplat.cli.output.figures import Figures, cells, digits, mean, plain
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,12 +27,10 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("lumisplat")
 
-_OF_PICTURES = {"psnr": "psnr", "ssim": "ssim", "flip": "flip"}
+_OF_PICTURES = {"psnr": "psnr", "ssim": "ssim", "ms-ssim": "ms_ssim", "flip": "flip"}
+_USUAL = ("psnr", "ssim", "flip")
 _OF_SHADOWS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
 _OF_LIGHT = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
-_DIGITS = {"psnr": 2, "ncm_ab": 2}
-
-_Figures = dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +46,8 @@ class Metrics(LoadingCommand):
     """Two pictures (.png, .jpg, .webp, .exr, .hdr), or two folders of pictures with the same names. Or, with --scene,
     the capture of an avatar where it stands, or a scene.toml that places it."""
     metrics: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(default: psnr,ssim,flip)")] = None
-    """Some of psnr, ssim, flip and, of pictures of shadow strength in which white is black shadow, sae, sm-iou, bf."""
+    """Some of psnr, ssim, ms-ssim, flip and, of pictures of shadow strength in which white is black shadow, sae,
+    sm-iou, bf."""
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """The capture or scene.toml that the avatar is compared with: PAA-Y, APF-Y, NCM-ab, lower is better."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
@@ -81,13 +81,13 @@ class Metrics(LoadingCommand):
             figures, problems = _compared(pairs, names, report)
         for problem in problems:
             _log.warning("%s", problem)
-        means = {name: _mean([row[name] for row in figures]) for name in names}
+        means = {name: mean([row[name] for row in figures]) for name in names}
         if self.json:
-            images = [{"name": pair.name, **_plain(row)} for pair, row in zip(pairs, figures, strict=True)]
-            print(json.dumps({"images": images, "mean": _plain(means), "problems": problems}, indent=2))
+            images = [{"name": pair.name, **plain(row)} for pair, row in zip(pairs, figures, strict=True)]
+            print(json.dumps({"images": images, "mean": plain(means), "problems": problems}, indent=2))
             return
-        rows = [[pair.name, *_cells(row)] for pair, row in zip(pairs, figures, strict=True)]
-        print_columns(["", *names], rows if len(rows) == 1 else [*rows, ["mean", *_cells(means)]])
+        rows = [[pair.name, *cells(row)] for pair, row in zip(pairs, figures, strict=True)]
+        print_columns(["", *names], rows if len(rows) == 1 else [*rows, ["mean", *cells(means)]])
 
     def _compare_light(self, scene: Path) -> None:
         """Prints the figures of an avatar, or of two and the gain."""
@@ -99,7 +99,7 @@ class Metrics(LoadingCommand):
         with progress_bars() as report:
             surroundings = self._capture(scene, report)
             avatars = [self._capture(path, report) for path in paths]
-            figures: list[_Figures] = []
+            figures: list[Figures] = []
             for index, avatar in enumerate(avatars):
                 report("comparing light", index / len(avatars))
                 figures.append(self._light_figures(avatar, surroundings))
@@ -107,9 +107,9 @@ class Metrics(LoadingCommand):
         if len(figures) == 2:
             _print_gain(*figures, as_json=self.json)
         elif self.json:
-            print(json.dumps(_plain(figures[0]), indent=2))
+            print(json.dumps(plain(figures[0]), indent=2))
         else:
-            rows = [[label, _digits(name, figures[0][name])] for name, label in _OF_LIGHT.items()]
+            rows = [[label, digits(name, figures[0][name])] for name, label in _OF_LIGHT.items()]
             print_columns(["", paths[0].name], rows)
 
     def _capture(self, path: Path, report: Report) -> _Capture:
@@ -123,14 +123,14 @@ class Metrics(LoadingCommand):
             raise ls.FormatError(path, "has no Gaussians: metrics of light compare captures")
         return asset
 
-    def _light_figures(self, avatar: _Capture, scene: _Capture) -> _Figures:
+    def _light_figures(self, avatar: _Capture, scene: _Capture) -> Figures:
         """The figures of light, by name."""
         points = ls.LitPoints.of(avatar)
         options = {} if self.radius is None else {"radius": self.radius}
         return {name: _metric(name)(points, scene, **options) for name in _OF_LIGHT}
 
 
-def _print_gain(before: _Figures, after: _Figures, *, as_json: bool) -> None:
+def _print_gain(before: Figures, after: Figures, *, as_json: bool) -> None:
     """Prints the figures of an avatar before and after it was relit, and by how much they fell."""
     table = {
         name: {"original": before[name], "relit": after[name], "delta": before[name] - after[name]}
@@ -139,17 +139,17 @@ def _print_gain(before: _Figures, after: _Figures, *, as_json: bool) -> None:
     if as_json:
         print(json.dumps(table, indent=2))
         return
-    rows = [[_OF_LIGHT[name], *(_digits(name, value) for value in row.values())] for name, row in table.items()]
+    rows = [[_OF_LIGHT[name], *(digits(name, value) for value in row.values())] for name, row in table.items()]
     print_columns(["", "original", "relit", "delta"], rows)
 
 
 def _wanted(names: str | None) -> list[str]:
-    """Names of metrics from a list with commas; None: the three of pictures.
+    """Names of metrics from a list with commas; None: the usual ones of pictures.
 
     Raises:
         ConfigError: A name is unknown, or there is none.
     """
-    chosen = [*_OF_PICTURES] if names is None else [name.strip() for name in names.split(",") if name.strip()]
+    chosen = [*_USUAL] if names is None else [name.strip() for name in names.split(",") if name.strip()]
     known = _OF_PICTURES | _OF_SHADOWS
     for name in chosen or [names]:
         if name not in known:
@@ -157,14 +157,14 @@ def _wanted(names: str | None) -> list[str]:
     return list(dict.fromkeys(chosen))
 
 
-def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tuple[list[_Figures], list[str]]:
+def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tuple[list[Figures], list[str]]:
     """The figures of each pair, NaN for those that cannot be computed, and why they cannot, each reason once.
 
     Raises:
         FormatError: There is not a single figure.
         MissingExtraError: There is none, because a package is missing.
     """
-    rows: list[_Figures] = []
+    rows: list[Figures] = []
     problems: dict[str, ls.LumisplatError] = {}
     for index, pair in enumerate(pairs):
         report("comparing", index / len(pairs))
@@ -216,29 +216,6 @@ def _shadow_strength(path: Path) -> npt.NDArray[np.float32]:
     return (ls.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
 
 
-def _mean(values: Sequence[float]) -> float:
-    """The mean of the values that are not NaN."""
-    existing = [value for value in values if not math.isnan(value)]
-    return sum(existing) / len(existing) if existing else math.nan
-
-
 def _counted(files: Sequence[Path]) -> str:
     """How many files were given."""
     return "no file given" if not files else f"{len(files)} file{'s' * (len(files) > 1)} given"
-
-
-def _plain(figures: _Figures) -> dict[str, float | str | None]:
-    """Figures as JSON can hold them: NaN is null, infinity "inf"."""
-    return {
-        name: None if math.isnan(value) else "inf" if math.isinf(value) else value for name, value in figures.items()
-    }
-
-
-def _cells(figures: _Figures) -> list[str]:
-    """Figures as the table shows them."""
-    return [_digits(name, value) for name, value in figures.items()]
-
-
-def _digits(name: str, value: float) -> str:
-    """A figure as the table shows it."""
-    return "-" if math.isnan(value) else f"{value:.{_DIGITS.get(name, 4)}f}"

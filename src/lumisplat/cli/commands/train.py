@@ -1,0 +1,122 @@
+"""``lumisplat train``: from photographs with poses to a capture."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.options.command import DeviceCommand, Flag
+from lumisplat.cli.output.console import counted, print_columns, progress_bars, spoken_time
+from lumisplat.cli.output.standard_output import refuse_standard_output
+
+_DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
+_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
+_CAPTURES = (".ply", ".spz")
+_WORST = 5
+"""Views that are listed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(DeviceCommand):
+    """Make a capture of photographs whose poses are known.
+
+    Beside the capture, a folder of its name with .training has a checkpoint each minute, the settings, the curve, and
+    what was held out beside what the capture shows. After an interruption, the same command goes on.
+    First try: lumisplat train fox/ -o fox.ply --stop-after 10m
+    """
+
+    folder: Positional[Annotated[Path, arg(metavar="FOLDER")]]
+    """Photographs with a transforms.json (nerfstudio, instant-ngp), a transforms_train.json (Blender) or a sparse model
+    of COLMAP."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="FILE")]
+    """The capture: .ply or .spz."""
+    iterations: Annotated[int, arg(metavar="N")] = 7000
+    """Steps, one photograph each; what half an hour buys is in docs/guide/training.md."""
+    cap: Annotated[int, arg(metavar="N")] = 100_000
+    """Gaussians, at most."""
+    hold_out: Annotated[int, arg(metavar="N")] = 8
+    """Each so many photographs, one is not learnt from, but measured with; 0: none."""
+    scale: Annotated[float, arg(metavar="SHARE")] = 1.0
+    """Size of the photographs, as a share of that of the files, above 0, at most 1."""
+    background: Annotated[str, arg(metavar="COLOR")] = "black"
+    """Behind the Gaussians and what is transparent in photographs: a name, "#rrggbb" or r,g,b."""
+    densification: Literal["mcmc", "adaptive"] = "mcmc"
+    """How Gaussians come and go: as samples, up to --cap, or where the loss pulls."""
+    sh_degree: Annotated[int, arg(metavar="0-3")] = 3
+    """How much colours may change with the direction of view."""
+    antialiased: Flag = False
+    """Compensate opacities for the width of pixels (Mip-Splatting)."""
+    seed: Annotated[int, arg(metavar="N")] = 0
+    """Of everything that is random: the same seed gives the same capture."""
+    stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
+    """End after such a time, as 90s, 10m or 1.5h; the same command then goes on."""
+    preview: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
+    """Write a picture of the first view that is held out every so many steps."""
+    overwrite: Flag = False
+    """Begin anew, and remove what an earlier training has left."""
+
+    def run(self) -> None:
+        """Trains, and writes the capture."""
+        refuse_standard_output(self.output)
+        if self.output.suffix.lower() not in _CAPTURES:
+            raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
+        self.start_warp()
+        with progress_bars() as report:
+            try:
+                result = ls.train(
+                    self.folder,
+                    self._config(),
+                    output=self.output,
+                    scale=self.scale,
+                    hold_out=self.hold_out,
+                    background=self.background,
+                    stop_after=None if self.stop_after is None else seconds_of(self.stop_after),
+                    overwrite=self.overwrite,
+                    preview=self.preview,
+                    device=self.device,
+                    progress=report,
+                )
+            except KeyboardInterrupt:
+                again = "the same command without --overwrite" if self.overwrite else "the same command"
+                raise KeyboardInterrupt(f"{again} goes on from the last checkpoint") from None
+        self._tell(result)
+
+    def _config(self) -> ls.TrainConfig:
+        return ls.TrainConfig(
+            iterations=self.iterations,
+            cap=self.cap,
+            sh_degree=self.sh_degree,
+            densification=ls.Densification(self.densification),
+            antialiased=self.antialiased,
+            seed=self.seed,
+        )
+
+    def _tell(self, result: ls.TrainResult) -> None:
+        """Says what came of it."""
+        score = result.score
+        if score is not None:
+            worst = sorted(score.of_views.items(), key=lambda item: item[1])[:_WORST]
+            print_columns(
+                ["held out", "PSNR, dB"], [["mean", f"{score.psnr:.2f}"], *([n, f"{v:.2f}"] for n, v in worst)]
+            )
+        steps = f"{result.iterations:,} of {self.iterations:,} steps"
+        print(f"{self.output}: {counted(result.gaussians.count, 'Gaussian')}, {steps}, {spoken_time(result.seconds)}")
+        if not result.is_finished:
+            print("the same command goes on")
+
+
+def seconds_of(text: str) -> float:
+    """A time as people write it, in seconds.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    match = _DURATION.fullmatch(text.strip().lower())
+    if match is None or float(match[1]) <= 0.0:
+        raise ls.ConfigError(f"--stop-after is '{text}', expected a time such as 90s, 10m or 1.5h")
+    return float(match[1]) * _SECONDS[match[2] or "s"]

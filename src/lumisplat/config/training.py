@@ -1,0 +1,99 @@
+"""Settings of training: what photographs are fitted by, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, take_enum
+
+
+class Densification(Enum):
+    """How Gaussians come and go."""
+
+    MCMC = "mcmc"
+    """As samples of a Markov chain: dead ones move to where others are, and their number grows to a cap (Kheradmand et
+    al. 2024)."""
+    ADAPTIVE = "adaptive"
+    """Where the loss pulls, they are cloned or split; transparent ones go, and opacities are reset (Kerbl et al. 2023,
+    section 5)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearningRates:
+    """How far parameters move in a step. Those of Kerbl et al. 2023.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    means: float = 1.6e-4
+    """Of the first step, as a share of the extent of the cameras, 0..1."""
+    means_last: float = 1.6e-6
+    """Of the last step; between the two, it falls by the same factor in each, 0..1."""
+    rotations: float = 1e-3
+    """0..1."""
+    log_scales: float = 5e-3
+    """0..1."""
+    logits: float = 5e-2
+    """Of opacities, 0..1."""
+    sh: float = 2.5e-3
+    """Of the constant colour, 0..1; higher harmonics have a twentieth."""
+
+    def __post_init__(self) -> None:
+        for name in ("means", "means_last", "rotations", "log_scales", "logits", "sh"):
+            check_range(name, getattr(self, name), 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainConfig:
+    """Settings of training (docs/method/training.md).
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    iterations: int = 7000
+    """Steps, one photograph each, 1 to 10,000,000."""
+    cap: int = 100_000
+    """Gaussians, at most, 1 to 100,000,000."""
+    sh_degree: int = 3
+    """Of colours, 0..3. Degrees come in one by one, a twelfth of the iterations apart."""
+    densification: Densification = Densification.MCMC
+    """How Gaussians come and go."""
+    initial: int = 10_000
+    """Gaussians to begin with, where there are no points, 1 to 100,000,000."""
+    ssim: float = 0.2
+    """Share of SSIM in the loss, 0..1; the rest is L1."""
+    alpha: float = 0.1
+    """Weight of the error of alpha, of photographs that have one, 0..10."""
+    opacity_decay: float = 0.01
+    """Weight of the mean opacity in the loss of MCMC, 0..10: without need, Gaussians fade."""
+    scale_decay: float = 0.01
+    """Weight of the mean scale, likewise, 0..10."""
+    grow_pull: float = 8e-4
+    """Mean pull of the loss at a splat, in halves of the image, above which adaptive densification adds to it, 0..1;
+    of magnitudes (AbsGS), which do not cancel."""
+    coarse: int = 0
+    """Photographs begin smaller, by this power of two, 0..4: a quarter of the iterations for all smaller sizes."""
+    antialiased: bool = False
+    """Whether opacities are compensated for the width of pixels (Mip-Splatting)."""
+    rates: LearningRates = LearningRates()
+    """How far parameters move."""
+    seed: int = 0
+    """Of everything that is random: one seed, one result, on any number of threads."""
+
+    def __post_init__(self) -> None:
+        check_whole("iterations", self.iterations, 1, 10_000_000)
+        check_whole("cap", self.cap, 1, 100_000_000)
+        check_whole("sh_degree", self.sh_degree, 0, 3)
+        take_enum(self, "densification", Densification)
+        check_whole("initial", self.initial, 1, 100_000_000)
+        check_range("ssim", self.ssim, 0.0, 1.0)
+        for name in ("alpha", "opacity_decay", "scale_decay"):
+            check_range(name, getattr(self, name), 0.0, 10.0)
+        check_range("grow_pull", self.grow_pull, 0.0, 1.0)
+        check_whole("coarse", self.coarse, 0, 4)
+        check_flag("antialiased", self.antialiased)
+        check_kind("rates", self.rates, LearningRates)
+        check_whole("seed", self.seed, 0, 2**32 - 1)

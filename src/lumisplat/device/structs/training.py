@@ -1,0 +1,99 @@
+"""Data of training: what is learnt, and how far it moves in a step. One struct is one noun of the method."""
+
+import warp as wp
+
+from lumisplat.device.structs.declare import struct
+
+
+@struct
+class LearntSplats:
+    """Parameters of Gaussians as they are learnt, unbounded; or their moments. An element a Gaussian."""
+
+    means: wp.array[wp.vec3]
+    rotations: wp.array[wp.vec4]
+    """Quaternions wxyz of any length above 0."""
+    log_scales: wp.array[wp.vec3]
+    logits: wp.array[float]
+    """Of opacities."""
+    sh: wp.array[wp.vec3]
+    """``sh_count`` consecutive ones a Gaussian."""
+    sh_count: int
+
+
+@struct
+class StepRates:
+    """How far parameters move in one step (Adam, Kingma and Ba 2015)."""
+
+    means: float
+    rotations: float
+    log_scales: float
+    logits: float
+    sh: float
+    """Of the constant harmonic."""
+    sh_rest: float
+    sh_active: int
+    """Coefficients that are learnt by now."""
+    first_scale: float
+    """1 / (1 - beta1^step): undoes the bias of the first moment; likewise ``second_scale``."""
+    second_scale: float
+    by_opacity: float
+    """Derivative of the loss by each opacity besides that of pixels; likewise ``by_scale``."""
+    by_scale: float
+
+
+@struct
+class NoiseData:
+    """Noise that explores (Kheradmand et al. 2024, equation 9)."""
+
+    strength: float
+    """Times the covariance and a standard normal vector, for transparent Gaussians."""
+    iteration: int
+    seed: wp.uint32
+
+
+@struct
+class SplatRecord:
+    """What is noted of each Gaussian between two changes of their number."""
+
+    motion: wp.array[float]
+    """Sum over frames of how strongly the loss pulls at its splat, in halves of the image."""
+    frames: wp.array[float]
+    """In how many of them it was drawn."""
+    weight: wp.array[float]
+    """Sum of the weights with which it was blended."""
+
+
+@struct
+class Photograph:
+    """A photograph on the device, an element a pixel."""
+
+    color: wp.array[wp.vec3]
+    """Display-referred sRGB, over the background where it is transparent."""
+    weight: wp.array[float]
+    """0..1: what counts; without elements: all does."""
+    alpha: wp.array[float]
+    """What the frame's alpha should be; without elements: nobody knows."""
+
+
+@struct
+class LossMaps:
+    """Blurred maps, an element a pixel."""
+
+    shown: wp.array[wp.vec3]
+    """Of the frame; then of the derivatives by its mean."""
+    squared: wp.array[wp.vec3]
+    """Of its squares; then of the derivatives by these."""
+    product: wp.array[wp.vec3]
+    """Of its products with the photograph; then of the derivatives by these."""
+    wanted: wp.array[wp.vec3]
+    """Of the photograph."""
+    wanted_squared: wp.array[wp.vec3]
+
+
+@struct
+class LossWeights:
+    """What counts how much; each is a share of a pixel's channel."""
+
+    l1: float
+    ssim: float
+    alpha: float

@@ -1,0 +1,1 @@
+"""From photographs to Gaussians: parameters, loss, optimiser, and how Gaussians come and go."""

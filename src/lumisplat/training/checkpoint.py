@@ -1,0 +1,101 @@
+"""The state of a training as a file, from which it goes on as if it had never ended."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from dataclasses import asdict, dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lumisplat.config import TrainConfig
+from lumisplat.errors import FormatError
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.math.arrays import FloatArray
+from lumisplat.training.learnt import NAMES, Learnt
+
+VERSION = 1
+_PARTS = ("values", "first", "second")
+_RECORD = ("motion", "frames")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checkpoint:
+    """Everything that the next step depends on, but for settings and photographs."""
+
+    iteration: int
+    """Steps that were made."""
+    learnt: Learnt
+    record: dict[str, FloatArray]
+    """What was noted of each Gaussian since their number changed last."""
+
+
+def write_checkpoint(path: Path, checkpoint: Checkpoint, config: TrainConfig, photographs: str) -> None:
+    """Writes a checkpoint, which appears complete or not at all.
+
+    Args:
+        path: The file, .npz.
+        checkpoint: The state.
+        config: Settings of the training.
+        photographs: What tells its photographs from others.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    arrays: dict[str, Any] = {f"record.{name}": checkpoint.record[name] for name in _RECORD}
+    for part in _PARTS:
+        arrays |= {f"{part}.{name}": getattr(checkpoint.learnt, part)[name] for name in NAMES}
+    told = {
+        "version": VERSION,
+        "iteration": checkpoint.iteration,
+        "settings": plain_settings(config),
+        "photographs": photographs,
+    }
+    arrays["about"] = np.array(json.dumps(told))
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> Checkpoint:
+    """Reads a checkpoint of the same settings and photographs.
+
+    Raises:
+        FormatError: It cannot be read, or is of others; names the first setting that differs.
+    """
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        told = json.loads(str(arrays.pop("about")))
+        check_same(path, told, config, photographs)
+        parts = ({name: np.asarray(arrays[f"{part}.{name}"], np.float32) for name in NAMES} for part in _PARTS)
+        record = {name: np.asarray(arrays[f"record.{name}"], np.float32) for name in _RECORD}
+        return Checkpoint(int(told["iteration"]), Learnt(*parts), record)
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise FormatError(path, f"is no checkpoint of a training, or is damaged: {error}") from None
+
+
+def check_same(path: Path, told: dict[str, Any], config: TrainConfig, photographs: str) -> None:
+    """Raises a FormatError unless a checkpoint is of these settings and photographs."""
+    if told["version"] != VERSION:
+        raise FormatError(path, f"is a checkpoint of version {told['version']}, expected {VERSION}")
+    settings = plain_settings(config)
+    for name in settings.keys() | told["settings"].keys():
+        before, now = told["settings"].get(name), settings.get(name)
+        if before != now:
+            raise FormatError(
+                path, f"is of a training with {name} {before}, not {now}: use the settings of before, or begin anew"
+            )
+    if told["photographs"] != photographs:
+        raise FormatError(path, "is of a training with other photographs: use those of before, or begin anew")
+
+
+def plain_settings(config: TrainConfig) -> dict[str, Any]:
+    """Settings as JSON has them; groups by dotted names."""
+    settings = asdict(config)
+    rates: dict[str, Any] = settings.pop("rates")
+    plain = {name: value.value if isinstance(value, Enum) else value for name, value in settings.items()}
+    return plain | {f"rates.{name}": value for name, value in rates.items()}

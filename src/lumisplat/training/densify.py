@@ -1,0 +1,148 @@
+"""How Gaussians come and go, between steps, on the host.
+
+Equations and sources are in docs/method/training.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config import Densification, TrainConfig
+from lumisplat.constants.training import (
+    DEAD_OPACITY,
+    GROWTH,
+    RELOCATED_MAX,
+    RESET_EVERY,
+    RESET_OPACITY,
+    SPLIT_SCALE,
+    SPLIT_SHRINKS,
+    TOO_LARGE,
+    TOO_LARGE_AFTER,
+)
+from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.training.learnt import Learnt
+
+Doubles = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Record:
+    """What is known when Gaussians come and go."""
+
+    iteration: int
+    """Steps that were made."""
+    extent: float
+    """Of the cameras, scene units."""
+    pull: Doubles
+    """How strongly the loss pulls at each Gaussian, halves of the image, shape (N,): the mean over frames since the
+    last change in which it was drawn."""
+
+
+def densified(learnt: Learnt, record: Record, config: TrainConfig, rng: np.random.Generator) -> Learnt:
+    """What there is after a change.
+
+    Args:
+        learnt: What there is before.
+        record: What is known of it.
+        config: Settings.
+        rng: Random numbers.
+    """
+    if config.densification is Densification.MCMC:
+        return grown(relocated(learnt, rng), config.cap, rng)
+    learnt = multiplied(learnt, record, config, rng)
+    learnt = pruned(learnt, record.extent if record.iteration > TOO_LARGE_AFTER else math.inf)
+    if record.iteration % RESET_EVERY == 0:
+        reset(learnt)
+    return learnt
+
+
+# --- Markov chain Monte Carlo (Kheradmand et al. 2024) ---
+
+
+def relocated(learnt: Learnt, rng: np.random.Generator) -> Learnt:
+    """Dead Gaussians take the places of others, which share what they show with them."""
+    opacities = learnt.opacities
+    dead, alive = np.flatnonzero(opacities <= DEAD_OPACITY), np.flatnonzero(opacities > DEAD_OPACITY)
+    if dead.size == 0 or alive.size == 0:
+        return learnt
+    sources = alive[rng.choice(alive.size, dead.size, p=opacities[alive] / opacities[alive].sum())]
+    share(learnt, sources)
+    for values in learnt.values.values():
+        values[dead] = values[sources]
+    learnt.still(np.union1d(dead, sources))
+    return learnt
+
+
+def grown(learnt: Learnt, cap: int, rng: np.random.Generator) -> Learnt:
+    """A few per cent more of them, at the places of others, up to a number."""
+    more = min(cap, int(GROWTH * learnt.count)) - learnt.count
+    if more <= 0:
+        return learnt
+    opacities = learnt.opacities
+    sources = rng.choice(learnt.count, more, p=opacities / opacities.sum())
+    share(learnt, sources)
+    learnt.still(np.unique(sources))
+    return learnt.joined(learnt.fresh(sources))
+
+
+def share(learnt: Learnt, sources: Indices) -> None:
+    """Makes Gaussians such that each, with as many copies of itself as it is listed, shows what it showed alone."""
+    unique, counts = np.unique(sources, return_counts=True)
+    opacity, factor = shared(learnt.opacities[unique], counts + 1)
+    learnt.values["logits"][unique] = np.log(opacity / (1.0 - opacity))
+    learnt.values["log_scales"][unique] += np.log(factor)[:, None].astype(np.float32)
+
+
+def shared(opacities: Doubles, counts: Indices) -> tuple[Doubles, Doubles]:
+    """Opacity of each of so many Gaussians at one place, and the factor of their scales (equation 9 of the paper).
+
+    Args:
+        opacities: Of one Gaussian that they replace, shape (N,).
+        counts: How many there will be, 2 or more, shape (N,).
+    """
+    counts = np.minimum(counts, RELOCATED_MAX)
+    each = np.clip(-np.expm1(np.log1p(-np.minimum(opacities, 1.0 - 1e-6)) / counts), DEAD_OPACITY, 1.0 - 1e-6)
+    total = np.zeros(len(each))
+    for i in range(1, int(counts.max(initial=1)) + 1):
+        terms = sum(math.comb(i - 1, k) * (-each) ** k * each / math.sqrt(k + 1) for k in range(i))
+        total += np.where(i <= counts, terms, 0.0)
+    return each, opacities / total
+
+
+# --- Adaptive density control (Kerbl et al. 2023, section 5; Ye et al. 2024) ---
+
+
+def multiplied(learnt: Learnt, record: Record, config: TrainConfig, rng: np.random.Generator) -> Learnt:
+    """Small Gaussians at which the loss pulls are cloned, large ones are split in two."""
+    strongest = np.argsort(-record.pull, kind="stable")[: max(config.cap - learnt.count, 0)]
+    chosen = np.zeros(learnt.count, bool)
+    chosen[strongest] = record.pull[strongest] > config.grow_pull
+    is_large = learnt.scales.max(axis=1) > SPLIT_SCALE * record.extent
+    cloned, split = np.flatnonzero(chosen & ~is_large), np.flatnonzero(chosen & is_large)
+    halves = learnt.fresh(np.concatenate([split, split]))
+    scales = halves.scales
+    axes = matrices_from_quaternions(halves.values["rotations"].astype(np.float64))
+    offsets = np.einsum("nij,nj->ni", axes, scales * rng.normal(size=scales.shape))
+    halves.values["means"][:] += offsets
+    halves.values["log_scales"][:] = np.log(scales / SPLIT_SHRINKS)
+    kept = np.ones(learnt.count, bool)
+    kept[split] = False
+    return learnt.rows(kept).joined(learnt.fresh(cloned)).joined(halves)
+
+
+def pruned(learnt: Learnt, extent: float) -> Learnt:
+    """Without those that are transparent, or too large for the scene."""
+    return learnt.rows((learnt.opacities >= DEAD_OPACITY) & (learnt.scales.max(axis=1) <= TOO_LARGE * extent))
+
+
+def reset(learnt: Learnt) -> None:
+    """Makes all almost transparent: what the photographs need comes back, and the rest is pruned."""
+    logits = learnt.values["logits"]
+    np.minimum(logits, np.float32(math.log(RESET_OPACITY / (1.0 - RESET_OPACITY))), out=logits)
+    learnt.first["logits"][:] = 0.0
+    learnt.second["logits"][:] = 0.0

@@ -1,0 +1,107 @@
+"""The first Gaussians: at given points, or at random ones that the cameras see."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config import TrainConfig
+from lumisplat.constants import SH_C0
+from lumisplat.constants.training import INITIAL_DEPTHS, INITIAL_OPACITY, INITIAL_SCALE, INITIAL_SCALE_MIN
+from lumisplat.io.photographs.surroundings import camera_extent, camera_target
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.scene.camera import Camera
+from lumisplat.training.learnt import Learnt
+
+NEIGHBOURS = 3
+BLOCK = 512
+"""Points among which neighbours are looked for, at most."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What cameras say of the place that they stand in."""
+
+    extent: float
+    """1.1 times the largest distance of a camera from their mean, scene units (Kerbl et al. 2023); 1 of one camera."""
+    distance: float
+    """Median distance of a camera from what they look at, scene units."""
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera]) -> Surroundings:
+        """Those of at least one camera."""
+        target = camera_target(cameras)
+        distance = float(np.median([np.linalg.norm(camera.eye - target) for camera in cameras]))
+        return cls(camera_extent(cameras) or 1.0, distance or 1.0)
+
+
+def random_points(cameras: Sequence[Camera], around: Surroundings, count: int, rng: np.random.Generator) -> Doubles:
+    """Points in the cameras' views, about as far as what they look at, shape (N, 3)."""
+    chosen = rng.integers(0, len(cameras), count)
+    low, high = INITIAL_DEPTHS
+    depths = around.distance * rng.uniform(low, high, count)
+    shares = rng.uniform(size=(count, 2))
+    points = np.empty((count, 3))
+    for number, camera in enumerate(cameras):
+        rows = np.flatnonzero(chosen == number)
+        u = (shares[rows, 0] * camera.width - camera.cx) / camera.fx
+        v = (shares[rows, 1] * camera.height - camera.cy) / camera.fy
+        local = depths[rows, None] * np.column_stack([u, v, np.ones(rows.size)])
+        points[rows] = local @ camera.camera_from_world[:3, :3] + camera.eye
+    return points
+
+
+def first_gaussians(
+    points: npt.NDArray[np.floating], colors: FloatArray | None, config: TrainConfig, rng: np.random.Generator
+) -> Learnt:
+    """A Gaussian at each point, as wide as its neighbours are far.
+
+    Args:
+        points: World space, shape (N, 3).
+        colors: Display-referred sRGB, 0..1, shape (N, 3); None: at random.
+        config: Settings.
+        rng: Random numbers.
+    """
+    kind, count = config.densification.value, len(points)
+    spread = np.maximum(INITIAL_SCALE[kind] * neighbour_distances(points), INITIAL_SCALE_MIN)
+    opacity = INITIAL_OPACITY[kind]
+    sh = np.zeros((count, (config.sh_degree + 1) ** 2, 3))
+    sh[:, 0] = ((rng.uniform(size=(count, 3)) if colors is None else colors) - 0.5) / SH_C0
+    return Learnt.new(
+        {
+            "means": points.astype(np.float32),
+            "rotations": rng.normal(size=(count, 4)).astype(np.float32),
+            "log_scales": np.repeat(np.log(spread)[:, None], 3, axis=1).astype(np.float32),
+            "logits": np.full(count, math.log(opacity / (1.0 - opacity)), np.float32),
+            "sh": sh.astype(np.float32),
+        }
+    )
+
+
+def neighbour_distances(points: npt.NDArray[np.floating]) -> Doubles:
+    """Root mean square of the distances of each point to its three nearest ones, shape (N,).
+
+    Those beyond the border of its block of space are not looked for: beside one, the distance may be a little larger.
+    """
+    found = np.zeros(len(points))
+    for rows in _blocks(points, np.arange(len(points))):
+        inside = np.asarray(points[rows], np.float64)
+        squares = ((inside[:, None] - inside[None]) ** 2).sum(axis=2)
+        nearest = np.sort(squares, axis=1)[:, 1 : 1 + NEIGHBOURS]
+        found[rows] = np.sqrt(nearest.mean(axis=1)) if nearest.size else 1.0
+    return found
+
+
+def _blocks(points: npt.NDArray[np.floating], rows: npt.NDArray[np.intp]) -> Generator[npt.NDArray[np.intp]]:
+    """Rows of points in boxes of space, `BLOCK` at most in each."""
+    if rows.size <= BLOCK:
+        yield rows
+        return
+    inside = points[rows]
+    order = np.argsort(inside[:, int(np.argmax(np.ptp(inside, axis=0)))], kind="stable")
+    yield from _blocks(points, rows[order[: rows.size // 2]])
+    yield from _blocks(points, rows[order[rows.size // 2 :]])

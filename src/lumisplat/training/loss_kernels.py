@@ -1,0 +1,183 @@
+"""The loss between a frame and a photograph, and its derivatives by the frame's pixels: L1 and SSIM.
+
+SSIM is that of Wang et al. 2004 with a Gaussian window of 11 pixels. Beyond its borders, a picture is mirrored about
+their outer edges (d c b a | a b c d): a blur of that kind is its own adjoint. The equations are in
+docs/method/training.md.
+"""
+
+import math
+
+import warp as wp
+
+from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX
+from lumisplat.constants.training import SSIM_C1, SSIM_C2, SSIM_TAPS
+from lumisplat.device.structs.training import LossMaps, LossWeights, Photograph
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler_flags": FUSED_FLAGS})
+
+TAPS = wp.constant(SSIM_TAPS)
+REACH = wp.constant(SSIM_TAPS // 2)
+C1 = wp.constant(wp.float32(SSIM_C1))
+C2 = wp.constant(wp.float32(SSIM_C2))
+
+_RAW = [math.exp(-0.5 * ((k - SSIM_TAPS // 2) / SSIM_SIGMA_PX) ** 2) for k in range(SSIM_TAPS)]
+WINDOW = wp.constant(wp.types.vector(length=SSIM_TAPS, dtype=wp.float32)(*(weight / sum(_RAW) for weight in _RAW)))
+
+
+@wp.func
+def mirrored(x: int, size: int) -> int:
+    """A position within a picture that is mirrored about its borders."""
+    if x < 0:
+        x = -1 - x
+    if x >= size:
+        x = 2 * size - 1 - x
+    return wp.clamp(x, 0, size - 1)
+
+
+@wp.func
+def slope(x: float) -> float:
+    """Derivative of the magnitude; 0 at 0, where Warp's sign is 1."""
+    return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))
+
+
+@wp.func
+def counted(shown: wp.vec3, photograph: Photograph, i: int) -> wp.vec3:
+    """What a frame shows where it counts, the photograph elsewhere."""
+    if photograph.weight.shape[0] > 0:
+        return wp.lerp(photograph.color[i], shown, photograph.weight[i])
+    return shown
+
+
+@wp.kernel
+def blur_rows(start: int, width: int, color: wp.array[wp.vec3], photograph: Photograph, maps_out: LossMaps):
+    """Item = row: what SSIM compares, blurred along it."""
+    y = start + wp.tid()
+    row = y * width
+    for x in range(width):
+        shown = wp.vec3(0.0)
+        squared = wp.vec3(0.0)
+        product = wp.vec3(0.0)
+        wanted = wp.vec3(0.0)
+        wanted_squared = wp.vec3(0.0)
+        for k in range(TAPS):
+            i = row + mirrored(x + k - REACH, width)
+            p = counted(color[i], photograph, i)
+            q = photograph.color[i]
+            w = WINDOW[k]
+            shown += w * p
+            squared += w * wp.cw_mul(p, p)
+            product += w * wp.cw_mul(p, q)
+            wanted += w * q
+            wanted_squared += w * wp.cw_mul(q, q)
+        maps_out.shown[row + x] = shown
+        maps_out.squared[row + x] = squared
+        maps_out.product[row + x] = product
+        maps_out.wanted[row + x] = wanted
+        maps_out.wanted_squared[row + x] = wanted_squared
+
+
+@wp.kernel
+def compare_rows(start: int, width: int, height: int, maps: LossMaps, maps_out: LossMaps, ssim_out: wp.array[float]):
+    """Item = row: SSIM of its pixels, summed, and the derivatives of that by means, squares and products."""
+    y = start + wp.tid()
+    total = float(0.0)
+    for x in range(width):
+        mp = wp.vec3(0.0)
+        pp = wp.vec3(0.0)
+        pq = wp.vec3(0.0)
+        mq = wp.vec3(0.0)
+        qq = wp.vec3(0.0)
+        for k in range(TAPS):
+            i = mirrored(y + k - REACH, height) * width + x
+            w = WINDOW[k]
+            mp += w * maps.shown[i]
+            pp += w * maps.squared[i]
+            pq += w * maps.product[i]
+            mq += w * maps.wanted[i]
+            qq += w * maps.wanted_squared[i]
+        by_mean = wp.vec3(0.0)
+        by_square = wp.vec3(0.0)
+        by_product = wp.vec3(0.0)
+        for c in range(3):
+            a = 2.0 * mp[c] * mq[c] + C1
+            b = 2.0 * (pq[c] - mp[c] * mq[c]) + C2
+            d = mp[c] * mp[c] + mq[c] * mq[c] + C1
+            e = pp[c] - mp[c] * mp[c] + qq[c] - mq[c] * mq[c] + C2
+            s = a * b / (d * e)
+            total += s
+            by_square[c] = -s / e
+            by_product[c] = 2.0 * a / (d * e)
+            by_mean[c] = 2.0 * mq[c] * (b - a) / (d * e) + 2.0 * mp[c] * s * (1.0 / e - 1.0 / d)
+        i = y * width + x
+        maps_out.shown[i] = by_mean
+        maps_out.squared[i] = by_square
+        maps_out.product[i] = by_product
+    ssim_out[y] = total
+
+
+@wp.kernel
+def spread_rows(start: int, width: int, maps: LossMaps, maps_out: LossMaps):
+    """Item = row: derivatives blurred along it."""
+    y = start + wp.tid()
+    row = y * width
+    for x in range(width):
+        by_mean = wp.vec3(0.0)
+        by_square = wp.vec3(0.0)
+        by_product = wp.vec3(0.0)
+        for k in range(TAPS):
+            i = row + mirrored(x + k - REACH, width)
+            w = WINDOW[k]
+            by_mean += w * maps.shown[i]
+            by_square += w * maps.squared[i]
+            by_product += w * maps.product[i]
+        maps_out.shown[row + x] = by_mean
+        maps_out.squared[row + x] = by_square
+        maps_out.product[row + x] = by_product
+
+
+@wp.kernel
+def differentiate_rows(
+    start: int,
+    width: int,
+    height: int,
+    weights: LossWeights,
+    color: wp.array[wp.vec3],
+    alpha: wp.array[float],
+    photograph: Photograph,
+    maps: LossMaps,
+    by_color_out: wp.array[wp.vec3],
+    by_alpha_out: wp.array[float],
+    sums_out: wp.array[wp.vec3],
+):
+    """Item = row: derivatives of the loss by its pixels; sums of L1, of squares, and of the error of alpha."""
+    y = start + wp.tid()
+    sums = wp.vec3(0.0)
+    for x in range(width):
+        by_mean = wp.vec3(0.0)
+        by_square = wp.vec3(0.0)
+        by_product = wp.vec3(0.0)
+        for k in range(TAPS):
+            i = mirrored(y + k - REACH, height) * width + x
+            w = WINDOW[k]
+            by_mean += w * maps.shown[i]
+            by_square += w * maps.squared[i]
+            by_product += w * maps.product[i]
+        i = y * width + x
+        q = photograph.color[i]
+        p = counted(color[i], photograph, i)
+        by_ssim = by_mean + 2.0 * wp.cw_mul(p, by_square) + wp.cw_mul(q, by_product)
+        difference = p - q
+        gradient = weights.l1 * wp.vec3(slope(difference[0]), slope(difference[1]), slope(difference[2]))
+        gradient -= weights.ssim * by_ssim
+        if photograph.weight.shape[0] > 0:
+            gradient *= photograph.weight[i]
+        by_color_out[i] = gradient
+        sums += wp.vec3(
+            wp.abs(difference[0]) + wp.abs(difference[1]) + wp.abs(difference[2]), wp.dot(difference, difference), 0.0
+        )
+        by_alpha_out[i] = 0.0
+        if photograph.alpha.shape[0] > 0:
+            missed = alpha[i] - photograph.alpha[i]
+            by_alpha_out[i] = weights.alpha * slope(missed)
+            sums[2] = sums[2] + wp.abs(missed)
+    sums_out[y] = sums

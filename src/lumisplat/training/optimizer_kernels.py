@@ -1,0 +1,162 @@
+"""A step of the optimiser: from derivatives by Gaussians to parameters that move, and to Gaussians that are drawn."""
+
+import warp as wp
+
+from lumisplat.constants import FUSED_FLAGS
+from lumisplat.constants.training import ADAM_BETA_1, ADAM_BETA_2, ADAM_EPSILON, NOISE_OPACITY, NOISE_SLOPE
+from lumisplat.device.math.random import draw, sample_key_of
+from lumisplat.device.structs.gradients import GaussianGradient, SplatGradient
+from lumisplat.device.structs.raster import TileRect
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.training import LearntSplats, NoiseData, SplatRecord, StepRates
+
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+
+BETA_1 = wp.constant(wp.float32(ADAM_BETA_1))
+BETA_2 = wp.constant(wp.float32(ADAM_BETA_2))
+EPSILON = wp.constant(wp.float32(ADAM_EPSILON))
+OPACITY_KEPT = wp.constant(wp.float32(NOISE_OPACITY))
+SLOPE = wp.constant(wp.float32(NOISE_SLOPE))
+TWO_PI = wp.constant(wp.float32(6.283185307179586))
+
+
+@wp.func
+def sigmoid(x: float) -> float:
+    """From a logit to 0..1."""
+    return 1.0 / (1.0 + wp.exp(-x))
+
+
+@wp.func
+def moment(beta: float, before: float, value: float) -> float:
+    """A mean that forgets."""
+    return beta * before + (1.0 - beta) * value
+
+
+@wp.func
+def step_of(rates: StepRates, rate: float, first: float, second: float) -> float:
+    """How far Adam moves a parameter."""
+    return rate * first * rates.first_scale / (wp.sqrt(second * rates.second_scale) + EPSILON)
+
+
+@wp.func
+def step3_of(rates: StepRates, rate: float, first: wp.vec3, second: wp.vec3) -> wp.vec3:
+    """``step_of`` for each component."""
+    return wp.vec3(
+        step_of(rates, rate, first[0], second[0]),
+        step_of(rates, rate, first[1], second[1]),
+        step_of(rates, rate, first[2], second[2]),
+    )
+
+
+@wp.func
+def wxyz_of(rotation: wp.quat) -> wp.vec4:
+    """The order in which quaternions are learnt."""
+    return wp.vec4(rotation[3], rotation[0], rotation[1], rotation[2])
+
+
+@wp.kernel
+def activate(start: int, learnt: LearntSplats, gaussians_out: GaussianData):
+    """Item = Gaussian: what is drawn of what is learnt; means and harmonics are the same."""
+    i = start + wp.tid()
+    q = wp.normalize(learnt.rotations[i])
+    s = learnt.log_scales[i]
+    gaussians_out.rotations[i] = wp.quat(q[1], q[2], q[3], q[0])
+    gaussians_out.scales[i] = wp.vec3(wp.exp(s[0]), wp.exp(s[1]), wp.exp(s[2]))
+    gaussians_out.opacities[i] = sigmoid(learnt.logits[i])
+
+
+@wp.kernel
+def update(
+    start: int,
+    rates: StepRates,
+    gradient: GaussianGradient,
+    gaussians: GaussianData,
+    learnt_inout: LearntSplats,
+    first_inout: LearntSplats,
+    second_inout: LearntSplats,
+):
+    """Item = Gaussian: the chain rule from what is drawn to what is learnt, the moments, and a step."""
+    i = start + wp.tid()
+
+    by_mean = gradient.means[i]
+    m = BETA_1 * first_inout.means[i] + (1.0 - BETA_1) * by_mean
+    v = BETA_2 * second_inout.means[i] + (1.0 - BETA_2) * wp.cw_mul(by_mean, by_mean)
+    first_inout.means[i] = m
+    second_inout.means[i] = v
+    learnt_inout.means[i] = learnt_inout.means[i] - step3_of(rates, rates.means, m, v)
+
+    raw = learnt_inout.rotations[i]
+    by_rotation = wxyz_of(gradient.rotations[i]) / wp.length(raw)
+    m4 = BETA_1 * first_inout.rotations[i] + (1.0 - BETA_1) * by_rotation
+    v4 = BETA_2 * second_inout.rotations[i] + (1.0 - BETA_2) * wp.cw_mul(by_rotation, by_rotation)
+    first_inout.rotations[i] = m4
+    second_inout.rotations[i] = v4
+    for k in range(4):
+        raw[k] = raw[k] - step_of(rates, rates.rotations, m4[k], v4[k])
+    learnt_inout.rotations[i] = raw
+
+    by_log_scale = wp.cw_mul(gradient.scales[i] + wp.vec3(rates.by_scale), gaussians.scales[i])
+    m = BETA_1 * first_inout.log_scales[i] + (1.0 - BETA_1) * by_log_scale
+    v = BETA_2 * second_inout.log_scales[i] + (1.0 - BETA_2) * wp.cw_mul(by_log_scale, by_log_scale)
+    first_inout.log_scales[i] = m
+    second_inout.log_scales[i] = v
+    learnt_inout.log_scales[i] = learnt_inout.log_scales[i] - step3_of(rates, rates.log_scales, m, v)
+
+    opacity = gaussians.opacities[i]
+    by_logit = (gradient.opacities[i] + rates.by_opacity) * opacity * (1.0 - opacity)
+    m1 = moment(BETA_1, first_inout.logits[i], by_logit)
+    v1 = moment(BETA_2, second_inout.logits[i], by_logit * by_logit)
+    first_inout.logits[i] = m1
+    second_inout.logits[i] = v1
+    learnt_inout.logits[i] = learnt_inout.logits[i] - step_of(rates, rates.logits, m1, v1)
+
+    for k in range(rates.sh_active):
+        j = i * learnt_inout.sh_count + k
+        by_sh = gradient.sh[j]
+        m = BETA_1 * first_inout.sh[j] + (1.0 - BETA_1) * by_sh
+        v = BETA_2 * second_inout.sh[j] + (1.0 - BETA_2) * wp.cw_mul(by_sh, by_sh)
+        first_inout.sh[j] = m
+        second_inout.sh[j] = v
+        rate = wp.where(k == 0, rates.sh, rates.sh_rest)
+        learnt_inout.sh[j] = learnt_inout.sh[j] - step3_of(rates, rate, m, v)
+
+
+@wp.func
+def standard_normal(key: wp.uint32) -> wp.vec3:
+    """Three independent numbers (Box and Muller 1958)."""
+    radius = wp.sqrt(-2.0 * wp.log(1.0 - draw(key, wp.uint32(0))))
+    other = wp.sqrt(-2.0 * wp.log(1.0 - draw(key, wp.uint32(1))))
+    angle = TWO_PI * draw(key, wp.uint32(2))
+    return wp.vec3(radius * wp.cos(angle), radius * wp.sin(angle), other * wp.cos(TWO_PI * draw(key, wp.uint32(3))))
+
+
+@wp.kernel
+def explore(start: int, noise: NoiseData, gaussians: GaussianData, learnt_inout: LearntSplats):
+    """Item = Gaussian: moves it at random within its own shape, the more transparent it is, the farther."""
+    i = start + wp.tid()
+    gate = noise.strength * sigmoid(SLOPE * (OPACITY_KEPT - gaussians.opacities[i]))
+    if gate > 0.0:
+        axes = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
+        step = axes * (wp.transpose(axes) * standard_normal(sample_key_of(i, noise.iteration, noise.seed)))
+        learnt_inout.means[i] = learnt_inout.means[i] + gate * step
+
+
+@wp.kernel
+def note(
+    start: int,
+    half_size: wp.vec2,
+    absolute: bool,
+    rects: wp.array[TileRect],
+    gradients: wp.array[SplatGradient],
+    record_inout: SplatRecord,
+):
+    """Item = Gaussian: what a frame tells of it."""
+    i = start + wp.tid()
+    if rects[i].x0 < rects[i].x1:
+        gradient = gradients[i]
+        pull = gradient.center
+        if absolute:
+            pull = gradient.center_absolute
+        record_inout.motion[i] = record_inout.motion[i] + wp.length(wp.cw_mul(pull, half_size))
+        record_inout.frames[i] = record_inout.frames[i] + 1.0
+        record_inout.weight[i] = record_inout.weight[i] + gradient.weight

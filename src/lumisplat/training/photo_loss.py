@@ -1,0 +1,100 @@
+"""Host pass: the loss between a frame and a photograph, and its derivatives by the frame's pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.device.structs.training import LossMaps, LossWeights, Photograph
+from lumisplat.math.arrays import FloatArray
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.training import loss_kernels
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """How far a frame is from a photograph; means over pixels and channels that count."""
+
+    l1: float
+    squared: float
+    """Mean squared error."""
+    ssim: float
+    """-1..1."""
+    alpha: float
+    """Mean error of alpha; 0 where it is not known."""
+    total: float
+    """What is minimised."""
+
+
+class PhotoLoss:
+    """Compares frames with photographs.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        ssim: Share of SSIM, 0..1; the rest is L1.
+        alpha: Weight of the error of alpha.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, *, ssim: float, alpha: float) -> None:
+        self._launcher, self._buffers = launcher, buffers
+        self._ssim, self._alpha = ssim, alpha
+
+    def load(self, color: FloatArray, weight: FloatArray | None, alpha: FloatArray | None) -> Photograph:
+        """A photograph on the device, until the next one is loaded.
+
+        Args:
+            color: Display-referred sRGB, 0..1, shape (H, W, 3).
+            weight: What counts, 0..1, shape (H, W); None: all.
+            alpha: What the frame's alpha should be, shape (H, W); None: nobody knows.
+        """
+        photograph = Photograph()
+        photograph.color = self._buffers.upload("photograph.color", wp.vec3, color.reshape(-1, 3))
+        none = np.zeros(0, np.float32)
+        for name, values in (("weight", weight), ("alpha", alpha)):
+            array = none if values is None else np.ascontiguousarray(values.reshape(-1), np.float32)
+            setattr(photograph, name, self._buffers.upload(f"photograph.{name}", wp.float32, array))
+        return photograph
+
+    def differentiate(
+        self, size: tuple[int, int], pixels: PixelData, photograph: Photograph
+    ) -> tuple[Loss, PixelGradient]:
+        """The loss of a frame, and its derivatives.
+
+        Args:
+            size: Width and height, pixels.
+            pixels: Of the frame.
+            photograph: Of the same size.
+        """
+        width, height = size
+        run, get, count = self._launcher.run_banded, self._buffers.get, width * height
+        maps, derivatives = (self._buffers.struct(f"loss.{name}", LossMaps, count) for name in ("maps", "derivatives"))
+        rows, sums = get("loss.ssim", wp.float32, height), get("loss.sums", wp.vec3, height)
+        gradient = PixelGradient()
+        gradient.color, gradient.alpha = get("loss.color", wp.vec3, count), get("loss.alpha", wp.float32, count)
+        with self._launcher.stage("loss"):
+            run(loss_kernels.blur_rows, height, width, pixels.color, photograph, maps)
+            run(loss_kernels.compare_rows, height, width, height, maps, derivatives, rows)
+            run(loss_kernels.spread_rows, height, width, derivatives, maps)
+            inputs = (width, height, self._weights(count), pixels.color, pixels.alpha, photograph, maps)
+            run(loss_kernels.differentiate_rows, height, *inputs, gradient.color, gradient.alpha, sums)
+        return self._loss(count, rows.numpy(), sums.numpy()), gradient
+
+    def _weights(self, count: int) -> LossWeights:
+        weights = LossWeights()
+        weights.l1 = (1.0 - self._ssim) / (3 * count)
+        weights.ssim = self._ssim / (3 * count)
+        weights.alpha = self._alpha / count
+        return weights
+
+    def _loss(self, count: int, ssim_rows: FloatArray, sums: FloatArray) -> Loss:
+        ssim = float(ssim_rows.sum(dtype=np.float64)) / (3 * count)
+        means = sums.sum(axis=0, dtype=np.float64) / (3 * count, 3 * count, count)
+        l1, squared, alpha = (float(mean) for mean in means)
+        total = (1.0 - self._ssim) * l1 + self._ssim * (1.0 - ssim) + self._alpha * alpha
+        return Loss(l1, squared, ssim, alpha, total)

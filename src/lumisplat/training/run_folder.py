@@ -1,0 +1,87 @@
+"""The folder beside a capture: what a training needs to go on, and what came of it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lumisplat.config import TrainConfig
+from lumisplat.errors import FormatError
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.scene_toml.toml_text import toml_value
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.training.checkpoint import plain_settings
+from lumisplat.training.curve import Curve
+from lumisplat.training.held_out import HeldOut, HeldOutScore
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """Files of a training."""
+
+    path: Path
+
+    @classmethod
+    def of(cls, output: Path) -> RunFolder:
+        """That of a capture: ``fox.ply`` has ``fox.training``."""
+        return cls(output.with_suffix(".training"))
+
+    @property
+    def checkpoint(self) -> Path:
+        """From which training goes on."""
+        return self.path / "checkpoint.npz"
+
+    def preview(self, step: int) -> Path:
+        """The picture of a step."""
+        return self.path / "previews" / f"{step:07d}.png"
+
+    def prepare(self, *, overwrite: bool) -> None:
+        """Makes the folder, or empties it.
+
+        Raises:
+            FormatError: It cannot be made, or is none of a training.
+        """
+        try:
+            if overwrite and self.path.exists():
+                if not (self.path / "settings.toml").exists():
+                    raise FormatError(self.path, "is no folder of a training: it is not removed")
+                shutil.rmtree(self.path)
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FormatError(self.path, f"cannot be made: {error.strerror or error}") from None
+
+    def write_settings(self, config: TrainConfig) -> None:
+        """Writes all settings."""
+        lines = [f"{name} = {toml_value(value)}" for name, value in plain_settings(config).items()]
+        _write(self.path / "settings.toml", "\n".join(["[train]", *lines]) + "\n")
+
+    def write_curve(self, curve: Curve) -> None:
+        """Writes the numbers of a curve."""
+        told = {"steps": curve.steps, "squared": curve.squared, "measured": curve.measured}
+        _write(self.path / "curve.json", json.dumps(told))
+
+    def read_curve(self) -> Curve:
+        """The numbers of a curve, as far as they go; none if there are none."""
+        try:
+            told: dict[str, Any] = json.loads((self.path / "curve.json").read_text())
+            measured = [(int(step), float(value)) for step, value in told["measured"]]
+            return Curve(list(told["steps"]), list(told["squared"]), measured)
+        except (OSError, ValueError, KeyError, TypeError):
+            return Curve()
+
+    def write_report(self, curve: Curve, score: HeldOutScore | None, held_out: HeldOut, gaussians: Gaussians) -> None:
+        """Writes the curve as a picture, and figures and pictures of what was held out."""
+        with atomic_write(self.path / "curve.png") as temporary:
+            curve.picture().save(temporary, format="PNG")
+        if score is not None:
+            told = {"psnr": score.psnr, "views": score.of_views, "gaussians": gaussians.count}
+            _write(self.path / "metrics.json", json.dumps(told, indent=2) + "\n")
+            held_out.write_pairs(gaussians, self.path / "held out")
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_write(path) as temporary:
+        temporary.write_text(text)

@@ -1,0 +1,193 @@
+"""From a folder of photographs to a capture: ``lumisplat.train``."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from lumisplat.config import TrainConfig
+from lumisplat.config.checks import check_kind, check_positive
+from lumisplat.io import save
+from lumisplat.io.photographs.loading import load_photographs
+from lumisplat.io.photographs.photographs import Photographs
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.training.checkpoint import read_checkpoint, write_checkpoint
+from lumisplat.training.curve import Curve
+from lumisplat.training.held_out import HeldOut, HeldOutScore
+from lumisplat.training.run_folder import RunFolder
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import TrainingView
+
+Progress = Callable[[str, float], None]
+
+CHECKPOINT_EVERY_S = 60.0
+"""Seconds between two checkpoints."""
+TELL_EVERY_S = 0.5
+MEASURE_EVERY = 1000
+"""Steps between two points of the curve of what is held out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainResult:
+    """What came of a training."""
+
+    gaussians: Gaussians
+    iterations: int
+    """Steps that were made, also before this call."""
+    is_finished: bool
+    """Whether these are all; else it was stopped by its time."""
+    score: HeldOutScore | None
+    """Of what was held out; None: nothing was."""
+    seconds: float
+    """Of this call."""
+
+
+def train(
+    photographs: Photographs | str | os.PathLike[str],
+    config: TrainConfig | None = None,
+    *,
+    output: str | os.PathLike[str] | None = None,
+    scale: float = 1.0,
+    hold_out: int = 8,
+    background: str | tuple[float, float, float] = "black",
+    stop_after: float | None = None,
+    overwrite: bool = False,
+    preview: int | None = None,
+    device: str = "auto",
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> TrainResult:
+    """Fits Gaussians to photographs with poses (Kerbl et al. 2023), without a GPU if need be.
+
+    With ``output``, everything that is needed to go on is kept beside it, in a folder of its name with ``.training``: a
+    checkpoint each minute, settings, a curve, pictures and figures of what was held out. The same call again goes on
+    from the checkpoint: the result has the same bits as if it had never ended.
+
+    Args:
+        photographs: A folder, or what `lumisplat.load_photographs` has read; then ``scale``, ``hold_out`` and
+            ``background`` are those of it.
+        config: Settings; None: the defaults.
+        output: The capture, .ply or .spz; None: it is returned alone.
+        scale: As of `lumisplat.load_photographs`.
+        hold_out: As of `lumisplat.load_photographs`.
+        background: Behind the Gaussians, and behind what is transparent in photographs.
+        stop_after: Seconds after which training ends before all steps are made.
+        overwrite: Whether to begin anew where there is a checkpoint.
+        preview: Steps between two pictures of the first view that is held out, in the folder; None: none are made.
+        device: As of `lumisplat.create_renderer`.
+        threads: As of `lumisplat.create_renderer`.
+        progress: Called with what is being done and the fraction done, 0..1.
+
+    Raises:
+        ConfigError: A setting is out of its range.
+        DeviceError: There is no such device, or it is out of memory.
+        DivergedError: The loss is no longer finite: the last checkpoint stays.
+        FormatError: Photographs cannot be read, a file cannot be written, or a checkpoint is of another training.
+    """
+    config = config or TrainConfig()
+    check_kind("config", config, TrainConfig)
+    if stop_after is not None:
+        check_positive("stop_after", stop_after)
+    if not isinstance(photographs, Photographs):
+        photographs = load_photographs(photographs, scale=scale, hold_out=hold_out, background=background)
+    folder = None if output is None else RunFolder.of(Path(output))
+    run = _Run(photographs, config, folder, device=device, threads=threads, progress=progress or _say_nothing)
+    run.start(overwrite=overwrite)
+    run.work(stop_after, preview)
+    return run.finish(None if output is None else Path(output))
+
+
+class _Run:
+    """One call of ``train``."""
+
+    def __init__(
+        self,
+        photographs: Photographs,
+        config: TrainConfig,
+        folder: RunFolder | None,
+        *,
+        device: str,
+        threads: int | None,
+        progress: Progress,
+    ) -> None:
+        self._photographs, self._config, self._folder, self._progress = photographs, config, folder, progress
+        views = [TrainingView.of(photograph) for photograph in photographs.training]
+        self._trainer = Trainer(
+            views,
+            config,
+            background=photographs.training[0].background or (0.0, 0.0, 0.0),
+            points=photographs.points,
+            colors=photographs.point_colors,
+            device=device,
+            threads=threads,
+        )
+        self._held_out = HeldOut(photographs.held_out, device)
+        self._curve = Curve()
+        self._begun = time.monotonic()
+        self._first = 0
+
+    def start(self, *, overwrite: bool) -> None:
+        """Begins anew, or where the last call has ended."""
+        if self._folder is None:
+            return
+        self._folder.prepare(overwrite=overwrite)
+        self._folder.write_settings(self._config)
+        if self._folder.checkpoint.exists():
+            self._trainer.restore(read_checkpoint(self._folder.checkpoint, self._config, self._mark))
+            self._curve = self._folder.read_curve()
+        self._first = self._trainer.iteration
+
+    def work(self, stop_after: float | None, preview: int | None) -> None:
+        """Makes the steps that are left, or those for which there is time."""
+        trainer, total = self._trainer, self._config.iterations
+        saved = told = self._begun
+        while trainer.iteration < total:
+            loss = trainer.step()
+            self._curve.add(trainer.iteration, loss)
+            now = time.monotonic()
+            if now - told >= TELL_EVERY_S:
+                told = now
+                self._progress(self._line(now), trainer.iteration / total)
+            if trainer.iteration % MEASURE_EVERY == 0 or trainer.iteration == total:
+                self._curve.measure(trainer.iteration, self._held_out.psnr(trainer.gaussians()))
+            if preview is not None and self._folder is not None and trainer.iteration % preview == 0:
+                self._held_out.preview(trainer.gaussians(), self._folder.preview(trainer.iteration))
+            if now - saved >= CHECKPOINT_EVERY_S:
+                saved = now
+                self._save()
+            if stop_after is not None and now - self._begun >= stop_after:
+                break
+        self._progress("training", 1.0)
+        self._save()
+
+    def finish(self, output: Path | None) -> TrainResult:
+        """Writes the capture, and measures it."""
+        gaussians = self._trainer.gaussians()
+        score = self._held_out.score(gaussians, self._progress)
+        if output is not None and self._folder is not None:
+            save(output, gaussians)
+            self._folder.write_report(self._curve, score, self._held_out, gaussians)
+        done = self._trainer.iteration
+        seconds = time.monotonic() - self._begun
+        return TrainResult(gaussians, done, done == self._config.iterations, score, seconds)
+
+    def _save(self) -> None:
+        if self._folder is not None:
+            write_checkpoint(self._folder.checkpoint, self._trainer.checkpoint, self._config, self._mark)
+            self._folder.write_curve(self._curve)
+
+    def _line(self, now: float) -> str:
+        rate = (self._trainer.iteration - self._first) / max(now - self._begun, 1e-3)
+        return f"training, {self._curve.psnr:.1f} dB, {self._trainer.count:,} Gaussians, {rate:.1f} steps a second"
+
+    @property
+    def _mark(self) -> str:
+        """What tells these photographs from others."""
+        return ", ".join(f"{one.name} {one.camera.width}x{one.camera.height}" for one in self._photographs.training)
+
+
+def _say_nothing(label: str, fraction: float) -> None:
+    """Progress that nobody asked for."""

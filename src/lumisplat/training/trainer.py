@@ -1,0 +1,205 @@
+"""Training, a step at a time: a photograph, a frame, its derivatives, and Gaussians that move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.config import Antialiasing, Densification, RasterConfig, RenderConfig, TrainConfig
+from lumisplat.constants.training import (
+    ADAM_BETA_1,
+    ADAM_BETA_2,
+    DENSIFY_AFTER,
+    DENSIFY_EVERY,
+    DENSIFY_UNTIL,
+    NOISE_STRENGTH,
+    SH_REST_SHARE,
+)
+from lumisplat.device.structs.gradients import GaussianGradient
+from lumisplat.device.structs.training import NoiseData, SplatRecord, StepRates
+from lumisplat.errors import LumisplatError
+from lumisplat.math.arrays import FloatArray
+from lumisplat.runtime.buffers import Buffers, device_array
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.training import optimizer_kernels
+from lumisplat.training.checkpoint import Checkpoint
+from lumisplat.training.densify import Record, densified
+from lumisplat.training.initial import Surroundings, first_gaussians, random_points
+from lumisplat.training.learnt import Learnt, LearntOnDevice
+from lumisplat.training.photo_loss import Loss, PhotoLoss
+from lumisplat.training.training_raster import TrainingRaster
+from lumisplat.training.views import TrainingView
+
+
+class DivergedError(LumisplatError, RuntimeError):
+    """Training was stopped, as its loss or its parameters are no longer finite."""
+
+
+class Trainer:
+    """Fits Gaussians to photographs.
+
+    All that is random is a function of the seed and of the number of the step: two trainers with the same photographs,
+    settings and state take the same steps, to the bit, on any number of threads.
+
+    Args:
+        views: The photographs, at least one.
+        config: Settings.
+        background: Display-referred sRGB behind the Gaussians.
+        points: Where Gaussians begin, world space, shape (N, 3); None: at random.
+        colors: Display-referred sRGB of these, 0..1, shape (N, 3).
+        device: As of `lumisplat.create_renderer`.
+        threads: As of `lumisplat.create_renderer`.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[TrainingView],
+        config: TrainConfig,
+        *,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        points: npt.NDArray[np.floating] | None = None,
+        colors: FloatArray | None = None,
+        device: str = "auto",
+        threads: int | None = None,
+    ) -> None:
+        self._views, self.config = views, config
+        self.around = Surroundings.of([view.camera for view in views])
+        antialiasing = Antialiasing.ON if config.antialiased else Antialiasing.OFF
+        raster = RasterConfig(sh_degree=config.sh_degree, antialiasing=antialiasing)
+        self._launcher = Launcher(device, threads)
+        self._buffers = Buffers(self._launcher.device)
+        settings = RenderConfig(background=background, raster=raster, lighting=False)
+        self._raster = TrainingRaster(self._launcher, self._buffers, settings)
+        self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, alpha=config.alpha)
+        self._device_splats = LearntOnDevice(self._buffers)
+        self.iteration = 0
+        """Steps that were made."""
+        rng = np.random.default_rng([config.seed, 0])
+        if points is None:
+            cameras = [view.camera for view in views]
+            points = random_points(cameras, self.around, min(config.initial, config.cap), rng)
+        elif len(points) > config.cap:
+            chosen = np.sort(rng.choice(len(points), config.cap, replace=False))
+            points, colors = points[chosen], None if colors is None else colors[chosen]
+        self._place(first_gaussians(points, colors, config, rng))
+
+    @property
+    def count(self) -> int:
+        """Gaussians."""
+        return self._count
+
+    def gaussians(self) -> Gaussians:
+        """What has been learnt so far."""
+        return self._device_splats.download().gaussians(antialiased=self.config.antialiased)
+
+    @property
+    def checkpoint(self) -> Checkpoint:
+        """The state."""
+        record = {name: np.array(device_array(getattr(self._record, name)).numpy()) for name in ("motion", "frames")}
+        return Checkpoint(self.iteration, self._device_splats.download(), record)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Goes on from a state."""
+        self._place(checkpoint.learnt)
+        for name, values in checkpoint.record.items():
+            device_array(getattr(self._record, name)).assign(values)
+        self.iteration = checkpoint.iteration
+
+    def step(self) -> Loss:
+        """Makes a step with the next photograph.
+
+        Raises:
+            DivergedError: The loss is not finite.
+        """
+        camera, picture = self._view_of(self.iteration).smaller(self._halvings)
+        photograph = self._loss.load(picture.color, picture.weight, picture.alpha)
+        pixels = self._raster.draw(camera, self._degree)
+        loss, by_pixels = self._loss.differentiate((camera.width, camera.height), pixels, photograph)
+        if not np.isfinite(loss.total):
+            raise DivergedError(f"training stopped at step {self.iteration + 1:,}: the loss is {loss.total}")
+        gradient = self._raster.backward(pixels, by_pixels)
+        self._note(camera)
+        self._update(gradient)
+        self.iteration += 1
+        if self._changes_count:
+            self._densify()
+        return loss
+
+    # --- Steps of a step ---
+
+    def _view_of(self, iteration: int) -> TrainingView:
+        """The photograph of a step: all in turn, in another order each time."""
+        epoch, place = divmod(iteration, len(self._views))
+        order = np.random.default_rng([self.config.seed, 1, epoch]).permutation(len(self._views))
+        return self._views[int(order[place])]
+
+    @property
+    def _degree(self) -> int:
+        """Of the harmonics that are learnt by now."""
+        return min(self.config.sh_degree, 12 * self.iteration // self.config.iterations)
+
+    @property
+    def _halvings(self) -> int:
+        """Of the sides of photographs: the first quarter of the steps goes from the smallest to the next to largest."""
+        coarse = self.config.coarse
+        return max(coarse - 4 * coarse * self.iteration // self.config.iterations, 0)
+
+    def _note(self, camera: Camera) -> None:
+        if self.config.densification is Densification.ADAPTIVE:
+            half = wp.vec2(0.5 * camera.width, 0.5 * camera.height)
+            inputs = (half, True, self._raster.drawn.splats.rects, self._raster.by_splat, self._record)
+            self._launcher.run_banded(optimizer_kernels.note, self.count, *inputs)
+
+    def _update(self, gradient: GaussianGradient) -> None:
+        rates, data, on = self._rates(), self._raster.data, self._device_splats
+        with self._launcher.stage("optimiser"):
+            inputs = (rates, gradient, data, on.values, on.first, on.second)
+            self._launcher.run_banded(optimizer_kernels.update, self.count, *inputs)
+            if self.config.densification is Densification.MCMC:
+                noise = NoiseData()
+                noise.strength, noise.iteration = NOISE_STRENGTH * rates.means, self.iteration
+                noise.seed = wp.uint32(self.config.seed)
+                self._launcher.run_banded(optimizer_kernels.explore, self.count, noise, data, on.values)
+
+    def _rates(self) -> StepRates:
+        config, done = self.config, self.iteration / self.config.iterations
+        learning, row = config.rates, StepRates()
+        row.means = learning.means * (learning.means_last / learning.means) ** done * self.around.extent
+        row.rotations, row.log_scales, row.logits = learning.rotations, learning.log_scales, learning.logits
+        row.sh, row.sh_rest = learning.sh, SH_REST_SHARE * learning.sh
+        row.sh_active = (self._degree + 1) ** 2
+        row.first_scale = 1.0 / (1.0 - ADAM_BETA_1 ** (self.iteration + 1))
+        row.second_scale = 1.0 / (1.0 - ADAM_BETA_2 ** (self.iteration + 1))
+        if config.densification is Densification.MCMC:
+            row.by_opacity = config.opacity_decay / self.count
+            row.by_scale = config.scale_decay / (3 * self.count)
+        return row
+
+    # --- Gaussians that come and go ---
+
+    @property
+    def _changes_count(self) -> bool:
+        total = self.config.iterations
+        first = min(DENSIFY_AFTER, max(DENSIFY_EVERY, total // 60))
+        last = DENSIFY_UNTIL[self.config.densification.value] * total
+        return first < self.iteration < last and self.iteration % DENSIFY_EVERY == 0
+
+    def _densify(self) -> None:
+        frames = np.maximum(device_array(self._record.frames).numpy(), 1.0).astype(np.float64)
+        record = Record(self.iteration, self.around.extent, device_array(self._record.motion).numpy() / frames)
+        rng = np.random.default_rng([self.config.seed, 2, self.iteration])
+        self._place(densified(self._device_splats.download(), record, self.config, rng))
+
+    def _place(self, learnt: Learnt) -> None:
+        """Goes on with parameters from the host."""
+        self._device_splats.upload(learnt)
+        self._count = learnt.count
+        self._raster.place(learnt.gaussians(antialiased=self.config.antialiased), self._device_splats.values)
+        self._record = self._buffers.struct("training.record", SplatRecord, learnt.count)
+        for array in (self._record.motion, self._record.frames, self._record.weight):
+            device_array(array).zero_()

@@ -1,0 +1,88 @@
+"""Host pass: frames of the Gaussians that are learnt, and their derivatives; all of it stays on the device."""
+
+from __future__ import annotations
+
+from lumisplat.config import RenderConfig
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.training import LearntSplats
+from lumisplat.renderer.gradients.splat_backward import SplatBackward
+from lumisplat.renderer.raster.binning import binning_of
+from lumisplat.renderer.raster.mesh_raster import MeshRaster
+from lumisplat.renderer.raster.splat_raster import SplatRaster
+from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.training import optimizer_kernels
+
+
+class TrainingRaster:
+    """Draws one Gaussian set, whose means and harmonics are those that are learnt.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings of unlit, sorted raster frames.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        self._config = config
+        self._scene = DeviceScene(launcher, buffers, config)
+        binning = binning_of(launcher, buffers)
+        meshes = MeshRaster(launcher, buffers, binning)
+        splats = SplatRaster(launcher, buffers, config, binning)
+        self._unlit = UnlitRaster(launcher, buffers, binning=binning, meshes=meshes, splats=splats)
+        self._backward = SplatBackward(launcher, buffers)
+        self._launcher = launcher
+        self.by_splat: DeviceArray
+        """Derivatives by the splats of the last frame, ``SplatGradient``; written by ``backward``."""
+
+    def place(self, gaussians: Gaussians, learnt: LearntSplats) -> None:
+        """Draws other Gaussians from now on.
+
+        Args:
+            gaussians: As many as are learnt, with as many harmonics. What is drawn later is written to its arrays.
+            learnt: Has their means and harmonics.
+        """
+        self._gaussians, self._learnt = gaussians, learnt
+
+    def draw(self, camera: Camera, sh_degree: int) -> PixelData:
+        """The pixels of a frame.
+
+        Args:
+            camera: A pinhole.
+            sh_degree: Of colours.
+        """
+        scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
+        self._launcher.stage_ms = {}
+        self._scene.sync(scene, camera, FramePlan.of(self._config, scene))
+        self.data.means, self.data.sh = self._learnt.means, self._learnt.sh
+        self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._learnt, self.data)
+        return self._unlit.draw(self._scene).data
+
+    def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
+        """Derivatives by the Gaussians of the last frame.
+
+        Args:
+            pixels: Of the last frame.
+            gradient: Derivatives by these.
+        """
+        self.by_splat = self._backward.splats(self._scene, self.drawn, pixels, gradient)
+        return self._backward.gaussians(self._scene, self.drawn, self.by_splat, 0)
+
+    @property
+    def data(self) -> GaussianData:
+        """The Gaussians that are drawn; there after the first frame."""
+        return self._scene.assets[0].data
+
+    @property
+    def drawn(self) -> DrawnSplats:
+        """What the last frame was drawn from."""
+        assert self._unlit.drawn is not None
+        return self._unlit.drawn

@@ -1,0 +1,116 @@
+"""How Gaussians come and go between steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lumisplat.config import Densification, TrainConfig
+from lumisplat.training.densify import Record, densified, grown, multiplied, pruned, relocated, reset, shared
+from lumisplat.training.learnt import NAMES, Learnt
+
+CONFIG = TrainConfig(densification=Densification.ADAPTIVE, cap=100)
+
+
+def learnt(opacities: list[float], scales: list[float] | None = None) -> Learnt:
+    """Gaussians with moments that are not 0."""
+    count, rng = len(opacities), np.random.default_rng(1)
+    o = np.array(opacities)
+    scales = scales or [0.1] * count
+    found = Learnt.new(
+        {
+            "means": rng.normal(size=(count, 3)).astype(np.float32),
+            "rotations": rng.normal(size=(count, 4)).astype(np.float32),
+            "log_scales": np.repeat(np.log(scales)[:, None], 3, axis=1).astype(np.float32),
+            "logits": np.log(o / (1.0 - o)).astype(np.float32),
+            "sh": rng.normal(size=(count, 4, 3)).astype(np.float32),
+        }
+    )
+    for part in (found.first, found.second):
+        for name in NAMES:
+            part[name][:] = 1.0
+    return found
+
+
+@pytest.mark.parametrize("count", [2, 3, 10, 51])
+@pytest.mark.parametrize("opacity", [0.01, 0.3, 0.9])
+def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float) -> None:
+    """At its centre exactly; and as much in all along a line through it, which fixes the scale (equation 9)."""
+    each, factor = shared(np.array([opacity]), np.array([count]))
+    if each[0] > 0.005:  # opacities stay above what is dead
+        assert 1.0 - (1.0 - each[0]) ** count == pytest.approx(opacity)
+    x = np.linspace(-12.0, 12.0, 200_001)
+    many = 1.0 - (1.0 - each[0] * np.exp(-0.5 * (x / factor[0]) ** 2)) ** count
+    one = opacity * np.exp(-0.5 * x**2)
+    if each[0] > 0.005:
+        assert many.sum() == pytest.approx(one.sum(), rel=1e-5)
+
+
+def test_dead_gaussians_take_the_places_of_others() -> None:
+    """Their number stays; who was copied, and who copied, has not moved yet; all others are untouched."""
+    before, after = learnt([0.9, 0.001, 0.5, 0.002]), learnt([0.9, 0.001, 0.5, 0.002])
+    after = relocated(after, np.random.default_rng(0))
+    assert after.count == 4 and (after.opacities > 0.005).all()
+    for dead in (1, 3):
+        source = next(i for i in (0, 2) if (after.values["means"][dead] == after.values["means"][i]).all())
+        assert after.opacities[dead] == pytest.approx(after.opacities[source])
+        assert not after.first["means"][dead].any() and not after.second["logits"][source]
+    kept = [i for i in (0, 2) if after.first["means"][i].any()]
+    for i in kept:
+        assert all((after.values[name][i] == before.values[name][i]).all() for name in NAMES)
+
+
+def test_their_number_grows_to_the_cap_and_no_further() -> None:
+    """By a twentieth at a time."""
+    rng = np.random.default_rng(0)
+    assert grown(learnt([0.5] * 100), 1000, rng).count == 105
+    assert grown(learnt([0.5] * 100), 102, rng).count == 102
+    assert grown(learnt([0.5] * 100), 100, rng).count == 100
+
+
+def test_small_ones_are_cloned_and_large_ones_split() -> None:
+    """Where the loss pulls; a split one leaves two smaller ones within it."""
+    before = learnt([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
+    record = Record(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]))
+    after = multiplied(before, record, CONFIG, np.random.default_rng(0))
+    assert after.count == 4 + 1 + 1
+    places = after.values["means"]
+    assert (places == before.values["means"][0]).all(axis=1).sum() == 2, "a clone is where its source is"
+    assert not (places == before.values["means"][2]).all(axis=1).any(), "what was split is gone"
+    halves = np.flatnonzero(np.isclose(after.scales[:, 0], 0.5 / 1.6, rtol=1e-5))
+    assert halves.size == 2 and np.linalg.norm(places[halves] - before.values["means"][2], axis=1).max() < 4 * 0.5
+    strongest = multiplied(
+        before, record, TrainConfig(densification=Densification.ADAPTIVE, cap=5), np.random.default_rng(0)
+    )
+    assert strongest.count == 5, "no more than the cap"
+
+
+def test_transparent_and_oversized_ones_are_pruned() -> None:
+    """All others stay, in their order."""
+    after = pruned(learnt([0.5, 0.001, 0.5, 0.4], [0.01, 0.01, 5.0, 0.02]), extent=1.0)
+    np.testing.assert_allclose(after.opacities, [0.5, 0.4], rtol=1e-5)
+    assert pruned(learnt([0.5], [5.0]), extent=math.inf).count == 1
+
+
+def test_a_reset_makes_all_almost_transparent() -> None:
+    """Those that were more so stay; and nothing pulls them back by what was before."""
+    after = learnt([0.9, 0.006])
+    reset(after)
+    np.testing.assert_allclose(after.opacities, [0.01, 0.006], rtol=1e-4)
+    assert not after.first["logits"].any() and after.first["means"].any()
+
+
+@pytest.mark.parametrize("kind", list(Densification))
+def test_a_seed_gives_one_result(kind: Densification) -> None:
+    """And another seed another."""
+    config = TrainConfig(densification=kind, cap=200)
+    record = Record(100, 1.0, np.linspace(0.0, 2e-3, 100))
+    ones = [
+        densified(learnt([0.5, 0.003] * 50, [0.1] * 100), record, config, np.random.default_rng(seed))
+        for seed in (0, 0, 1)
+    ]
+    assert all((ones[0].values[name] == ones[1].values[name]).all() for name in NAMES)
+    same = ones[0].count == ones[2].count and (ones[0].values["means"] == ones[2].values["means"]).all()
+    assert not same

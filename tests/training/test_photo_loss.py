@@ -1,0 +1,113 @@
+"""The loss between frames and photographs, against SciPy's filters in float64 and central differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.ndimage import correlate1d
+
+from lumisplat.device.structs.film import PixelData
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.training.photo_loss import Loss, PhotoLoss
+
+SIZE = 23, 17
+"""Width and height; the window of 11 pixels reaches across both borders at once."""
+SSIM, ALPHA = 0.3, 0.7
+
+Wanted = tuple[np.ndarray, np.ndarray | None, np.ndarray | None]
+"""Colour, what counts, and alpha of a photograph."""
+
+
+def images(seed: int = 0, channels: int | None = 3) -> np.ndarray:
+    """Random values 0..1."""
+    shape = (SIZE[1], SIZE[0]) if channels is None else (SIZE[1], SIZE[0], channels)
+    return np.random.default_rng(seed).uniform(size=shape).astype(np.float32)
+
+
+def differentiate(
+    color: np.ndarray,
+    alpha: np.ndarray,
+    wanted: Wanted,
+    threads: int | None = None,
+) -> tuple[Loss, np.ndarray, np.ndarray]:
+    """The loss of a frame, and its derivatives by colour and alpha."""
+    launcher, buffers = Launcher("cpu", threads), Buffers("cpu")
+    loss = PhotoLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA)
+    pixels = PixelData()
+    pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
+    pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))
+    found, gradient = loss.differentiate(SIZE, pixels, loss.load(*wanted))
+    arrays = gradient.color, gradient.alpha
+    by_color, by_alpha = (np.array(array.numpy()) for array in arrays)  # pyright: ignore[reportUnknownMemberType]
+    return found, by_color.reshape(color.shape), by_alpha.reshape(alpha.shape)
+
+
+def blurred(values: np.ndarray) -> np.ndarray:
+    """By the window of SSIM; SciPy's "reflect" mirrors about the outer edges of the border pixels."""
+    window = np.exp(-0.5 * ((np.arange(11) - 5) / 1.5) ** 2)
+    for axis in (0, 1):
+        values = correlate1d(values, window / window.sum(), axis=axis, mode="reflect")
+    return values
+
+
+def expected(color: np.ndarray, alpha: np.ndarray, wanted: Wanted) -> float:
+    """The loss in float64: equation 7 of Kerbl et al. 2023, with Wang's SSIM."""
+    y, weight, wanted_alpha = wanted
+    y = y.astype(np.float64)
+    x = color if weight is None else y + weight[..., None] * (color - y)
+    mx, my = blurred(x), blurred(y)
+    vx, vy, cov = blurred(x * x) - mx**2, blurred(y * y) - my**2, blurred(x * y) - mx * my
+    ssim = ((2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))).mean()
+    total = (1.0 - SSIM) * np.abs(x - y).mean() + SSIM * (1.0 - ssim)
+    return float(total if wanted_alpha is None else total + ALPHA * np.abs(alpha - wanted_alpha).mean())
+
+
+@pytest.mark.parametrize("kind", ["plain", "masked", "transparent"])
+def test_the_loss_and_its_derivatives(kind: str) -> None:
+    """Against the float64 loss and its central differences, at pixels inside, at borders and in a corner."""
+    color, alpha, photograph = images(1).astype(np.float64), images(2, None).astype(np.float64), images(3)
+    weight = images(4, None) if kind == "masked" else None
+    wanted = photograph, weight, images(5, None) if kind == "transparent" else None
+    found, by_color, by_alpha = differentiate(color, alpha, wanted)
+    assert found.total == pytest.approx(expected(color, alpha, wanted), abs=1e-6)
+    scale, step = np.abs(by_color).mean(), 1e-5
+    for y, x, channel in ((0, 0, 0), (16, 22, 2), (0, 11, 1), (8, 11, 0), (9, 3, 2)):
+        moved = [color.copy(), color.copy()]
+        moved[0][y, x, channel] += step
+        moved[1][y, x, channel] -= step
+        slope = (expected(moved[0], alpha, wanted) - expected(moved[1], alpha, wanted)) / (2.0 * step)
+        assert by_color[y, x, channel] == pytest.approx(slope, abs=2e-5 * float(scale))
+    if wanted[2] is None:
+        assert not by_alpha.any()
+    else:
+        np.testing.assert_allclose(by_alpha, ALPHA * np.sign(alpha - wanted[2]) / alpha.size, rtol=1e-6)
+
+
+def test_what_does_not_count_does_not_pull() -> None:
+    """Where the mask is black, the frame may show anything: no derivatives, and the same loss."""
+    photograph, weight = images(3), np.zeros((SIZE[1], SIZE[0]), np.float32)
+    weight[:, :9] = 1.0
+    one, two = images(1), images(1)
+    two[:, 9:] = images(8)[:, 9:]
+    alpha = images(2, None)
+    first, by_one, _ = differentiate(one, alpha, (photograph, weight, None))
+    second, by_two, _ = differentiate(two, alpha, (photograph, weight, None))
+    assert first == second and not by_one[:, 9:].any()
+    np.testing.assert_array_equal(by_one, by_two)
+
+
+def test_a_frame_like_its_photograph_has_nothing_to_learn() -> None:
+    """No error, SSIM 1, and no derivatives but for rounding."""
+    photograph = images(3)
+    found, by_color, _ = differentiate(photograph, images(2, None), (photograph, None, None))
+    assert found.l1 == 0.0 and found.ssim == pytest.approx(1.0, abs=1e-5) and np.abs(by_color).max() < 1e-6
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    """Rows are summed by one writer each."""
+    results = [differentiate(images(1), images(2, None), (images(3), None, None), threads) for threads in (1, 2, 5)]
+    for other in results[1:]:
+        assert other[0] == results[0][0]
+        np.testing.assert_array_equal(other[1], results[0][1])

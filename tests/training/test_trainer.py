@@ -1,0 +1,189 @@
+"""Training as a whole, on small sets that it renders itself."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.training.initial import neighbour_distances
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import Picture, TrainingView
+
+BACKGROUND = (0.1, 0.2, 0.3)
+CONFIG = ls.TrainConfig(iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3)
+
+
+def known(count: int = 30) -> ls.Gaussians:
+    """What is to be found."""
+    rng = np.random.default_rng(0)
+    return ls.Gaussians(
+        means=rng.uniform(-0.6, 0.6, (count, 3)),
+        rotations_wxyz=rng.normal(size=(count, 4)),
+        scales=rng.uniform(0.06, 0.2, (count, 3)),
+        opacities=rng.uniform(0.5, 0.95, count),
+        sh=np.concatenate([rng.normal(size=(count, 1, 3)), 0.1 * rng.normal(size=(count, 3, 3))], axis=1),
+    )
+
+
+def cameras(count: int, size: int = 40) -> list[ls.Camera]:
+    """Around it, at changing heights."""
+    found: list[ls.Camera] = []
+    for number in range(count):
+        angle, height = 2.4 * number, 0.9 * np.sin(1.7 * number)
+        eye = (3.0 * np.cos(angle), height, 3.0 * np.sin(angle))
+        found.append(ls.Camera.look_at(eye, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=size, height=size, fov_y=0.6))
+    return found
+
+
+def views(count: int, size: int = 40) -> list[TrainingView]:
+    """Photographs of it that have no noise."""
+    renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
+    scene, found = ls.Scene([known()]), []
+    for number, camera in enumerate(cameras(count, size)):
+        color = renderer.render(scene, camera).color.astype(np.float32)
+        found.append(TrainingView(f"{number:02d}", camera, lambda color=color: Picture(color)))
+    return found
+
+
+def trainer(config: ls.TrainConfig = CONFIG, threads: int | None = None, count: int = 8) -> Trainer:
+    """One that has made no step."""
+    return Trainer(views(count), config, background=BACKGROUND, device="cpu", threads=threads)
+
+
+def arrays(of: Trainer) -> dict[str, np.ndarray]:
+    """Everything that the next step depends on."""
+    state = of.checkpoint
+    parts = {"values": state.learnt.values, "first": state.learnt.first, "second": state.learnt.second}
+    return {f"{part}.{name}": values for part, held in parts.items() for name, values in held.items()}
+
+
+def held_out_psnr(of: Trainer) -> float:
+    """On views between those that were learnt from."""
+    renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
+    between = cameras(40)[33:]
+    scores = [
+        ls.psnr(
+            np.clip(renderer.render(ls.Scene([of.gaussians()]), camera).color, 0.0, 1.0),
+            np.clip(renderer.render(ls.Scene([known()]), camera).color, 0.0, 1.0),
+        )
+        for camera in between
+    ]
+    return float(np.mean(scores))
+
+
+@pytest.mark.parametrize("kind", list(ls.Densification))
+def test_training_learns(kind: ls.Densification) -> None:
+    """What it was not shown, too: 8 dB nearer after 400 small steps."""
+    one = trainer(replace(CONFIG, densification=kind))
+    before, losses = held_out_psnr(one), [one.step().total for _ in range(400)]
+    assert np.mean(losses[-40:]) < 0.4 * np.mean(losses[:20])
+    assert held_out_psnr(one) > before + 8.0
+
+
+@pytest.mark.deep
+def test_known_gaussians_are_recovered() -> None:
+    """From 32 renders of them: above 40 dB on views that were held out."""
+    config = ls.TrainConfig(iterations=6000, cap=400, initial=400, sh_degree=1, coarse=0)
+    one = Trainer(views(32, 64), config, background=BACKGROUND, device="cpu")
+    for _ in range(config.iterations):
+        one.step()
+    assert held_out_psnr(one) > 40.0
+
+
+@pytest.mark.parametrize("kind", list(ls.Densification))
+def test_a_seed_gives_the_same_bits_on_any_number_of_threads(kind: ls.Densification) -> None:
+    """Over changes of their number, too; another seed gives others."""
+    config = replace(CONFIG, densification=kind, iterations=700)
+    made = [trainer(config, threads) for threads in (1, 2, 5)] + [trainer(replace(config, seed=4))]
+    for one in made:
+        for _ in range(220):
+            one.step()
+    first = arrays(made[0])
+    for other in made[1:3]:
+        for name, values in arrays(other).items():
+            np.testing.assert_array_equal(values, first[name], err_msg=name)
+    assert made[3].count != made[0].count or (arrays(made[3])["values.means"] != first["values.means"]).any()
+
+
+def test_a_loss_that_is_not_finite_ends_training() -> None:
+    """At once, with the step."""
+    broken = np.full((40, 40, 3), np.nan, np.float32)
+    view = TrainingView("bad", cameras(1)[0], lambda: Picture(broken))
+    one = Trainer([view], CONFIG, device="cpu")
+    with pytest.raises(ls.DivergedError, match=r"^training stopped at step 1: the loss is nan$"):
+        one.step()
+
+
+def folder_of(path: Path, count: int = 9) -> Path:
+    """A folder of photographs, as instant-ngp has them."""
+    path.mkdir()
+    (path / "images").mkdir()
+    frames: list[dict[str, Any]] = []
+    renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
+    opengl = np.diag([1.0, -1.0, -1.0, 1.0])
+    for number, camera in enumerate(cameras(count)):
+        pixels = np.clip(renderer.render(ls.Scene([known()]), camera).color, 0.0, 1.0)
+        Image.fromarray((255.0 * pixels + 0.5).astype(np.uint8)).save(path / "images" / f"{number:02d}.png")
+        pose = np.linalg.inv(camera.camera_from_world) @ opengl
+        frames.append({"file_path": f"images/{number:02d}.png", "transform_matrix": pose.tolist()})
+    camera = cameras(1)[0]
+    shared = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": 40, "h": 40}
+    (path / "transforms.json").write_text(json.dumps({**shared, "frames": frames}))
+    return path
+
+
+def test_training_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path) -> None:
+    """As if it had never ended; and leaves what people want to look at."""
+    folder, config = folder_of(tmp_path / "set"), replace(CONFIG, iterations=260)
+    color = "#1a334d"
+    whole = ls.train(folder, config, output=tmp_path / "a.ply", background=color, device="cpu")
+    parts: list[ls.TrainResult] = []
+    while not parts or not parts[-1].is_finished:
+        output = tmp_path / "b.ply"
+        parts.append(
+            ls.train(folder, config, output=output, background=color, stop_after=0.3, preview=50, device="cpu")
+        )
+        assert len(parts) < 200
+    assert whole.is_finished and len(parts) > 1 and parts[0].iterations < 260
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert whole.score is not None and whole.score == parts[-1].score and len(whole.score.of_views) == 2
+    left = {str(path.relative_to(tmp_path)) for path in (tmp_path / "b.training").rglob("*") if path.is_file()}
+    names = {"checkpoint.npz", "curve.json", "curve.png", "metrics.json", "settings.toml"}
+    pictures = {"held out/00.png", "held out/08.png", *(f"previews/{step:07d}.png" for step in range(50, 260, 50))}
+    assert left == {f"b.training/{name}" for name in names | pictures}
+    assert ls.load_image(tmp_path / "b.training" / "held out" / "00.png").shape == (40, 80, 3)
+
+
+def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
+    """Other settings, other photographs, damage: one line each, and nothing is lost."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    config = replace(CONFIG, iterations=20)
+    ls.train(folder, config, output=output, device="cpu")
+    file = tmp_path / "a.training" / "checkpoint.npz"
+    held = file.read_bytes()
+    with pytest.raises(ls.FormatError, match=r"checkpoint\.npz.* is of a training with cap 150, not 151"):
+        ls.train(folder, replace(config, cap=151), output=output, device="cpu")
+    other = folder_of(tmp_path / "other", 10)
+    with pytest.raises(ls.FormatError, match="with other photographs"):
+        ls.train(other, config, output=output, device="cpu")
+    assert file.read_bytes() == held
+    file.write_bytes(held[: len(held) // 2])
+    with pytest.raises(ls.FormatError, match="is no checkpoint of a training, or is damaged"):
+        ls.train(folder, config, output=output, device="cpu")
+    again = ls.train(folder, config, output=output, overwrite=True, device="cpu")
+    assert again.iterations == 20 and file.read_bytes() == held
+
+
+def test_neighbours_are_found() -> None:
+    """Of a grid of points, all are a step apart."""
+    grid = np.stack(np.meshgrid(*[np.arange(12.0)] * 3), axis=-1).reshape(-1, 3)
+    np.testing.assert_allclose(np.median(neighbour_distances(grid)), 1.0)
+    assert neighbour_distances(np.zeros((1, 3)))[0] == 1.0
+    assert not neighbour_distances(np.zeros((5, 3))).any()
