@@ -5,27 +5,38 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import SSIM_WINDOW_PX
 from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Flags
 
 Image = npt.NDArray[np.float64]
 
 
-def picture_pair(image: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[Image, Image]:
-    """Both pictures as float64, shape (H, W, 3), in 0..1.
+def picture_pair(
+    image: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None = None
+) -> tuple[Image, Image, Flags]:
+    """Both pictures as float64, shape (H, W, 3), in 0..1, equal outside of a region, and the region.
 
     Args:
         image: Display-referred values, 0..1, shape (H, W, 3); bytes are divided by 255.
         reference: The reference picture, in the same form.
+        region: The pixels to compare, booleans of shape (H, W); None: all. Elsewhere the image becomes its reference.
 
     Raises:
-        SceneError: A shape is not that of a picture, shapes differ, or values are not finite or outside 0..1.
+        SceneError: A shape is not that of a picture, shapes differ, values are not finite or outside 0..1, or the
+            region is empty.
     """
-    pair = _unit_range("image", image), _unit_range("reference", reference)
-    for name, pixels in zip(("image", "reference"), pair, strict=True):
+    tested, wanted = _unit_range("image", image), _unit_range("reference", reference)
+    for name, pixels in (("image", tested), ("reference", wanted)):
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
             raise SceneError(f"{name} has shape {pixels.shape}, expected (H, W, 3)")
-    _refuse_other_size(*pair)
-    return pair
+    _refuse_other_size(tested, wanted)
+    if region is None:
+        return tested, wanted, np.ones(tested.shape[:2], np.bool_)
+    inside = _checked_region(region, tested.shape[:2])
+    if not inside.any():
+        raise SceneError("region is empty: no pixel is left to compare")
+    return np.where(inside[..., None], tested, wanted), wanted, inside
 
 
 def shadow_pair(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None) -> tuple[Image, Image]:
@@ -46,10 +57,44 @@ def shadow_pair(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.Arr
     _refuse_other_size(*pair)
     if region is None:
         return pair
-    inside = np.asarray(region)
-    if inside.dtype != np.bool_ or inside.shape != pair[0].shape:
-        raise SceneError(f"region is {inside.dtype} of shape {inside.shape}, expected booleans of {pair[0].shape}")
+    inside = _checked_region(region, pair[0].shape)
     return np.where(inside, pair[0], np.nan), np.where(inside, pair[1], np.nan)
+
+
+def check_window(metric: str, height: int, width: int) -> None:
+    """Refuses pictures that are smaller than the window of SSIM.
+
+    Raises:
+        SceneError: They are.
+    """
+    if min(height, width) < SSIM_WINDOW_PX:
+        window = f"{SSIM_WINDOW_PX} x {SSIM_WINDOW_PX}"
+        raise SceneError(f"{metric} compares windows of {window} pixels, the images are {width} x {height}")
+
+
+def region_means(values: Image, inside: Flags) -> Image:
+    """The mean, for each channel, of windows whose middle is in a region.
+
+    Args:
+        values: Of windows, shape (H, W, 3).
+        inside: The region, shape (H, W).
+
+    Returns:
+        Shape (3,).
+
+    Raises:
+        SceneError: There is none.
+    """
+    if not inside.any():
+        raise SceneError("region has no pixel whose window lies inside the images")
+    return values[inside].mean(axis=0)
+
+
+def _checked_region(region: npt.ArrayLike, shape: tuple[int, ...]) -> Flags:
+    inside = np.asarray(region)
+    if inside.dtype != np.bool_ or inside.shape != shape:
+        raise SceneError(f"region is {inside.dtype} of shape {inside.shape}, expected booleans of {shape}")
+    return inside
 
 
 def _unit_range(name: str, values: npt.ArrayLike) -> Image:
