@@ -1,0 +1,163 @@
+"""``lumisplat evaluate``: a capture against photographs of itself, whose errors are known."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.io.images.png import write_png
+from support.files.cli_files import Workplace
+from support.files.photograph_files import change_frame, write_blender_photographs, write_transforms_photographs
+from support.scenes.raster_scenes import front_camera
+
+CAMERAS = [front_camera(48, 36, 45.0, name=f"v{k}") for k in range(6)]
+
+
+def shown(work: Workplace, background: str = "black") -> np.ndarray:
+    """What all cameras see of the capture."""
+    config = ls.RenderConfig(background=background)  # pyright: ignore[reportArgumentType]
+    return ls.render(ls.Scene(splats=[work.capture("capture.ply")]), CAMERAS[0], config, device="cpu").pixels_srgb()
+
+
+@pytest.fixture
+def work(tmp_path, capsys) -> Workplace:
+    """A capture, and photographs of it of which those held out, v0, v2 and v4, are more and more wrong."""
+    place = Workplace(tmp_path, capsys)
+    truth = shown(place)
+    images = [np.clip(truth + 0.02 * k, 0.0, 1.0) for k in range(6)]
+    write_transforms_photographs(place.path("photos"), CAMERAS, images)
+    return place
+
+
+def evaluate(work: Workplace, *options: str, folder: str = "@photos") -> dict[str, list[str]]:
+    """The cells of the printed table by the first of each line."""
+    done = work.run("evaluate", "@capture.ply", folder, "--device", "cpu", *options)
+    assert done.status == 0, done.err
+    return {line[:16].strip(): line[16:].split() for line in done.out.splitlines() if line[16:].split()}
+
+
+def test_the_table_has_means_and_the_worst(work):
+    """Three views held out, the worst first; figures are those of the functions."""
+    table = evaluate(work, "--hold-out", "2")
+    assert list(table) == ["", "mean of 3 views", "v4", "v2", "v0"]
+    assert table[""] == ["psnr", "ssim", "ms-ssim", "flip"]
+    photographs = ls.load_photographs(work.path("photos"), hold_out=2).held_out
+    truth = shown(work)
+    psnrs = [ls.psnr(truth, view.pixels()) for view in photographs]
+    assert psnrs[0] > 55.0 and 20.0 < psnrs[2] < 25.0
+    assert [table[view.name][0] for view in photographs] == [f"{value:.2f}" for value in psnrs]
+    assert float(table["mean of 3 views"][0]) == pytest.approx(np.mean(psnrs), abs=0.006)
+    expected = [ls.ssim(truth, photographs[2].pixels()), ls.ms_ssim(truth, photographs[2].pixels(), scales=2)]
+    assert table["v4"][1:] == [f"{value:.4f}" for value in (*expected, ls.flip(truth, photographs[2].pixels()))]
+
+
+def test_fewer_scales_are_said(work, caplog):
+    """36 rows are enough for two scales; a line says so."""
+    evaluate(work)
+    assert "ms-ssim has 2 scales: photographs of 48 x 36 pixels are too small for 5" in caplog.messages
+
+
+def test_pictures_and_figures_are_written(work):
+    """All figures, and for the worst views photograph, picture and difference side by side."""
+    done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--hold-out", "2", "-o", "@report")
+    assert done.status == 0 and "metrics.json, and the worst 3 views beside the photographs" in done.out
+    assert {file for file in work.files() if file.startswith("report")} == {
+        "report/metrics.json", "report/v0.png", "report/v2.png", "report/v4.png",
+    }  # fmt: skip
+    told = json.loads(work.path("report/metrics.json").read_text())
+    assert [view["name"] for view in told["views"]] == ["v0", "v2", "v4"]
+    assert told["mean"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in told["views"]]))
+    assert all(view["compared"] == 1.0 for view in told["views"])
+    assert (told["ms_ssim_scales"], told["scale"]) == (2, 1.0)
+    beside = np.asarray(Image.open(work.path("report/v4.png")))
+    photograph, picture, difference = np.split(beside.astype(int), 3, axis=1)
+    np.testing.assert_array_equal(photograph, np.asarray(Image.open(work.path("photos/images/v4.png"))))
+    np.testing.assert_allclose(picture, 255.0 * shown(work), atol=0.501)
+    np.testing.assert_allclose(difference, np.minimum(4 * np.abs(photograph - picture), 255), atol=4)
+
+
+def test_what_is_masked_does_not_count(work):
+    """A photograph that is spoilt outside of its mask is as near as before."""
+    before = evaluate(work, "--hold-out", "3")["v3"]
+    image = np.array(Image.open(work.path("photos/images/v3.png")))
+    mask = np.zeros((36, 48), np.uint8)
+    mask[6:30, 8:40] = 255
+    image[mask == 0] = 200
+    write_png(work.path("photos/images/v3.png"), image)
+    spoilt = evaluate(work, "--hold-out", "3")["v3"]
+    assert float(spoilt[0]) < float(before[0]) - 3.0
+    work.path("photos/masks").mkdir()
+    Image.fromarray(mask).save(work.path("photos/masks/v3.png"))
+    work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--hold-out", "3", "-o", "@masked")
+    told = {view["name"]: view for view in json.loads(work.path("masked/metrics.json").read_text())["views"]}
+    assert told["v3"]["compared"] == pytest.approx(24 * 32 / (36 * 48))
+    view = ls.load_photographs(work.path("photos"), hold_out=3).held_out[1]
+    assert told["v3"]["psnr"] == pytest.approx(ls.psnr(shown(work), view.pixels(), region=mask > 0), abs=1e-6)
+    assert told["v3"]["psnr"] == pytest.approx(float(before[0]), abs=1.0)
+    difference = np.asarray(Image.open(work.path("masked/v3.png")))[:, 96:]
+    assert not difference[mask == 0].any() and difference[mask > 0].any()
+
+
+def test_transparent_photographs_lie_over_the_background(work):
+    """RGBA of the capture, composited by both over the same colour, agrees; over another, it would not."""
+    frame = ls.render(
+        ls.Scene(splats=[work.capture("capture.ply")]), CAMERAS[0], ls.RenderConfig(background=None), device="cpu"
+    )
+    write_blender_photographs(work.path("rgba"), {"train": CAMERAS[:2], "test": CAMERAS[2:4]})
+    for part, names in (("train", ("v0", "v1")), ("test", ("v2", "v3"))):
+        for name in names:
+            write_png(work.path(f"rgba/{part}/{name}.png"), frame.pixels_srgb())
+        for index in range(2):
+            change_frame(work.path(f"rgba/transforms_{part}.json"), index, fl_x=45.0)
+    for color in ("white", "black", "#4080c0"):
+        assert float(evaluate(work, "--background", color, folder="@rgba")["mean of 2 views"][0]) > 45.0
+    write_png(work.path("white.png"), shown(work, "white"))
+    assert ls.psnr(ls.load_image(work.path("white.png")), shown(work)) < 20.0
+
+
+def test_a_smaller_scale(work):
+    """The capture is rendered at the size of the photographs."""
+    done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--scale", "0.5", "-o", "@half")
+    assert done.status == 0
+    assert ls.load_image(work.path("half/v0.png")).shape == (18, 3 * 24, 3)
+    assert json.loads(work.path("half/metrics.json").read_text())["scale"] == 0.5
+
+
+def test_missing_packages_leave_their_figures_out(work, monkeypatch):
+    """A dash, and a line that says how to install them."""
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    table = evaluate(work)
+    assert table["v0"][3] == "-" and table["v0"][0] != "-"
+    done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "-o", "@r")
+    assert json.loads(work.path("r/metrics.json").read_text())["views"][0]["flip"] is None
+    assert done.status == 0
+
+
+@pytest.mark.parametrize(
+    ("args", "problem"),
+    [
+        ((), "0 files given, expected a capture and a folder"),
+        (("@capture.ply",), "1 file given, expected a capture and a folder"),
+        (("@capture.ply", "@nowhere"), "nowhere: no such folder"),
+        (("@capture.ply", "@capture.ply"), "capture.ply: is a file, expected the folder that holds transforms.json"),
+        (("@lost.ply", "@photos"), "lost.ply: no such file"),
+        (("@capture.ply", "@photos", "--hold-out", "0"), "--hold-out is 0: no photograph is left to compare"),
+        (("@capture.ply", "@photos", "--hold-out", "1"), "--hold-out is 1, which leaves no photograph to learn from"),
+        (("@capture.ply", "@photos", "--scale", "2"), "--scale is 2.0, expected more than 0 and at most 1"),
+        (("@capture.ply", "@photos", "--background", "transparent"), "--background is transparent, expected a colour"),
+        (("@capture.ply", "@photos", "--background", "mauve"), "--background is 'mauve', expected three numbers"),
+        (("@capture.ply", "@photos", "-o", "@capture.ply"), "capture.ply: is a file, expected a folder"),
+    ],
+)
+def test_mistakes_are_one_line(work, args, problem):
+    """Status 2, what is wrong, nothing written."""
+    before = work.files()
+    done = work.run("evaluate", *args, "--device", "cpu") if args else work.run("evaluate")
+    assert done.status == 2 and done.err.startswith("error: ") and done.err.count("\n") == 1
+    assert problem in done.err
+    assert work.files() == before
