@@ -7,8 +7,7 @@ from lumisplat.device.camera.seen_at import seen_at
 from lumisplat.device.gi.octahedral import cell_of_direction, direction_of_square, square_of_direction, wrapped_cell
 from lumisplat.device.gi.screen_probes import gathered_light
 from lumisplat.device.structs.camera import CameraData, SampleData
-from lumisplat.device.structs.gi import SurfacePixels
-from lumisplat.device.structs.screen_probes import ProbeData, ProbeGrid, ProbeLight
+from lumisplat.device.structs.gi import ProbeData, ProbeGrid, ProbeLight, SurfacePixels
 
 wp.set_module_options({"enable_backward": False})
 

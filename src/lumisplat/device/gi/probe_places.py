@@ -6,8 +6,7 @@ from lumisplat.device.camera.camera import ORTHOGRAPHIC
 from lumisplat.device.camera.seen_at import seen_at
 from lumisplat.device.math.random import reversed_bits
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import SurfacePixels
-from lumisplat.device.structs.screen_probes import Match, ProbeData, ProbeGrid, ProbePlace
+from lumisplat.device.structs.gi import Match, ProbeData, ProbeGrid, ProbePlace, SurfacePixels
 
 wp.set_module_options({"enable_backward": False})
 

@@ -7,8 +7,8 @@ from lumisplat.device.gi.probe_places import fits, reach_of
 from lumisplat.device.gi.screen_probes import nearness_weight
 from lumisplat.device.math.random import mix, pixel_key_of, sample_key_of, sobol_2d
 from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeGrid
 
 wp.set_module_options({"enable_backward": False})
 

@@ -12,8 +12,7 @@ from lumisplat.device.gi.octahedral import square_of_direction, wrapped_cell
 from lumisplat.device.gi.probe_places import fits, is_cut_off, probe_of_tile, reach_of, tile_of
 from lumisplat.device.math.sh import C1, C2_XX, C2_XY, C2_ZZ
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import SurfacePixels
-from lumisplat.device.structs.screen_probes import Ballot, ProbeData, ProbeGrid, ProbeLight
+from lumisplat.device.structs.gi import Ballot, ProbeData, ProbeGrid, ProbeLight, SurfacePixels
 
 wp.set_module_options({"enable_backward": False})
 

@@ -9,8 +9,7 @@ from lumisplat.constants.realtime import PROBE_STAYS_PX
 from lumisplat.device.gi.octahedral import cell_of_direction, cell_width, direction_in_cell
 from lumisplat.device.gi.probe_places import LOOKED_AT, place_among, place_in_tile, reach_of
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import SurfacePixels
-from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeGrid, TileNeeds
+from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, SurfacePixels, TileNeeds
 
 wp.set_module_options({"enable_backward": False})
 

@@ -13,9 +13,8 @@ from lumisplat.device.gi.probe_rays import neighbour_weight, refresh_key, shows_
 from lumisplat.device.gi.screen_probes import C0, COSINE_0, HARMONICS, gathered_light
 from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import SurfacePixels
+from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeGrid, ProbeLight
 
 wp.set_module_options({"enable_backward": False})
 

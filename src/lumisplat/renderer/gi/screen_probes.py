@@ -11,9 +11,8 @@ from lumisplat.config.probes import ProbeConfig
 from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.constants.realtime import PROBE_NORMALS
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import SurfacePixels
+from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels, TileNeeds
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeGrid, ProbeLight, TileNeeds
 from lumisplat.math.octahedral import harmonics_of_cells, irradiance_beyond
 from lumisplat.renderer.gi import screen_probe_kernels as place_kernels
 from lumisplat.renderer.gi import screen_probe_light_kernels as light_kernels

@@ -12,10 +12,9 @@ from lumisplat.device.math.color import is_black
 from lumisplat.device.math.directions import INV_PI, around
 from lumisplat.device.math.random import branch_key, pixel_key_of, sobol_2d
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import LobeRays, SurfaceLight, SurfacePixels
+from lumisplat.device.structs.gi import LobeRays, ProbeData, ProbeGrid, ProbeLight, SurfaceLight, SurfacePixels
 from lumisplat.device.structs.radiance_cache import CachePoints, CacheSamples
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.screen_probes import ProbeData, ProbeGrid, ProbeLight
 
 wp.set_module_options({"enable_backward": False})
 

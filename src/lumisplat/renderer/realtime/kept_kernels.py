@@ -5,9 +5,8 @@ import warp as wp
 from lumisplat.device.camera.ray_blocks import pixel_number, ray_of_pixel
 from lumisplat.device.gi.motion import motion_of
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import SurfacePixels
+from lumisplat.device.structs.gi import ProbeData, SurfacePixels
 from lumisplat.device.structs.radiance_cache import CacheSamples
-from lumisplat.device.structs.screen_probes import ProbeData
 
 wp.set_module_options({"enable_backward": False})
 
