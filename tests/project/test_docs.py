@@ -10,6 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli import main
+from support.files.photograph_files import ring_cameras, write_transforms_photographs
 from support.files.rig_files import BEND, TubeRig
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
@@ -25,13 +26,13 @@ SCENE_FILES = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```toml\n(.*?)```", page.read_text(), re.DOTALL))
 ]
-NAMES = "view|render|orbit|info|convert|bench|demo|metrics|shadowmap|relight|animate"
+NAMES = "view|render|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate"
 COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})
 
 
 @pytest.fixture
 def beside(tmp_path, monkeypatch):
-    """A folder to be in, with a capture, meshes, a rig, frames, an environment and a camera file."""
+    """A folder to be in, with a capture, meshes, a rig, frames, an environment, photographs and a camera file."""
     import trimesh
 
     from lumisplat.io.images.exr import write_exr
@@ -46,6 +47,7 @@ def beside(tmp_path, monkeypatch):
     Path("frames").mkdir()
     for k in range(3):
         ls.save(Path("frames") / f"{k}.ply", random_gaussians(k, count=10 + k))
+    write_transforms_photographs(Path("fox"), ring_cameras(9))
     write_exr("sky.exr", dict.fromkeys("RGB", np.ones((2, 4), np.float32)))
     return tmp_path
 
