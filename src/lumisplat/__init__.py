@@ -95,6 +95,7 @@ if TYPE_CHECKING:
         SplatGradients,
         splat_gradients,
     )
+    from lumisplat.renderer.surface_features import SurfaceFeatures
     from lumisplat.scene.animation.actors import Actor, Animation
     from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.animation.keyframes import Keyframes
@@ -214,6 +215,7 @@ _MODULE_OF = {
     "SplatInstance": "scene.scene",
     "StoppedError": "errors",
     "SunEstimate": "relighting.sun_estimation",
+    "SurfaceFeatures": "renderer.surface_features",
     "TextureWrap": "scene.textures",
     "ToneMap": "config",
     "TraceConfig": "config",
@@ -363,6 +365,7 @@ __all__ = [
     "SplatInstance",
     "StoppedError",
     "SunEstimate",
+    "SurfaceFeatures",
     "TextureWrap",
     "ToneMap",
     "TraceConfig",

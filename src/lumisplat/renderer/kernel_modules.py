@@ -81,6 +81,17 @@ def raster_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) ->
     return _kernels(*(f"raster.{name}_kernels" for name in names))
 
 
+def gradient_modules(launcher: Launcher) -> list[KernelModule]:
+    """The kernel modules of derivatives of unlit raster frames."""
+    names = ["splat_backward", "projection_backward", *(["splat_backward_block"] if launcher.is_parallel else [])]
+    return _kernels(*(f"gradients.{name}_kernels" for name in names))
+
+
+def feature_modules() -> list[KernelModule]:
+    """The kernel modules of further channels of such frames."""
+    return _kernels("gradients.feature_kernels")
+
+
 def transmittance_modules(launcher: Launcher) -> list[KernelModule]:
     """The kernel modules of transmittance along rays."""
     trees = _kernels("trace.camera_ray_kernels", "trees.gaussian_bvh_kernels", "trees.box_tree_kernels")

@@ -11,15 +11,19 @@ import warp as wp
 
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
-from lumisplat.errors import ConfigError, SceneError
+from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import checked_config
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.gradients.feature_channels import FeatureChannels, ShownFeatures
+from lumisplat.renderer.gradients.given_arrays import given_array
 from lumisplat.renderer.gradients.splat_backward import PoseSums, SplatBackward
+from lumisplat.renderer.kernel_modules import feature_modules, gradient_modules
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.renderer import Renderer
-from lumisplat.runtime.buffers import device_array
+from lumisplat.renderer.scene.camera_table import check_camera
+from lumisplat.runtime.buffers import DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance
@@ -57,9 +61,12 @@ class SplatGradients:
     centers: FloatArray
     """By where splats are in the image, pixels; of all Gaussians of the scene, instance by instance, shape (N, 2)."""
     centers_absolute: FloatArray
-    """The same with the magnitudes of what pixels add (AbsGS, Ye et al. 2024), shape (N, 2)."""
+    """The same with the magnitudes of what pixels add by way of colour and alpha (AbsGS, Ye et al. 2024), shape
+    (N, 2)."""
     weights: FloatArray
     """Sum of the weights with which each is blended in the frame, shape (N,)."""
+    features: FloatArray | None = None
+    """By the features that were shown, shape (N, C); None: they were not asked for."""
 
 
 class DifferentiableRenderer(Renderer):
@@ -89,18 +96,58 @@ class DifferentiableRenderer(Renderer):
         progress: Progress | None = None,
     ) -> None:
         super().__init__(_checked(checked_config(config)), Launcher(device, threads), progress)
+        self._load(gradient_modules(self._launcher), progress)
         self._backward = SplatBackward(self._launcher, self._buffers)
-        self._shown: tuple[Scene, Camera] | None = None
+        self._features = FeatureChannels(self._launcher, self._buffers, self._unlit_raster, self._backward)
+        self._shown: tuple[Scene, Camera, DrawnSplats] | None = None
+        self._shown_features: ShownFeatures | None = None
 
     def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
-        """As `lumisplat.Renderer.render`."""
-        self._shown = None
+        """As `lumisplat.Renderer.render`.
+
+        Raises:
+            ConfigError: The camera's lens distorts: such frames are resampled.
+        """
+        self._shown = self._shown_features = None
+        check_camera(camera)
+        if camera.is_distorted:
+            raise ConfigError("frames of a lens that distorts are resampled, and have no gradients: take a pinhole")
         frame = super().render(scene, camera, **options)
-        self._shown = scene, camera
+        if self._unlit_raster.drawn is not None:
+            self._shown = scene, camera, self._unlit_raster.drawn
         return frame
 
+    def render_features(self, features: npt.ArrayLike) -> FloatArray:
+        """Sums of any numbers of Gaussians over the splats of each pixel of the last frame, as colours are blended.
+
+        Divided by the same sums of ones, ``frame.alpha`` where there is no mesh, they are means. Nothing is behind
+        them: neither a mesh nor the background. ``gradients`` takes derivatives by them.
+
+        Args:
+            features: Of all Gaussians of the scene, instance by instance, of any sign, shape (N, C). Of view depths
+                and normals: ``lumisplat.SurfaceFeatures``.
+
+        Returns:
+            Premultiplied sums, float32, shape (H, W, C).
+
+        Raises:
+            ConfigError: Nothing was rendered yet.
+            SceneError: The shape does not fit, or a value is not finite.
+        """
+        _, camera, drawn = self._last_frame("render_features")
+        columns = np.shape(features)[1] if np.ndim(features) == 2 else 1
+        values = given_array("features", features, (drawn.splats.count, max(columns, 1)))
+        self._load(feature_modules())
+        self._shown_features = self._features.show(self._scene, drawn, values)
+        return _values(self._shown_features.of_pixels).reshape(camera.height, camera.width, -1)
+
     def gradients(
-        self, dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None = None, *, pose: bool = False
+        self,
+        dL_dcolor: npt.ArrayLike,
+        dL_dalpha: npt.ArrayLike | None = None,
+        *,
+        dL_dfeatures: npt.ArrayLike | None = None,
+        pose: bool = False,
     ) -> SplatGradients:
         """Derivatives of a number by what the last frame was drawn from.
 
@@ -108,24 +155,25 @@ class DifferentiableRenderer(Renderer):
             dL_dcolor: Its derivatives by ``frame.color`` over ``config.background``, display-referred sRGB, shape
                 (H, W, 3). Arrays of other packages are taken by ``__array_interface__``, ``__array__`` or DLPack.
             dL_dalpha: Its derivatives by ``frame.alpha``, shape (H, W); None: 0.
+            dL_dfeatures: Its derivatives by what ``render_features`` has returned last, shape (H, W, C); None: 0.
+                All derivatives count them, for features that are constants: where these depend on Gaussians or on the
+                camera, the chain rule goes on from ``SplatGradients.features``.
             pose: Whether to differentiate by the camera's pose, too.
 
         Raises:
-            ConfigError: Nothing was rendered yet.
+            ConfigError: Nothing was rendered yet, or no features of this frame.
             SceneError: A shape does not fit, a value is not finite, or the scene is lit.
         """
-        drawn = self._unlit_raster.drawn
-        if self._shown is None or drawn is None:
-            raise ConfigError("gradients: render a frame first")
-        scene, camera = self._shown
-        by_color = _image("dL_dcolor", dL_dcolor, (camera.height, camera.width, 3))
+        scene, camera, drawn = self._last_frame("gradients")
         shape = (camera.height, camera.width)
-        by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else _image("dL_dalpha", dL_dalpha, shape)
+        by_color = given_array("dL_dcolor", dL_dcolor, (*shape, 3))
+        by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else given_array("dL_dalpha", dL_dalpha, shape)
         pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
         gradient = PixelGradient()
         gradient.color = self._buffers.upload("gradient.color", wp.vec3, by_color.reshape(-1, 3))
         gradient.alpha = self._buffers.upload("gradient.alpha", wp.float32, by_alpha.reshape(-1))
         by_splat = self._backward.splats(self._scene, drawn, pixels, gradient)
+        features = None if dL_dfeatures is None else self._by_features(drawn, dL_dfeatures, shape, by_splat)
         sets = [
             _downloaded(self._backward.gaussians(self._scene, drawn, by_splat, number))
             for number in range(len(self._scene.assets))
@@ -139,9 +187,30 @@ class DifferentiableRenderer(Renderer):
             centers=splats["center"],
             centers_absolute=splats["center_absolute"],
             weights=splats["weight"],
+            features=features,
         )
 
-    def _by_pose(self, scene: Scene, camera: Camera, drawn: DrawnSplats, by_splat: Any) -> Doubles:
+    def _last_frame(self, asked: str) -> tuple[Scene, Camera, DrawnSplats]:
+        """The scene, the camera, and what was drawn.
+
+        Raises:
+            ConfigError: Nothing was.
+        """
+        if self._shown is None:
+            raise ConfigError(f"{asked}: render a frame first")
+        return self._shown
+
+    def _by_features(
+        self, drawn: DrawnSplats, dL_dfeatures: npt.ArrayLike, shape: tuple[int, int], by_splat: DeviceArray
+    ) -> FloatArray:
+        """Derivatives by features; adds those by splats."""
+        if self._shown_features is None:
+            raise ConfigError("gradients: show features of this frame first, by render_features")
+        count = self._shown_features.count
+        by_pixels = given_array("dL_dfeatures", dL_dfeatures, (*shape, count)).reshape(-1, count)
+        return _values(self._features.backward(self._scene, drawn, self._shown_features, by_pixels, by_splat))
+
+    def _by_pose(self, scene: Scene, camera: Camera, drawn: DrawnSplats, by_splat: DeviceArray) -> Doubles:
         total = np.zeros((4, 4))
         for number, instance in enumerate(scene.splats):
             sums = self._backward.pose(self._scene, drawn, by_splat, number)
@@ -215,27 +284,6 @@ def _checked(config: RenderConfig) -> RenderConfig:
     if config.lighting or config.aovs:
         raise ConfigError("gradients are those of unlit frames without further images: leave lighting and aovs alone")
     return replace(config, lighting=False)
-
-
-def _image(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
-    """A caller's image as float32.
-
-    Raises:
-        SceneError: It has another shape, or values that are not finite.
-    """
-    if (
-        not hasattr(values, "__array_interface__")
-        and not hasattr(values, "__array__")
-        and hasattr(values, "__dlpack__")
-    ):
-        values = np.from_dlpack(values)
-    image = np.ascontiguousarray(values, dtype=np.float32)
-    if image.shape != shape:
-        raise SceneError(f"{name} has shape {image.shape}, expected {shape}")
-    bad = image.size - int(np.isfinite(image).sum())
-    if bad:
-        raise SceneError(f"{name}: {bad:,} of {image.size:,} values are not finite")
-    return image
 
 
 def _downloaded(gradient: GaussianGradient) -> SetGradient:

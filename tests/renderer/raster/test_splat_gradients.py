@@ -10,36 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.gradient_oracle import Loss, Parameters, differences
-
-SIZE = 36, 30
-BACKGROUND = (0.3, 0.5, 0.2)
-
-
-def cloud(seed: int = 3, count: int = 16, degree: int = 1, *, antialiased: bool = False) -> ls.Gaussians:
-    """Gaussians of all shapes in a unit box; some are opaque enough to end pixels."""
-    rng = np.random.default_rng(seed)
-    return ls.Gaussians(
-        means=rng.uniform(-1.0, 1.0, (count, 3)) * (1.0, 1.0, 0.6),
-        rotations_wxyz=rng.normal(size=(count, 4)),
-        scales=np.exp(rng.uniform(-2.6, -1.2, (count, 3))),
-        opacities=1.0 / (1.0 + np.exp(-rng.uniform(-1.5, 6.0, count))),
-        sh=rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.5 + 0.2,
-        antialiased=antialiased,
-    )
-
-
-def view(width: int = SIZE[0], height: int = SIZE[1]) -> ls.Camera:
-    """Not along an axis, so that no derivative is 0 by symmetry."""
-    return ls.Camera.look_at(
-        (0.3, -0.2, -3.0), (0.0, 0.0, 0.0), (0.1, -1.0, 0.0), width=width, height=height, fov_y=0.8
-    )
-
-
-def by_pixels(camera: ls.Camera, seed: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives by colour and alpha, of no pattern, as float32 has them."""
-    rng = np.random.default_rng(seed)
-    shape = camera.height, camera.width
-    return rng.normal(size=(*shape, 3)).astype(np.float32), rng.normal(size=shape).astype(np.float32)
+from support.scenes.gradient_scenes import BACKGROUND, by_pixels, cloud, vars_of, view
 
 
 def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None) -> ls.SplatGradients:
@@ -215,8 +186,3 @@ def test_only_what_is_drawn_unlit_and_sorted_is_differentiated() -> None:
     ):
         with pytest.raises(ls.ConfigError, match=r"^gradients are those of"):
             ls.DifferentiableRenderer(config, "cpu")
-
-
-def vars_of(found: ls.SplatGradients) -> dict[str, np.ndarray]:
-    """The derivatives by the first set, by name."""
-    return {name: getattr(found.sets[0], name) for name in ("means", "rotations_wxyz", "scales", "opacities", "sh")}

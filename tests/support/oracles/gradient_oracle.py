@@ -7,7 +7,7 @@ once more (Zwicker et al. 2001, Kerbl et al. 2023), for one Gaussian set, withou
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,6 +32,8 @@ class Parameters:
     sh: np.ndarray
     background: np.ndarray
     camera_from_world: np.ndarray
+    features: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    """Any numbers of the Gaussians, (N, C)."""
 
     @classmethod
     def of(cls, gaussians: ls.Gaussians, background: tuple[float, float, float], camera: ls.Camera) -> Parameters:
@@ -44,7 +46,10 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Loss:
-    """``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame: a number whose derivatives by pixels are known."""
+    """``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame: a number whose derivatives by pixels are known.
+
+    With ``by_features``, also those times sums of features: view depth, normal, and ``Parameters.features``.
+    """
 
     camera: ls.Camera
     by_color: np.ndarray
@@ -52,14 +57,17 @@ class Loss:
     antialiased: bool
     dilation: float = 0.3
     transmittance_min: float = 1e-4
+    by_features: np.ndarray | None = None
 
     def __call__(self, p: Parameters) -> float:
         """The number."""
-        color, transmittance = self.pixels(p)
-        return float((self.by_color * color).sum() + (self.by_alpha * (1.0 - transmittance)).sum())
+        shown, transmittance = self.sums(p)
+        total = (self.by_color * (shown[..., :3] + transmittance[..., None] * p.background)).sum()
+        total += (self.by_alpha * (1.0 - transmittance)).sum()
+        return float(total if self.by_features is None else total + (self.by_features * shown[..., 3:]).sum())
 
-    def pixels(self, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
-        """Colour over the background, (H, W, 3), and transmittance, (H, W)."""
+    def sums(self, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted sums of colours and features, (H, W, 3 + C), and transmittance, (H, W)."""
         camera = self.camera
         view = p.means @ p.camera_from_world[:3, :3].T + p.camera_from_world[:3, 3]
         slopes = view[:, :2] / view[:, 2:]
@@ -69,9 +77,12 @@ class Loss:
         covariance = covariance + self.dilation * np.eye(2)
         opacity = p.opacities * (np.sqrt(sharp / np.linalg.det(covariance)) if self.antialiased else 1.0)
         conic = np.linalg.inv(covariance)
-        color = self._color(p)
+        shown = self._color(p)
+        if self.by_features is not None:
+            shown = np.concatenate([shown, surfaces(p), p.features], axis=1)
         at = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
-        total, transmittance = np.zeros((camera.height, camera.width, 3)), np.ones((camera.height, camera.width))
+        size = camera.height, camera.width
+        total, transmittance = np.zeros((*size, shown.shape[1])), np.ones(size)
         is_done = np.zeros(transmittance.shape, bool)
         for i in np.argsort(view[:, 2], kind="stable"):
             dx, dy = np.moveaxis(at - (focal * slopes[i] + center), -1, 0)
@@ -81,9 +92,9 @@ class Loss:
             after = transmittance * (1.0 - alpha)
             is_done |= (after <= self.transmittance_min) & (alpha > 0.0)
             weight = np.where(is_done, 0.0, transmittance * alpha)
-            total += weight[..., None] * color[i]
+            total += weight[..., None] * shown[i]
             transmittance = np.where(is_done, transmittance, after)
-        return total + transmittance[..., None] * p.background, transmittance
+        return total, transmittance
 
     def _covariance(
         self, p: Parameters, view: np.ndarray, slopes: np.ndarray, focal: np.ndarray, center: np.ndarray
@@ -104,6 +115,15 @@ class Loss:
         eye = -p.camera_from_world[:3, :3].T @ p.camera_from_world[:3, 3]
         basis = sh_basis(normalized(p.means - eye))[:, : p.sh.shape[1]]
         return np.maximum(np.einsum("nk,nkc->nc", basis, p.sh) + 0.5, 0.0)
+
+
+def surfaces(p: Parameters) -> np.ndarray:
+    """View depth, and the shortest axis towards the eye in world space, (N, 4)."""
+    turn, offset = p.camera_from_world[:3, :3], p.camera_from_world[:3, 3]
+    axes = rotation_from_quaternion(normalized(p.rotations_wxyz))
+    normal = axes[np.arange(len(axes)), :, p.scales.argmin(axis=1)]
+    away = ((p.means + turn.T @ offset) * normal).sum(axis=1) > 0.0
+    return np.column_stack([p.means @ turn[2] + offset[2], np.where(away[:, None], -normal, normal)])
 
 
 def differences(function: Callable[[Parameters], float], p: Parameters, name: str) -> tuple[np.ndarray, np.ndarray]:

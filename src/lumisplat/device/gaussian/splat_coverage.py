@@ -42,6 +42,12 @@ def tile_range(camera: CameraData, splat: Splat) -> TileRect:
 
 
 @wp.func
+def is_listed(rect: TileRect) -> bool:
+    """Whether a splat is in any tile; what is culled is in none."""
+    return rect.x0 < rect.x1
+
+
+@wp.func
 def rect_area(rect: TileRect) -> int:
     """Tiles in a rectangle."""
     return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))

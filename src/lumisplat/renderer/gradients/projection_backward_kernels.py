@@ -8,6 +8,7 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.constants.training import POSE_CHUNK
 from lumisplat.device.gaussian.projection_gradient import color_dot, open_channels, sh_weights, splat_origin
+from lumisplat.device.gaussian.splat_coverage import is_listed
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient, PoseGradient, SplatGradient
 from lumisplat.device.structs.raster import RasterData, Splat, TileRect
@@ -23,12 +24,6 @@ def evaluated_degree(settings: RasterData, instance: SplatInstanceData, sh_count
     """Degree of the harmonics of an instance in the frame."""
     stored = int(wp.sqrt(float(sh_count))) - 1
     return wp.min(wp.min(settings.sh_degree, instance.sh_degree), stored)
-
-
-@wp.func
-def is_drawn(rect: TileRect) -> bool:
-    """Whether a splat is in any tile; what is culled has no derivatives."""
-    return rect.x0 < rect.x1
 
 
 @wp.kernel
@@ -58,7 +53,7 @@ def backward_gaussians(
     for number in range(instance_ids.shape[0]):
         instance = instances[instance_ids[number]]
         index = instance.first + i
-        if not is_drawn(rects[index]):
+        if not is_listed(rects[index]):
             continue
         by_splat = gradients[index]
         origin = splat_origin(view, raster.dilation, instance, gaussians, i, by_splat)
@@ -99,7 +94,7 @@ def backward_pose(
     total = PoseGradient()
     for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, gaussians.means.shape[0])):
         index = instance.first + i
-        if not is_drawn(rects[index]):
+        if not is_listed(rects[index]):
             continue
         by_splat = gradients[index]
         origin = splat_origin(view, raster.dilation, instance, gaussians, i, by_splat)

@@ -49,7 +49,14 @@ class SplatBackward:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
-    def splats(self, scene: DeviceScene, drawn: DrawnSplats, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
+    def splats(
+        self,
+        scene: DeviceScene,
+        drawn: DrawnSplats,
+        pixels: PixelData,
+        gradient: PixelGradient,
+        name: str = "backward.splats",
+    ) -> DeviceArray:
         """Derivatives by all splats of a frame, an element of ``SplatGradient`` each; undefined where none was drawn.
 
         Args:
@@ -57,6 +64,7 @@ class SplatBackward:
             drawn: What was drawn.
             pixels: What came of it.
             gradient: Derivatives by these.
+            name: Of the array.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count = drawn.splats.count
@@ -72,7 +80,7 @@ class SplatBackward:
             else:
                 bands = TILE_BANDS_PER_THREAD * self._launcher.threads
                 run(splat_backward_kernels.backward_tiles, tiles, *inputs, bands=bands)
-        sums = get("backward.splats", SplatGradient, count)
+        sums = get(name, SplatGradient, count)
         with self._launcher.stage("backward: splats"):
             run(splat_backward_kernels.add_pairs, count, starts, pairs, sums)
         return sums

@@ -8,6 +8,7 @@ import warp as wp
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.gaussian.depth_plane import depth_plane
+from lumisplat.device.gaussian.splat_coverage import is_listed
 from lumisplat.device.light.splat_surface import finish_of
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
@@ -33,7 +34,7 @@ def show_surfaces(
     Those of sets that are not relit become black: they do not count.
     """
     i = start + wp.tid()
-    if rects[i].x0 >= rects[i].x1:
+    if not is_listed(rects[i]):
         return
     number = instance_of(scene[0].splats, i)
     color = wp.vec3(0.0)

@@ -170,10 +170,14 @@ class SplatRaster:
         inputs = (scene.camera, self.settings, scene.shading, scene.gaussians, splats.rects, splats.data)
         run(kernels.show_surfaces, splats.count, *inputs)
         sums = self._buffers.struct("raster.means", GaussianHits, count, EXTRA_FIELDS)
-        self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData(), sums))
+        self.sum_splats(scene, tiles, meshes, sums)
         hits.mean_depth = self._buffers.get("raster.mean_depth", wp.float32, count)
         hits.mean_finish = self._buffers.get("raster.mean_finish", wp.vec2, count)
         run(kernels.store_means, math.prod(scene.image_size), scene.camera, meshes, sums, hits)
+
+    def sum_splats(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, sums: GaussianHits) -> None:
+        """Sums colours and normals of the splats before the mesh, as they are blended, for the rays of all pixels."""
+        self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData(), sums))
 
     def sample_hits(
         self,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels
+from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
@@ -60,6 +61,10 @@ class UnlitRaster:
         while not self._binning.finish():
             self._replay(scene, pixels)
         return pixels
+
+    def sum_splats(self, scene: DeviceScene, drawn: DrawnSplats, sums: GaussianHits) -> None:
+        """As `SplatRaster.sum_splats`, of what was drawn."""
+        self._splats.sum_splats(scene, drawn.tiles, drawn.meshes, sums)
 
     def _replay(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:
         key = scene.graph_key, self._binning.growth

@@ -1,0 +1,95 @@
+"""Features of splats, three or six in place of their colours and normals, and what is summed of them.
+
+The equations are in docs/method/gradients.md#features.
+"""
+
+import warp as wp
+
+from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.gaussian.splat_coverage import is_listed
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gradients import SplatGradient
+from lumisplat.device.structs.raster import Splat, TileRect
+from lumisplat.device.structs.rays import GaussianHits
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def three_of(values: wp.array2d[float], row: int, first: int) -> wp.vec3:
+    """Three numbers of a row from column ``first`` on; 0 beyond the last."""
+    three = wp.vec3(0.0)
+    for k in range(3):
+        if first + k < values.shape[1]:
+            three[k] = values[row, first + k]
+    return three
+
+
+@wp.func
+def store_three(values_out: wp.array2d[float], row: int, first: int, three: wp.vec3):
+    """Writes them."""
+    for k in range(3):
+        if first + k < values_out.shape[1]:
+            values_out[row, first + k] = three[k]
+
+
+@wp.kernel
+def show_features(
+    start: int,
+    features: wp.array2d[float],
+    first: int,
+    rects: wp.array[TileRect],
+    splats: wp.array[Splat],
+    splats_out: wp.array[Splat],
+):
+    """Item = splat: itself with three features, from column ``first`` on, for its colour, and three for its normal."""
+    i = start + wp.tid()
+    if not is_listed(rects[i]):
+        return
+    splat = splats[i]
+    splat.color = three_of(features, i, first)
+    splat.normal = three_of(features, i, first + 3)
+    splats_out[i] = splat
+
+
+@wp.kernel
+def store_sums(
+    start: int, camera: wp.array[CameraData], sums: GaussianHits, first: int, features_out: wp.array2d[float]
+):
+    """Item = pixel: what its ray has summed of six features."""
+    i = start + wp.tid()
+    width = camera[0].width
+    ray = ray_of_pixel(width, i % width, i // width)
+    store_three(features_out, i, first, sums.color[ray])
+    store_three(features_out, i, first + 3, sums.normal[ray])
+
+
+@wp.kernel
+def take_three(start: int, values: wp.array2d[float], first: int, three_out: wp.array[wp.vec3]):
+    """Item = row: three of its numbers."""
+    i = start + wp.tid()
+    three_out[i] = three_of(values, i, first)
+
+
+@wp.kernel
+def add_gradients(
+    start: int,
+    shown: wp.array[SplatGradient],
+    first: int,
+    splats_inout: wp.array[SplatGradient],
+    features_out: wp.array2d[float],
+):
+    """Item = splat: adds derivatives by its shape where three of its features were shown, and stores those by these.
+
+    Weights, and the magnitudes of what moves its centre, stay those of its colour.
+    """
+    i = start + wp.tid()
+    part = shown[i]
+    total = splats_inout[i]
+    total.log_opacity += part.log_opacity
+    total.center += part.center
+    total.along += part.along
+    total.shear += part.shear
+    total.across += part.across
+    splats_inout[i] = total
+    store_three(features_out, i, first, part.color)
