@@ -21,6 +21,12 @@ PROGRAMS = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```python\n(.*?)```", page.read_text(), re.DOTALL))
 ]
+OTHERS_PROGRAMS = [
+    pytest.param(package, block, id=f"{page.stem}-{package}")
+    for page in PAGES
+    for package, block in re.findall(r"<!-- runnable with (\w+) -->\n```python\n(.*?)```", page.read_text(), re.DOTALL)
+]
+"""Programs with packages that are no dependencies."""
 SCENE_FILES = [
     pytest.param(block, id=f"{page.stem}-{number}")
     for page in PAGES
@@ -57,6 +63,15 @@ def beside(tmp_path, monkeypatch):
 def test_python_of_the_docs_runs(program):
     """Every block marked runnable runs, beside a capture, a mesh and a camera file."""
     exec(compile(program, "docs", "exec"), {})
+
+
+@pytest.mark.parametrize(("package", "program"), OTHERS_PROGRAMS)
+@pytest.mark.usefixtures("beside")
+def test_python_of_the_docs_runs_with_others(package, program):
+    """Every block marked runnable with a package runs where that is installed, and is Python where it is not."""
+    compiled = compile(program, "docs", "exec")
+    pytest.importorskip(package)
+    exec(compiled, {})
 
 
 @pytest.mark.parametrize("text", SCENE_FILES)
@@ -111,7 +126,7 @@ def test_the_guide_shows_every_key_of_an_animation():
 def test_all_python_of_the_docs_is_marked():
     """A Python block that is not run is a claim that nothing checks."""
     blocks = sum(page.read_text().count("```python") for page in PAGES)
-    assert len(PROGRAMS) == blocks > 0
+    assert len(PROGRAMS) + len(OTHERS_PROGRAMS) == blocks > 0
     assert len(SCENE_FILES) > 0
 
 
