@@ -24,7 +24,7 @@ LENSES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_pinholes_see_the_world_where_it_is(tmp_path, lens, scale):
-    """Taken through the lens, straightened, and compared with what the pinhole's own rays see, to a few 255ths."""
+    """Taken through the lens, straightened, and compared with what the pinhole's own rays see, to a few bytes."""
     cameras = ring_cameras(2, 120, 90, **lens)
     folder = write_transforms_photographs(tmp_path, cameras, [_large(camera) for camera in cameras])
     for view in ls.load_photographs(folder, hold_out=0, scale=scale).training:

@@ -52,10 +52,8 @@ def _read_binary(path: Path) -> tuple[FloatArray, FloatArray]:
     length, at, starts = struct.Struct("<Q"), 8, list[int]()
     if count * _POINT.itemsize > len(data):
         raise FormatError(path, f"is to hold {count:,} points, and has {len(data):,} bytes: it is cut off")
-    for index in range(count):
+    for _ in range(count):
         starts.append(at)
-        if at + _POINT.itemsize > len(data):
-            raise FormatError(path, f"is cut off at point {index:,} of {count:,}")
         at += _POINT.itemsize + _TRACK_BYTES * length.unpack_from(data, at + _TRACK_AT)[0]
     if at > len(data):
         raise FormatError(path, f"is cut off in the last of {count:,} points")
