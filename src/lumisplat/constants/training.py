@@ -2,7 +2,7 @@
 
 COMPENSATION_MIN = 0.005
 """Mip-Splatting's compensation of an opacity below which it is taken for constant: it falls to 0 for a Gaussian that is
-seen edge-on, where its derivative by the scales grows beyond all bounds. gsplat has the same floor."""
+seen edge-on, where its derivative by the scales grows beyond all bounds. gsplat's has this floor since 1.5.3."""
 
 SH_COEFFICIENTS_MAX = 16
 """Coefficients of spherical harmonics of degree 3."""
