@@ -127,7 +127,7 @@ def test_masks_that_cannot_be(nerfstudio):
     assert "masks/view_1.png: cannot be read for its size" in refusal(nerfstudio)
     mask.unlink()
     change_frame(nerfstudio / "transforms.json", 0, mask_path="masks/lost.png")
-    assert "masks/lost.png: no such mask (needed by " in refusal(nerfstudio)
+    assert 'transforms.json: names the mask "masks/lost.png", which is not there' in refusal(nerfstudio)
 
 
 def test_photographs_that_cannot_be_decoded(nerfstudio, tmp_path):

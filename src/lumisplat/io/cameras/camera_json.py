@@ -80,7 +80,7 @@ def decode_frame(path: Path, index: int, entry: object, decode: Callable[[Entry]
     """
     if not is_object(entry):
         raise FormatError(path, f"frame {index} is {quote(entry)}, expected an object with a pose")
-    name = str(entry.get("file_path", entry.get("img_name", "")))
+    name = " ".join(str(entry.get("file_path", entry.get("img_name", ""))).split())
     try:
         return decode(entry)
     except FormatError:

@@ -167,6 +167,8 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
         at += _IMAGE.size
         end = data.index(b"\0", at)
         name = data[at:end].decode(errors="surrogateescape")
+        if min(name, default=" ") < " ":
+            raise FormatError(path, f"image {number} has a name with control characters: damaged")
         (points,) = struct.unpack_from("<Q", data, end + 1)
         at = end + 9 + _POINT_BYTES * points
         if at > len(data):

@@ -12,7 +12,7 @@ from pathlib import Path
 from lumisplat.errors import FormatError
 from lumisplat.io.cameras.camera_json import decode_frame, parse_json
 from lumisplat.io.cameras.colmap import read_colmap_images
-from lumisplat.io.cameras.json_values import is_list, is_object
+from lumisplat.io.cameras.json_values import is_list, is_object, quote
 from lumisplat.io.cameras.transforms_json import frame_image, transforms_camera
 from lumisplat.io.files.references import referenced_file
 from lumisplat.io.files.source import parsing
@@ -99,7 +99,7 @@ def _listed_mask(path: Path, name: object) -> Path | None:
         return None
     mask = referenced_file(path, str(name))
     if not os.path.isfile(mask):
-        raise FormatError(mask, f"no such mask (needed by {path})")
+        raise FormatError(path, f"names the mask {quote(name)}, which is not there")
     return mask
 
 
@@ -127,4 +127,4 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, folder: Path
 
 def some_names(names: Sequence[str]) -> str:
     """The first few names, for a message."""
-    return ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+    return ", ".join(" ".join(name.split()) for name in names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
