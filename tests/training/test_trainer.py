@@ -2,54 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import lumisplat as ls
 from lumisplat.training.initial import neighbour_distances
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
+from support.scenes.training_scenes import BACKGROUND, cameras, folder_of, known, views
 
-BACKGROUND = (0.1, 0.2, 0.3)
 CONFIG = ls.TrainConfig(iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3)
-
-
-def known(count: int = 30) -> ls.Gaussians:
-    """What is to be found."""
-    rng = np.random.default_rng(0)
-    return ls.Gaussians(
-        means=rng.uniform(-0.6, 0.6, (count, 3)),
-        rotations_wxyz=rng.normal(size=(count, 4)),
-        scales=rng.uniform(0.06, 0.2, (count, 3)),
-        opacities=rng.uniform(0.5, 0.95, count),
-        sh=np.concatenate([rng.normal(size=(count, 1, 3)), 0.1 * rng.normal(size=(count, 3, 3))], axis=1),
-    )
-
-
-def cameras(count: int, size: int = 40) -> list[ls.Camera]:
-    """Around it, at changing heights."""
-    found: list[ls.Camera] = []
-    for number in range(count):
-        angle, height = 2.4 * number, 0.9 * np.sin(1.7 * number)
-        eye = (3.0 * np.cos(angle), height, 3.0 * np.sin(angle))
-        found.append(ls.Camera.look_at(eye, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=size, height=size, fov_y=0.6))
-    return found
-
-
-def views(count: int, size: int = 40) -> list[TrainingView]:
-    """Photographs of it that have no noise."""
-    renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
-    scene, found = ls.Scene([known()]), []
-    for number, camera in enumerate(cameras(count, size)):
-        color = renderer.render(scene, camera).color.astype(np.float32)
-        found.append(TrainingView(f"{number:02d}", camera, lambda color=color: Picture(color)))
-    return found
 
 
 def trainer(config: ls.TrainConfig = CONFIG, threads: int | None = None, count: int = 8) -> Trainer:
@@ -119,24 +84,6 @@ def test_a_loss_that_is_not_finite_ends_training() -> None:
     one = Trainer([view], CONFIG, device="cpu")
     with pytest.raises(ls.DivergedError, match=r"^training stopped at step 1: the loss is nan$"):
         one.step()
-
-
-def folder_of(path: Path, count: int = 9) -> Path:
-    """A folder of photographs, as instant-ngp has them."""
-    path.mkdir()
-    (path / "images").mkdir()
-    frames: list[dict[str, Any]] = []
-    renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
-    opengl = np.diag([1.0, -1.0, -1.0, 1.0])
-    for number, camera in enumerate(cameras(count)):
-        pixels = np.clip(renderer.render(ls.Scene([known()]), camera).color, 0.0, 1.0)
-        Image.fromarray((255.0 * pixels + 0.5).astype(np.uint8)).save(path / "images" / f"{number:02d}.png")
-        pose = np.linalg.inv(camera.camera_from_world) @ opengl
-        frames.append({"file_path": f"images/{number:02d}.png", "transform_matrix": pose.tolist()})
-    camera = cameras(1)[0]
-    shared = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": 40, "h": 40}
-    (path / "transforms.json").write_text(json.dumps({**shared, "frames": frames}))
-    return path
 
 
 def test_training_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path) -> None:

@@ -43,6 +43,9 @@ class Train(DeviceCommand):
     """Each so many photographs, one is not learnt from, but measured with; 0: none."""
     scale: Annotated[float, arg(metavar="SHARE")] = 1.0
     """Size of the photographs, as a share of that of the files, above 0, at most 1."""
+    poses: Annotated[Literal["colmap", "colmap-film"] | None, arg(help_behavior_hint="")] = None
+    """Find poses first, if the folder has none: of photographs that see each other in any order, or of the frames of a
+    film (pip install 'lumisplat[poses]')."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
     """Behind the Gaussians and what is transparent in photographs: a name, "#rrggbb" or r,g,b."""
     densification: Literal["mcmc", "adaptive"] = "mcmc"
@@ -67,6 +70,8 @@ class Train(DeviceCommand):
             raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
         self.start_warp()
         with progress_bars() as report:
+            if self.poses is not None and not (self.folder / "sparse").exists():
+                ls.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
             try:
                 result = ls.train(
                     self.folder,

@@ -1,0 +1,79 @@
+"""``lumisplat train`` from the shell."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli import main
+from lumisplat.cli.commands.train import seconds_of
+from support.scenes.training_scenes import folder_of
+
+SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--device", "cpu")
+
+
+def test_a_folder_becomes_a_capture_and_the_same_command_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It says how near it is, and what it made; begun again, there is nothing left to do."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "out" / "a.ply"
+    assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
+    assert "of 30 steps" in (first := capsys.readouterr().out) and "the same command goes on" in first
+    assert main(["train", str(folder), "-o", str(output), *SHORT]) == 0
+    told = capsys.readouterr().out
+    assert "held out" in told and "120 Gaussians, 30 of 30 steps" in told and "goes on" not in told
+    held = output.read_bytes()
+    assert main(["train", str(folder), "-o", str(output), *SHORT]) == 0 and output.read_bytes() == held
+    asset = ls.load(output)
+    assert isinstance(asset, ls.Gaussians) and asset.count == 120
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("-o", "a.obj"), "-o is a.obj, expected a file that ends in .ply or .spz"),
+        (("-o", "a.ply", "--stop-after", "soon"), "--stop-after is 'soon', expected a time such as 90s, 10m or 1.5h"),
+        (("-o", "a.ply", "--cap", "0"), "cap is 0, expected"),
+        (("-o", "a.ply", "--background", "mauvish"), "mauvish"),
+    ],
+)
+def test_mistakes_are_one_line(
+    options: tuple[str, ...],
+    problem: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In the words of the shell, and nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    folder = folder_of(tmp_path / "set", 3)
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["train", str(folder), "--device", "cpu", *options]) == 2
+    told = capsys.readouterr().err
+    assert problem in told and told.strip().count("\n") == 0
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_folder_without_poses_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With what it should hold."""
+    assert main(["train", str(tmp_path), "-o", str(tmp_path / "a.ply"), "--device", "cpu"]) == 2
+    assert "transforms.json" in capsys.readouterr().err
+
+
+def test_poses_are_asked_of_an_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whose pip line is told where it is absent."""
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    folder = folder_of(tmp_path / "set", 3)
+    assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), "--poses", "colmap", "--device", "cpu"]) == 2
+    assert "lumisplat[poses]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90", 90.0), ("90s", 90.0), ("10m", 600.0), ("1.5 h", 5400.0)])
+def test_times_are_as_people_write_them(text: str, seconds: float) -> None:
+    """With a unit, or without one in seconds."""
+    assert seconds_of(text) == seconds
