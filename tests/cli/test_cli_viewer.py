@@ -80,6 +80,8 @@ def test_other_machines_are_let_in_only_if_that_is_said(capture: Path) -> None:
 def test_mistakes_are_one_line(tmp_path: Path, capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No scene, no such file, a port in use, two scene files."""
     work = Workplace(tmp_path, capsys)
+    for name in ("a.toml", "b.toml"):
+        (tmp_path / name).write_text("")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         for args, words in (

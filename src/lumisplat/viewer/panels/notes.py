@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 QUIET_LOG = logging.getLogger("lumisplat.pages")
 """For lines that those at the machine read, and pages do not."""
+_LOG = logging.getLogger("lumisplat")
 
 _SHOWN_S = 8.0
 _AGAIN_S = 2.0
@@ -33,8 +34,8 @@ class Notes:
         self._last: tuple[str, str] | None = None
         self._told_at = 0.0
         self._waiting: deque[tuple[str, str, bool]] = deque(maxlen=_WAITING_MAX)
-        self._log = _LoggedWarnings(self)
-        logging.getLogger("lumisplat").addHandler(self._log)
+        # A handler would keep lines off the terminal, where they go as long as there is none.
+        _LOG.addFilter(self._tell_warning)
 
     def tell(self, title: str, body: str, *, is_problem: bool = False) -> None:
         """Shows a note on all pages."""
@@ -60,20 +61,13 @@ class Notes:
 
     def close(self) -> None:
         """Ends with the viewer."""
-        logging.getLogger("lumisplat").removeHandler(self._log)
+        _LOG.removeFilter(self._tell_warning)
 
-
-class _LoggedWarnings(logging.Handler):
-    """Tells pages what is logged about scenes and frames, such as a file whose colours are odd."""
-
-    def __init__(self, notes: Notes) -> None:
-        super().__init__(logging.WARNING)
-        self._notes = notes
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Tells a line; errors are told where they happen."""
-        if record.levelno == logging.WARNING and record.name != QUIET_LOG.name:
-            self._notes.tell("mind", record.getMessage())
+    def _tell_warning(self, record: logging.LogRecord) -> bool:
+        """Tells pages what is logged of scenes and frames, such as odd colours; errors are told where they happen."""
+        if record.levelno == logging.WARNING:
+            self.tell("mind", record.getMessage())
+        return True
 
 
 def _show(client: viser.ClientHandle, title: str, body: str, *, is_problem: bool) -> None:
