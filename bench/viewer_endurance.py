@@ -218,7 +218,7 @@ class Hand:
         if (selected := self._select(lambda thing: thing.is_light and not thing.is_off)) is None:
             return
         number, thing = selected
-        shared = {"name": "/selected"}
+        shared = {"name": self._viewer._gizmo.node}
         place = [round(self._random.uniform(-2.0, 2.0), 4) for _ in range(3)]
         page.send("TransformControlsDragStartMessage", **shared)
         for step in range(1, 6):

@@ -37,11 +37,11 @@ def test_what_is_pressed_at_once_is_done_in_its_order(tmp_path: Path) -> None:
         page.look(orbit(0.0))
         wait_until(lambda: bool(viewer._pages), "the page is not there")
         for number in range(1, 11):
-            page.send("TransformControlsDragStartMessage", name="/selected")
+            page.send("TransformControlsDragStartMessage", name=viewer._gizmo.node)
             for share in (0.3, 0.6, 1.0):
                 place = {"wxyz": [1.0, 0.0, 0.0, 0.0], "position": [share * number, -1.0, 0.0]}
-                page.send("TransformControlsUpdateMessage", name="/selected", **place)
-            page.send("TransformControlsDragEndMessage", name="/selected")
+                page.send("TransformControlsUpdateMessage", name=viewer._gizmo.node, **place)
+            page.send("TransformControlsDragEndMessage", name=viewer._gizmo.node)
             for button in ("undo", "redo", "undo", "redo"):
                 page.push(button)
         wait_until(lambda: list(viewer.document.entry(lamp).table["position"]) == [10.0, -1.0, 0.0], "a drag is lost")

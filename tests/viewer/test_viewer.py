@@ -152,11 +152,13 @@ def test_a_dragged_handle_moves_the_lamp_and_undo_moves_it_back(viewer: ls.Viewe
         viewer._session.select(lamp_id(viewer))
         before, document = settled(viewer, page), viewer.document
         count = len(page.pictures)
-        page.send("TransformControlsDragStartMessage", name="/selected")
+        page.send("TransformControlsDragStartMessage", name=viewer._gizmo.node)
         for step in range(1, 6):
             position = [LAMP[0] + 0.6 * step, LAMP[1], LAMP[2]]
-            page.send("TransformControlsUpdateMessage", name="/selected", wxyz=[1.0, 0.0, 0.0, 0.0], position=position)
-        page.send("TransformControlsDragEndMessage", name="/selected")
+            page.send(
+                "TransformControlsUpdateMessage", name=viewer._gizmo.node, wxyz=[1.0, 0.0, 0.0, 0.0], position=position
+            )
+        page.send("TransformControlsDragEndMessage", name=viewer._gizmo.node)
         eventually(lambda: viewer.scene.lights[0].position == pytest.approx((3.0, *LAMP[1:])), "the lamp did not move")  # pyright: ignore
         page.picture(after=count)
         moved = settled(viewer, page)
@@ -427,6 +429,39 @@ def test_a_split_picture_shows_before_and_after_at_rest(viewer: ls.Viewer) -> No
         assert difference(settled(viewer, page)[64:, :30], joined[64:, :30]) > 4.0, "an inset is on both parts"
 
 
+def test_numbers_that_are_typed_are_taken_when_they_are_whole(viewer: ls.Viewer) -> None:
+    """Not at each key, which would refuse, or do, what nobody has meant; at once if something else is asked for."""
+    lamp, session = lamp_id(viewer), viewer._session
+    session.select(lamp)
+    seen: list[Any] = []
+    session.on_change(lambda: seen.append(viewer.document.entry(lamp).table.get("intensity")))
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        page.picture()
+        handle: Any = viewer._things._inspector._controls["intensity"].handle
+        count = len(session._past)
+        for typed in (0, 4, 42, 420):
+            page.send("GuiUpdateMessage", uuid=handle._impl.uuid, updates={"value": typed})
+        eventually(lambda: viewer.document.entry(lamp).table["intensity"] == 420, "it was not taken")
+        assert len(session._past) == count + 1 and not {0, 4, 42} & set(seen) and not page.notes()
+        session.seal()
+        page.send("GuiUpdateMessage", uuid=handle._impl.uuid, updates={"value": 7})
+        page.choose("grid", True)
+        begun = time.monotonic()
+        eventually(lambda: viewer._session.options.grid, "the grid did not come")
+        assert viewer.document.entry(lamp).table["intensity"] == 7, "what was typed before comes before"
+        assert time.monotonic() - begun < 10.0
+
+
+def test_handles_do_not_keep_the_turn_of_others(viewer: ls.Viewer) -> None:
+    """A page keeps it by the name of a handle: each selection has a name of its own."""
+    names: list[str] = []
+    for entry in (viewer.document.entries[0].id, lamp_id(viewer), viewer.document.entries[0].id):
+        viewer._session.select(entry)
+        names.append(viewer._gizmo.node)
+    assert len(set(names)) == 3
+
+
 def test_what_nobody_was_there_for_is_told_to_the_next_page(viewer: ls.Viewer) -> None:
     """Also what is logged about a scene; a line that comes again and again is one note."""
     log = logging.getLogger("lumisplat")
@@ -474,8 +509,8 @@ def test_a_drag_leaves_alone_what_others_edit(viewer: ls.Viewer) -> None:
         page.look(camera())
         page.picture()
         viewer._session.select(lamp_id(viewer))
-        move = {"name": "/selected", "wxyz": [1.0, 0.0, 0.0, 0.0]}
-        page.send("TransformControlsDragStartMessage", name="/selected")
+        move = {"name": viewer._gizmo.node, "wxyz": [1.0, 0.0, 0.0, 0.0]}
+        page.send("TransformControlsDragStartMessage", name=viewer._gizmo.node)
         page.send("TransformControlsUpdateMessage", **move, position=[1.0, -1.0, 0.0])
         eventually(lambda: viewer.scene.lights[0].position[0] == 1.0, "the lamp did not move")  # pyright: ignore
         crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
@@ -485,7 +520,7 @@ def test_a_drag_leaves_alone_what_others_edit(viewer: ls.Viewer) -> None:
         assert not viewer.scene.meshes
         viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
         page.send("TransformControlsUpdateMessage", **move, position=[3.0, -1.0, 0.0])
-        page.send("TransformControlsDragEndMessage", name="/selected")
+        page.send("TransformControlsDragEndMessage", name=viewer._gizmo.node)
         page.choose("exposure", 1.0)  # which is done after what was sent before
         eventually(lambda: viewer._session.state.exposure == 1.0, "the exposure stayed")
         assert not viewer.scene.lights and not page.notes()

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 Matrix = npt.NDArray[np.float64]
 
-_NODE = "/selected"
+_NODE = "/selected {}"
+"""Each has a number of its own: a page keeps the turn of one that was removed for the next one of its name."""
 _SIZE = 0.15
 """Length of the handle's axes as a share of the dome's radius, if what it holds is not larger."""
 
@@ -166,11 +167,18 @@ class Gizmo:
     def __init__(self, scene_api: viser.SceneApi, session: Session) -> None:
         self._api, self._session = scene_api, session
         self._handle: viser.TransformControlsHandle | None = None
+        self._handles = 0
+        """How many there were."""
         self._held: tuple[int, Grip] | None = None
         """Id of the entry that it is on, and where."""
         self._drag: Drag | None = None
         self._dragged_at = 0.0
         session.on_change(self.follow)
+
+    @property
+    def node(self) -> str:
+        """The name of the last handle on pages."""
+        return _NODE.format(self._handles)
 
     def follow(self) -> None:
         """Goes to what is selected, and where that is now; a hand that drags it is not disturbed."""
@@ -194,8 +202,9 @@ class Gizmo:
         position, wxyz = scale * matrix[:3, 3], _wxyz(matrix[:3, :3])
         if self._handle is None or self._held is None or (self._held[0], self._held[1].turns) != (entry.id, grip.turns):
             self._remove()
+            self._handles += 1
             self._handle = self._api.add_transform_controls(
-                _NODE,
+                self.node,
                 scale=scale * max(_SIZE * extent.dome_radius, self._reach_of(entry)),
                 disable_rotations=not grip.turns,
                 position=position,

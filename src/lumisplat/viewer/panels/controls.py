@@ -54,7 +54,7 @@ class Control:
                 report(" ".join(str(error).split()))
                 self.show(self._shown)
 
-        self.handle.on_update(chosen(lambda value: (value,), take))
+        self.handle.on_update(chosen(lambda value: (value,), take, is_typed=_has_keys(field, value)))
 
     def show(self, value: Any) -> None:
         """Shows another value."""
@@ -99,6 +99,19 @@ def from_shown(field: Described, shown: Any) -> Any:
 def _is_typed(field: Described) -> bool:
     """Whether a field is shown as a word or a text: it may be automatic, or infinite."""
     return (field.is_optional and field.kind != "color") or (field.kind == "number" and field.default == math.inf)
+
+
+def _has_keys(field: Described, value: Any) -> bool:
+    """Whether its control is a box to type in, which tells each key."""
+    if _is_typed(field):
+        return not field.is_optional or field.kind not in ("flag", "choice")
+    return field.kind in ("text", "vector") or (field.kind in ("whole", "number") and not _is_slider(field, value))
+
+
+def _is_slider(field: Described, shown: Any) -> bool:
+    """Whether the range of a number is short, and known."""
+    low, high = field.low, field.high
+    return low is not None and high is not None and low <= shown <= high <= _SLIDER_SPAN
 
 
 def _picked(field: Described, color: tuple[float, float, float] | None) -> tuple[int, ...]:
@@ -166,7 +179,7 @@ def _handle(gui: viser.GuiApi, field: Described, value: Any) -> Any:  # noqa: PL
 def _number_handle(gui: viser.GuiApi, field: Described, shown: Any, hint: str | None) -> Any:
     """A slider where the range is short and known, else a box to type in."""
     whole, low, high = field.kind == "whole", field.low, field.high
-    if low is not None and high is not None and low <= shown <= high <= _SLIDER_SPAN:
+    if low is not None and high is not None and _is_slider(field, shown):
         ends = (int(low), int(high)) if whole else (low, high)
         step = 1 if whole else _step(high - low)
         return gui.add_slider(field.label, ends[0], ends[1], step, shown, hint=hint)

@@ -80,15 +80,24 @@ class FilesPanel:
         pose = pose_of_page(self._pages, event)
         if pose is None:
             return
-        line = command_line(self._target() or Path("edited.toml"), pose, self._session)
+        frame = self._pages[event.client_id].frame
+        samples = 0 if frame is None or self._session.state.config.pipeline is ls.Pipeline.REALTIME else frame.samples
+        line = command_line(self._target() or Path("edited.toml"), pose, self._session, samples)
         with client.gui.add_modal("the same from the command line") as modal:
             client.gui.add_markdown("Save the scene first, then run this in a shell:")
             client.gui.add_text("", line, multiline=True)
             client.gui.add_button("close").on_click(pressed(lambda _: modal.close()))
 
 
-def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
-    """The command that renders what a page shows of a saved scene; of one with actors, the frame of that time."""
+def command_line(scene_file: Path, pose: Pose, session: Session, samples: int = 0) -> str:
+    """The command that renders what a page shows of a saved scene; of one with actors, the frame of that time.
+
+    Args:
+        scene_file: The saved scene.
+        pose: Where the page looks from.
+        session: Has the scene.
+        samples: Of the page's picture; 0: it has none.
+    """
     state, camera = session.state, pose.camera(_ROWS, session.state.exposure)
     has_actors = any(entry.actor is not None and not entry.hidden for entry in state.document.entries)
     words = ["lumisplat", "animate" if has_actors else "render", shlex.quote(str(scene_file))]
@@ -99,6 +108,7 @@ def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
     ]
     words += [f"--fov {np.degrees(pose.fov_y):.5g}", f"--width {camera.width}", f"--height {camera.height}"]
     words += [f"--exposure={camera.exposure:g}"] if camera.exposure else []
+    words += [f"--samples {samples}"] if samples else []
     if has_actors and (animation := state.document.animation) is not None:
         number = min(round(session.options.time * animation.fps), animation.frame_count - 1)
         return " ".join([*words, f"--frames {number}", "-o frames"])

@@ -83,7 +83,7 @@ class FilmPanel:
             return
         state, suffix = self._session.state, str(self._format.value)
         animation = state.document.animation
-        if animation is None:
+        if animation is None or (len(keys_of(state.document)) == 1 and not animation.actors):
             self._session.report("there is nothing to film: add two views, or an actor that moves")
             return
         config, height = still_config(state.config), int(np.clip(self._height.value, *HEIGHTS))

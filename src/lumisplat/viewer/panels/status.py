@@ -97,23 +97,24 @@ class StatusPanel:
         line.written = now
         if self._bar.visible:
             self._bar.visible = self._line.visible = False
-        line.handle.content, line.handle.visible = frame_line(page.frame, step, page.noise, took), True
+        line.handle.content, line.handle.visible = frame_line(page, page.frame, step, took), True
         if page.frame.stats is not None:
             self._stages.content = stage_table(page.frame.stats)
         times = np.nan_to_num(self._took)
         self._plot.data = (np.arange(_FRAMES, dtype=np.float64), times)
 
 
-def frame_line(frame: ls.Frame, step: Step | None, noise: float | None, took: float) -> str:
-    """How fine a frame is, in a line."""
+def frame_line(page: Page, frame: ls.Frame, step: Step | None, took: float) -> str:
+    """How fine the frame of a page is, in a line that fits the panel."""
     parts = [f"{frame.camera.width} × {frame.camera.height}"]
     if step is not None and step.level:
         parts.append(f"{LEVEL_FRACTIONS[step.level]:.0%} of the Gaussians")
-    if frame.samples:
+    if frame.config is not None and frame.config.pipeline is ls.Pipeline.REALTIME and page.frames_at_rest:
+        parts.append(f"{page.frames_at_rest} frame{'s' * (page.frames_at_rest != 1)}")
+    elif frame.samples:
         parts.append(f"{frame.samples:,} sample{'s' * (frame.samples != 1)}")
-    if noise is not None:
-        parts.append(f"error {noise:.1%}")
-    return " · ".join([*parts, f"{took:.0f} ms"])
+    parts.append(f"{took:.0f} ms" if page.noise is None else f"error {page.noise:.1%}")
+    return " · ".join(parts)
 
 
 def stage_table(stats: Any) -> str:

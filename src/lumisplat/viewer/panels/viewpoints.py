@@ -11,6 +11,7 @@ import lumisplat as ls
 from lumisplat.viewer.frames.pose import look_through
 from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.boxes import pose_of, world_corners
+from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class Viewpoints:
     def look_at_all(self, event: Any) -> None:
         """Moves a page so that it sees all, from the side from which it looks."""
         if event.client is not None:
-            extent = self._session.extent
+            extent = Extent.of(self._session.scene)  # also of what was added or moved
             self._look_at(event.client, np.array(extent.center), 0.5 * extent.size)
 
     def look_at_selected(self, event: Any) -> None:
@@ -75,6 +76,7 @@ class Viewpoints:
         backward = backward / max(float(np.linalg.norm(backward)), 1e-9)
         narrow = math.atan(math.tan(0.5 * camera.fov) * min(camera.aspect, 1.0))
         with client.atomic():
+            camera.up_direction = self._session.scene.up_direction
             camera.position = scale * (center + backward * radius / math.sin(narrow))
             camera.look_at = scale * center  # last, for the position takes it along
 

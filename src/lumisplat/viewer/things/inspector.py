@@ -160,7 +160,8 @@ class Inspector:
             fields += _placement(np.asarray(entry.world_from_file))
         material: Any = None
         if entry.splats:
-            fields.append((_whole("sh_degree", 0, entry.splats[0].gaussians.sh_degree), entry.splats[0].sh_degree))
+            if stored := entry.splats[0].gaussians.sh_degree:
+                fields.append((_whole("sh_degree", 0, stored), min(entry.splats[0].sh_degree, stored)))
             material = entry.splats[0].material
         elif entry.meshes:
             material = entry.meshes[0].mesh.material
