@@ -21,6 +21,9 @@ def test_a_folder_becomes_a_capture_and_the_same_command_goes_on(
     """It says how near it is, and what it made; begun again, there is nothing left to do."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "out" / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
+    assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s", "--overwrite"]) == 0
+    assert "the same command without --overwrite goes on" in capsys.readouterr().out
+    assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
     assert "of 30 steps" in (first := capsys.readouterr().out) and "the same command goes on" in first
     assert main(["train", str(folder), "-o", str(output), *SHORT]) == 0
     told = capsys.readouterr().out
@@ -37,6 +40,7 @@ def test_a_folder_becomes_a_capture_and_the_same_command_goes_on(
         (("-o", "a.obj"), "-o is a.obj, expected a file that ends in .ply or .spz"),
         (("-o", "a.ply", "--stop-after", "soon"), "--stop-after is 'soon', expected a time such as 90s, 10m or 1.5h"),
         (("-o", "a.ply", "--cap", "0"), "cap is 0, expected"),
+        (("-o", "a.ply", "--preview", "0"), "preview is 0, expected"),
         (("-o", "a.ply", "--background", "mauvish"), "mauvish"),
     ],
 )
@@ -69,6 +73,7 @@ def test_poses_are_asked_of_an_extra(
     """Whose pip line is told where it is absent."""
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     folder = folder_of(tmp_path / "set", 3)
+    (folder / "transforms.json").unlink()
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), "--poses", "colmap", "--device", "cpu"]) == 2
     assert "lumisplat[poses]" in capsys.readouterr().err
 

@@ -31,6 +31,7 @@ def differentiate(
     alpha: np.ndarray,
     wanted: Wanted,
     threads: int | None = None,
+    size: tuple[int, int] = SIZE,
 ) -> tuple[Loss, np.ndarray, np.ndarray]:
     """The loss of a frame, and its derivatives by colour and alpha."""
     launcher, buffers = Launcher("cpu", threads), Buffers("cpu")
@@ -38,7 +39,7 @@ def differentiate(
     pixels = PixelData()
     pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
     pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))
-    found, gradient = loss.differentiate(SIZE, pixels, loss.load(*wanted))
+    found, gradient = loss.differentiate(size, pixels, loss.load(*wanted))
     arrays = gradient.color, gradient.alpha
     by_color, by_alpha = (np.array(array.numpy()) for array in arrays)  # pyright: ignore[reportUnknownMemberType]
     return found, by_color.reshape(color.shape), by_alpha.reshape(alpha.shape)
@@ -59,17 +60,20 @@ def expected(color: np.ndarray, alpha: np.ndarray, wanted: Wanted) -> float:
     x = color if weight is None else y + weight[..., None] * (color - y)
     mx, my = blurred(x), blurred(y)
     vx, vy, cov = blurred(x * x) - mx**2, blurred(y * y) - my**2, blurred(x * y) - mx * my
-    ssim = ((2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))).mean()
-    total = (1.0 - SSIM) * np.abs(x - y).mean() + SSIM * (1.0 - ssim)
-    return float(total if wanted_alpha is None else total + ALPHA * np.abs(alpha - wanted_alpha).mean())
+    ssim = (2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))
+    share = np.ones(alpha.shape) if weight is None else weight.astype(np.float64)
+    error = (1.0 - SSIM) * share[..., None] * np.abs(color - y) + SSIM * (1.0 - ssim)
+    total = error.sum() / (3.0 * share.sum())
+    missed = 0.0 if wanted_alpha is None else ALPHA * (share * np.abs(alpha - wanted_alpha)).sum() / share.sum()
+    return float(total + missed)
 
 
-@pytest.mark.parametrize("kind", ["plain", "masked", "transparent"])
+@pytest.mark.parametrize("kind", ["plain", "masked", "transparent", "both"])
 def test_the_loss_and_its_derivatives(kind: str) -> None:
     """Against the float64 loss and its central differences, at pixels inside, at borders and in a corner."""
     color, alpha, photograph = images(1).astype(np.float64), images(2, None).astype(np.float64), images(3)
-    weight = images(4, None) if kind == "masked" else None
-    wanted = photograph, weight, images(5, None) if kind == "transparent" else None
+    weight = images(4, None) if kind in ("masked", "both") else None
+    wanted = photograph, weight, images(5, None) if kind in ("transparent", "both") else None
     found, by_color, by_alpha = differentiate(color, alpha, wanted)
     assert found.total == pytest.approx(expected(color, alpha, wanted), abs=1e-6)
     scale, step = np.abs(by_color).mean(), 1e-5
@@ -82,7 +86,8 @@ def test_the_loss_and_its_derivatives(kind: str) -> None:
     if wanted[2] is None:
         assert not by_alpha.any()
     else:
-        np.testing.assert_allclose(by_alpha, ALPHA * np.sign(alpha - wanted[2]) / alpha.size, rtol=1e-6)
+        share = np.ones(alpha.shape) if weight is None else weight
+        np.testing.assert_allclose(by_alpha, ALPHA * share * np.sign(alpha - wanted[2]) / share.sum(), rtol=1e-5)
 
 
 def test_what_does_not_count_does_not_pull() -> None:
@@ -92,9 +97,11 @@ def test_what_does_not_count_does_not_pull() -> None:
     one, two = images(1), images(1)
     two[:, 9:] = images(8)[:, 9:]
     alpha = images(2, None)
-    first, by_one, _ = differentiate(one, alpha, (photograph, weight, None))
-    second, by_two, _ = differentiate(two, alpha, (photograph, weight, None))
-    assert first == second and not by_one[:, 9:].any()
+    first, by_one, by_alpha = differentiate(one, alpha, (photograph, weight, images(5, None)))
+    second, by_two, _ = differentiate(two, alpha, (photograph, weight, images(5, None)))
+    assert first == second and not by_one[:, 9:].any() and not by_alpha[:, 9:].any() and by_alpha[:, :9].any()
+    whole = differentiate(one[:, :9], alpha[:, :9], (photograph[:, :9], None, None), size=(9, SIZE[1]))[0]
+    assert first.squared == pytest.approx(whole.squared, rel=1e-5), "a mean over what counts"
     np.testing.assert_array_equal(by_one, by_two)
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.training.initial import neighbour_distances
+from lumisplat.training.initial import Surroundings, neighbour_distances
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
 from support.scenes.training_scenes import BACKGROUND, cameras, folder_of, known, views
@@ -86,9 +87,11 @@ def test_a_loss_that_is_not_finite_ends_training() -> None:
         one.step()
 
 
-def test_training_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path) -> None:
-    """As if it had never ended; and leaves what people want to look at."""
-    folder, config = folder_of(tmp_path / "set"), replace(CONFIG, iterations=260)
+@pytest.mark.parametrize("kind", list(ls.Densification))
+def test_training_that_is_stopped_goes_on_to_the_same_bits(kind: ls.Densification, tmp_path: Path) -> None:
+    """As if it had never ended, over changes of their number; and leaves what people want to look at."""
+    folder = folder_of(tmp_path / "set")
+    config = replace(CONFIG, iterations=260 if kind is ls.Densification.MCMC else 420, densification=kind)
     color = "#1a334d"
     whole = ls.train(folder, config, output=tmp_path / "a.ply", background=color, device="cpu")
     parts: list[ls.TrainResult] = []
@@ -98,12 +101,14 @@ def test_training_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path) -> No
             ls.train(folder, config, output=output, background=color, stop_after=0.3, preview=50, device="cpu")
         )
         assert len(parts) < 200
-    assert whole.is_finished and len(parts) > 1 and parts[0].iterations < 260
+    assert whole.is_finished and len(parts) > 1 and parts[0].iterations < config.iterations
+    assert whole.gaussians.count != CONFIG.initial
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     assert whole.score is not None and whole.score == parts[-1].score and len(whole.score.of_views) == 2
     left = {str(path.relative_to(tmp_path)) for path in (tmp_path / "b.training").rglob("*") if path.is_file()}
     names = {"checkpoint.npz", "curve.json", "curve.png", "metrics.json", "settings.toml"}
-    pictures = {"held out/00.png", "held out/08.png", *(f"previews/{step:07d}.png" for step in range(50, 260, 50))}
+    previews = {f"previews/{step:07d}.png" for step in range(50, config.iterations, 50)}
+    pictures = {"held out/00.png", "held out/08.png", *previews}
     assert left == {f"b.training/{name}" for name in names | pictures}
     assert ls.load_image(tmp_path / "b.training" / "held out" / "00.png").shape == (40, 80, 3)
 
@@ -114,18 +119,39 @@ def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
     config = replace(CONFIG, iterations=20)
     ls.train(folder, config, output=output, device="cpu")
     file = tmp_path / "a.training" / "checkpoint.npz"
-    held = file.read_bytes()
+    held, settings = file.read_bytes(), (tmp_path / "a.training" / "settings.toml").read_bytes()
     with pytest.raises(ls.FormatError, match=r"checkpoint\.npz.* is of a training with cap 150, not 151"):
         ls.train(folder, replace(config, cap=151), output=output, device="cpu")
     other = folder_of(tmp_path / "other", 10)
     with pytest.raises(ls.FormatError, match="with other photographs"):
         ls.train(other, config, output=output, device="cpu")
-    assert file.read_bytes() == held
+    with pytest.raises(ls.FormatError, match="with other photographs"):
+        ls.train(folder, config, output=output, background="white", device="cpu")
+    assert file.read_bytes() == held and (tmp_path / "a.training" / "settings.toml").read_bytes() == settings
     file.write_bytes(held[: len(held) // 2])
     with pytest.raises(ls.FormatError, match="is no checkpoint of a training, or is damaged"):
         ls.train(folder, config, output=output, device="cpu")
     again = ls.train(folder, config, output=output, overwrite=True, device="cpu")
     assert again.iterations == 20 and file.read_bytes() == held
+
+
+def test_parameters_that_are_not_finite_end_training_before_anything_is_written() -> None:
+    """They do not show: what is not finite is not drawn."""
+    one = trainer()
+    one.step()
+    means: Any = one._device_splats.values.means
+    means.numpy()[3:5, 1] = np.nan  # the memory itself, on a CPU
+    with pytest.raises(ls.DivergedError, match=r"step 1: means of 2 of 80 Gaussians are not finite$"):
+        _ = one.checkpoint
+
+
+def test_cameras_that_say_nothing_of_distances_are_taken_for_some() -> None:
+    """That turn on the spot, or that look the same way."""
+    spot = [ls.Camera.look_at((1.3, 0.7, -2.1), target) for target in np.random.default_rng(0).normal(size=(8, 3))]
+    assert Surroundings.of(spot) == Surroundings(1.0, 1.0)
+    rig = [ls.Camera.look_at((x, 0.0, 0.0), (x, 0.0, 1.0)) for x in (-0.1, 0.0, 0.1)]
+    assert Surroundings.of(rig).distance == pytest.approx(3.0 * 1.1 * 0.1)
+    assert Surroundings.of(cameras(9)).distance == pytest.approx(3.0, abs=0.2)
 
 
 def test_neighbours_are_found() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, take_enum
+from lumisplat.config.checks import check_flag, check_kind, check_positive, check_range, check_whole, take_enum
 
 
 class Densification(Enum):
@@ -28,9 +28,9 @@ class LearningRates:
     """
 
     means: float = 1.6e-4
-    """Of the first step, as a share of the extent of the cameras, 0..1."""
+    """Of the first step, as a share of the extent of the cameras, above 0, at most 1."""
     means_last: float = 1.6e-6
-    """Of the last step; between the two, it falls by the same factor in each, 0..1."""
+    """Of the last step; between the two, it falls by the same factor in each, above 0, at most 1."""
     rotations: float = 1e-3
     """0..1."""
     log_scales: float = 5e-3
@@ -41,6 +41,8 @@ class LearningRates:
     """Of the constant colour, 0..1; higher harmonics have a twentieth."""
 
     def __post_init__(self) -> None:
+        for name in ("means", "means_last"):
+            check_positive(name, getattr(self, name))
         for name in ("means", "means_last", "rotations", "log_scales", "logits", "sh"):
             check_range(name, getattr(self, name), 0.0, 1.0)
 

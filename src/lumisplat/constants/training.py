@@ -73,7 +73,8 @@ RESET_OPACITY = 0.01
 
 INITIAL_OPACITY = {"mcmc": 0.5, "adaptive": 0.1}
 INITIAL_SCALE = {"mcmc": 0.3, "adaptive": 1.0}
-"""Scale of the first Gaussians, as a share of the mean distance to their three nearest neighbours."""
+"""Scale of the first Gaussians, as a share of the root mean square of the distances to their three nearest neighbours.
+That of MCMC is between gsplat's 0.1 and 1."""
 
 INITIAL_DEPTHS = (0.4, 1.8)
 """Depths of points at random, as shares of the distance to what the cameras look at."""

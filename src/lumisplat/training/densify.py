@@ -80,7 +80,7 @@ def relocated(learnt: Learnt, rng: np.random.Generator) -> Learnt:
 
 def grown(learnt: Learnt, cap: int, rng: np.random.Generator) -> Learnt:
     """A few per cent more of them, at the places of others, up to a number."""
-    more = min(cap, int(GROWTH * learnt.count)) - learnt.count
+    more = min(cap, max(learnt.count + 1, int(GROWTH * learnt.count))) - learnt.count
     if more <= 0:
         return learnt
     opacities = learnt.opacities

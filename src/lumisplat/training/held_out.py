@@ -35,10 +35,11 @@ class HeldOut:
     Args:
         photographs: Those that were not learnt from; there may be none.
         device: As of `lumisplat.create_renderer`.
+        threads: As of `lumisplat.create_renderer`.
     """
 
-    def __init__(self, photographs: Sequence[Photograph], device: str) -> None:
-        self._photographs, self._device = photographs, device
+    def __init__(self, photographs: Sequence[Photograph], device: str, threads: int | None) -> None:
+        self._photographs, self._device, self._threads = photographs, device, threads
         self._renderer: Renderer | None = None
 
     def psnr(self, gaussians: Gaussians) -> float | None:
@@ -52,7 +53,9 @@ class HeldOut:
         for number, photograph in enumerate(self._photographs):
             if progress is not None:
                 progress("measuring", number / len(self._photographs))
-            found[photograph.name] = masked_psnr(self.shown(gaussians, photograph), photograph)
+            mask = photograph.mask()
+            if mask is None or mask.any():  # what a lens does not show may be all that a mask shows
+                found[photograph.name] = masked_psnr(self.shown(gaussians, photograph), photograph)
         if progress is not None:
             progress("measuring", 1.0)
         return HeldOutScore(float(np.mean(list(found.values()))), found) if found else None
@@ -61,7 +64,7 @@ class HeldOut:
         """What a capture shows in place of a photograph, 0..1, shape (H, W, 3)."""
         if self._renderer is None:
             config = RenderConfig(background=photograph.background or (0.0, 0.0, 0.0), lighting=False)
-            self._renderer = create_renderer(config, self._device)
+            self._renderer = create_renderer(config, self._device, threads=self._threads)
         frame = self._renderer.render(Scene([gaussians]), photograph.camera)
         return np.clip(frame.color, 0.0, 1.0).astype(np.float32)
 

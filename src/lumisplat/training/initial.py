@@ -20,23 +20,34 @@ from lumisplat.training.learnt import Learnt
 NEIGHBOURS = 3
 BLOCK = 512
 """Points among which neighbours are looked for, at most."""
+ONE_PLACE = 1e-6
+"""Extent, as a share of how far cameras are from the origin, below which it is rounding."""
+PARALLEL = 1e-3
+"""Mean squared sine between optical axes and their mean below which nothing says where they meet."""
+PARALLEL_DISTANCE = 3.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Surroundings:
     """What cameras say of the place that they stand in."""
 
     extent: float
-    """1.1 times the largest distance of a camera from their mean, scene units (Kerbl et al. 2023); 1 of one camera."""
+    """1.1 times the largest distance of a camera from their mean, scene units (Kerbl et al. 2023); 1 of one place."""
     distance: float
-    """Median distance of a camera from what they look at, scene units."""
+    """Median distance of a camera from what they look at, scene units; of cameras that look the same way, three times
+    the extent."""
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Surroundings:
         """Those of at least one camera."""
-        target = camera_target(cameras)
+        target, extent = camera_target(cameras), camera_extent(cameras)
+        farthest = max(float(np.linalg.norm(camera.eye)) for camera in cameras)
+        if extent < ONE_PLACE * max(farthest, 1.0):  # they turn on the spot: nothing says how far anything is
+            return cls(1.0, 1.0)
         distance = float(np.median([np.linalg.norm(camera.eye - target) for camera in cameras]))
-        return cls(camera_extent(cameras) or 1.0, distance or 1.0)
+        axes = np.array([camera.camera_from_world[2, :3] for camera in cameras])
+        spread = 1.0 - float(np.linalg.eigvalsh(axes.T @ axes / len(axes))[-1])
+        return cls(extent, distance if spread > PARALLEL else PARALLEL_DISTANCE * extent)
 
 
 def random_points(cameras: Sequence[Camera], around: Surroundings, count: int, rng: np.random.Generator) -> Doubles:

@@ -41,11 +41,17 @@ def slope(x: float) -> float:
 
 
 @wp.func
+def share_of(photograph: Photograph, i: int) -> float:
+    """How much a pixel counts, 0..1."""
+    if photograph.weight.shape[0] > 0:
+        return photograph.weight[i]
+    return 1.0
+
+
+@wp.func
 def counted(shown: wp.vec3, photograph: Photograph, i: int) -> wp.vec3:
     """What a frame shows where it counts, the photograph elsewhere."""
-    if photograph.weight.shape[0] > 0:
-        return wp.lerp(photograph.color[i], shown, photograph.weight[i])
-    return shown
+    return wp.lerp(photograph.color[i], shown, share_of(photograph, i))
 
 
 @wp.kernel
@@ -167,17 +173,16 @@ def differentiate_rows(
         p = counted(color[i], photograph, i)
         by_ssim = by_mean + 2.0 * wp.cw_mul(p, by_square) + wp.cw_mul(q, by_product)
         difference = p - q
+        share = share_of(photograph, i)
         gradient = weights.l1 * wp.vec3(slope(difference[0]), slope(difference[1]), slope(difference[2]))
         gradient -= weights.ssim * by_ssim
-        if photograph.weight.shape[0] > 0:
-            gradient *= photograph.weight[i]
-        by_color_out[i] = gradient
-        sums += wp.vec3(
-            wp.abs(difference[0]) + wp.abs(difference[1]) + wp.abs(difference[2]), wp.dot(difference, difference), 0.0
-        )
+        by_color_out[i] = share * gradient
+        error = color[i] - q
+        magnitude = wp.abs(error[0]) + wp.abs(error[1]) + wp.abs(error[2])
+        sums += share * wp.vec3(magnitude, wp.dot(error, error), 0.0)
         by_alpha_out[i] = 0.0
         if photograph.alpha.shape[0] > 0:
             missed = alpha[i] - photograph.alpha[i]
-            by_alpha_out[i] = weights.alpha * slope(missed)
-            sums[2] = sums[2] + wp.abs(missed)
+            by_alpha_out[i] = share * weights.alpha * slope(missed)
+            sums[2] = sums[2] + share * wp.abs(missed)
     sums_out[y] = sums

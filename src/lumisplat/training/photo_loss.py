@@ -44,6 +44,8 @@ class PhotoLoss:
     def __init__(self, launcher: Launcher, buffers: Buffers, *, ssim: float, alpha: float) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._ssim, self._alpha = ssim, alpha
+        self._total = 1.0
+        """Sum of what counts of the photograph, pixels."""
 
     def load(self, color: FloatArray, weight: FloatArray | None, alpha: FloatArray | None) -> Photograph:
         """A photograph on the device, until the next one is loaded.
@@ -54,6 +56,7 @@ class PhotoLoss:
             alpha: What the frame's alpha should be, shape (H, W); None: nobody knows.
         """
         photograph = Photograph()
+        self._total = float(color.shape[0] * color.shape[1] if weight is None else weight.sum(dtype=np.float64)) or 1.0
         photograph.color = self._buffers.upload("photograph.color", wp.vec3, color.reshape(-1, 3))
         none = np.zeros(0, np.float32)
         for name, values in (("weight", weight), ("alpha", alpha)):
@@ -81,20 +84,22 @@ class PhotoLoss:
             run(loss_kernels.blur_rows, height, width, pixels.color, photograph, maps)
             run(loss_kernels.compare_rows, height, width, height, maps, derivatives, rows)
             run(loss_kernels.spread_rows, height, width, derivatives, maps)
-            inputs = (width, height, self._weights(count), pixels.color, pixels.alpha, photograph, maps)
+            inputs = (width, height, self._weights(), pixels.color, pixels.alpha, photograph, maps)
             run(loss_kernels.differentiate_rows, height, *inputs, gradient.color, gradient.alpha, sums)
         return self._loss(count, rows.numpy(), sums.numpy()), gradient
 
-    def _weights(self, count: int) -> LossWeights:
+    def _weights(self) -> LossWeights:
         weights = LossWeights()
-        weights.l1 = (1.0 - self._ssim) / (3 * count)
-        weights.ssim = self._ssim / (3 * count)
-        weights.alpha = self._alpha / count
+        weights.l1 = (1.0 - self._ssim) / (3.0 * self._total)
+        weights.ssim = self._ssim / (3.0 * self._total)
+        weights.alpha = self._alpha / self._total
         return weights
 
     def _loss(self, count: int, ssim_rows: FloatArray, sums: FloatArray) -> Loss:
-        ssim = float(ssim_rows.sum(dtype=np.float64)) / (3 * count)
-        means = sums.sum(axis=0, dtype=np.float64) / (3 * count, 3 * count, count)
+        """Means over pixels that count; where none does, frame and photograph are the same, and SSIM is 1."""
+        total = self._total
+        ssim = 1.0 - (3.0 * count - float(ssim_rows.sum(dtype=np.float64))) / (3.0 * total)
+        means = sums.sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total)
         l1, squared, alpha = (float(mean) for mean in means)
-        total = (1.0 - self._ssim) * l1 + self._ssim * (1.0 - ssim) + self._alpha * alpha
-        return Loss(l1, squared, ssim, alpha, total)
+        loss = (1.0 - self._ssim) * l1 + self._ssim * (1.0 - ssim) + self._alpha * alpha
+        return Loss(l1, squared, ssim, alpha, loss)

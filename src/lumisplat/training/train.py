@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import time
 from collections.abc import Callable
@@ -9,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lumisplat.config import TrainConfig
-from lumisplat.config.checks import check_kind, check_positive
+from lumisplat.config.checks import check_kind, check_positive, check_whole
+from lumisplat.errors import ConfigError
 from lumisplat.io import save
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.io.photographs.photographs import Photographs
@@ -23,6 +25,7 @@ from lumisplat.training.views import TrainingView
 
 Progress = Callable[[str, float], None]
 
+CAPTURES = (".ply", ".spz")
 CHECKPOINT_EVERY_S = 60.0
 """Seconds between two checkpoints."""
 TELL_EVERY_S = 0.5
@@ -91,6 +94,10 @@ def train(
     check_kind("config", config, TrainConfig)
     if stop_after is not None:
         check_positive("stop_after", stop_after)
+    if preview is not None:
+        check_whole("preview", preview, 1, config.iterations)
+    if output is not None and Path(output).suffix.lower() not in CAPTURES:
+        raise ConfigError(f"output is {output}, expected a file that ends in {' or '.join(CAPTURES)}")
     if not isinstance(photographs, Photographs):
         photographs = load_photographs(photographs, scale=scale, hold_out=hold_out, background=background)
     folder = None if output is None else RunFolder.of(Path(output))
@@ -123,8 +130,9 @@ class _Run:
             colors=photographs.point_colors,
             device=device,
             threads=threads,
+            progress=progress,
         )
-        self._held_out = HeldOut(photographs.held_out, device)
+        self._held_out = HeldOut(photographs.held_out, device, threads)
         self._curve = Curve()
         self._begun = time.monotonic()
         self._first = 0
@@ -134,10 +142,10 @@ class _Run:
         if self._folder is None:
             return
         self._folder.prepare(overwrite=overwrite)
-        self._folder.write_settings(self._config)
         if self._folder.checkpoint.exists():
             self._trainer.restore(read_checkpoint(self._folder.checkpoint, self._config, self._mark))
             self._curve = self._folder.read_curve()
+        self._folder.write_settings(self._config)  # not before: those of another training stay
         self._first = self._trainer.iteration
 
     def work(self, stop_after: float | None, preview: int | None) -> None:
@@ -151,7 +159,7 @@ class _Run:
             if now - told >= TELL_EVERY_S:
                 told = now
                 self._progress(self._line(now), trainer.iteration / total)
-            if trainer.iteration % MEASURE_EVERY == 0 or trainer.iteration == total:
+            if trainer.iteration % MEASURE_EVERY == 0 and trainer.iteration < total:
                 self._curve.measure(trainer.iteration, self._held_out.psnr(trainer.gaussians()))
             if preview is not None and self._folder is not None and trainer.iteration % preview == 0:
                 self._held_out.preview(trainer.gaussians(), self._folder.preview(trainer.iteration))
@@ -167,6 +175,8 @@ class _Run:
         """Writes the capture, and measures it."""
         gaussians = self._trainer.gaussians()
         score = self._held_out.score(gaussians, self._progress)
+        if score is not None:
+            self._curve.measure(self._trainer.iteration, score.psnr)
         if output is not None and self._folder is not None:
             save(output, gaussians)
             self._folder.write_report(self._curve, score, self._held_out, gaussians)
@@ -185,8 +195,16 @@ class _Run:
 
     @property
     def _mark(self) -> str:
-        """What tells these photographs from others."""
-        return ", ".join(f"{one.name} {one.camera.width}x{one.camera.height}" for one in self._photographs.training)
+        """What tells these photographs, their poses, points and background from others."""
+        told = hashlib.sha256()
+        for one in self._photographs.training:
+            camera = one.camera
+            inside = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, one.background)
+            told.update(f"{one.name} {inside} {one.path.stat().st_size}".encode())
+            told.update(camera.camera_from_world.tobytes())
+        if self._photographs.points is not None:
+            told.update(self._photographs.points.tobytes())
+        return told.hexdigest()
 
 
 def _say_nothing(label: str, fraction: float) -> None:

@@ -22,11 +22,14 @@ from lumisplat.device.structs.gradients import GaussianGradient
 from lumisplat.device.structs.training import NoiseData, SplatRecord, StepRates
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
+from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.buffers import Buffers, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.training import optimizer_kernels
+from lumisplat.scene.scene import Scene
+from lumisplat.training import loss_kernels, optimizer_kernels
 from lumisplat.training.checkpoint import Checkpoint
 from lumisplat.training.densify import Record, densified
 from lumisplat.training.initial import Surroundings, first_gaussians, random_points
@@ -54,6 +57,7 @@ class Trainer:
         colors: Display-referred sRGB of these, 0..1, shape (N, 3).
         device: As of `lumisplat.create_renderer`.
         threads: As of `lumisplat.create_renderer`.
+        progress: As of `lumisplat.create_renderer`.
     """
 
     def __init__(
@@ -66,6 +70,7 @@ class Trainer:
         colors: FloatArray | None = None,
         device: str = "auto",
         threads: int | None = None,
+        progress: Progress | None = None,
     ) -> None:
         self._views, self.config = views, config
         self.around = Surroundings.of([view.camera for view in views])
@@ -73,6 +78,9 @@ class Trainer:
         raster = RasterConfig(sh_degree=config.sh_degree, antialiasing=antialiasing)
         self._launcher = Launcher(device, threads)
         self._buffers = Buffers(self._launcher.device)
+        raster_kernels = frame_modules(FramePlan.of(RenderConfig(), Scene()), self._launcher, RenderConfig())
+        own = [optimizer_kernels, loss_kernels]
+        self._launcher.load([*raster_kernels, *gradient_modules(self._launcher), *own], progress)
         settings = RenderConfig(background=background, raster=raster, lighting=False)
         self._raster = TrainingRaster(self._launcher, self._buffers, settings)
         self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, alpha=config.alpha)
@@ -95,13 +103,13 @@ class Trainer:
 
     def gaussians(self) -> Gaussians:
         """What has been learnt so far."""
-        return self._device_splats.download().gaussians(antialiased=self.config.antialiased)
+        return self._learnt().gaussians(antialiased=self.config.antialiased)
 
     @property
     def checkpoint(self) -> Checkpoint:
         """The state."""
         record = {name: np.array(device_array(getattr(self._record, name)).numpy()) for name in ("motion", "frames")}
-        return Checkpoint(self.iteration, self._device_splats.download(), record)
+        return Checkpoint(self.iteration, self._learnt(), record)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Goes on from a state."""
@@ -193,7 +201,29 @@ class Trainer:
         frames = np.maximum(device_array(self._record.frames).numpy(), 1.0).astype(np.float64)
         record = Record(self.iteration, self.around.extent, device_array(self._record.motion).numpy() / frames)
         rng = np.random.default_rng([self.config.seed, 2, self.iteration])
-        self._place(densified(self._device_splats.download(), record, self.config, rng))
+        learnt = densified(self._learnt(), record, self.config, rng)
+        if learnt.count == 0:
+            raise DivergedError(
+                f"training stopped at step {self.iteration:,}: no Gaussian is left that is neither transparent nor "
+                f"larger than a tenth of the extent of the cameras, {self.around.extent:.3g}: use mcmc"
+            )
+        self._place(learnt)
+
+    def _learnt(self) -> Learnt:
+        """What the device has.
+
+        Raises:
+            DivergedError: Some of it is not finite.
+        """
+        learnt = self._device_splats.download()
+        for name, values in learnt.values.items():
+            bad = int((~np.isfinite(values.reshape(learnt.count, -1))).any(axis=1).sum())
+            if bad:
+                raise DivergedError(
+                    f"training stopped at step {self.iteration:,}: {name} of {bad:,} of {learnt.count:,} Gaussians are "
+                    "not finite"
+                )
+        return learnt
 
     def _place(self, learnt: Learnt) -> None:
         """Goes on with parameters from the host."""

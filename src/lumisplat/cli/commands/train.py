@@ -17,6 +17,8 @@ from lumisplat.cli.output.standard_output import refuse_standard_output
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
 _CAPTURES = (".ply", ".spz")
+_POSES = ("transforms.json", "transforms_train.json", "sparse", "cameras.bin", "cameras.txt")
+"""Files that have poses, of which one is in a folder that needs none to be found."""
 _WORST = 5
 """Views that are listed."""
 
@@ -68,27 +70,27 @@ class Train(DeviceCommand):
         refuse_standard_output(self.output)
         if self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
+        config, stop_after = self._config(), None if self.stop_after is None else seconds_of(self.stop_after)
         self.start_warp()
         with progress_bars() as report:
-            if self.poses is not None and not (self.folder / "sparse").exists():
+            if self.poses is not None and not any((self.folder / name).exists() for name in _POSES):
                 ls.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
             try:
                 result = ls.train(
                     self.folder,
-                    self._config(),
+                    config,
                     output=self.output,
                     scale=self.scale,
                     hold_out=self.hold_out,
                     background=self.background,
-                    stop_after=None if self.stop_after is None else seconds_of(self.stop_after),
+                    stop_after=stop_after,
                     overwrite=self.overwrite,
                     preview=self.preview,
                     device=self.device,
                     progress=report,
                 )
             except KeyboardInterrupt:
-                again = "the same command without --overwrite" if self.overwrite else "the same command"
-                raise KeyboardInterrupt(f"{again} goes on from the last checkpoint") from None
+                raise KeyboardInterrupt(f"{self._again} goes on from the last checkpoint, if there is one") from None
         self._tell(result)
 
     def _config(self) -> ls.TrainConfig:
@@ -112,7 +114,12 @@ class Train(DeviceCommand):
         steps = f"{result.iterations:,} of {self.iterations:,} steps"
         print(f"{self.output}: {counted(result.gaussians.count, 'Gaussian')}, {steps}, {spoken_time(result.seconds)}")
         if not result.is_finished:
-            print("the same command goes on")
+            print(f"{self._again} goes on")
+
+    @property
+    def _again(self) -> str:
+        """What is to be typed to go on."""
+        return "the same command without --overwrite" if self.overwrite else "the same command"
 
 
 def seconds_of(text: str) -> float:

@@ -31,7 +31,8 @@ def progress_bars() -> Generator[Report]:
     named, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
     columns = (named, BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), left)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks: dict[str, tuple[TaskID, float]] = {}
+        tasks: dict[str, tuple[TaskID, float, float]] = {}
+        """With when they were reported first, and the fraction that was done by then."""
 
         def report(label: str, fraction: float) -> None:
             name = label.partition(", ")[0]
@@ -40,9 +41,9 @@ def progress_bars() -> Generator[Report]:
                     bars.remove_task(tasks.pop(name)[0])
                 return
             if name not in tasks:
-                tasks[name] = bars.add_task(label, total=1.0, left=""), time.monotonic()
-            task, begun = tasks[name]
-            left = _time_left(time.monotonic() - begun, fraction)
+                tasks[name] = bars.add_task(label, total=1.0, left=""), time.monotonic(), fraction
+            task, begun, first = tasks[name]
+            left = _time_left(time.monotonic() - begun, first, fraction)
             bars.update(task, description=label, completed=fraction, left=left)
 
         yield report
@@ -121,9 +122,9 @@ def found_light(lighter: ls.AvatarLighter) -> str | None:
     return None
 
 
-def _time_left(seconds: float, fraction: float) -> str:
-    """How long the rest takes if a fraction took so many seconds; nothing before there is one."""
-    return f"{spoken_time(seconds * (1.0 / fraction - 1.0))} left" if fraction > 0.0 else ""
+def _time_left(seconds: float, first: float, fraction: float) -> str:
+    """How long the rest takes if it took so many seconds from one fraction to another; nothing before that is known."""
+    return f"{spoken_time(seconds * (1.0 - fraction) / (fraction - first))} left" if fraction > first else ""
 
 
 def spoken_time(seconds: float) -> str:

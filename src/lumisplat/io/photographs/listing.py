@@ -127,4 +127,6 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, folder: Path
 
 def some_names(names: Sequence[str]) -> str:
     """The first few names, for a message."""
-    return ", ".join(" ".join(name.split()) for name in names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+    # Names of files may be bytes that are no text: such a line could not be printed.
+    shown = (" ".join(name.split()).encode(errors="replace").decode() for name in names[:_SHOWN])
+    return ", ".join(shown) + (", ..." if len(names) > _SHOWN else "")

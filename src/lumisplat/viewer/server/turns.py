@@ -22,8 +22,6 @@ class _Queue:
     """Whoever waits for it longest is next."""
     arrivals: int = 0
     """How many have asked."""
-    typed: dict[object, int] = field(default_factory=dict[object, int])
-    """The last arrival of each callback of a text."""
     bell: asyncio.Event = field(default_factory=asyncio.Event)
     """Set at each arrival."""
 
@@ -43,34 +41,36 @@ def in_turn(
         is_typed: Whether it is asked for at each key: then it is done once no key has followed for a while, or
             something else is asked for.
     """
+    newest = 0
+    """The last of its arrivals."""
 
     async def callback(event: Any) -> None:
+        nonlocal newest
         what = read(event)
         if what is None:
             return
         queue = _QUEUES.setdefault(asyncio.get_running_loop(), _Queue())
         queue.arrivals += 1
-        arrival = queue.arrivals
-        if is_typed:
-            queue.typed[callback] = arrival
+        arrival = newest = queue.arrivals
         queue.bell.set()
         async with queue.lock:
-            if is_typed and not await _is_last(queue, callback, arrival):
-                return
+            if is_typed:
+                await _next_key(queue, arrival)
+                if newest != arrival:
+                    return
             await asyncio.to_thread(act, what)
 
     return callback
 
 
-async def _is_last(queue: _Queue, callback: object, arrival: int) -> bool:
-    """Waits for the next key; whether none has come."""
+async def _next_key(queue: _Queue, arrival: int) -> None:
+    """Waits for the next arrival, but not for long."""
     while queue.arrivals == arrival:
         queue.bell.clear()
         try:
             await asyncio.wait_for(queue.bell.wait(), TYPING_S)
         except TimeoutError:
             break
-    return queue.typed[callback] == arrival
 
 
 def chosen(read: Callable[[Any], Read], act: Callable[[Read], object], *, is_typed: bool = False) -> Any:

@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.panels.desk import pose_of_page
-from lumisplat.viewer.server.turns import pressed
+from lumisplat.viewer.server.turns import in_turn
 from lumisplat.viewer.state.boxes import Box, world_corners
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Session
@@ -55,14 +55,17 @@ class AddPanel:
     def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
         self._session, self._pages = session, pages
         self._what = gui.add_dropdown("what", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
-        gui.add_button("add").on_click(pressed(self._add))
+        add: Any = in_turn(lambda event: (event, str(self._what.value)), self._add)
+        gui.add_button("add").on_click(add)
         hint = "Captures, meshes, and images of the sky."
         self._file = gui.add_dropdown("file beside the scene", [_NOTHING], hint=hint)
         hint = "It moves by its own clip, takes on the light of its place, and casts shadows on captures."
         self._moves = gui.add_checkbox("as an actor", False, hint=hint)
-        gui.add_button("add the file").on_click(pressed(lambda _: self._add_file(str(self._file.value))))
+        add_file: Any = in_turn(lambda _: (str(self._file.value), bool(self._moves.value)), self._add_file)
+        gui.add_button("add the file").on_click(add_file)
         upload = gui.add_upload_button("upload a file", mime_type=",".join(_READABLE), hint="And add it.")
-        upload.on_upload(pressed(lambda event: self._add_upload(event.target.value)))
+        add_upload: Any = in_turn(lambda event: (event.target.value, bool(self._moves.value)), self._add_upload)
+        upload.on_upload(add_upload)
 
     def list_files(self) -> None:
         """Lists the files beside the scene file."""
@@ -78,9 +81,9 @@ class AddPanel:
         except OSError:
             return []
 
-    def _add(self, event: Any) -> None:
+    def _add(self, asked: tuple[Any, str]) -> None:
         """Adds a light where the page sees it, a sky, or a shape on the ground."""
-        kind = str(self._what.value).removesuffix(" light")
+        event, kind = asked[0], asked[1].removesuffix(" light")
         pose = pose_of_page(self._pages, event)
         if pose is None:
             return
@@ -92,14 +95,16 @@ class AddPanel:
         elif kind in _SHAPES:
             self._insert("meshes", {"shape": kind, "size": 0.1 * self._session.extent.size, "upright": True})
 
-    def _add_file(self, name: str) -> None:
-        """Adds a file beside the scene: one of those that are there, whatever a page says."""
+    def _add_file(self, asked: tuple[str, bool]) -> None:
+        """Adds a file beside the scene: one of those that are there, whatever a page says; perhaps as an actor."""
+        name, moves = asked
         for path in self._beside():
             if path.name == name:
-                self._insert_file(path)
+                self._insert_file(path, moves=moves)
 
-    def _add_upload(self, file: Any) -> None:
-        """Keeps an uploaded file beside the scene, under a plain name that is free, and adds it."""
+    def _add_upload(self, asked: tuple[Any, bool]) -> None:
+        """Keeps an uploaded file beside the scene, under a plain name that is free; adds it, perhaps as an actor."""
+        file, moves = asked
         suffix = Path(file.name).suffix.lower()
         if suffix not in _READABLE or suffix == ".gltf":
             self._session.report(f"{Path(file.name).name}: is no capture, mesh or image of a sky that is one file")
@@ -111,16 +116,16 @@ class AddPanel:
         except OSError as error:
             self._session.report(f"{target}: cannot be written: {error.strerror}")
             return
-        if not self._insert_file(target):
+        if not self._insert_file(target, moves=moves):
             target.unlink(missing_ok=True)
 
-    def _insert_file(self, path: Path) -> bool:
+    def _insert_file(self, path: Path, *, moves: bool) -> bool:
         """Adds what a file holds; the image of a sky becomes that of the environment."""
         kind, table = _kind_of(path), {"path": str(path)}
         if kind == "environment":
             return self._session.apply(lambda document: self._selected(*with_sky(document, str(path))))
         table |= {"upright": True} if kind == "meshes" else {}
-        done = self._insert("actors" if self._moves.value else kind, table)
+        done = self._insert("actors" if moves else kind, table)
         self._moves.value = False
         return done
 

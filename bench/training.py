@@ -1,0 +1,114 @@
+"""What training costs, and how near it comes.
+
+``python -m bench.training cost CAPTURE`` prints milliseconds of processor time of each stage of a step at 640 x 360,
+of a thinned capture and of the capture itself. ``python -m bench.training fit FOLDER`` fits photographs, and prints how
+it goes, and PSNR of those that were held out.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+import lumisplat as ls
+from bench.timing import parser, quiet_warp
+from lumisplat.training.learnt import Learnt
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import Picture, TrainingView
+
+SIZE = 640, 360
+COUNTS = (10_000, 50_000)
+STEPS = 12
+WARM_UP = 3
+FORWARD = ("project", "sort", "bin", "composite")
+STAGES = (*FORWARD, "loss", "backward: pixels", "backward: splats", "backward: Gaussians", "optimiser")
+
+
+def main() -> None:
+    """Prints a table."""
+    arguments = parser("training", __doc__)
+    arguments.add_argument("what", choices=("cost", "fit"))
+    arguments.add_argument("path", type=Path, help="a capture, or a folder of photographs")
+    arguments.add_argument("--scale", type=float, default=0.5, help="of photographs")
+    arguments.add_argument("--iterations", type=int, default=7000)
+    arguments.add_argument("--cap", type=int, default=30_000)
+    options = arguments.parse_args()
+    quiet_warp()
+    print(f"load of the machine before: {os.getloadavg()[0]:.1f}\n")
+    if options.what == "cost":
+        print_cost(options.path, options.device)
+    else:
+        config = ls.TrainConfig(iterations=options.iterations, cap=options.cap, sh_degree=2)
+        print_fit(options.path, options.scale, config, options.device)
+    print(f"\nload of the machine after: {os.getloadavg()[0]:.1f}")
+
+
+def print_cost(path: Path, device: str) -> None:
+    """A row for each number of Gaussians."""
+    capture = ls.load(path)
+    assert isinstance(capture, ls.Gaussians)
+    print("| Gaussians |", " | ".join(STAGES), "| backward pixels / compositing |")
+    print("| ---: |" + " ---: |" * (len(STAGES) + 1))
+    for count in (*(count for count in COUNTS if count < capture.count), capture.count):
+        some = capture.subset(np.linspace(0, capture.count - 1, count).astype(int))
+        stages = stages_of(some, device)
+        ratio = stages["backward: pixels"] / stages["composite"]
+        print(f"| {count:,} |", " | ".join(f"{stages[name]:.1f}" for name in STAGES), f"| {ratio:.2f} |", flush=True)
+
+
+def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
+    """Median processor time of each stage of a step, milliseconds."""
+    width, height = SIZE
+    scene = ls.Scene([gaussians])
+    camera = ls.frame_camera(scene, width=width, height=height)
+    wanted = np.random.default_rng(0).uniform(size=(height, width, 3)).astype(np.float32)
+    config = ls.TrainConfig(iterations=10_000, cap=gaussians.count, sh_degree=0)
+    view = TrainingView("random", camera, lambda: Picture(wanted))
+    trainer = Trainer([view], config, points=gaussians.means, device=device)
+    checkpoint = trainer.checkpoint
+    learnt = Learnt.new(
+        {
+            "means": gaussians.means,
+            "rotations": gaussians.rotations_wxyz,
+            "log_scales": np.log(gaussians.scales),
+            "logits": np.log(gaussians.opacities / (1.0 - np.minimum(gaussians.opacities, 0.9999))),
+            "sh": gaussians.sh[:, :1],
+        }
+    )
+    trainer.restore(type(checkpoint)(0, learnt, checkpoint.record))
+    trainer._launcher.clock = time.process_time
+    rows: list[dict[str, float]] = []
+    for _ in range(STEPS):
+        trainer.step()
+        rows.append(dict(trainer._launcher.stage_ms))
+    return {name: float(np.median([row[name] for row in rows[WARM_UP:]])) for name in STAGES}
+
+
+def print_fit(folder: Path, scale: float, config: ls.TrainConfig, device: str) -> None:
+    """A row for each thousand steps, and what came of it."""
+    photographs = ls.load_photographs(folder, scale=scale, background="black")
+    camera = photographs.training[0].camera
+    learnt, held_out = len(photographs.training), len(photographs.held_out)
+    print(f"{learnt} photographs of {camera.width} x {camera.height}, {held_out} held out")
+    begun, processor = time.monotonic(), time.process_time()
+    told = 0.0
+
+    def progress(label: str, fraction: float) -> None:
+        nonlocal told
+        if label.startswith("training, ") and time.monotonic() - told > 30.0:
+            told = time.monotonic()
+            print(f"{fraction:.0%} after {told - begun:.0f} s: {label.removeprefix('training, ')}", flush=True)
+
+    result = ls.train(photographs, config, device=device, progress=progress)
+    assert result.score is not None
+    print(
+        f"{result.score.psnr:.2f} dB over what was held out, {result.gaussians.count:,} Gaussians, "
+        f"{time.monotonic() - begun:.0f} s, {time.process_time() - processor:.0f} s of processor time"
+    )
+
+
+if __name__ == "__main__":
+    main()
