@@ -81,9 +81,9 @@ def shown(viewer: ls.Viewer) -> np.ndarray:
     """The same part of what the renderer has rendered for the page."""
     (page,) = viewer._pages.values()
     assert page.frame is not None
-    image = Image.fromarray(np.asarray(page.frame, np.uint8)).resize(
-        (SIZE["width"], SIZE["height"]), Image.Resampling.BILINEAR
-    )
+    camera, height = page.frame.camera, SIZE["height"]
+    size = round(height * camera.width / camera.height), height  # beside the panel
+    image = Image.fromarray(np.asarray(page.frame, np.uint8)).resize(size, Image.Resampling.BILINEAR)
     return np.asarray(image)[200:, :440]
 
 

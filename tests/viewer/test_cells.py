@@ -441,10 +441,11 @@ def test_a_notebook_gets_the_types_that_it_asks_for(viewer: ls.Viewer, notebook:
 
 
 def test_what_cannot_be_shown_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file that is missing, and whatever else goes wrong: a cell never gets an exception."""
-    viewer = ls.view(tmp_path / "missing.ply", device="cpu")
+    """A file that is damaged, and whatever else goes wrong: a cell never gets an exception."""
+    (tmp_path / "damaged.ply").write_bytes(b"no capture")
+    viewer = ls.view(tmp_path / "damaged.ply", device="cpu")
     data, about = viewer._repr_mimebundle_()
-    assert "missing.ply" in data["text/plain"] and viewer.url in data["text/plain"] and about == {}
+    assert "damaged.ply" in data["text/plain"] and viewer.url in data["text/plain"] and about == {}
     viewer.close()
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
     monkeypatch.setattr(Notebook, "bundle", None)
