@@ -39,7 +39,10 @@ def learnt(opacities: list[float], scales: list[float] | None = None) -> Learnt:
 def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float) -> None:
     """At its centre exactly; and as much in all along a line through it, which fixes the scale (equation 9)."""
     each, factor = shared(np.array([opacity]), np.array([count]))
-    if each[0] > 0.005:  # opacities stay above what is dead
+    assert each[0] >= 0.005, "none is dead"
+    if 1.0 - (1.0 - opacity) ** (1.0 / count) < 0.005:
+        assert each[0] == 0.005
+    if each[0] > 0.005:
         assert 1.0 - (1.0 - each[0]) ** count == pytest.approx(opacity)
     x = np.linspace(-12.0, 12.0, 200_001)
     many = 1.0 - (1.0 - each[0] * np.exp(-0.5 * (x / factor[0]) ** 2)) ** count

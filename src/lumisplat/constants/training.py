@@ -2,7 +2,7 @@
 
 COMPENSATION_MIN = 0.005
 """Mip-Splatting's compensation of an opacity below which it is taken for constant: it falls to 0 for a Gaussian that is
-seen edge-on, where its derivative by the scales grows beyond all bounds. gsplat's has this floor since 1.5.3."""
+seen edge-on, where its derivative by the scales grows beyond all bounds. gsplat's has this floor after 1.5.3."""
 
 SH_COEFFICIENTS_MAX = 16
 """Coefficients of spherical harmonics of degree 3."""
@@ -18,16 +18,10 @@ ADAM_EPSILON = 1e-15
 
 # --- Markov chain Monte Carlo (Kheradmand et al. 2024; values of gsplat) ---
 
-NOISE_OPACITY = 0.005
-"""Opacity below which Gaussians move at random, and are dead: others take their places."""
-
 NOISE_SLOPE = 100.0
-"""How sharply the noise ends there."""
+"""How sharply the noise ends at `DEAD_OPACITY`."""
 
 # --- The loss ---
-
-SSIM_TAPS = 11
-"""Pixels across the window of SSIM."""
 
 SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2

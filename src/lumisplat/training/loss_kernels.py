@@ -9,19 +9,19 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX
-from lumisplat.constants.training import SSIM_C1, SSIM_C2, SSIM_TAPS
+from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX, SSIM_WINDOW_PX
+from lumisplat.constants.training import SSIM_C1, SSIM_C2
 from lumisplat.device.structs.training import LossMaps, LossWeights, Photograph
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler_flags": FUSED_FLAGS})
 
-TAPS = wp.constant(SSIM_TAPS)
-REACH = wp.constant(SSIM_TAPS // 2)
+TAPS = wp.constant(SSIM_WINDOW_PX)
+REACH = wp.constant(SSIM_WINDOW_PX // 2)
 C1 = wp.constant(wp.float32(SSIM_C1))
 C2 = wp.constant(wp.float32(SSIM_C2))
 
-_RAW = [math.exp(-0.5 * ((k - SSIM_TAPS // 2) / SSIM_SIGMA_PX) ** 2) for k in range(SSIM_TAPS)]
-WINDOW = wp.constant(wp.types.vector(length=SSIM_TAPS, dtype=wp.float32)(*(weight / sum(_RAW) for weight in _RAW)))
+_RAW = [math.exp(-0.5 * ((k - SSIM_WINDOW_PX // 2) / SSIM_SIGMA_PX) ** 2) for k in range(SSIM_WINDOW_PX)]
+WINDOW = wp.constant(wp.types.vector(length=SSIM_WINDOW_PX, dtype=wp.float32)(*(weight / sum(_RAW) for weight in _RAW)))
 
 
 @wp.func
@@ -172,12 +172,10 @@ def differentiate_rows(
         q = photograph.color[i]
         p = counted(color[i], photograph, i)
         by_ssim = by_mean + 2.0 * wp.cw_mul(p, by_square) + wp.cw_mul(q, by_product)
-        difference = p - q
         share = share_of(photograph, i)
-        gradient = weights.l1 * wp.vec3(slope(difference[0]), slope(difference[1]), slope(difference[2]))
-        gradient -= weights.ssim * by_ssim
-        by_color_out[i] = share * gradient
         error = color[i] - q
+        gradient = weights.l1 * wp.vec3(slope(error[0]), slope(error[1]), slope(error[2])) - weights.ssim * by_ssim
+        by_color_out[i] = share * gradient
         magnitude = wp.abs(error[0]) + wp.abs(error[1]) + wp.abs(error[2])
         sums += share * wp.vec3(magnitude, wp.dot(error, error), 0.0)
         by_alpha_out[i] = 0.0

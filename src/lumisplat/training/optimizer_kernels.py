@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.constants.training import ADAM_BETA_1, ADAM_BETA_2, ADAM_EPSILON, NOISE_OPACITY, NOISE_SLOPE
+from lumisplat.constants.training import ADAM_BETA_1, ADAM_BETA_2, ADAM_EPSILON, DEAD_OPACITY, NOISE_SLOPE
 from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.gradients import GaussianGradient, SplatGradient
 from lumisplat.device.structs.raster import TileRect
@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLA
 BETA_1 = wp.constant(wp.float32(ADAM_BETA_1))
 BETA_2 = wp.constant(wp.float32(ADAM_BETA_2))
 EPSILON = wp.constant(wp.float32(ADAM_EPSILON))
-OPACITY_KEPT = wp.constant(wp.float32(NOISE_OPACITY))
+OPACITY_KEPT = wp.constant(wp.float32(DEAD_OPACITY))
 SLOPE = wp.constant(wp.float32(NOISE_SLOPE))
 TWO_PI = wp.constant(wp.float32(6.283185307179586))
 
@@ -24,12 +24,6 @@ TWO_PI = wp.constant(wp.float32(6.283185307179586))
 def sigmoid(x: float) -> float:
     """From a logit to 0..1."""
     return 1.0 / (1.0 + wp.exp(-x))
-
-
-@wp.func
-def moment(beta: float, before: float, value: float) -> float:
-    """A mean that forgets."""
-    return beta * before + (1.0 - beta) * value
 
 
 @wp.func
@@ -104,8 +98,8 @@ def update(
 
     opacity = gaussians.opacities[i]
     by_logit = (gradient.opacities[i] + rates.by_opacity) * opacity * (1.0 - opacity)
-    m1 = moment(BETA_1, first_inout.logits[i], by_logit)
-    v1 = moment(BETA_2, second_inout.logits[i], by_logit * by_logit)
+    m1 = BETA_1 * first_inout.logits[i] + (1.0 - BETA_1) * by_logit
+    v1 = BETA_2 * second_inout.logits[i] + (1.0 - BETA_2) * by_logit * by_logit
     first_inout.logits[i] = m1
     second_inout.logits[i] = v1
     learnt_inout.logits[i] = learnt_inout.logits[i] - step_of(rates, rates.logits, m1, v1)
@@ -145,7 +139,6 @@ def explore(start: int, noise: NoiseData, gaussians: GaussianData, learnt_inout:
 def note(
     start: int,
     half_size: wp.vec2,
-    absolute: bool,
     rects: wp.array[TileRect],
     gradients: wp.array[SplatGradient],
     record_inout: SplatRecord,
@@ -153,10 +146,6 @@ def note(
     """Item = Gaussian: what a frame tells of it."""
     i = start + wp.tid()
     if rects[i].x0 < rects[i].x1:
-        gradient = gradients[i]
-        pull = gradient.center
-        if absolute:
-            pull = gradient.center_absolute
+        pull = gradients[i].center_absolute
         record_inout.motion[i] = record_inout.motion[i] + wp.length(wp.cw_mul(pull, half_size))
         record_inout.frames[i] = record_inout.frames[i] + 1.0
-        record_inout.weight[i] = record_inout.weight[i] + gradient.weight

@@ -40,7 +40,7 @@ from lumisplat.training.views import TrainingView
 
 
 class DivergedError(LumisplatError, RuntimeError):
-    """Training was stopped, as its loss or its parameters are no longer finite."""
+    """Training was stopped: its loss or its parameters are no longer finite, or no Gaussian is left."""
 
 
 class Trainer:
@@ -160,7 +160,7 @@ class Trainer:
     def _note(self, camera: Camera) -> None:
         if self.config.densification is Densification.ADAPTIVE:
             half = wp.vec2(0.5 * camera.width, 0.5 * camera.height)
-            inputs = (half, True, self._raster.drawn.splats.rects, self._raster.by_splat, self._record)
+            inputs = (half, self._raster.drawn.splats.rects, self._raster.by_splat, self._record)
             self._launcher.run_banded(optimizer_kernels.note, self.count, *inputs)
 
     def _update(self, gradient: GaussianGradient) -> None:
@@ -231,5 +231,5 @@ class Trainer:
         self._count = learnt.count
         self._raster.place(learnt.gaussians(antialiased=self.config.antialiased), self._device_splats.values)
         self._record = self._buffers.struct("training.record", SplatRecord, learnt.count)
-        for array in (self._record.motion, self._record.frames, self._record.weight):
+        for array in (self._record.motion, self._record.frames):
             device_array(array).zero_()

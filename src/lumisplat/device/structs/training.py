@@ -59,8 +59,6 @@ class SplatRecord:
     """Sum over frames of how strongly the loss pulls at its splat, in halves of the image."""
     frames: wp.array[float]
     """In how many of them it was drawn."""
-    weight: wp.array[float]
-    """Sum of the weights with which it was blended."""
 
 
 @struct

@@ -68,7 +68,7 @@ class SplatBackward:
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count = drawn.splats.count
-        counts, starts = (get(f"backward.pair_{name}", wp.int32, count + 1) for name in ("counts", "starts"))
+        counts, starts = (get(f"backward.pair_{kind}", wp.int32, count + 1) for kind in ("counts", "starts"))
         run(splat_backward_kernels.count_pairs, count + 1, drawn.splats.rects, counts)
         prefix_sum(counts, starts, inclusive=False)
         pairs = get("backward.pairs", SplatGradient, drawn.tiles.items.shape[0])
