@@ -16,9 +16,10 @@ from lumisplat.config import TrainConfig
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import FloatArray
+from lumisplat.training.curve import Curve
 from lumisplat.training.learnt import NAMES, Learnt
 
-VERSION = 1
+VERSION = 2
 _PARTS = ("values", "first", "second")
 _RECORD = ("motion", "frames")
 
@@ -34,12 +35,13 @@ class Checkpoint:
     """What was noted of each Gaussian since their number changed last."""
 
 
-def write_checkpoint(path: Path, checkpoint: Checkpoint, config: TrainConfig, photographs: str) -> None:
+def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: TrainConfig, photographs: str) -> None:
     """Writes a checkpoint, which appears complete or not at all.
 
     Args:
         path: The file, .npz.
         checkpoint: The state.
+        curve: How it went so far.
         config: Settings of the training.
         photographs: What tells its photographs from others.
 
@@ -54,14 +56,15 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint, config: TrainConfig, ph
         "iteration": checkpoint.iteration,
         "settings": plain_settings(config),
         "photographs": photographs,
+        "curve": curve.told,
     }
     arrays["about"] = np.array(json.dumps(told))
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
 
 
-def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> Checkpoint:
-    """Reads a checkpoint of the same settings and photographs.
+def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[Checkpoint, Curve]:
+    """Reads a checkpoint of the same settings and photographs, and how it went until then.
 
     Raises:
         FormatError: It cannot be read, or is of others; names the first setting that differs.
@@ -73,7 +76,7 @@ def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> Checkp
         check_same(path, told, config, photographs)
         parts = ({name: np.asarray(arrays[f"{part}.{name}"], np.float32) for name in NAMES} for part in _PARTS)
         record = {name: np.asarray(arrays[f"record.{name}"], np.float32) for name in _RECORD}
-        return Checkpoint(int(told["iteration"]), Learnt(*parts), record)
+        return Checkpoint(int(told["iteration"]), Learnt(*parts), record), Curve.of(told["curve"])
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise FormatError(path, f"is no checkpoint of a training, or is damaged: {error}") from None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 from PIL import Image, ImageDraw
 
@@ -28,6 +29,19 @@ class Curve:
     """Step and PSNR of what was held out, dB."""
     _sum: float = 0.0
     _count: int = 0
+
+    @classmethod
+    def of(cls, told: dict[str, Any]) -> Curve:
+        """That of which ``told`` was kept."""
+        measured = [(int(step), float(value)) for step, value in told["measured"]]
+        steps, squared = [int(step) for step in told["steps"]], [float(value) for value in told["squared"]]
+        return cls(steps, squared, measured, float(told["sum"]), int(told["count"]))
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """All of it, as JSON has it, to the bit; ``sum`` and ``count`` are of the steps since the last point."""
+        points = {"steps": self.steps, "squared": self.squared, "measured": self.measured}
+        return points | {"sum": self._sum, "count": self._count}
 
     def add(self, step: int, loss: Loss) -> None:
         """Counts a step."""

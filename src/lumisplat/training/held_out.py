@@ -39,8 +39,12 @@ class HeldOut:
     """
 
     def __init__(self, photographs: Sequence[Photograph], device: str, threads: int | None) -> None:
-        self._photographs, self._device, self._threads = photographs, device, threads
+        self._photographs = photographs
         self._renderer: Renderer | None = None
+        if photographs:
+            config = RenderConfig(background=photographs[0].background or (0.0, 0.0, 0.0), lighting=False)
+            self._renderer = create_renderer(config, device, threads=threads)
+            self._renderer.render(Scene(), photographs[0].camera)  # so that no kernel is compiled while others wait
 
     def psnr(self, gaussians: Gaussians) -> float | None:
         """The mean, dB; None: nothing was held out."""
@@ -62,9 +66,7 @@ class HeldOut:
 
     def shown(self, gaussians: Gaussians, photograph: Photograph) -> FloatArray:
         """What a capture shows in place of a photograph, 0..1, shape (H, W, 3)."""
-        if self._renderer is None:
-            config = RenderConfig(background=photograph.background or (0.0, 0.0, 0.0), lighting=False)
-            self._renderer = create_renderer(config, self._device, threads=self._threads)
+        assert self._renderer is not None
         frame = self._renderer.render(Scene([gaussians]), photograph.camera)
         return np.clip(frame.color, 0.0, 1.0).astype(np.float32)
 

@@ -6,7 +6,6 @@ import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from lumisplat.config import TrainConfig
 from lumisplat.errors import FormatError
@@ -46,12 +45,20 @@ class RunFolder:
         """
         try:
             if overwrite and self.path.exists():
-                if not (self.path / "settings.toml").exists():
-                    raise FormatError(self.path, "is no folder of a training: it is not removed")
-                shutil.rmtree(self.path)
+                self._empty()
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise FormatError(self.path, f"cannot be made: {error.strerror or error}") from None
+
+    def _empty(self) -> None:
+        """Removes what an earlier training has left; last of all what tells that it has."""
+        told = self.path / "settings.toml"
+        left = [path for path in self.path.iterdir() if path != told]
+        if left and not told.exists():
+            raise FormatError(self.path, "is no folder of a training: it is not removed")
+        for path in left:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        told.unlink(missing_ok=True)
 
     def write_settings(self, config: TrainConfig) -> None:
         """Writes all settings."""
@@ -60,20 +67,11 @@ class RunFolder:
 
     def write_curve(self, curve: Curve) -> None:
         """Writes the numbers of a curve."""
-        told = {"steps": curve.steps, "squared": curve.squared, "measured": curve.measured}
-        _write(self.path / "curve.json", json.dumps(told))
-
-    def read_curve(self) -> Curve:
-        """The numbers of a curve, as far as they go; none if there are none."""
-        try:
-            told: dict[str, Any] = json.loads((self.path / "curve.json").read_text())
-            measured = [(int(step), float(value)) for step, value in told["measured"]]
-            return Curve(list(told["steps"]), list(told["squared"]), measured)
-        except (OSError, ValueError, KeyError, TypeError):
-            return Curve()
+        _write(self.path / "curve.json", json.dumps(curve.told))
 
     def write_report(self, curve: Curve, score: HeldOutScore | None, held_out: HeldOut, gaussians: Gaussians) -> None:
-        """Writes the curve as a picture, and figures and pictures of what was held out."""
+        """Writes the curve, also as a picture, and figures and pictures of what was held out."""
+        self.write_curve(curve)
         with atomic_write(self.path / "curve.png") as temporary:
             curve.picture().save(temporary, format="PNG")
         if score is not None:

@@ -45,7 +45,7 @@ class TrainResult:
     score: HeldOutScore | None
     """Of what was held out; None: nothing was."""
     seconds: float
-    """Of this call."""
+    """Of this call, without the compilation of kernels."""
 
 
 def train(
@@ -77,7 +77,8 @@ def train(
         scale: As of `lumisplat.load_photographs`.
         hold_out: As of `lumisplat.load_photographs`.
         background: Behind the Gaussians, and behind what is transparent in photographs.
-        stop_after: Seconds after which training ends before all steps are made.
+        stop_after: Seconds of training, without the compilation of kernels, after which it ends before all steps are
+            made.
         overwrite: Whether to begin anew where there is a checkpoint.
         preview: Steps between two pictures of the first view that is held out, in the folder; None: none are made.
         device: As of `lumisplat.create_renderer`.
@@ -134,7 +135,8 @@ class _Run:
         )
         self._held_out = HeldOut(photographs.held_out, device, threads)
         self._curve = Curve()
-        self._begun = time.monotonic()
+        self._begun = 0.0
+        """When the first step of this call began, seconds."""
         self._first = 0
 
     def start(self, *, overwrite: bool) -> None:
@@ -143,15 +145,15 @@ class _Run:
             return
         self._folder.prepare(overwrite=overwrite)
         if self._folder.checkpoint.exists():
-            self._trainer.restore(read_checkpoint(self._folder.checkpoint, self._config, self._mark))
-            self._curve = self._folder.read_curve()
+            checkpoint, self._curve = read_checkpoint(self._folder.checkpoint, self._config, self._mark)
+            self._trainer.restore(checkpoint)
         self._folder.write_settings(self._config)  # not before: those of another training stay
         self._first = self._trainer.iteration
 
     def work(self, stop_after: float | None, preview: int | None) -> None:
         """Makes the steps that are left, or those for which there is time."""
         trainer, total = self._trainer, self._config.iterations
-        saved = told = self._begun
+        saved = told = self._begun = time.monotonic()
         while trainer.iteration < total:
             loss = trainer.step()
             self._curve.add(trainer.iteration, loss)
@@ -186,7 +188,8 @@ class _Run:
 
     def _save(self) -> None:
         if self._folder is not None:
-            write_checkpoint(self._folder.checkpoint, self._trainer.checkpoint, self._config, self._mark)
+            state = self._trainer.checkpoint
+            write_checkpoint(self._folder.checkpoint, state, self._curve, self._config, self._mark)
             self._folder.write_curve(self._curve)
 
     def _line(self, now: float) -> str:

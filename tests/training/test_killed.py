@@ -1,0 +1,130 @@
+"""Trainings that are killed go on, and give the same bits as one that never was."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.training import train
+from lumisplat.training.checkpoint import read_checkpoint
+from support.scenes.training_scenes import folder_of
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+OPTIONS = ("--iterations", "260", "--cap", "150", "--sh-degree", "1", "--device", "cpu")
+RESULTS = ("curve.json", "curve.png", "metrics.json", "settings.toml", "held out/00.png", "held out/08.png")
+"""Of the result folder, but for the checkpoint, whose settings of compression are NumPy's."""
+
+
+def command(folder: Path, output: Path, moment: str, number: int, *more: str) -> list[str]:
+    """A training in a process of its own."""
+    program = [sys.executable, "-m", "support.killed_training", moment, str(number)]
+    return [*program, "train", str(folder), "-o", str(output), *OPTIONS, *more]
+
+
+def killed(folder: Path, output: Path, moment: str, number: int, *more: str) -> None:
+    """A training that has killed itself."""
+    done = subprocess.run(
+        command(folder, output, moment, number, *more), check=False, capture_output=True, text=True, env=ENVIRONMENT
+    )
+    assert done.returncode == -signal.SIGKILL, (moment, number, done.stdout, done.stderr)
+
+
+def killed_at_random(folder: Path, output: Path, rng: np.random.Generator, *more: str) -> None:
+    """A training that was killed from outside, some time after it has begun to write checkpoints."""
+    checkpoint = output.with_suffix(".training") / "checkpoint.npz"
+    before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+    process = subprocess.Popen(command(folder, output, "never", 0, *more), stdout=subprocess.DEVNULL, env=ENVIRONMENT)
+    while process.poll() is None and (not checkpoint.exists() or checkpoint.stat().st_mtime_ns == before):
+        time.sleep(0.001)
+    time.sleep(rng.uniform(0.0, 0.4))
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def finished(folder: Path, output: Path, *more: str) -> dict[str, bytes]:
+    """What a training leaves that comes to its end."""
+    done = subprocess.run(
+        command(folder, output, "never", 0, *more), check=False, capture_output=True, text=True, env=ENVIRONMENT
+    )
+    assert done.returncode == 0, (done.stdout, done.stderr)
+    left = {path.relative_to(output.parent) for path in output.with_suffix(".training").rglob("*") if path.is_file()}
+    expected = {Path("a.training", name) for name in (*RESULTS, "checkpoint.npz")}
+    assert left == expected, "no temporary file stays"
+    return {output.name: output.read_bytes()} | {
+        name: (output.with_suffix(".training") / name).read_bytes() for name in RESULTS
+    }
+
+
+def test_a_training_that_is_killed_leaves_the_same_bits(tmp_path: Path) -> None:
+    """In the middle of a checkpoint's bytes, and at a random moment."""
+    folder = folder_of(tmp_path / "set")
+    whole = finished(folder, tmp_path / "whole" / "a.ply")
+    assert len(json.loads(whole["curve.json"])["steps"]) == 5
+    output = tmp_path / "killed" / "a.ply"
+    killed(folder, output, "as a checkpoint is written", 130)
+    killed_at_random(folder, output, np.random.default_rng(int(os.environ.get("LUMISPLAT_SEED", "0"))))
+    assert finished(folder, output) == whole
+
+
+MOMENTS = (
+    ("in a step", 1),
+    ("in a step", 77),
+    ("as a checkpoint is written", 1),
+    ("as a checkpoint is written", 30),
+    ("before a checkpoint has its name", 20),
+    ("after a checkpoint has its name", 9),
+    ("before the capture is written", 1),
+    ("after the capture is written", 1),
+    ("as metrics are written", 1),
+    ("as pictures are written", 1),
+)
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("kind", ["mcmc", "adaptive"])
+def test_it_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None:
+    """One training, killed at all of them, and six times at random."""
+    folder, more = folder_of(tmp_path / "set"), ("--densification", kind)
+    whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
+    output, rng = tmp_path / "killed" / "a.ply", np.random.default_rng(1)
+    for moment, number in MOMENTS[:6]:
+        killed(folder, output, moment, number, *more)
+    for _ in range(6):
+        killed_at_random(folder, output, rng, *more)
+    for moment, number in MOMENTS[6:]:
+        killed(folder, output, moment, number, *more)
+    assert finished(folder, output, *more) == whole
+
+
+def test_the_time_to_stop_after_is_that_of_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels that take long to compile do not count."""
+    clock, load = [0.0], Launcher.load
+
+    def slow(self: Launcher, *arguments: object) -> None:
+        clock[0] += 100.0
+        load(self, *arguments)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(Launcher, "load", slow)
+    monkeypatch.setattr(train.time, "monotonic", lambda: clock[0])
+    config = ls.TrainConfig(iterations=8, cap=150, initial=80, sh_degree=1)
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    result = ls.train(folder, config, output=output, stop_after=50.0, device="cpu")
+    assert clock[0] > 0.0 and result.is_finished and result.seconds == 0.0
+    state, _ = read_checkpoint(tmp_path / "a.training" / "checkpoint.npz", config, mark_of(tmp_path))
+    assert state.iteration == 8
+
+
+def mark_of(path: Path) -> str:
+    """What tells the photographs of a checkpoint from others."""
+    with np.load(path / "a.training" / "checkpoint.npz") as file:
+        return json.loads(str(file["about"]))["photographs"]
