@@ -10,6 +10,7 @@ from typing import Any
 
 import hypothesis
 import pytest
+import warp as wp
 
 import lumisplat as ls
 from lumisplat.io.files.atomic import atomic_write
@@ -76,6 +77,12 @@ def one_thread_a_worker() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(launcher, "usable_cores", lambda: 1)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def arrays_of_the_host() -> None:
+    """Arrays that tests make by hand are the CPU's, also where Warp would take a GPU; the package names its device."""
+    wp.set_device("cpu")
 
 
 @pytest.fixture(scope="session")

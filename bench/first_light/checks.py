@@ -28,6 +28,9 @@ MOST_APART, MEAN_APART, SHARE = 1e-3, 2e-3, 0.98
 """A frame is the CPU's if this share of its values are within the first, and their mean within the second: a decision
 that is rounding's may differ in a few pixels."""
 
+FRAMES = 6
+"""Of a sequence in real time."""
+
 Shot = tuple[str, ls.Scene, ls.Camera, ls.RenderConfig]
 
 
@@ -99,12 +102,13 @@ def lit_frames(setting: Setting) -> Iterator[Finding]:
     shots: list[Shot] = []
     view = lit_scene.camera()
     for pipeline in ls.Pipeline:
+        samples = 1 if pipeline is ls.Pipeline.REALTIME else 2
         for shadows in (ls.Shadows.HARD, ls.Shadows.SOFT):
             scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
-            config = lit_scene.config(pipeline, shadows=shadows, samples=2, aovs=("albedo",))
+            config = lit_scene.config(pipeline, shadows=shadows, samples=samples, aovs=("albedo",))
             shots.append((f"{pipeline.value}, {shadows.value}", scene, view, config))
         for method in ls.ShadowMethod:
-            config = lit_scene.config(pipeline, shadow_rays=ls.ShadowConfig(method=method), samples=2)
+            config = lit_scene.config(pipeline, shadow_rays=ls.ShadowConfig(method=method), samples=samples)
             shots.append((f"{pipeline.value}, {method.value}", lit_scene.scene(), view, config))
         shots.append((f"{pipeline.value}, rough and metallic", *polished(), ls.RenderConfig(pipeline=pipeline)))
     yield from compared(setting, shots)
@@ -126,18 +130,25 @@ def compared(setting: Setting, shots: Iterable[Shot]) -> Iterator[Finding]:
     count, worst, largest = 0, "none", 0.0
     for name, scene, camera, config in list(shots)[:: setting.every]:
         try:
-            found = device_renderer(setting, config).render(scene, camera)
+            found = last_frame(device_renderer(setting, config), scene, camera)
         except Exception as error:
             yield Finding(name, f"{type(error).__name__}: {error}"[:300], is_wrong=True)
             continue
         count += 1
-        for layer, mean, near in differences(found, ls.render(scene, camera, config, device="cpu")):
+        for layer, mean, near in differences(found, last_frame(ls.create_renderer(config, "cpu"), scene, camera)):
             if mean > largest:
                 worst, largest = f"{name}, {layer}", mean
             if near > MOST_APART or mean > MEAN_APART:
                 what = f"apart by {mean:.1e} on average, {near:.1e} at the {SHARE:.0%} quantile"
                 yield Finding(f"{name}, {layer}", what, is_wrong=True)
     yield Finding(f"{count} frames, largest mean difference", f"{largest:.1e} ({worst})")
+
+
+def last_frame(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> ls.Frame:
+    """A frame; in real time the last of a few, in which light has found its way."""
+    for _ in range(FRAMES - 1 if renderer.config.pipeline is ls.Pipeline.REALTIME else 0):
+        renderer.render(scene, camera)
+    return renderer.render(scene, camera)
 
 
 def differences(found: ls.Frame, expected: ls.Frame) -> Iterator[tuple[str, float, float]]:
@@ -177,7 +188,7 @@ def moving_sets(setting: Setting) -> Iterator[Finding]:
     gaussians = raster_scenes.random_gaussians(5, 400)
     for pipeline in ls.Pipeline:
         config = ls.RenderConfig(pipeline=pipeline)
-        renderer = device_renderer(setting, config)
+        renderer, sequence = device_renderer(setting, config), ls.create_renderer(config, "cpu")
         for turn, size in enumerate((1.0, 1.05, 6.0, 0.5)):
             moved = dataclasses.replace(
                 gaussians,
@@ -185,7 +196,9 @@ def moving_sets(setting: Setting) -> Iterator[Finding]:
                 scales=gaussians.scales * np.float32(size),
             )
             scene, camera = ls.Scene(splats=[moved]), raster_scenes.front_camera()
-            expected = ls.render(scene, camera, config, device="cpu")
+            if pipeline is not ls.Pipeline.REALTIME:  # whose frames depend on those before
+                sequence = ls.create_renderer(config, "cpu")
+            expected = sequence.render(scene, camera)
             for layer, mean, near in differences(renderer.render(scene, camera), expected):
                 if near > MOST_APART or mean > MEAN_APART:
                     yield Finding(f"{pipeline.value}, turn {turn}, {layer}", [mean, near], is_wrong=True)
@@ -215,7 +228,7 @@ def rays(setting: Setting) -> Iterator[Finding]:
     scene = trace_scenes.placed_scene()
     random = np.random.default_rng(1)
     origins = random.uniform(-1.0, 1.0, (500, 3)) - [0.0, 0.0, 4.0]
-    directions = [*random.normal(0.0, 0.2, (500, 3)), 0.0, 0.0, 1.0]
+    directions = np.array([0.0, 0.0, 1.0]) + random.normal(0.0, 0.2, (500, 3))
     seen = [ls.trace_rays(scene, origins, directions, device=device) for device in (setting.device, "cpu")]
     passed = [ls.transmittance(scene, origins, directions, 6.0, device=device) for device in (setting.device, "cpu")]
     pairs = {name: [getattr(hits, name) for hits in seen] for name in ("radiance", "transmittance", "depth")}
@@ -256,7 +269,8 @@ def out_of_memory(setting: Setting) -> Iterator[Finding]:
     large = ls.Scene(splats=[raster_scenes.random_gaussians(1, 2_000_000, degree=1)])
     hoard: Any = []
     for share in (0.9, 0.9, 0.9):
-        hoard.append(DeviceArray(shape=int(share * device.free_memory) >> 3, dtype=wp.int64, device=device))
+        mebibytes = int(share * device.free_memory) >> 20
+        hoard.append(DeviceArray(shape=(mebibytes, 2**17), dtype=wp.int64, device=device))
     yield Finding("free while full, MiB", device.free_memory / 2**20)
     try:
         renderer.render(large, case.camera)

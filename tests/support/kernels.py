@@ -52,9 +52,11 @@ def probe_modules() -> list[Any]:
 
 
 def compile_all() -> None:
-    """Compiles what the cache lacks, for the CPU and for CUDA, on all cores; a warm cache costs a second."""
+    """Compiles what the cache lacks, for the CPU, for CUDA and for the GPUs here; a warm cache costs a second."""
     schedules = [*generated_modules(parallel=False), *generated_modules(parallel=True)]
     Launcher("cpu").load([*package_modules(), *schedules, *probe_modules()])
+    for device in wp.get_cuda_devices():
+        Launcher(device.alias).load([*cuda_modules(), *generated_modules(parallel=True), *probe_modules()])
     with ThreadPoolExecutor() as pool:
         list(pool.map(compile_for_cuda, [*cuda_modules(), *generated_modules(parallel=True)]))
 

@@ -178,7 +178,9 @@ def test_captures_come_out_as_they_went_in(
     scene = ls.Scene([capture()], (), lights)
     settings = {"background": (0.2, 0.3, 0.4), "tone_map": ls.ToneMap.AGX}
     frame = lit(scene, CAMERA, pipeline, **settings)
-    unlit = ls.render(scene, CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False, background=(0.2, 0.3, 0.4)))
+    unlit = ls.render(
+        scene, CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False, background=(0.2, 0.3, 0.4)), device="cpu"
+    )
     assert frame.light is not None
     assert unlit.color.std() > 0.1
     np.testing.assert_array_equal(frame.captured, unlit.color)
@@ -195,8 +197,8 @@ def test_a_capture_beside_a_lit_mesh_is_as_captured(pipeline: ls.Pipeline, tmp_p
     half = parallelogram((-3.0, 0.0, 0.2), (3.2, 0.0, 0.0), (0.0, 0.0, -1.4), matte(0.8))
     scene = ls.Scene([capture()], [half], [LAMP])
     frame = lit(scene, CAMERA, pipeline, tone_map=ls.ToneMap.NEUTRAL)
-    unlit = ls.render(scene, CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False))
-    nothing = ls.render(ls.Scene([capture()]), CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False))
+    unlit = ls.render(scene, CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False), device="cpu")
+    nothing = ls.render(ls.Scene([capture()]), CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False), device="cpu")
     assert frame.light is not None
     untouched = (frame.light == 0.0).all(axis=2) & (frame.captured_weight == 1.0)
     same = (unlit.color == nothing.color).all(axis=2) & ~(unlit.instance_index == 1)

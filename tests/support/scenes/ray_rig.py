@@ -51,7 +51,9 @@ class RayRig:
         transmittance: float = 1.0,
         parallel: bool | None = None,
     ) -> None:
-        self._launcher = Launcher(device, threads, parallel=parallel)
+        self._launcher = Launcher(
+            device, threads, parallel=parallel, profile=True
+        )  # rays are read, so there are no graphs
         self.buffers = Buffers(device)
         self._config = RenderConfig(pipeline=Pipeline.TRACE, lighting=False)
         self.scene = DeviceScene(self._launcher, Buffers(device), self._config)
