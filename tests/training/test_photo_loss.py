@@ -32,9 +32,10 @@ def differentiate(
     wanted: Wanted,
     threads: int | None = None,
     size: tuple[int, int] = SIZE,
+    parallel: bool | None = None,
 ) -> tuple[Loss, np.ndarray, np.ndarray]:
     """The loss of a frame, and its derivatives by colour and alpha."""
-    launcher, buffers = Launcher("cpu", threads), Buffers("cpu")
+    launcher, buffers = Launcher("cpu", threads, parallel=parallel), Buffers("cpu")
     loss = PhotoLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA)
     pixels = PixelData()
     pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
@@ -118,3 +119,13 @@ def test_bits_do_not_depend_on_threads() -> None:
     for other in results[1:]:
         assert other[0] == results[0][0]
         np.testing.assert_array_equal(other[1], results[0][1])
+
+
+def test_pixels_one_by_one_are_the_rows() -> None:
+    """CUDA's items are pixels, whose sums are added up afterwards."""
+    wanted = images(3), images(4, None), images(5, None)
+    rows, pixels = (differentiate(images(1), images(2, None), wanted, parallel=parallel) for parallel in (False, True))
+    for row, pixel in zip(rows[1:], pixels[1:], strict=True):
+        np.testing.assert_allclose(pixel, row, rtol=0.0, atol=1e-7 * float(np.abs(row).max()) + 1e-12)
+    for name in ("l1", "squared", "ssim", "alpha", "total"):
+        assert getattr(pixels[0], name) == pytest.approx(getattr(rows[0], name), rel=1e-6)

@@ -1,5 +1,7 @@
 """The loss between a frame and a photograph, and its derivatives by the frame's pixels: L1 and SSIM.
 
+An item is a run of pixels of a row: a whole row on CPUs, where loops become vector instructions, a pixel on CUDA.
+
 SSIM is that of Wang et al. 2004 with a Gaussian window of 11 pixels. Beyond its borders, a picture is mirrored about
 their outer edges (d c b a | a b c d): a blur of that kind is its own adjoint. The equations are in
 docs/method/training.md.
@@ -11,7 +13,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.constants.training import SSIM_C1, SSIM_C2
-from lumisplat.device.structs.training import LossMaps, LossWeights, Photograph
+from lumisplat.device.structs.training import LossGrid, LossMaps, LossWeights, Photograph
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler_flags": FUSED_FLAGS})
 
@@ -54,12 +56,21 @@ def counted(shown: wp.vec3, photograph: Photograph, i: int) -> wp.vec3:
     return wp.lerp(photograph.color[i], shown, share_of(photograph, i))
 
 
+@wp.func
+def run_of(item: int, grid: LossGrid):
+    """The row of an item, its first column, and the one behind its last."""
+    runs = (grid.width + grid.run - 1) // grid.run
+    left = (item % runs) * grid.run
+    return item // runs, left, wp.min(left + grid.run, grid.width)
+
+
 @wp.kernel
-def blur_rows(start: int, width: int, color: wp.array[wp.vec3], photograph: Photograph, maps_out: LossMaps):
-    """Item = row: what SSIM compares, blurred along it."""
-    y = start + wp.tid()
+def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], photograph: Photograph, maps_out: LossMaps):
+    """Item = run: what SSIM compares, blurred along the row."""
+    y, left, right = run_of(start + wp.tid(), grid)
+    width = grid.width
     row = y * width
-    for x in range(width):
+    for x in range(left, right):
         shown = wp.vec3(0.0)
         squared = wp.vec3(0.0)
         product = wp.vec3(0.0)
@@ -83,18 +94,20 @@ def blur_rows(start: int, width: int, color: wp.array[wp.vec3], photograph: Phot
 
 
 @wp.kernel
-def compare_rows(start: int, width: int, height: int, maps: LossMaps, maps_out: LossMaps, ssim_out: wp.array[float]):
-    """Item = row: SSIM of its pixels, summed, and the derivatives of that by means, squares and products."""
-    y = start + wp.tid()
+def compare_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps, ssim_out: wp.array[float]):
+    """Item = run: SSIM of its pixels, summed, and the derivatives of that by means, squares and products."""
+    item = start + wp.tid()
+    y, left, right = run_of(item, grid)
+    width = grid.width
     total = float(0.0)
-    for x in range(width):
+    for x in range(left, right):
         mp = wp.vec3(0.0)
         pp = wp.vec3(0.0)
         pq = wp.vec3(0.0)
         mq = wp.vec3(0.0)
         qq = wp.vec3(0.0)
         for k in range(TAPS):
-            i = mirrored(y + k - REACH, height) * width + x
+            i = mirrored(y + k - REACH, grid.height) * width + x
             w = WINDOW[k]
             mp += w * maps.shown[i]
             pp += w * maps.squared[i]
@@ -118,15 +131,16 @@ def compare_rows(start: int, width: int, height: int, maps: LossMaps, maps_out: 
         maps_out.shown[i] = by_mean
         maps_out.squared[i] = by_square
         maps_out.product[i] = by_product
-    ssim_out[y] = total
+    ssim_out[item] = total
 
 
 @wp.kernel
-def spread_rows(start: int, width: int, maps: LossMaps, maps_out: LossMaps):
-    """Item = row: derivatives blurred along it."""
-    y = start + wp.tid()
+def spread_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps):
+    """Item = run: derivatives blurred along the row."""
+    y, left, right = run_of(start + wp.tid(), grid)
+    width = grid.width
     row = y * width
-    for x in range(width):
+    for x in range(left, right):
         by_mean = wp.vec3(0.0)
         by_square = wp.vec3(0.0)
         by_product = wp.vec3(0.0)
@@ -144,8 +158,7 @@ def spread_rows(start: int, width: int, maps: LossMaps, maps_out: LossMaps):
 @wp.kernel
 def differentiate_rows(
     start: int,
-    width: int,
-    height: int,
+    grid: LossGrid,
     weights: LossWeights,
     color: wp.array[wp.vec3],
     alpha: wp.array[float],
@@ -155,15 +168,17 @@ def differentiate_rows(
     by_alpha_out: wp.array[float],
     sums_out: wp.array[wp.vec3],
 ):
-    """Item = row: derivatives of the loss by its pixels; sums of L1, of squares, and of the error of alpha."""
-    y = start + wp.tid()
+    """Item = run: derivatives of the loss by its pixels; sums of L1, of squares, and of the error of alpha."""
+    item = start + wp.tid()
+    y, left, right = run_of(item, grid)
+    width = grid.width
     sums = wp.vec3(0.0)
-    for x in range(width):
+    for x in range(left, right):
         by_mean = wp.vec3(0.0)
         by_square = wp.vec3(0.0)
         by_product = wp.vec3(0.0)
         for k in range(TAPS):
-            i = mirrored(y + k - REACH, height) * width + x
+            i = mirrored(y + k - REACH, grid.height) * width + x
             w = WINDOW[k]
             by_mean += w * maps.shown[i]
             by_square += w * maps.squared[i]
@@ -183,4 +198,25 @@ def differentiate_rows(
             missed = alpha[i] - photograph.alpha[i]
             by_alpha_out[i] = share * weights.alpha * slope(missed)
             sums[2] = sums[2] + share * wp.abs(missed)
-    sums_out[y] = sums
+    sums_out[item] = sums
+
+
+@wp.kernel
+def add_rows(
+    start: int,
+    grid: LossGrid,
+    ssim: wp.array[float],
+    sums: wp.array[wp.vec3],
+    ssim_out: wp.array[float],
+    sums_out: wp.array[wp.vec3],
+):
+    """Item = row: the sums over its runs."""
+    y = start + wp.tid()
+    runs = (grid.width + grid.run - 1) // grid.run
+    total = float(0.0)
+    totals = wp.vec3(0.0)
+    for i in range(y * runs, (y + 1) * runs):
+        total += ssim[i]
+        totals += sums[i]
+    ssim_out[y] = total
+    sums_out[y] = totals

@@ -9,7 +9,7 @@ import warp as wp
 
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
-from lumisplat.device.structs.training import LossMaps, LossWeights, Photograph
+from lumisplat.device.structs.training import LossGrid, LossMaps, LossWeights, Photograph
 from lumisplat.math.arrays import FloatArray
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
@@ -76,17 +76,24 @@ class PhotoLoss:
         """
         width, height = size
         run, get, count = self._launcher.run_banded, self._buffers.get, width * height
+        grid = LossGrid()
+        grid.width, grid.height, grid.run = width, height, 1 if self._launcher.is_parallel else width
+        runs = count // grid.run
         maps, derivatives = (self._buffers.struct(f"loss.{name}", LossMaps, count) for name in ("maps", "derivatives"))
-        rows, sums = get("loss.ssim", wp.float32, height), get("loss.sums", wp.vec3, height)
+        ssim, sums = get("loss.ssim", wp.float32, runs), get("loss.sums", wp.vec3, runs)
         gradient = PixelGradient()
         gradient.color, gradient.alpha = get("loss.color", wp.vec3, count), get("loss.alpha", wp.float32, count)
         with self._launcher.stage("loss"):
-            run(loss_kernels.blur_rows, height, width, pixels.color, photograph, maps)
-            run(loss_kernels.compare_rows, height, width, height, maps, derivatives, rows)
-            run(loss_kernels.spread_rows, height, width, derivatives, maps)
-            inputs = (width, height, self._weights(), pixels.color, pixels.alpha, photograph, maps)
-            run(loss_kernels.differentiate_rows, height, *inputs, gradient.color, gradient.alpha, sums)
-        return self._loss(count, rows.numpy(), sums.numpy()), gradient
+            run(loss_kernels.blur_rows, runs, grid, pixels.color, photograph, maps)
+            run(loss_kernels.compare_rows, runs, grid, maps, derivatives, ssim)
+            run(loss_kernels.spread_rows, runs, grid, derivatives, maps)
+            inputs = (grid, self._weights(), pixels.color, pixels.alpha, photograph, maps)
+            run(loss_kernels.differentiate_rows, runs, *inputs, gradient.color, gradient.alpha, sums)
+            if runs > height:
+                of_runs = ssim, sums
+                ssim, sums = get("loss.row_ssim", wp.float32, height), get("loss.row_sums", wp.vec3, height)
+                run(loss_kernels.add_rows, height, grid, *of_runs, ssim, sums)
+        return self._loss(count, ssim.numpy(), sums.numpy()), gradient
 
     def _weights(self) -> LossWeights:
         weights = LossWeights()

@@ -74,6 +74,16 @@ class Photograph:
 
 
 @struct
+class LossGrid:
+    """How the pixels of a picture are shared out."""
+
+    width: int
+    height: int
+    run: int
+    """Neighbours in a row that are one item."""
+
+
+@struct
 class LossMaps:
     """Blurred maps, an element a pixel."""
 
