@@ -673,6 +673,9 @@ ITEMS_MAX = 2**31 - 1
 TILE_PX = 16
 """Side of a raster tile, pixels. One CUDA block of 256 threads, and a cache-sized accumulator on the CPU."""
 
+WARP_THREADS = 32
+"""CUDA threads that run in step."""
+
 STRIP_PX = 8
 """Width, in pixels, of a part of a tile's row that CPUs composite in one vector (AVX: 8 floats); divides `TILE_PX`."""
 

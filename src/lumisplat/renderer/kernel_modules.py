@@ -83,7 +83,7 @@ def raster_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) ->
 
 def gradient_modules(launcher: Launcher) -> list[KernelModule]:
     """The kernel modules of derivatives of unlit raster frames."""
-    names = ["splat_backward", "projection_backward", *(["splat_backward_block"] if launcher.is_parallel else [])]
+    names = ["splat_backward", "projection_backward", *(["splat_backward_warp"] if launcher.is_parallel else [])]
     return _kernels(*(f"gradients.{name}_kernels" for name in names))
 
 

@@ -32,7 +32,7 @@ if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
 
 BLOCK_THREADS = 256
-"""CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""
+"""CUDA threads a block, but for modules that ask for warps: a module compiles whole per block size."""
 
 COMPILING_ANNOUNCED_S = 1.0
 """Kernels that take longer than this to load, seconds, are being compiled, which is announced."""
@@ -178,17 +178,19 @@ class Launcher:
             )
 
     def run_blocks(self, kernel: Kernel, blocks: int, *inputs: object) -> None:
-        """Runs ``blocks`` blocks of `BLOCK_THREADS` threads, which share memory and wait for each other.
+        """Runs ``blocks`` blocks of threads that share memory and wait for each other.
 
         Args:
-            kernel: Of a module named ``*_block_kernels``; its ``wp.tid()`` is the block and the thread.
+            kernel: Of a module named ``*_block_kernels`` or ``*_warp_kernels``, whose option ``block_dim`` is the
+                number of threads; its ``wp.tid()`` is the block and the thread.
             blocks: Number of blocks.
             *inputs: The kernel's parameters.
         """
         if blocks:
+            threads = cast(wp.Kernel, kernel).module.options["block_dim"]
             with _blocks_on_cpus():
                 wp.launch(  # pyright: ignore[reportUnknownMemberType]
-                    kernel, dim=(blocks, BLOCK_THREADS), inputs=inputs, device=self.device, block_dim=BLOCK_THREADS
+                    kernel, dim=(blocks, threads), inputs=inputs, device=self.device, block_dim=threads
                 )
 
     def run_banded(self, kernel: Kernel, count: int, *inputs: object, bands: int | None = None) -> None:
@@ -350,9 +352,10 @@ class Launcher:
     def _load(self, module: KernelModule) -> None:
         """Compiles and loads a module for blocks as large as those that it is launched in."""
         name = module.__name__ if isinstance(module, ModuleType) else ""
-        has_blocks = name.endswith("_block_kernels")
+        has_blocks = name.endswith(("_block_kernels", "_warp_kernels"))
+        threads = wp.get_module(name).options["block_dim"] if has_blocks else self._block_threads
         with _blocks_on_cpus() if has_blocks else nullcontext():
-            load_module(module, self.device, BLOCK_THREADS if has_blocks else self._block_threads)
+            load_module(module, self.device, threads)
 
     def synchronize(self) -> None:
         """Waits until the device is idle."""

@@ -15,8 +15,8 @@ from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, PoseGradient, SplatGradient
 from lumisplat.renderer.gradients import (
     projection_backward_kernels,
-    splat_backward_block_kernels,
     splat_backward_kernels,
+    splat_backward_warp_kernels,
 )
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -76,7 +76,7 @@ class SplatBackward:
         inputs = (scene.camera, drawn.settings, *lists, drawn.meshes, pixels, gradient, pairs)
         with self._launcher.stage("backward: pixels"):
             if self._launcher.is_parallel:
-                self._launcher.run_blocks(splat_backward_block_kernels.backward_blocks, tiles, *inputs)
+                self._launcher.run_blocks(splat_backward_warp_kernels.backward_warps, tiles, *inputs)
             else:
                 bands = TILE_BANDS_PER_THREAD * self._launcher.threads
                 run(splat_backward_kernels.backward_tiles, tiles, *inputs, bands=bands)

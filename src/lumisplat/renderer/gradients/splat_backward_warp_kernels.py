@@ -1,0 +1,111 @@
+"""Derivatives of composited pixels by splats on CUDA. One block is one tile and one warp, eight pixels a thread.
+
+The threads of a warp walk the tile's splats together. What each adds to the record of a splat is summed over the warp,
+without atomics, and without a barrier that others would wait at. The equations are in docs/method/gradients.md.
+"""
+
+import warp as wp
+
+from lumisplat.constants import FUSED_FLAGS, TILE_PX, WARP_THREADS
+from lumisplat.device.gaussian.aligned import load_splat
+from lumisplat.device.gaussian.blend_gradient import (
+    PairFloats,
+    behind_pixel,
+    pair_of_pixel,
+    pair_slot,
+    record_of,
+)
+from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
+from lumisplat.device.gaussian.splat_coverage import log_alpha_at
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import PixelGradient, SplatGradient
+from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
+
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": WARP_THREADS})
+
+TILE = wp.constant(TILE_PX)
+LANES = wp.constant(WARP_THREADS)
+ROWS = wp.constant(TILE_PX * TILE_PX // WARP_THREADS)
+"""Pixels of a thread: one in each second row of the tile."""
+STRIDE = wp.constant(WARP_THREADS // TILE_PX)
+"""Rows from one of them to the next."""
+RowFloats = wp.types.vector(length=TILE_PX * TILE_PX // WARP_THREADS, dtype=wp.float32)
+
+
+@wp.kernel(grid_stride=False)
+def backward_warps(
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    splats: wp.array[Splat],
+    rects: wp.array[TileRect],
+    pair_starts: wp.array[int],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    meshes: MeshPixels,
+    pixels: PixelData,
+    gradient: PixelGradient,
+    pairs_out: wp.array[SplatGradient],
+):
+    """As ``backward_tiles``. All threads of a warp run through all splats, as they add up together."""
+    tile, lane = wp.tid()
+    view = camera[0]
+    tile_x = tile % view.tiles_x
+    tile_y = tile // view.tiles_x
+    x = tile_x * TILE + lane % TILE
+    top = tile_y * TILE + lane // TILE
+    t_min = settings[0].transmittance_min
+    transmittance = RowFloats(-1.0)  # pixels outside the image count as finished
+    behind = RowFloats(0.0)
+    mesh_z = RowFloats(0.0)
+    red = RowFloats(0.0)
+    green = RowFloats(0.0)
+    blue = RowFloats(0.0)
+    for k in range(ROWS):
+        y = top + k * STRIDE
+        if x < view.width and y < view.height:
+            pixel = y * view.width + x
+            transmittance[k] = 1.0
+            mesh_z[k] = meshes.depth_z[pixel]
+            red[k] = gradient.color[pixel][0]
+            green[k] = gradient.color[pixel][1]
+            blue[k] = gradient.color[pixel][2]
+            behind[k] = behind_pixel(pixels, gradient, pixel, mesh_z[k])
+
+    j = int(tile_starts[tile])
+    end = int(tile_starts[tile + 1])
+    unfinished = int(1)
+    while j < end and unfinished > 0:
+        stop = wp.min(j + LANES, end)
+        while j < stop:
+            index = tile_splats[j]
+            splat = Splat()
+            load_splat(splats, index, splat)
+            part = PairFloats(0.0)
+            touched = int(0)
+            for k in range(ROWS):
+                y = top + k * STRIDE
+                log_alpha = log_alpha_at(splat, x, y)
+                if transmittance[k] > 0.0 and splat.depth < mesh_z[k] and log_alpha >= LOG_ALPHA_MIN:
+                    touched = 1
+                    alpha = alpha_from_log(log_alpha)
+                    weight = transmittance[k] * alpha
+                    if transmittance[k] - weight > t_min:
+                        by_color = wp.vec3(red[k], green[k], blue[k])
+                        shown = wp.dot(by_color, splat.color)
+                        part += pair_of_pixel(splat, x, y, alpha, transmittance[k], weight, shown, behind[k], by_color)
+                        behind[k] = behind[k] - weight * shown
+                        transmittance[k] = transmittance[k] - weight
+                    else:
+                        transmittance[k] = -transmittance[k]
+            record = SplatGradient()
+            if wp.tile_sum(wp.tile(touched))[0] > 0:
+                record = record_of(splat, wp.tile_extract(wp.tile_sum(wp.tile(part, preserve_type=True)), 0))
+            if lane == 0:
+                pairs_out[pair_slot(rects[index], pair_starts[index], tile_x, tile_y)] = record
+            j += 1
+        unfinished = wp.tile_sum(wp.tile(wp.where(wp.max(transmittance) > 0.0, 1, 0)))[0]
+    # What lies behind pixels that are all opaque has no part in them.
+    for k in range(j + lane, end, LANES):
+        index = tile_splats[k]
+        pairs_out[pair_slot(rects[index], pair_starts[index], tile_x, tile_y)] = SplatGradient()
