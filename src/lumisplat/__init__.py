@@ -85,16 +85,13 @@ if TYPE_CHECKING:
     from lumisplat.relighting.probe import EnvironmentProbe
     from lumisplat.relighting.probe_transfer import relight
     from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
+    from lumisplat.renderer.gradients.results import RayGradients, SetGradient, SplatGradients
     from lumisplat.renderer.one_shot import focused, render, trace_rays, transmittance
+    from lumisplat.renderer.ray_gradients import ray_gradients
     from lumisplat.renderer.ray_profiles import RayProfile
     from lumisplat.renderer.ray_queries import RayHits
     from lumisplat.renderer.renderer import Renderer, create_renderer
-    from lumisplat.renderer.splat_gradients import (
-        DifferentiableRenderer,
-        SetGradient,
-        SplatGradients,
-        splat_gradients,
-    )
+    from lumisplat.renderer.splat_gradients import DifferentiableRenderer, splat_gradients
     from lumisplat.renderer.surface_features import SurfaceFeatures
     from lumisplat.scene.animation.actors import Actor, Animation
     from lumisplat.scene.animation.camera_path import CameraPath
@@ -194,6 +191,7 @@ _MODULE_OF = {
     "Pipeline": "config",
     "RasterConfig": "config",
     "RasterStrategy": "config",
+    "RayGradients": "renderer.gradients.results",
     "RayHits": "renderer.ray_queries",
     "RayProfile": "renderer.ray_profiles",
     "ReceiverSampling": "config",
@@ -207,11 +205,11 @@ _MODULE_OF = {
     "SceneDocument": "io.document.scene_document",
     "SceneEntry": "io.document.entries",
     "SceneError": "errors",
-    "SetGradient": "renderer.splat_gradients",
+    "SetGradient": "renderer.gradients.results",
     "ShadowConfig": "config",
     "ShadowMethod": "config",
     "Shadows": "config",
-    "SplatGradients": "renderer.splat_gradients",
+    "SplatGradients": "renderer.gradients.results",
     "SplatInstance": "scene.scene",
     "StoppedError": "errors",
     "SunEstimate": "relighting.sun_estimation",
@@ -260,6 +258,7 @@ _MODULE_OF = {
     "paa_y": "metrics.lighting",
     "plane": "scene.primitives",
     "psnr": "metrics.images",
+    "ray_gradients": "renderer.ray_gradients",
     "relight": "relighting.probe_transfer",
     "remove_floaters": "scene.editing.floaters",
     "render": "renderer.one_shot",
@@ -342,6 +341,7 @@ __all__ = [
     "RadianceCacheConfig",
     "RasterConfig",
     "RasterStrategy",
+    "RayGradients",
     "RayHits",
     "RayProfile",
     "RealtimeConfig",
@@ -410,6 +410,7 @@ __all__ = [
     "paa_y",
     "plane",
     "psnr",
+    "ray_gradients",
     "relight",
     "remove_floaters",
     "render",

@@ -10,6 +10,9 @@ SH_COEFFICIENTS_MAX = 16
 POSE_CHUNK = 256
 """Gaussians whose derivatives by the camera's pose are added up by one item."""
 
+BACKWARD_HITS = 2**22
+"""Hits of rays whose derivatives are on the device at once: 44 bytes each, some 180 MiB, unless a packet has more."""
+
 # --- The optimiser (Kingma and Ba 2015; values of Kerbl et al. 2023) ---
 
 ADAM_BETA_1 = 0.9

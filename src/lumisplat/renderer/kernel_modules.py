@@ -87,6 +87,11 @@ def gradient_modules(launcher: Launcher) -> list[KernelModule]:
     return _kernels(*(f"gradients.{name}_kernels" for name in names))
 
 
+def ray_gradient_modules() -> list[KernelModule]:
+    """The kernel modules of derivatives of unlit frames of rays."""
+    return _kernels("gradients.ray_backward_kernels")
+
+
 def feature_modules() -> list[KernelModule]:
     """The kernel modules of further channels of such frames."""
     return _kernels("gradients.feature_kernels")

@@ -1,89 +1,65 @@
-"""Derivatives of a number, such as a loss, by everything that an unlit raster frame shows: `splat_gradients`."""
+"""Derivatives of a number, such as a loss, by everything that an unlit frame or rays show: `splat_gradients`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import Pipeline, RasterStrategy, RenderConfig
-from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
+from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, TraceStrategy
+from lumisplat.device.structs.camera import ListedRays
+from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import checked_config
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.given_rays import checked_rays
 from lumisplat.renderer.gradients.feature_channels import FeatureChannels, ShownFeatures
 from lumisplat.renderer.gradients.given_arrays import given_array
+from lumisplat.renderer.gradients.results import (
+    Doubles,
+    RayGradients,
+    SplatGradients,
+    by_background,
+    host_values,
+    set_gradient,
+)
 from lumisplat.renderer.gradients.splat_backward import PoseSums, SplatBackward
-from lumisplat.renderer.kernel_modules import feature_modules, gradient_modules
+from lumisplat.renderer.gradients.traced_gradients import GivenGradient, TracedFrame, TracedGradients, check_traced
+from lumisplat.renderer.kernel_modules import feature_modules, gradient_modules, ray_gradient_modules
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.camera_table import check_camera
-from lumisplat.runtime.buffers import DeviceArray, device_array
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.runtime.buffers import DeviceArray
 from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance
 
-Doubles = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SetGradient:
-    """Derivatives by the Gaussians of one set, as that stores them; 0 for those that the camera does not see."""
-
-    means: FloatArray
-    """Shape (N, 3)."""
-    rotations_wxyz: FloatArray
-    """By quaternions that are normalised after they have changed, so at right angles to them; shape (N, 4)."""
-    scales: FloatArray
-    """By standard deviations, not by their logarithms; shape (N, 3)."""
-    opacities: FloatArray
-    """By 0..1, not by logits; shape (N,)."""
-    sh: FloatArray
-    """Shape (N, K, 3); 0 for degrees above those of the frame."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SplatGradients:
-    """Derivatives of a number by what a frame was drawn from."""
-
-    sets: tuple[SetGradient, ...]
-    """By the distinct Gaussian sets of the scene, in the order of their first instances; over all instances of each."""
-    background: Doubles
-    """By the colour of the background, shape (3,)."""
-    camera_from_world: Doubles | None
-    """By the elements of the camera's pose, shape (4, 4), whose last row is 0; None: it was not asked for. Small turns
-    and shifts of the camera follow from it by the chain rule."""
-    centers: FloatArray
-    """By where splats are in the image, pixels; of all Gaussians of the scene, instance by instance, shape (N, 2)."""
-    centers_absolute: FloatArray
-    """The same with the magnitudes of what pixels add by way of colour and alpha (AbsGS, Ye et al. 2024), shape
-    (N, 2)."""
-    weights: FloatArray
-    """Sum of the weights with which each is blended in the frame, shape (N,)."""
-    features: FloatArray | None = None
-    """By the features that were shown, shape (N, C); None: they were not asked for."""
-
 
 class DifferentiableRenderer(Renderer):
-    """A renderer of unlit, sorted raster frames that can be differentiated. Not safe to share between threads.
+    """A renderer of unlit, sorted frames that can be differentiated. Not safe to share between threads.
 
-    ``render`` draws what every renderer with ``Pipeline.RASTER`` draws, to the bit; ``gradients`` then goes back from
+    ``render`` draws what every renderer with the same pipeline draws, to the bit; ``gradients`` then goes back from
     the pixels of the last frame, front to back once more (docs/method/gradients.md). There are no atomics in it: for
     any number of threads, the result has the same bits.
 
+    Frames of ``Pipeline.TRACE`` are those of one ray a pixel, of any camera: fisheyes, lenses that distort and rolling
+    shutters as well, and of kernels of any degree. They have no derivatives by the pose, and no further features.
+
     Args:
-        config: Settings; None: the defaults. Its pipeline is ``RASTER``.
+        config: Settings; None: the defaults. Its pipeline is ``RASTER`` or ``TRACE``.
         device: As of `lumisplat.create_renderer`.
         threads: As of `lumisplat.create_renderer`.
         progress: As of `lumisplat.create_renderer`.
 
     Raises:
-        ConfigError: Another pipeline or strategy, or lights are asked for.
+        ConfigError: Another pipeline or strategy, more samples or lights are asked for.
         DeviceError: There is no such device.
     """
 
@@ -96,20 +72,30 @@ class DifferentiableRenderer(Renderer):
         progress: Progress | None = None,
     ) -> None:
         super().__init__(_checked(checked_config(config)), Launcher(device, threads), progress)
-        self._load(gradient_modules(self._launcher), progress)
+        self._traces = self.config.pipeline is Pipeline.TRACE
+        self._load(ray_gradient_modules() if self._traces else gradient_modules(self._launcher), progress)
         self._backward = SplatBackward(self._launcher, self._buffers)
+        self._by_rays = TracedGradients(self._launcher, self._buffers, self.config, self._tracer)
         self._features = FeatureChannels(self._launcher, self._buffers, self._unlit_raster, self._backward)
         self._shown: tuple[Scene, Camera, DrawnSplats] | None = None
         self._shown_features: ShownFeatures | None = None
+        self._traced: TracedFrame | None = None
 
     def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
         """As `lumisplat.Renderer.render`.
 
         Raises:
-            ConfigError: The camera's lens distorts: such frames are resampled.
+            ConfigError: The camera's lens distorts: raster frames are resampled. Or meshes send rays on.
         """
-        self._shown = self._shown_features = None
+        self._forget()
         check_camera(camera)
+        if self._traces:
+            check_traced(scene)
+            if options.get("resume") is not None:
+                raise ConfigError("a frame that is resumed has more than one sample a pixel, and no gradients")
+            frame = super().render(scene, camera, **options)
+            self._traced = TracedFrame((camera.height, camera.width), self._hits)
+            return frame
         if camera.is_distorted:
             raise ConfigError("frames of a lens that distorts are resampled, and have no gradients: take a pinhole")
         frame = super().render(scene, camera, **options)
@@ -134,12 +120,14 @@ class DifferentiableRenderer(Renderer):
             ConfigError: Nothing was rendered yet.
             SceneError: The shape does not fit, or a value is not finite.
         """
+        if self._traces:
+            raise ConfigError("render_features: further features are those of Pipeline.RASTER, not of TRACE")
         _, camera, drawn = self._last_frame("render_features")
         columns = np.shape(features)[1] if np.ndim(features) == 2 else 1
         values = given_array("features", features, (drawn.splats.count, max(columns, 1)))
         self._load(feature_modules())
         self._shown_features = self._features.show(self._scene, drawn, values)
-        return _values(self._shown_features.of_pixels).reshape(camera.height, camera.width, -1)
+        return host_values(self._shown_features.of_pixels).reshape(camera.height, camera.width, -1)
 
     def gradients(
         self,
@@ -161,34 +149,76 @@ class DifferentiableRenderer(Renderer):
             pose: Whether to differentiate by the camera's pose, too.
 
         Raises:
-            ConfigError: Nothing was rendered yet, or no features of this frame.
+            ConfigError: Nothing was rendered yet, or no features of this frame; or ``pose`` is of a frame of rays.
             SceneError: A shape does not fit, a value is not finite, or the scene is lit.
         """
+        if self._traced is not None:
+            if pose or dL_dfeatures is not None:
+                raise ConfigError("gradients: those by the pose and by features are of Pipeline.RASTER, not of TRACE")
+            by_color, gradient = self._given(self._traced.shape, dL_dcolor, dL_dalpha)
+            return self._by_rays.of_frame(self._scene, self._traced, by_color, gradient)
         scene, camera, drawn = self._last_frame("gradients")
         shape = (camera.height, camera.width)
-        by_color = given_array("dL_dcolor", dL_dcolor, (*shape, 3))
-        by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else given_array("dL_dalpha", dL_dalpha, shape)
+        by_color, gradient = self._given(shape, dL_dcolor, dL_dalpha)
         pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
-        gradient = PixelGradient()
-        gradient.color = self._buffers.upload("gradient.color", wp.vec3, by_color.reshape(-1, 3))
-        gradient.alpha = self._buffers.upload("gradient.alpha", wp.float32, by_alpha.reshape(-1))
         by_splat = self._backward.splats(self._scene, drawn, pixels, gradient)
         features = None if dL_dfeatures is None else self._by_features(drawn, dL_dfeatures, shape, by_splat)
         sets = [
-            _downloaded(self._backward.gaussians(self._scene, drawn, by_splat, number))
+            set_gradient(self._backward.gaussians(self._scene, drawn, by_splat, number))
             for number in range(len(self._scene.assets))
         ]
         splats = _visible(by_splat.numpy(), drawn)
-        transmittance = np.where(_values(drawn.meshes.depth_z) < np.inf, 0.0, 1.0 - _values(pixels.alpha))
+        transmittance = np.where(host_values(drawn.meshes.depth_z) < np.inf, 0.0, 1.0 - host_values(pixels.alpha))
         return SplatGradients(
             sets=tuple(sets),
-            background=np.asarray(transmittance.astype(np.float64) @ by_color.reshape(-1, 3), np.float64),
+            background=by_background(by_color, transmittance),
             camera_from_world=self._by_pose(scene, camera, drawn, by_splat) if pose else None,
             centers=splats["center"],
             centers_absolute=splats["center_absolute"],
             weights=splats["weight"],
             features=features,
         )
+
+    def ray_gradients(
+        self,
+        scene: Scene,
+        origins: npt.ArrayLike,
+        directions: npt.ArrayLike,
+        dL_dradiance: npt.ArrayLike,
+        dL_dtransmittance: npt.ArrayLike | None = None,
+    ) -> RayGradients:
+        """As the function ``ray_gradients``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
+        if not self._traces:
+            raise ConfigError("ray_gradients: rays are traced by a renderer with Pipeline.TRACE: this one rasterises")
+        start, along = checked_rays(origins, directions)
+        given = GivenGradient.of(len(start), dL_dradiance, dL_dtransmittance)
+        check_traced(scene)
+        shown = self.trace_rays(scene, start, along)
+        return self._by_rays.of_rays(self._scene, (start, along), shown, given)
+
+    def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
+        """The hits of a frame's one sample, kept for the way back."""
+        self._hits = super()._find_hits(plan, listed)
+        return self._hits
+
+    def _sync_rays(self, scene: Scene) -> FramePlan:
+        """Given rays take the place of the last frame."""
+        self._forget()
+        return super()._sync_rays(scene)
+
+    def _forget(self) -> None:
+        self._shown = self._shown_features = self._traced = None
+
+    def _given(
+        self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None
+    ) -> tuple[FloatArray, PixelGradient]:
+        """Derivatives by pixels, on the host and on the device."""
+        by_color = given_array("dL_dcolor", dL_dcolor, (*shape, 3))
+        by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else given_array("dL_dalpha", dL_dalpha, shape)
+        gradient = PixelGradient()
+        gradient.color = self._buffers.upload("gradient.color", wp.vec3, by_color.reshape(-1, 3))
+        gradient.alpha = self._buffers.upload("gradient.alpha", wp.float32, by_alpha.reshape(-1))
+        return by_color, gradient
 
     def _last_frame(self, asked: str) -> tuple[Scene, Camera, DrawnSplats]:
         """The scene, the camera, and what was drawn.
@@ -208,7 +238,7 @@ class DifferentiableRenderer(Renderer):
             raise ConfigError("gradients: show features of this frame first, by render_features")
         count = self._shown_features.count
         by_pixels = given_array("dL_dfeatures", dL_dfeatures, (*shape, count)).reshape(-1, count)
-        return _values(self._features.backward(self._scene, drawn, self._shown_features, by_pixels, by_splat))
+        return host_values(self._features.backward(self._scene, drawn, self._shown_features, by_pixels, by_splat))
 
     def _by_pose(self, scene: Scene, camera: Camera, drawn: DrawnSplats, by_splat: DeviceArray) -> Doubles:
         total = np.zeros((4, 4))
@@ -276,30 +306,19 @@ def _checked(config: RenderConfig) -> RenderConfig:
     Raises:
         ConfigError: They cannot.
     """
-    if config.pipeline is not Pipeline.RASTER or config.raster.strategy is not RasterStrategy.SORTED:
+    if config.pipeline not in (Pipeline.RASTER, Pipeline.TRACE):
+        raise ConfigError(f"gradients are those of frames of Pipeline.RASTER or TRACE, not of {config.pipeline.name}")
+    traces = config.pipeline is Pipeline.TRACE
+    strategy = config.trace.strategy if traces else config.raster.strategy
+    if strategy not in (TraceStrategy.SORTED, RasterStrategy.SORTED):
+        raise ConfigError(f"gradients are those of sorted frames, not of the strategy {strategy.name}")
+    if traces and (config.samples not in (None, 1) or config.time_limit is not None or config.noise is not None):
         raise ConfigError(
-            f"gradients are those of sorted frames of Pipeline.RASTER, not of {config.pipeline.name} and "
-            f"{config.raster.strategy.name}"
+            "gradients of rays are those of one sample a pixel: leave samples, time_limit and noise alone"
         )
     if config.lighting or config.aovs:
         raise ConfigError("gradients are those of unlit frames without further images: leave lighting and aovs alone")
     return replace(config, lighting=False)
-
-
-def _downloaded(gradient: GaussianGradient) -> SetGradient:
-    rotations = _values(gradient.rotations)
-    return SetGradient(
-        means=_values(gradient.means),
-        rotations_wxyz=np.roll(rotations, 1, axis=1),
-        scales=_values(gradient.scales),
-        opacities=_values(gradient.opacities),
-        sh=_values(gradient.sh).reshape(len(rotations), gradient.sh_count, 3),
-    )
-
-
-def _values(array: wp.array[Any]) -> FloatArray:
-    """A copy on the host."""
-    return np.array(device_array(array).numpy(), np.float32)
 
 
 def _visible(splats: npt.NDArray[np.void], drawn: DrawnSplats) -> npt.NDArray[np.void]:

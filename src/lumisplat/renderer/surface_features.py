@@ -8,7 +8,7 @@ import numpy as np
 
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.rotations import matrices_from_quaternions
-from lumisplat.renderer.splat_gradients import SetGradient, SplatGradients
+from lumisplat.renderer.gradients.results import SetGradient, SplatGradients
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance

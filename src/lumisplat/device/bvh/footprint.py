@@ -46,3 +46,14 @@ def footprint_variance(footprint: float, path: float, largest_scale: float) -> f
     """
     width = footprint * larger(lesser(path, LEAD * (path - REACH * largest_scale)), 0.0)
     return width * width
+
+
+@wp.func
+def footprint_slopes(footprint: float, path: float, largest_scale: float) -> wp.vec2:
+    """Derivatives of ``footprint_variance`` by the path and by the largest scale, world space."""
+    nearer = LEAD * (path - REACH * largest_scale)
+    width = footprint * larger(lesser(path, nearer), 0.0)
+    if path <= nearer:
+        return wp.vec2(2.0 * width * footprint, 0.0)
+    by_path = 2.0 * width * footprint * LEAD
+    return wp.vec2(by_path, -REACH * by_path)

@@ -12,7 +12,7 @@ from lumisplat.device.math.random import draw
 from lumisplat.device.structs.bvh import AssetBvh, TraceData
 from lumisplat.device.structs.raster import BlendState
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray
-from lumisplat.device.structs.scene import SplatInstanceData
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,6 +41,14 @@ def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
 
 
 @wp.func
+def hit_color(view: TraceData, instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
+    """What Gaussian ``i`` of an instance shows to an eye in object space."""
+    if instance.own_colors != 0:
+        return gaussians.albedo[i]
+    return gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree))
+
+
+@wp.func
 def blend_hit(
     pixel: BlendState,
     view: TraceData,
@@ -61,11 +69,7 @@ def blend_hit(
     origin = instance.object_from_world * ray.origin + instance.object_from_world_offset
     direction = instance.object_from_world * ray.direction
     eye = origin - ray.path_length * direction
-    color = wp.vec3()
-    if instance.own_colors != 0:
-        color = gaussians.albedo[i]
-    else:
-        color = gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree))
+    color = hit_color(view, instance, gaussians, i, eye)
     normal = wp.vec3()
     if instance.own_normals != 0:
         normal = towards(gaussians.normals[i], -direction)

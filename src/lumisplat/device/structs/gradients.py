@@ -1,4 +1,4 @@
-"""Data of the rasteriser's backward pass: derivatives of one number, the loss, by what is drawn."""
+"""Data of backward passes, of the rasteriser and of rays: derivatives of one number, the loss, by what is drawn."""
 
 import warp as wp
 
@@ -64,3 +64,44 @@ class SplatOrigin:
     opacity: float
     camera_from_object: wp.mat33
     camera_from_object_offset: wp.vec3
+
+
+@struct
+class RayGradient:
+    """By what rays show, an element a ray."""
+
+    color: wp.array[wp.vec3]
+    """By its colour."""
+    behind: wp.array[float]
+    """What of the loss the ray shows at all, of colour and of transmittance."""
+
+
+@struct
+class HitGradients:
+    """By the hits of rays, an element a hit, ray by ray, each front to back."""
+
+    ray: wp.array[int]
+    log_alpha: wp.array[float]
+    """By the logarithm of alpha; 0 where that is at its limit."""
+    weight: wp.array[float]
+    """With which the Gaussian is blended."""
+
+
+@struct
+class HitMoments:
+    """Sums over the hits of one Gaussian, of which its derivatives are made; along its own axes if not said otherwise.
+
+    Beside the derivative by the squared canonical distance, the terms are those of docs/method/gradients.md#hits.
+    """
+
+    log_opacity: float
+    pull: wp.vec3
+    """Of the canonical offset of the ray from the mean, over the scales."""
+    turn: wp.vec3
+    """The torque of that about the mean."""
+    spread: wp.vec3
+    """Of the squares of that offset, over the scales."""
+    path: wp.vec3
+    """By the mean's place along the ray, which says how wide the ray is there; object space."""
+    largest: float
+    """By the largest scale, which does so, too; object space."""

@@ -18,9 +18,9 @@ from lumisplat.renderer.gradients import (
     splat_backward_kernels,
     splat_backward_warp_kernels,
 )
+from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.primitives import prefix_sum
@@ -95,7 +95,7 @@ class SplatBackward:
             number: The asset's, in the scene.
         """
         asset = scene.assets[number]
-        out = self._gradient_of(asset, number)
+        out = gradient_of_asset(self._buffers, asset, number)
         data = (asset.instance_ids, asset.data, drawn.splats.data, drawn.splats.rects, by_splat)
         inputs = (scene.camera, drawn.settings, scene.splat_instances, *data, out)
         with self._launcher.stage("backward: Gaussians"):
@@ -119,14 +119,3 @@ class SplatBackward:
         self._launcher.run_banded(projection_backward_kernels.backward_pose, chunks, *inputs)
         table = sums.numpy()
         return PoseSums(*(table[name].sum(axis=0, dtype=np.float64) for name in PoseSums.__slots__))
-
-    def _gradient_of(self, asset: SplatAsset, number: int) -> GaussianGradient:
-        get, count = self._buffers.get, asset.gaussians.count
-        out = GaussianGradient()
-        out.means = get(f"backward.means{number}", wp.vec3, count)
-        out.rotations = get(f"backward.rotations{number}", wp.quat, count)
-        out.scales = get(f"backward.scales{number}", wp.vec3, count)
-        out.opacities = get(f"backward.opacities{number}", wp.float32, count)
-        out.sh_count = asset.data.sh_count
-        out.sh = get(f"backward.sh{number}", wp.vec3, count * out.sh_count)
-        return out

@@ -1,0 +1,200 @@
+"""Host pass: derivatives of a loss by the Gaussians that rays hit, given those by what the rays show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.config import RenderConfig
+from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD
+from lumisplat.constants.training import BACKWARD_HITS
+from lumisplat.device.structs.bvh import TraceData
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient
+from lumisplat.device.structs.rays import HitProfiles, RayData
+from lumisplat.math.arrays import FloatArray
+from lumisplat.renderer.gradients import ray_backward_kernels as kernels
+from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, trace_table
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array, grown_capacity
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import prefix_sum, sort_pairs
+
+Noun = TypeVar("Noun")
+
+
+@dataclass(frozen=True, slots=True)
+class RaySums:
+    """Derivatives by what rays have hit, on the device."""
+
+    gaussians: list[GaussianGradient]
+    """By each asset of the scene."""
+    weights: DeviceArray
+    """Sum of the weights with which each Gaussian of the scene is blended, instance by instance."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rays:
+    """Some rays, whole packets."""
+
+    rays: RayData
+    limits: DeviceArray
+    """Where each ends."""
+    gradient: RayGradient
+    counts: DeviceArray
+    """Gaussians that each has hit."""
+    found: int
+    """Their sum."""
+
+
+class RayBackward:
+    """Goes back from rays to Gaussians.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings of sorted rays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        self._launcher, self._buffers = launcher, buffers
+        self._tracer = GaussianTracer(launcher, buffers, config, "backward.trace")
+        self._settings = buffers.get("backward.settings", TraceData, 1)
+        assign_table(self._settings, trace_table(launcher, config.trace))
+
+    def start_pixels(
+        self, size: tuple[int, int], count: int, pixels: PixelData, gradient: PixelGradient
+    ) -> RayGradient:
+        """Derivatives by the rays of a camera.
+
+        Args:
+            size: Width and height of the image, pixels.
+            count: Rays.
+            pixels: What came of them.
+            gradient: Derivatives by these.
+        """
+        out = self._buffers.struct("backward.rays", RayGradient, count)
+        self._launcher.run_banded(kernels.start_pixels, count, *size, pixels, gradient, out)
+        return out
+
+    def start_rays(self, count: int, color: FloatArray, behind: FloatArray) -> RayGradient:
+        """Derivatives by given rays.
+
+        Args:
+            count: Rays; those beyond what is given show nothing.
+            color: By their colours, shape (N, 3).
+            behind: What of the loss each shows at all, shape (N,).
+        """
+        out = self._buffers.struct("backward.rays", RayGradient, count)
+        missing = count - len(color)
+        device_array(out.color).assign(np.pad(color, ((0, missing), (0, 0))))
+        device_array(out.behind).assign(np.pad(behind, (0, missing)))
+        return out
+
+    def begin(self, scene: DeviceScene) -> RaySums:
+        """Derivatives by all Gaussians of a scene, 0 so far."""
+        sums = RaySums(
+            [gradient_of_asset(self._buffers, asset, number) for number, asset in enumerate(scene.assets)],
+            self._buffers.get("backward.weights", wp.float32, scene.gaussian_count),
+        )
+        sums.weights.zero_()
+        for out in sums.gaussians:
+            for array in (out.means, out.rotations, out.scales, out.opacities, out.sh):
+                device_array(array).zero_()
+        return sums
+
+    def add(self, scene: DeviceScene, hits: PrimaryHits, gradient: RayGradient, sums: RaySums) -> None:
+        """Adds the derivatives by the Gaussians that rays hit, so many rays at a time that the device has room.
+
+        Args:
+            scene: The scene on the device, as the rays have met it.
+            hits: The rays, and what they hit.
+            gradient: Derivatives by what they show.
+            sums: Receives them.
+        """
+        counts = device_array(hits.gaussians.hits)
+        for begin, end, found in packet_ranges(counts.numpy(), BACKWARD_HITS):
+            rows = slice(begin, end)
+            part = _Rays(
+                _rows_of(RayData, hits.rays, rows),
+                device_array(hits.meshes.t)[rows],
+                _rows_of(RayGradient, gradient, rows),
+                counts[rows],
+                found,
+            )
+            self._add(scene, part, sums)
+
+    def _add(self, scene: DeviceScene, part: _Rays, sums: RaySums) -> None:
+        """Adds what some rays have hit."""
+        run, stage, found = self._launcher.run_banded, self._launcher.stage, part.found
+        bands = RAY_BANDS_PER_THREAD * self._launcher.threads
+        with stage("backward: hits"):
+            profiles = self._profiles(scene, part)
+        capacity = grown_capacity(found)
+        rows = self._buffers.struct("backward.hits", HitGradients, capacity)
+        keys, order = (self._buffers.get(f"backward.{name}", wp.int32, 2 * capacity) for name in ("keys", "order"))
+        bvh = scene.bvh.data(scene.splat_instances)
+        with stage("backward: rays"):
+            inputs = (self._settings, bvh, part.rays, part.gradient, part.counts, profiles, rows, keys, order)
+            run(kernels.replay_rays, len(part.counts), *inputs, bands=bands)
+        with stage("backward: sort"):
+            sort_pairs(keys, order, found, bits=max(scene.gaussian_count.bit_length(), 1))
+            begins, ends = (
+                self._buffers.get(f"backward.{name}", wp.int32, scene.gaussian_count) for name in ("begins", "ends")
+            )
+            begins.zero_()
+            ends.zero_()
+            run(kernels.find_runs, found, found, keys, begins, ends)
+        with stage("backward: Gaussians"):
+            for asset, out in zip(scene.assets, sums.gaussians, strict=True):
+                placed = (self._settings, scene.splat_instances, asset.instance_ids, asset.data)
+                run(
+                    kernels.gather_gaussians,
+                    asset.gaussians.count,
+                    *(*placed, part.rays, part.gradient, rows, order, begins, ends, sums.weights, out),
+                    bands=bands,
+                )
+
+    def _profiles(self, scene: DeviceScene, part: _Rays) -> HitProfiles:
+        """The hits of rays one by one: the rays are followed once more."""
+        profiles = self._buffers.struct("backward.profiles", HitProfiles, grown_capacity(part.found), ("first",))
+        first = self._buffers.get("backward.first", wp.int32, len(part.counts))
+        prefix_sum(part.counts, first, inclusive=False)
+        profiles.first = first
+        table: DeviceArray = self._buffers.table("backward.profile_table", HitProfiles, [profiles])
+        self._tracer.find(scene, part.rays, part.limits, "backward.gaussians", bounced=False, profiles=table)
+        return profiles
+
+
+def packet_ranges(counts: npt.NDArray[np.int32], most: int) -> Iterator[tuple[int, int, int]]:
+    """Ranges of rays, whole packets, and how many hits each has: no more than ``most`` unless it is one packet.
+
+    Args:
+        counts: Hits of each ray.
+        most: How many hits a range is to have at most.
+    """
+    packets = counts.reshape(-1, PACKET_RAYS).sum(axis=1, dtype=np.int64)
+    before = np.concatenate([[0], np.cumsum(packets)])
+    begin = 0
+    while begin < len(packets):
+        end = max(int(np.searchsorted(before, before[begin] + most, side="right")) - 1, begin + 1)
+        found = int(before[end] - before[begin])
+        if found:
+            yield PACKET_RAYS * begin, PACKET_RAYS * end, found
+        begin = end
+
+
+def _rows_of(noun: type[Noun], arrays: Noun, rows: slice) -> Noun:
+    """A struct of arrays with some elements of each."""
+    struct: Any = noun
+    view = noun()
+    for name, _ in struct.vars.items():
+        setattr(view, name, getattr(arrays, name)[rows])
+    return view

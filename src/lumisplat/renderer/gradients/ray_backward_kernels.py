@@ -1,0 +1,149 @@
+"""Derivatives of what rays show by the Gaussians that they hit.
+
+Rays are followed once more, by the kernel of the frame, which writes their hits one by one. Each ray then blends them
+again, front to back, with one number for what is still to come (``replay_rays``); the hits are sorted by Gaussian, a
+stable sort, and each Gaussian adds up its own, in the order of the rays (``gather_gaussians``). No element has two
+writers. The equations are in docs/method/gradients.md.
+"""
+
+import warp as wp
+
+from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.gaussian.compositing import instance_of
+from lumisplat.device.gaussian.hit_gradient import (
+    add_color,
+    add_hit,
+    add_moments,
+    log_alpha_gradient,
+    ray_in_object,
+)
+from lumisplat.device.gaussian.packet_tracing import ray_of
+from lumisplat.device.gaussian.ray_compositing import hit_color
+from lumisplat.device.structs.bvh import SceneBvh, TraceData
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, HitMoments, PixelGradient, RayGradient
+from lumisplat.device.structs.rays import HitProfiles, RayData
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+@wp.kernel
+def start_pixels(
+    start: int, width: int, height: int, pixels: PixelData, gradient: PixelGradient, rays_out: RayGradient
+):
+    """Item = ray of a camera: what its pixel shows; nothing beyond the image. A pixel with a mesh has an alpha of 1."""
+    ray = start + wp.tid()
+    at = pixel_of_ray(width, ray)
+    rays_out.color[ray] = wp.vec3(0.0)
+    rays_out.behind[ray] = 0.0
+    if at[0] < width and at[1] < height:
+        pixel = at[1] * width + at[0]
+        by_color = gradient.color[pixel]
+        rays_out.color[ray] = by_color
+        rays_out.behind[ray] = wp.dot(by_color, pixels.color[pixel]) - gradient.alpha[pixel] * (
+            1.0 - pixels.alpha[pixel]
+        )
+
+
+@wp.kernel
+def replay_rays(
+    start: int,
+    settings: wp.array[TraceData],
+    scene: SceneBvh,
+    rays: RayData,
+    gradient: RayGradient,
+    counts: wp.array[int],
+    profiles: HitProfiles,
+    hits_out: HitGradients,
+    keys_out: wp.array[int],
+    order_out: wp.array[int],
+):
+    """Item = ray: blends its hits once more; the key of each is its Gaussian."""
+    i = start + wp.tid()
+    if counts[i] == 0:
+        return
+    view = settings[0]
+    ray = ray_of(rays, i)
+    by_color = gradient.color[i]
+    behind = gradient.behind[i]
+    before = float(1.0)
+    for row in range(profiles.first[i], profiles.first[i] + counts[i]):
+        index = profiles.gaussian[row]
+        instance = scene.instances[instance_of(scene.instances, index)]
+        seen = ray_in_object(instance, ray)
+        gaussians = scene.assets[instance.asset].gaussians
+        eye = seen.origin - seen.path_length * seen.direction
+        shown = wp.dot(by_color, hit_color(view, instance, gaussians, index - instance.first, eye))
+        alpha = profiles.alpha[row]
+        weight = before * alpha
+        hits_out.ray[row] = i
+        hits_out.log_alpha[row] = log_alpha_gradient(alpha, before, shown, behind)
+        hits_out.weight[row] = weight
+        keys_out[row] = index
+        order_out[row] = row
+        behind -= weight * shown
+        before = profiles.transmittance[row]
+
+
+@wp.kernel
+def find_runs(start: int, count: int, keys: wp.array[int], begins_out: wp.array[int], ends_out: wp.array[int]):
+    """Item = hit, sorted by Gaussian: where the hits of each begin and end."""
+    place = start + wp.tid()
+    key = keys[place]
+    if place == 0 or keys[wp.max(place - 1, 0)] != key:
+        begins_out[key] = place
+    if place == count - 1 or keys[wp.min(place + 1, count - 1)] != key:
+        ends_out[key] = place + 1
+
+
+@wp.kernel
+def gather_gaussians(
+    start: int,
+    settings: wp.array[TraceData],
+    instances: wp.array[SplatInstanceData],
+    instance_ids: wp.array[int],
+    gaussians: GaussianData,
+    rays: RayData,
+    gradient: RayGradient,
+    hits: HitGradients,
+    order: wp.array[int],
+    begins: wp.array[int],
+    ends: wp.array[int],
+    weights_inout: wp.array[float],
+    gaussians_inout: GaussianGradient,
+):
+    """Item = Gaussian of the asset: adds up its hits, over its instances.
+
+    Rays of a camera have one eye, to which it shows one colour; where eyes differ, each has its own.
+    """
+    i = start + wp.tid()
+    view = settings[0]
+    mean = gaussians.means[i]
+    scale = gaussians.scales[i]
+    axes = wp.quat_to_matrix(gaussians.rotations[i])
+    for number in range(instance_ids.shape[0]):
+        instance = instances[instance_ids[number]]
+        index = instance.first + i
+        if begins[index] == ends[index]:
+            continue
+        moments = HitMoments()
+        eye = wp.vec3(0.0)
+        by_color = wp.vec3(0.0)
+        by_mean = wp.vec3(0.0)
+        weights = float(0.0)
+        for place in range(begins[index], ends[index]):
+            row = order[place]
+            number_of_ray = hits.ray[row]
+            ray = ray_in_object(instance, ray_of(rays, number_of_ray))
+            moments = add_hit(moments, instance, mean, axes, scale, ray, hits.log_alpha[row])
+            from_eye = ray.origin - ray.path_length * ray.direction
+            if place > begins[index] and wp.length_sq(from_eye - eye) > 0.0:
+                by_mean += add_color(view, instance, gaussians, i, eye, by_color, gaussians_inout)
+                by_color = wp.vec3(0.0)
+            eye = from_eye
+            by_color += hits.weight[row] * gradient.color[number_of_ray]
+            weights += hits.weight[row]
+        by_mean += add_color(view, instance, gaussians, i, eye, by_color, gaussians_inout)
+        add_moments(gaussians, i, axes, moments, by_mean, gaussians_inout)
+        weights_inout[index] = weights_inout[index] + weights

@@ -1,0 +1,325 @@
+"""Derivatives of unlit frames of rays, against central differences of a float64 twin and against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.renderer.gradients import ray_backward
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.gradient_oracle import Parameters, differences
+from support.oracles.ray_gradient_oracle import RayLoss
+from support.oracles.trace_oracle import camera_rays
+from support.scenes.gradient_scenes import BACKGROUND, by_pixels, cloud, vars_of, view
+
+SIZE = 18, 15
+COUNT = 9
+
+
+def config(**trace: Any) -> ls.RenderConfig:
+    """Frames of rays; further settings are those of ``TraceConfig``."""
+    return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=BACKGROUND, trace=ls.TraceConfig(**trace))
+
+
+def gradients_of(
+    scene: ls.Scene, camera: ls.Camera, settings: ls.RenderConfig | None = None, threads: int | None = None
+) -> ls.SplatGradients:
+    """Of the pixels of ``by_pixels``."""
+    renderer = ls.DifferentiableRenderer(settings or config(), "cpu", threads=threads)
+    renderer.render(scene, camera)
+    return renderer.gradients(*by_pixels(camera))
+
+
+def loss_of(camera: ls.Camera, **settings: Any) -> RayLoss:
+    """The twin's number of a frame, of the same pixels."""
+    rays = camera_rays(camera)
+    by_color, by_alpha = by_pixels(camera)
+    return RayLoss(
+        origins=np.array([ray.origin for ray in rays]),
+        directions=np.array([ray.direction for ray in rays]),
+        spreads=np.array([ray.spread for ray in rays]),
+        t_min=np.array([ray.t_min for ray in rays]),
+        by_color=by_color.reshape(-1, 3).astype(np.float64),
+        by_alpha=by_alpha.reshape(-1).astype(np.float64),
+        **settings,
+    )
+
+
+def check_differences(found: dict[str, np.ndarray], loss: Callable[[Parameters], float], p: Parameters) -> None:
+    """Where two step sizes agree, the median is below 1e-5 of the mean magnitude, the worst below 1e-3."""
+    for name, value in found.items():
+        expected, agree = differences(loss, p, name)
+        error = np.abs(value - expected)[agree] / np.abs(expected).mean()
+        assert agree.mean() > 0.8, name
+        assert np.median(error) < 1e-5 and error.max() < 1e-3, (name, np.median(error), error.max())
+
+
+def check_frame(gaussians: ls.Gaussians, camera: ls.Camera, settings: ls.RenderConfig, **twin: Any) -> None:
+    """All derivatives of a frame against those of the twin."""
+    found = gradients_of(ls.Scene([gaussians]), camera, settings)
+    parameters = Parameters.of(gaussians, BACKGROUND, camera)
+    check_differences(vars_of(found) | {"background": found.background}, loss_of(camera, **twin), parameters)
+
+
+@pytest.mark.parametrize("degree", range(6))
+def test_derivatives_are_central_differences_of_the_twin(degree: int) -> None:
+    """Of every parameter, for each degree of the kernel."""
+    gaussians = replace(cloud(count=COUNT), kernel_degree=degree)
+    check_frame(gaussians, view(*SIZE), config(), degree=degree)
+
+
+def test_so_are_those_in_the_order_of_peaks_without_widths() -> None:
+    """Of large Gaussians that cross each other, which the order of their means shows in another way."""
+    settings = config(dilation=0.0, hit_distance=ls.HitDistance.PEAK)
+    check_frame(cloud(4, COUNT), view(*SIZE), settings, dilation=0.0, by_peak=True)
+
+
+def test_so_are_those_of_gaussians_that_are_smaller_than_pixels() -> None:
+    """What shows of them is their rays' width, which depends on how far away their means are."""
+    base = cloud(6, 2 * COUNT)
+    small = replace(base, scales=0.15 * base.scales)
+    check_frame(small, view(*SIZE), config(dilation=2.0), dilation=2.0)
+
+
+def test_so_are_those_of_a_fisheye() -> None:
+    """That sees Gaussians on all sides of it, near ones too."""
+    eye = ls.Camera.look_at((0.1, 0.2, -0.2), (0.0, 0.0, 1.0), width=16, height=16, fov_y=3.0, model="fisheye")
+    check_frame(replace(cloud(8, COUNT), kernel_degree=4), eye, config(), degree=4)
+
+
+def test_those_of_any_rays_are_central_differences_of_the_twin() -> None:
+    """Each ray sees colours from an eye of its own."""
+    rng = np.random.default_rng(5)
+    gaussians, count = replace(cloud(3, COUNT), kernel_degree=3), 200
+    origins = 3.0 * rng.normal(size=(count, 3)) / np.sqrt(3.0)
+    directions = rng.uniform(-0.7, 0.7, (count, 3)) - origins
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    by_color, by_alpha = rng.normal(size=(count, 3)).astype(np.float32), rng.normal(size=count).astype(np.float32)
+    found = ls.ray_gradients(ls.Scene([gaussians]), origins, directions, by_color, -by_alpha, device="cpu")
+    loss = RayLoss(
+        *(origins.astype(np.float32).astype(np.float64), directions, np.zeros(count), np.zeros(count)),
+        *(by_color.astype(np.float64), by_alpha.astype(np.float64)),
+        degree=3,
+    )
+    parameters = Parameters.of(gaussians, (0.0, 0.0, 0.0), view())
+    check_differences(vars_of(found), loss, parameters)
+
+
+@pytest.mark.parametrize("degree", [2, 4])
+def test_they_are_the_adjoint_of_what_moves_pixels(degree: int) -> None:
+    """``<J v, w> = <v, J^T w>`` for random directions v of all parameters at once and random w over the pixels."""
+    gaussians, camera = replace(cloud(5), kernel_degree=degree), view()
+    loss, start = loss_of(camera, degree=degree), Parameters.of(gaussians, BACKGROUND, camera)
+    found = vars_of(gradients_of(ls.Scene([gaussians]), camera))
+    rng = np.random.default_rng(11)
+    agreed = 0
+    for _ in range(12):
+        way = {name: rng.normal(size=value.shape) * np.abs(getattr(start, name)) for name, value in found.items()}
+        moved = [
+            (loss(along(start, way, step)) - loss(along(start, way, -step))) / (2.0 * step) for step in (1e-6, 3e-7)
+        ]
+        expected = sum(float((found[name] * way[name]).sum()) for name in found)
+        scale = sum(float(np.abs(found[name] * way[name]).sum()) for name in found)
+        if abs(moved[0] - moved[1]) < 1e-6 * scale:  # no ray crosses a threshold between the two
+            agreed += 1
+            assert abs(moved[1] - expected) < 1e-5 * scale
+    assert agreed >= 6
+
+
+def along(start: Parameters, way: dict[str, np.ndarray], step: float) -> Parameters:
+    """Parameters moved along a direction."""
+    return replace(start, **{name: getattr(start, name) + step * value for name, value in way.items()})
+
+
+def test_what_no_ray_meets_has_derivatives_of_exactly_0() -> None:
+    """Behind the eye, beside the image, too transparent to be seen; and all that an opaque wall hides."""
+    base = replace(cloud(count=8), kernel_degree=4)
+    means, opacities = base.means.copy(), base.opacities.copy()
+    means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
+    opacities[2] = 1.0 / 300.0
+    found = gradients_of(ls.Scene([replace(base, means=means, opacities=opacities)]), view())
+    for name, value in vars_of(found).items():
+        assert not value[:3].any(), name
+        assert value[3:].any(axis=tuple(range(1, value.ndim))).all() if value.ndim > 1 else value[3:].all(), name
+    assert not found.weights[:3].any() and (found.weights[3:] > 0.0).all()
+
+
+def test_a_mesh_hides_what_is_behind_it() -> None:
+    """Gaussians behind it have no derivatives, those before it have those over its colour."""
+    gaussians, camera = cloud(count=12), view()
+    corners = np.array([[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [9.0, 9.0, 0.0], [-9.0, 9.0, 0.0]])
+    material = ls.MaterialPbr(base_color=(0.2, 0.4, 0.6))
+    wall = ls.MeshInstance(ls.Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), material=material))
+    found = gradients_of(ls.Scene([gaussians], [wall]), camera)
+    behind, before = gaussians.means[:, 2] > 0.5, gaussians.means[:, 2] < -0.3
+    assert behind.any() and before.any()
+    assert not found.sets[0].means[behind].any() and found.sets[0].means[before].any(axis=1).all()
+    assert not found.background.any(), "it is hidden, too"
+    # Of one in front, the same as over a background of the wall's colour.
+    one = ls.Gaussians(np.array([[0.1, 0.0, -1.0]]), np.array([[1.0, 0.2, 0.1, 0.0]]), [[0.1, 0.2, 0.3]], [0.7])
+    shown = ls.render(ls.Scene([], [wall]), camera, config(), device="cpu").color[15, 18]
+    over = replace(config(), background=tuple(float(c) for c in shown))
+    _, by_alpha = by_pixels(camera)
+    alone, walled = (
+        ls.splat_gradients(scene, camera, by_pixels(camera)[0], 0.0 * by_alpha, over, device="cpu").sets[0]
+        for scene in (ls.Scene([one]), ls.Scene([one], [wall]))
+    )
+    close(walled.means, alone.means)
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    """Each hit has one writer, and sums have one order."""
+    scene, camera = ls.Scene([replace(cloud(count=400), kernel_degree=4)]), view(75, 50)
+    one, two, five = (gradients_of(scene, camera, threads=threads) for threads in (1, 2, 5))
+    for other in (two, five):
+        for name, value in vars_of(one).items():
+            np.testing.assert_array_equal(value, vars_of(other)[name], err_msg=name)
+        np.testing.assert_array_equal(one.weights, other.weights)
+
+
+def test_rays_may_be_gone_back_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the device has no room for all hits: the same sums, in another order."""
+    scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
+    whole = gradients_of(scene, camera)
+    monkeypatch.setattr(ray_backward, "BACKWARD_HITS", 300)
+    parts = gradients_of(scene, camera)
+    for name, value in vars_of(whole).items():
+        assert np.abs(vars_of(parts)[name] - value).max() < 1e-5 * np.abs(value).mean() + 1e-6 * np.abs(value).max()
+    np.testing.assert_allclose(parts.weights, whole.weights, rtol=1e-5)
+
+
+def test_ranges_are_whole_packets_that_fit() -> None:
+    """All hits are in one of them; a packet that is too large is alone."""
+    counts = np.zeros(160, np.int32)
+    counts[[3, 20, 40, 41, 100]] = 4, 5, 20, 30, 7
+    found = list(ray_backward.packet_ranges(counts, 12))
+    assert found == [(0, 32, 9), (32, 48, 50), (48, 160, 7)]
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_the_schedule_of_gpus_agrees(degree: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One ray an item on a CPU gives the derivatives of packets, but for the rounding of hits."""
+    scene, camera = ls.Scene([replace(cloud(count=60), kernel_degree=degree)]), view(50, 40)
+    packets = gradients_of(scene, camera)
+    monkeypatch.setattr(
+        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+    )
+    rays = gradients_of(scene, camera)
+    for name, value in vars_of(packets).items():
+        assert np.abs(vars_of(rays)[name] - value).max() < 1e-4 * np.abs(value).mean(), name
+    np.testing.assert_allclose(rays.weights, packets.weights, rtol=1e-5)
+
+
+def test_frames_are_those_of_every_renderer() -> None:
+    """To the bit: what is differentiated is what is shown."""
+    scene, camera = ls.Scene([cloud(count=200)]), view(75, 50)
+    shown = ls.DifferentiableRenderer(config(), "cpu").render(scene, camera)
+    np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config(), device="cpu").color)
+
+
+def test_instances_add_up_and_their_places_are_undone() -> None:
+    """A set that is turned, scaled and moved has the derivatives of one that is so in its file, and two of one add."""
+    gaussians, camera = replace(cloud(9, degree=0), kernel_degree=4), view()
+    angle, scale, place, aside = 0.7, 1.3, np.eye(4), np.eye(4)
+    place[:3, :3] = scale * np.array(
+        [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
+    )
+    place[:3, 3] = 0.1, -0.2, 0.3
+    aside[0, 3] = 100.0  # out of sight
+    placed = gradients_of(ls.Scene([ls.SplatInstance(gaussians, place)]), camera).sets[0]
+    baked = gradients_of(ls.Scene([ls.transform(gaussians, place)]), camera).sets[0]
+    close(placed.means, baked.means @ place[:3, :3])
+    close(placed.scales, scale * baked.scales)
+    close(placed.opacities, baked.opacities)
+    both = ls.Scene([ls.SplatInstance(gaussians, place), ls.SplatInstance(gaussians, aside)])
+    twice = gradients_of(both, camera)
+    assert len(twice.sets) == 1 and len(twice.weights) == 2 * gaussians.count
+    close(twice.sets[0].means, placed.means)
+
+
+def close(value: np.ndarray, expected: np.ndarray) -> None:
+    """Equal but for the rounding of float32."""
+    assert np.abs(value - expected).max() < 2e-4 * np.abs(expected).mean()
+
+
+def test_far_away_they_are_those_of_the_rasteriser() -> None:
+    """Without widths, a splat is the Gaussian along parallel rays: its error falls with the distance of the camera."""
+    rng = np.random.default_rng(2)
+    gaussians = replace(cloud(12, 12, 0), opacities=rng.uniform(0.2, 0.8, 12))
+    errors = [differing(gaussians, distance) for distance in (4.0, 16.0, 64.0)]
+    for name in errors[0]:
+        assert errors[1][name] < 0.4 * errors[0][name] and errors[2][name] < 0.4 * errors[1][name], name
+        assert errors[2][name] < 0.02, name
+
+
+def differing(gaussians: ls.Gaussians, distance: float) -> dict[str, float]:
+    """How the rasteriser's derivatives differ from those of rays, relative to their magnitude.
+
+    The camera is so far away, and shows as much of the Gaussians.
+    """
+    eye = distance * np.array([0.1, -0.07, -1.0])
+    camera = ls.Camera.look_at(eye, (0.0, 0.0, 0.0), (0.1, -1.0, 0.0), width=36, height=30, fov_y=2.4 / distance)
+    traced = gradients_of(ls.Scene([gaussians]), camera, config(dilation=0.0))
+    plain = ls.RenderConfig(background=BACKGROUND, raster=ls.RasterConfig(dilation=0.0))
+    drawn = ls.splat_gradients(ls.Scene([gaussians]), camera, *by_pixels(camera), plain, device="cpu")
+    return {
+        name: float(np.abs(vars_of(drawn)[name] - value).mean() / np.abs(value).mean())
+        for name, value in vars_of(traced).items()
+    }
+
+
+def test_only_what_is_drawn_unlit_sorted_and_once_is_differentiated() -> None:
+    """Other frames and rays, and none at all, are refused in a line."""
+    scene, camera = ls.Scene([cloud()]), view()
+    with pytest.raises(ls.ConfigError, match="render a frame first"):
+        ls.DifferentiableRenderer(config(), "cpu").gradients(np.zeros((30, 36, 3)))
+    for settings in (
+        config(strategy=ls.TraceStrategy.STOCHASTIC_HIT),
+        replace(config(), lighting=True),
+        replace(config(), samples=4),
+        replace(config(), noise=0.01),
+        ls.RenderConfig(pipeline=ls.Pipeline.PATH),
+    ):
+        with pytest.raises(ls.ConfigError, match=r"^gradients (of rays )?are those of"):
+            ls.DifferentiableRenderer(settings, "cpu")
+    renderer = ls.DifferentiableRenderer(config(), "cpu")
+    frame = renderer.render(scene, camera)
+    with pytest.raises(ls.ConfigError, match=r"^gradients: those by the pose and by features are of Pipeline.RASTER"):
+        renderer.gradients(*by_pixels(camera), pose=True)
+    with pytest.raises(ls.ConfigError, match=r"^render_features: further features are those of Pipeline.RASTER"):
+        renderer.render_features(np.ones((16, 1)))
+    with pytest.raises(ls.ConfigError, match="a frame that is resumed has more than one sample"):
+        renderer.render(scene, camera, resume=frame)
+    mirror = ls.Mesh(np.eye(3), np.array([[0, 1, 2]]), material=ls.MaterialPbr(roughness=0.0, metallic=1.0))
+    with pytest.raises(ls.ConfigError, match="what mirrors, glass and meshes that blend show has no gradients"):
+        renderer.render(ls.Scene([cloud()], [mirror]), camera)
+    with pytest.raises(ls.ConfigError, match=r"^ray_gradients: rays are traced by a renderer with Pipeline.TRACE"):
+        ls.DifferentiableRenderer(device="cpu").ray_gradients(scene, np.zeros(3), np.eye(3), np.eye(3))
+    with pytest.raises(ls.SceneError, match=r"^dL_dradiance has shape \(2, 3\), expected \(3, 3\)$"):
+        renderer.ray_gradients(scene, np.zeros(3), np.eye(3), np.eye(3)[:2])
+
+
+def test_rays_between_a_frame_and_its_gradients_take_its_place() -> None:
+    """Derivatives are those of what was traced last, never of a mixture."""
+    scene, camera = ls.Scene([cloud()]), view()
+    renderer = ls.DifferentiableRenderer(config(), "cpu")
+    renderer.render(scene, camera)
+    renderer.trace_rays(scene, np.zeros(3), np.eye(3))
+    with pytest.raises(ls.ConfigError, match="render a frame first"):
+        renderer.gradients(*by_pixels(camera))
+
+
+def test_a_scene_without_gaussians_has_none() -> None:
+    """And none that any ray hits have 0."""
+    camera = view()
+    found = gradients_of(ls.Scene(), camera)
+    assert found.sets == () and found.weights.shape == (0,)
+    np.testing.assert_allclose(found.background, by_pixels(camera)[0].sum(axis=(0, 1)), rtol=1e-4)
+    away = ls.Gaussians(np.array([[0.0, 0.0, -50.0]]), np.array([[1.0, 0.0, 0.0, 0.0]]), [[0.1, 0.1, 0.1]], [0.7])
+    found = gradients_of(ls.Scene([away]), camera)
+    assert not found.sets[0].means.any() and not found.weights.any()

@@ -1,0 +1,83 @@
+"""A float64 twin of an unlit, traced frame as one number: every Gaussian against every ray, all hits sorted.
+
+Written from the equations (Moenne-Loccoz et al. 2024; footprints: docs/method/ray_tracing.md#footprints), by covariances
+and their inverses; the kernels work along the axes of each Gaussian. ``gradient_oracle.differences`` has its derivatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lumisplat.constants import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    FOOTPRINT_LEAD,
+    FOOTPRINT_MAX,
+    FOOTPRINT_REACH,
+    KERNEL_LINEAR_SLOPE,
+)
+from support.oracles.gradient_oracle import Parameters
+from support.oracles.raster_oracle import normalized, rotation_from_quaternion, sh_basis
+
+
+@dataclass(frozen=True)
+class RayLoss:
+    """``sum(by_color * color) + sum(by_alpha * alpha)`` of rays: a number whose derivatives by what they show are known."""
+
+    origins: np.ndarray  # (R, 3)
+    directions: np.ndarray  # (R, 3), unit
+    spreads: np.ndarray  # (R,), width of a ray's pixel over the length of its path
+    t_min: np.ndarray  # (R,)
+    by_color: np.ndarray  # (R, 3)
+    by_alpha: np.ndarray  # (R,)
+    degree: int = 2
+    dilation: float = 0.3
+    transmittance_min: float = 1e-4
+    by_peak: bool = False  # the order of hits; else by their means
+
+    def __call__(self, p: Parameters) -> float:
+        """The number."""
+        color, transmittance = self.shown(p)
+        total = (self.by_color * (color + transmittance[:, None] * p.background)).sum()
+        return float(total + (self.by_alpha * (1.0 - transmittance)).sum())
+
+    def shown(self, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
+        """Premultiplied colours, (R, 3), and transmittance, (R,)."""
+        offset = p.means - self.origins[:, None, :]  # (R, N, 3)
+        middle = (offset * self.directions[:, None, :]).sum(axis=2)
+        inverse = self._inverse_covariance(p, middle)
+        v = np.broadcast_to(self.directions[:, None, :], offset.shape)
+        vv, vo, oo = (np.einsum("rni,rnij,rnj->rn", a, inverse, b) for a, b in ((v, v), (v, offset), (offset, offset)))
+        peak = vo / vv
+        distance = np.sqrt(np.maximum(oo - vo * peak, 0.0))
+        if self.degree == 0:
+            response = np.maximum(1.0 - KERNEL_LINEAR_SLOPE * distance, 0.0)
+        else:
+            response = np.exp(-4.5 * (distance / 3.0) ** self.degree)
+        alpha = p.opacities * response
+        alpha = np.where((alpha >= ALPHA_MIN) & (peak > self.t_min[:, None]), np.minimum(alpha, ALPHA_MAX), 0.0)
+        order = np.argsort(peak if self.by_peak else middle, axis=1, kind="stable")
+        alpha = np.take_along_axis(alpha, order, axis=1)
+        color = np.take_along_axis(self._color(p, offset), order[:, :, None], axis=1)
+        after = np.cumprod(1.0 - alpha, axis=1)
+        before = np.concatenate([np.ones((len(after), 1)), after[:, :-1]], axis=1)
+        goes_on = before > self.transmittance_min
+        alpha = np.where(goes_on, alpha, 0.0)
+        return ((before * alpha)[:, :, None] * color).sum(axis=1), np.prod(1.0 - alpha, axis=1)
+
+    def _inverse_covariance(self, p: Parameters, middle: np.ndarray) -> np.ndarray:
+        """Of Gaussians as rays find them, (R, N, 3, 3)."""
+        longest = p.scales.max(axis=1)
+        path = np.maximum(np.minimum(middle, FOOTPRINT_LEAD * (middle - FOOTPRINT_REACH * longest)), 0.0)
+        width = np.minimum(np.sqrt(self.dilation) * self.spreads, FOOTPRINT_MAX)[:, None] * path
+        axes = rotation_from_quaternion(normalized(p.rotations_wxyz))
+        covariance = (axes * p.scales[:, None, :] ** 2) @ axes.transpose(0, 2, 1)
+        return np.linalg.inv(covariance + width[:, :, None, None] ** 2 * np.eye(3))
+
+    @staticmethod
+    def _color(p: Parameters, offset: np.ndarray) -> np.ndarray:
+        """Of all Gaussians as all rays see them, (R, N, 3)."""
+        basis = sh_basis(normalized(offset.reshape(-1, 3)))[:, : p.sh.shape[1]].reshape(*offset.shape[:2], -1)
+        return np.maximum(np.einsum("rnk,nkc->rnc", basis, p.sh) + 0.5, 0.0)
