@@ -180,7 +180,7 @@ def test_only_what_is_drawn_unlit_and_sorted_is_differentiated() -> None:
     with pytest.raises(ls.ConfigError, match="render a frame first"):
         ls.DifferentiableRenderer(device="cpu").gradients(np.zeros((30, 36, 3)))
     for config in (
-        ls.RenderConfig(pipeline=ls.Pipeline.TRACE),
+        ls.RenderConfig(pipeline=ls.Pipeline.HYBRID),
         ls.RenderConfig(lighting=True),
         ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)),
     ):

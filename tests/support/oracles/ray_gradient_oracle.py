@@ -1,7 +1,7 @@
 """A float64 twin of an unlit, traced frame as one number: every Gaussian against every ray, all hits sorted.
 
-Written from the equations (Moenne-Loccoz et al. 2024; footprints: docs/method/ray_tracing.md#footprints), by covariances
-and their inverses; the kernels work along the axes of each Gaussian. ``gradient_oracle.differences`` has its derivatives.
+Written from the equations (Moenne-Loccoz et al. 2024; docs/method/ray_tracing.md#footprints), by covariances and their
+inverses; the kernels work along the axes of each Gaussian. ``gradient_oracle.differences`` has its derivatives.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from support.oracles.raster_oracle import normalized, rotation_from_quaternion, 
 
 @dataclass(frozen=True)
 class RayLoss:
-    """``sum(by_color * color) + sum(by_alpha * alpha)`` of rays: a number whose derivatives by what they show are known."""
+    """``sum(by_color * color) + sum(by_alpha * alpha)`` of rays: its derivatives by what these show are known."""
 
     origins: np.ndarray  # (R, 3)
     directions: np.ndarray  # (R, 3), unit

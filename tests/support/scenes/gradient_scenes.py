@@ -37,6 +37,6 @@ def by_pixels(camera: ls.Camera, seed: int = 7) -> tuple[np.ndarray, np.ndarray]
     return rng.normal(size=(*shape, 3)).astype(np.float32), rng.normal(size=shape).astype(np.float32)
 
 
-def vars_of(found: ls.SplatGradients) -> dict[str, np.ndarray]:
+def vars_of(found: ls.SplatGradients | ls.RayGradients) -> dict[str, np.ndarray]:
     """The derivatives by the first set, by name."""
     return {name: getattr(found.sets[0], name) for name in ("means", "rotations_wxyz", "scales", "opacities", "sh")}

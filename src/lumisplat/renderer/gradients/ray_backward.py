@@ -180,10 +180,9 @@ def packet_ranges(counts: npt.NDArray[np.int32], most: int) -> Iterator[tuple[in
         counts: Hits of each ray.
         most: How many hits a range is to have at most.
     """
-    packets = counts.reshape(-1, PACKET_RAYS).sum(axis=1, dtype=np.int64)
-    before = np.concatenate([[0], np.cumsum(packets)])
-    begin = 0
-    while begin < len(packets):
+    before = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])[::PACKET_RAYS]
+    begin, packets = 0, len(before) - 1
+    while begin < packets:
         end = max(int(np.searchsorted(before, before[begin] + most, side="right")) - 1, begin + 1)
         found = int(before[end] - before[begin])
         if found:
