@@ -29,13 +29,13 @@ from lumisplat.renderer.gradients.results import (
     set_gradient,
 )
 from lumisplat.renderer.gradients.splat_backward import PoseSums, SplatBackward
-from lumisplat.renderer.gradients.traced_gradients import GivenGradient, TracedFrame, TracedGradients, check_traced
 from lumisplat.renderer.kernel_modules import feature_modules, gradient_modules, ray_gradient_modules
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.camera_table import check_camera
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.traced_gradients import GivenGradient, TracedFrame, TracedGradients, check_traced
 from lumisplat.runtime.buffers import DeviceArray
 from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.camera import Camera

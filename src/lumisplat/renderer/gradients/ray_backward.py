@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import RenderConfig
@@ -17,7 +16,7 @@ from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient
 from lumisplat.device.structs.rays import HitProfiles, RayData
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import FloatArray, IntArray, Rows
 from lumisplat.renderer.gradients import ray_backward_kernels as kernels
 from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -173,17 +172,17 @@ class RayBackward:
         return profiles
 
 
-def packet_ranges(counts: npt.NDArray[np.int32], most: int) -> Iterator[tuple[int, int, int]]:
+def packet_ranges(counts: IntArray, most: int) -> Iterator[tuple[int, int, int]]:
     """Ranges of rays, whole packets, and how many hits each has: no more than ``most`` unless it is one packet.
 
     Args:
         counts: Hits of each ray.
         most: How many hits a range is to have at most.
     """
-    before = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])[::PACKET_RAYS]
+    before: Rows = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])[::PACKET_RAYS]
     begin, packets = 0, len(before) - 1
     while begin < packets:
-        end = max(int(np.searchsorted(before, before[begin] + most, side="right")) - 1, begin + 1)
+        end = max(int(np.searchsorted(before, int(before[begin]) + most, side="right")) - 1, begin + 1)
         found = int(before[end] - before[begin])
         if found:
             yield PACKET_RAYS * begin, PACKET_RAYS * end, found
