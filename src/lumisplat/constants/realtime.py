@@ -126,6 +126,9 @@ BOUNCES_PER_RAY = 4
 """Times a frame that each cell takes in what its rays see: what they have met has taken in more light each time. A
 look-up costs much less than a ray."""
 
+MEANS_CHUNK = 64
+"""Sums of tiles that one item adds up: a single one for all of a frame would keep a GPU waiting for a millisecond."""
+
 # --- Light grid ---
 
 GRID_LIGHTS = 16

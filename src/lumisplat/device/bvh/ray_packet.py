@@ -13,6 +13,7 @@ from lumisplat.constants import COHERENT_SPREAD, FUSED_FLAGS
 from lumisplat.device.bvh.footprint import footprint_of_ray, footprint_slope
 from lumisplat.device.bvh.node_stack import push_children
 from lumisplat.device.bvh.node_test import enter_children, larger, mean_entries, slabs_around
+from lumisplat.device.bvh.ray_group import largest_of, largest_vector, least_vector
 from lumisplat.device.math.aligned_memory import aligned_load_of
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, WORLD, ChildLinks, Node, SceneBvh
 from lumisplat.device.structs.declare import struct
@@ -153,6 +154,8 @@ def packet_of(lanes: int) -> RayPacket:
     def slabs_of(packet: PacketRays) -> Slabs:
         """What bounds the rays whose limit is positive: a box around their origins, least and largest slopes.
 
+        Those of the other threads of the group are bounded, too.
+
         Footprints bound where the widened Gaussians of a box may be hit (docs/method/ray_tracing.md#footprints).
         """
         low = wp.vec3(FAR)
@@ -161,7 +164,7 @@ def packet_of(lanes: int) -> RayPacket:
         fast = wp.vec3(-FAR)
         slowest = wp.vec3(FAR)
         fastest = wp.vec3(-FAR)
-        length2 = float(1.0)
+        length2 = float(-FAR)
         for lane in range(LANES):
             if packet.limit[lane] > 0.0:
                 o = wp.vec3(packet.origin[0, lane], packet.origin[1, lane], packet.origin[2, lane])
@@ -174,9 +177,16 @@ def packet_of(lanes: int) -> RayPacket:
                 fast = wp.max(fast, d + slope)
                 slowest = wp.min(slowest, d)
                 fastest = wp.max(fastest, d)
-        slabs = slabs_around(low, high, slow, fast)
-        slabs.slow = slowest / length2
-        slabs.fast = fastest / length2
+        group = packet.group
+        slabs = slabs_around(
+            least_vector(group, low),
+            largest_vector(group, high),
+            least_vector(group, slow),
+            largest_vector(group, fast),
+        )
+        length2 = largest_of(group, length2)
+        slabs.slow = least_vector(group, slowest) / length2
+        slabs.fast = largest_vector(group, fastest) / length2
         return slabs
 
     @wp.func

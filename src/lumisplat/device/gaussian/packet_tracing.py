@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import HIT_COUNTS, HITS_KEPT_CPU, PASS_REWIND
+from lumisplat.constants import HITS_KEPT_CPU, HITS_KEPT_CUDA, PASS_REWIND
 from lumisplat.device.bvh.hit_list import empty_list, is_before, keep_hit
 from lumisplat.device.bvh.local_arrays import storage_of
 from lumisplat.device.bvh.node_test import larger, lesser
+from lumisplat.device.bvh.ray_group import largest_of, least_of
 from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.packet_hits import packet_hits_of
@@ -189,7 +190,7 @@ def end_of_hits(limit: float, scene: SceneBvh) -> float:
 
 @wp.func
 def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData, scene: SceneBvh) -> float:
-    """Begins a pass of all rays; returns the least distance at which a hit may count."""
+    """Begins a pass of all rays, also those of the group; returns the least distance at which a hit may count."""
     begin = float(FAR)
     slots = traced.hits.shape[0] // traced.rays.shape[0]
     nearest_offset = wp.where(config.offset < FAR, config.offset_absolute, FAR)
@@ -206,7 +207,7 @@ def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData, scen
             if scene.hit_distance == HIT_HULL:
                 before = from_t
             begin = lesser(begin, before)
-    return begin
+    return least_of(packet.group, begin)
 
 
 @wp.func
@@ -236,11 +237,11 @@ def blend_final_hits(
 
 @wp.func
 def is_cut(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> bool:
-    """Whether a ray has hits that are left to another pass."""
-    found = int(0)
+    """Whether a ray, also one of the group, has hits that are left to another pass."""
+    found = float(0.0)
     for lane in range(traced.rays.shape[0]):
-        found = found | wp.where(traced.cut_t[lane] < end_of_hits(packet.limit[lane], scene), 1, 0)
-    return found != 0
+        found = larger(found, wp.where(traced.cut_t[lane] < end_of_hits(packet.limit[lane], scene), 1.0, 0.0))
+    return largest_of(packet.group, found) > 0.0
 
 
 @wp.func
@@ -273,8 +274,7 @@ class PacketTracing(NamedTuple):
 def packet_tracing_of(lanes: int) -> PacketTracing:
     """What tracing packets of up to ``lanes`` rays needs."""
     LANES = lanes
-    # CUDA has no more slots than settings may ask for: the lists of its threads lie in local memory.
-    HITS = lanes * (HIT_COUNTS[-1] if lanes == 1 else HITS_KEPT_CPU)
+    HITS = lanes * (HITS_KEPT_CUDA if lanes == 1 else HITS_KEPT_CPU)
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
     hit_distances, alphas_at = packet_hits_of(lanes).hit_distances, packet_hits_of(lanes).alphas_at
 

@@ -50,6 +50,8 @@ class PacketRays:
     """Standard deviation by which Gaussians are widened over that length, in the space of the tree."""
     t_max: wp.array[float]
     """Gaussians of the tree that is traversed count up to here; -FAR: none does."""
+    group: int
+    """The threads that traverse in step with this one; 0: none."""
 
 
 @struct

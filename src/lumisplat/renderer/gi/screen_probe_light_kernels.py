@@ -5,7 +5,7 @@ The method is in docs/method/realtime.md#screen-probes. Every kernel writes each
 
 import warp as wp
 
-from lumisplat.constants.realtime import PROBE_NORMALS
+from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS
 from lumisplat.device.gi.means import mean_weight
 from lumisplat.device.gi.octahedral import cell_of_direction
 from lumisplat.device.gi.probe_places import tile_of
@@ -20,6 +20,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 NORMALS = wp.constant(PROBE_NORMALS)
+CHUNK = wp.constant(MEANS_CHUNK)
 AROUND = wp.constant(2)
 """Pixels to each side that fill one without probes."""
 JITTER_X = wp.constant(wp.uint32(0))
@@ -245,12 +246,13 @@ def tile_means(
 
 
 @wp.kernel
-def frame_mean(start: int, grids: wp.array[ProbeGrid], means: wp.array[wp.vec4], mean_out: wp.array[wp.vec4]):
-    """The same over all tiles, by one item."""
+def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4]):
+    """Item = chunk: the sum of the same over some of them."""
+    chunk = start + wp.tid()
     total = wp.vec4(0.0)
-    for tile in range(grids[0].tiles_x * grids[0].tiles_y):
-        total += means[tile]
-    mean_out[start + wp.tid()] = total
+    for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, means.shape[0])):
+        total += means[i]
+    sums_out[chunk] = total
 
 
 @wp.func

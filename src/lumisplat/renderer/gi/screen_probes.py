@@ -9,7 +9,7 @@ import warp as wp
 
 from lumisplat.config.probes import ProbeConfig
 from lumisplat.constants import SHADOW_OFFSET
-from lumisplat.constants.realtime import PROBE_NORMALS
+from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels, TileNeeds
 from lumisplat.device.structs.rays import RayData
@@ -136,9 +136,12 @@ class ScreenProbes:
         found, known = get("probes.found", wp.vec3, pixels), get("probes.is_known", wp.int32, pixels)
         places = self._camera, surfaces, self.probes, self.adaptive_of, self.light
         run(light_kernels.find_irradiance, pixels, grids, *places, found, known)
-        means, mean = get("probes.tile_means", wp.vec4, tiles), get("probes.frame_mean", wp.vec4, 1)
+        means = mean = get("probes.tile_means", wp.vec4, tiles)
         run(light_kernels.tile_means, tiles, grids, found, known, means)
-        run(light_kernels.frame_mean, 1, grids, means, mean)
+        while mean.shape[0] > 1:
+            parts, chunks = mean, -(-mean.shape[0] // MEANS_CHUNK)
+            mean = get(f"probes.means_of_{chunks}", wp.vec4, chunks)
+            run(light_kernels.add_means, chunks, parts, mean)
         filled = get("probes.irradiance", wp.vec3, pixels)
         run(light_kernels.fill_pixels, pixels, grids, surfaces, found, known, means, mean, filled)
         return filled

@@ -37,6 +37,9 @@ def raster_pixels(
     winner = int(-1)
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_triangles[j]
+        # Most triangles of a dense mesh miss the two rows of a warp: then this is all that is read of them.
+        if y < int(triangles[index].row_first) or y > int(triangles[index].row_last):
+            continue
         triangle = triangles[index]
         z = depth_at(triangle, ray)
         if z > view.near and z < nearest:

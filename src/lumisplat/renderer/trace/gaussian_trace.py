@@ -9,7 +9,14 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
-from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
+from lumisplat.constants import (
+    HITS_KEPT_CPU,
+    HITS_KEPT_CUDA,
+    PACKET_RAYS,
+    RAY_BANDS_PER_THREAD,
+    TRAVERSE_STACK,
+    TRAVERSE_STACK_SMALL,
+)
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
 from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.bvh_scene import SplatSets
@@ -115,7 +122,7 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
     """The 1-element table that kernels read the tracer's settings from."""
     row = table = np.zeros(1, dtype=table_dtype(TraceData))
     is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
-    hits_kept = config.hits_per_pass if launcher.is_parallel else HITS_KEPT_CPU
+    hits_kept = HITS_KEPT_CUDA if launcher.is_parallel else HITS_KEPT_CPU
     is_sorted = config.strategy is TraceStrategy.SORTED
     row["strategy"] = _STRATEGIES[config.strategy]
     row["hits_per_pass"] = config.hits_per_pass

@@ -1,10 +1,10 @@
 """Gaussians along rays: packets of neighbouring rays traverse the trees together.
 
 One item is ``lanes`` consecutive rays: 16 on the CPU, where a loop over the lanes becomes vector instructions, 1 on
-CUDA. Those that start and point alike are a packet. It visits the nearest child first and keeps, for each of its rays,
-the nearest hits sorted by (t, index). Hits before all nodes that still wait are final, and are blended at once. A ray
-whose list overflows drops its farthest hit, and starts again behind the last one blended: that is a pass. So the result
-is that of sorting all hits.
+CUDA, where the threads of a warp go in step. Those that start and point alike are a packet. It visits the nearest child
+first and keeps, for each of its rays, the nearest hits sorted by (t, index). Hits before all nodes that still wait are
+final, and are blended at once. A ray whose list overflows drops its farthest hit, and starts again behind the last one
+blended: that is a pass. So the result is that of sorting all hits.
 
 The equations are in docs/method/ray_tracing.md.
 """
@@ -17,7 +17,8 @@ import warp as wp
 from lumisplat.constants import TRAVERSE_STACK
 from lumisplat.device.bvh.node_stack import NEAR_FIRST, node_stack_of, push_root
 from lumisplat.device.bvh.node_test import lesser
-from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
+from lumisplat.device.bvh.ray_group import group_of, largest_of
+from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, SPREAD_MAX, packet_of
 from lumisplat.device.gaussian.aligned import load_particle
 from lumisplat.device.gaussian.compositing import empty_pixel
 from lumisplat.device.gaussian.packet_tracing import (
@@ -83,12 +84,15 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         place = PacketPlace()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
+            packet.group = group_of(rays.origin[first], rays.direction[first], scene.packet_radius, SPREAD_MAX)
             begin_rays(traced)
             again = bool(True)
             while again:
                 begin = begin_pass(traced, packet, config, scene)
-                reach = largest(traced.cut_t)
-                end = largest(packet.limit)
+                own_reach = largest(traced.cut_t)
+                own_end = largest(packet.limit)
+                reach = largest_of(packet.group, own_reach)
+                end = largest_of(packet.group, own_end)
                 nearest = float(FAR)  # of the hits in the lists
                 top = push_root(stack)
                 enter_instance(place, packet, WORLD, scene, rays, first)
@@ -109,7 +113,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                             first_t = keep_hits(traced, packet, particle, place.instance, config, rays, first)
                             if first_t < FAR:
                                 nearest = lesser(nearest, first_t)
-                                reach = largest(traced.cut_t)
+                                own_reach = largest(traced.cut_t)
                     # Hits nearer than all nodes on the stack are final; a stochastic hit is once the stack is empty.
                     bound = float(FAR)
                     if top > 0:
@@ -118,10 +122,12 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                         nearest = blend_final_hits(
                             traced, packet, bound, config, scene, rays, first, radiance_out, profiles_out
                         )
-                        reach = largest(traced.cut_t)
-                        end = largest(packet.limit)
-                        if reach < 0.0:
-                            top = int(0)
+                        own_reach = largest(traced.cut_t)
+                        own_end = largest(packet.limit)
+                    reach = largest_of(packet.group, own_reach)
+                    end = largest_of(packet.group, own_end)
+                    if end < 0.0:
+                        top = int(0)
                 again = config.strategy != STRATEGY_HIT and is_cut(traced, packet, scene)
             for lane in range(LANES):
                 if packet.limit[lane] > 0.0:
