@@ -64,6 +64,7 @@ LAYERS = (
     "renderer.integrators",
     "renderer",
     "relighting",
+    "training.corrections",
     "training",
     "public",
     "viewer.thresholds",

@@ -39,11 +39,21 @@ class LearningRates:
     """Of opacities, 0..1."""
     sh: float = 2.5e-3
     """Of the constant colour, 0..1; higher harmonics have a twentieth."""
+    exposures: float = 1e-2
+    """Of the exposures of photographs, of the first step, above 0, at most 1."""
+    exposures_last: float = 1e-3
+    """Of the last step, likewise."""
+    poses: float = 1e-3
+    """Of the poses of photographs, of the first step: radians, and shares of the distance to what the cameras look at,
+    above 0, at most 1."""
+    poses_last: float = 1e-5
+    """Of the last step, likewise."""
 
     def __post_init__(self) -> None:
-        for name in ("means", "means_last"):
+        falling = ("means", "means_last", "exposures", "exposures_last", "poses", "poses_last")
+        for name in falling:
             check_positive(name, getattr(self, name))
-        for name in ("means", "means_last", "rotations", "log_scales", "logits", "sh"):
+        for name in (*falling, "rotations", "log_scales", "logits", "sh"):
             check_range(name, getattr(self, name), 0.0, 1.0)
 
 
@@ -80,6 +90,11 @@ class TrainConfig:
     """Photographs begin smaller, by this power of two, 0..4: a quarter of the iterations for all smaller sizes."""
     antialiased: bool = False
     """Whether opacities are compensated for the width of pixels (Mip-Splatting)."""
+    exposures: bool = False
+    """Whether to learn how each photograph was exposed, an affine map of its colours (Kerbl et al. 2023, code); what
+    was held out is measured without one."""
+    refine_poses: bool = False
+    """Whether the poses of photographs are learnt, too."""
     rates: LearningRates = LearningRates()
     """How far parameters move."""
     seed: int = 0
@@ -96,6 +111,7 @@ class TrainConfig:
             check_range(name, getattr(self, name), 0.0, 10.0)
         check_range("grow_pull", self.grow_pull, 0.0, 1.0)
         check_whole("coarse", self.coarse, 0, 4)
-        check_flag("antialiased", self.antialiased)
+        for name in ("antialiased", "exposures", "refine_poses"):
+            check_flag(name, getattr(self, name))
         check_kind("rates", self.rates, LearningRates)
         check_whole("seed", self.seed, 0, 2**32 - 1)

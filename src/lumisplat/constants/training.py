@@ -24,6 +24,11 @@ ADAM_EPSILON = 1e-15
 NOISE_SLOPE = 100.0
 """How sharply the noise ends at `DEAD_OPACITY`."""
 
+# --- Poses ---
+
+POSES_AFTER = 0.1
+"""Share of the steps after which poses are learnt: before, nothing is where it will be."""
+
 # --- The loss ---
 
 SSIM_C1 = 0.01**2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,14 @@ import numpy as np
 from lumisplat.config import TrainConfig
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.training.curve import Curve
 from lumisplat.training.learnt import NAMES, Learnt
 
 VERSION = 2
 _PARTS = ("values", "first", "second")
 _RECORD = ("motion", "frames")
+_OF_PHOTOGRAPHS = "photographs."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +34,8 @@ class Checkpoint:
     learnt: Learnt
     record: dict[str, FloatArray]
     """What was noted of each Gaussian since their number changed last."""
+    of_photographs: dict[str, Doubles] = field(default_factory=dict[str, Doubles])
+    """What was learnt of photographs beside what they show."""
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: TrainConfig, photographs: str) -> None:
@@ -51,6 +54,7 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: T
     arrays: dict[str, Any] = {f"record.{name}": checkpoint.record[name] for name in _RECORD}
     for part in _PARTS:
         arrays |= {f"{part}.{name}": getattr(checkpoint.learnt, part)[name] for name in NAMES}
+    arrays |= {f"{_OF_PHOTOGRAPHS}{name}": values for name, values in checkpoint.of_photographs.items()}
     told = {
         "version": VERSION,
         "iteration": checkpoint.iteration,
@@ -76,7 +80,13 @@ def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[
         check_same(path, told, config, photographs)
         parts = ({name: np.asarray(arrays[f"{part}.{name}"], np.float32) for name in NAMES} for part in _PARTS)
         record = {name: np.asarray(arrays[f"record.{name}"], np.float32) for name in _RECORD}
-        return Checkpoint(int(told["iteration"]), Learnt(*parts), record), Curve.of(told["curve"])
+        of_photographs = {
+            name.removeprefix(_OF_PHOTOGRAPHS): np.asarray(values, np.float64)
+            for name, values in arrays.items()
+            if name.startswith(_OF_PHOTOGRAPHS)
+        }
+        state = Checkpoint(int(told["iteration"]), Learnt(*parts), record, of_photographs)
+        return state, Curve.of(told["curve"])
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise FormatError(path, f"is no checkpoint of a training, or is damaged: {error}") from None
 

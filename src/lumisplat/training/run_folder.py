@@ -11,6 +11,7 @@ from lumisplat.config import TrainConfig
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.scene_toml.toml_text import toml_value
+from lumisplat.math.arrays import Doubles
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.checkpoint import plain_settings
 from lumisplat.training.curve import Curve
@@ -32,6 +33,11 @@ class RunFolder:
     def checkpoint(self) -> Path:
         """From which training goes on."""
         return self.path / "checkpoint.npz"
+
+    @property
+    def poses(self) -> Path:
+        """Cameras that have moved."""
+        return self.path / "poses.json"
 
     def preview(self, step: int) -> Path:
         """The picture of a step."""
@@ -68,6 +74,11 @@ class RunFolder:
     def write_curve(self, curve: Curve) -> None:
         """Writes the numbers of a curve."""
         _write(self.path / "curve.json", json.dumps(curve.told))
+
+    def write_exposures(self, exposures: dict[str, Doubles]) -> None:
+        """Writes how photographs were exposed: three rows of four numbers each, by name."""
+        told = {name: exposure.tolist() for name, exposure in exposures.items()}
+        _write(self.path / "exposures.json", json.dumps(told, indent=2) + "\n")
 
     def write_report(self, curve: Curve, score: HeldOutScore | None, held_out: HeldOut, gaussians: Gaussians) -> None:
         """Writes the curve, also as a picture, and figures and pictures of what was held out."""

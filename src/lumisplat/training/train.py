@@ -12,9 +12,11 @@ from pathlib import Path
 from lumisplat.config import TrainConfig
 from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.errors import ConfigError
-from lumisplat.io import save
+from lumisplat.io import save, save_cameras
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.io.photographs.photographs import Photographs
+from lumisplat.math.arrays import Doubles
+from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.checkpoint import read_checkpoint, write_checkpoint
 from lumisplat.training.curve import Curve
@@ -46,6 +48,11 @@ class TrainResult:
     """Of what was held out; None: nothing was."""
     seconds: float
     """Of this call, without the compilation of kernels."""
+    exposures: dict[str, Doubles] | None = None
+    """How each photograph that was learnt from was exposed, by name, shape (3, 4): what its colours, display-referred,
+    were multiplied by, and what was added; their mean is the identity. None: it was not learnt."""
+    cameras: tuple[Camera, ...] | None = None
+    """Of the photographs that were learnt from, where they have moved to; None: they stayed."""
 
 
 def train(
@@ -175,16 +182,36 @@ class _Run:
 
     def finish(self, output: Path | None) -> TrainResult:
         """Writes the capture, and measures it."""
-        gaussians = self._trainer.gaussians()
+        gaussians, exposures, cameras = self._trainer.gaussians(), self._exposures(), self._cameras()
         score = self._held_out.score(gaussians, self._progress)
         if score is not None:
             self._curve.measure(self._trainer.iteration, score.psnr)
         if output is not None and self._folder is not None:
             save(output, gaussians)
             self._folder.write_report(self._curve, score, self._held_out, gaussians)
+            if exposures is not None:
+                self._folder.write_exposures(exposures)
+            if cameras is not None:
+                save_cameras(self._folder.poses, cameras)
         done = self._trainer.iteration
         seconds = time.monotonic() - self._begun
-        return TrainResult(gaussians, done, done == self._config.iterations, score, seconds)
+        return TrainResult(gaussians, done, done == self._config.iterations, score, seconds, exposures, cameras)
+
+    def _exposures(self) -> dict[str, Doubles] | None:
+        """Those that were learnt, by name."""
+        if self._trainer.exposures is None:
+            return None
+        names = (photograph.name for photograph in self._photographs.training)
+        return dict(zip(names, self._trainer.exposures.values, strict=True))
+
+    def _cameras(self) -> tuple[Camera, ...] | None:
+        """Those of the photographs, if they have moved."""
+        if self._trainer.poses is None:
+            return None
+        return tuple(
+            self._trainer.poses.posed(number, photograph.camera)
+            for number, photograph in enumerate(self._photographs.training)
+        )
 
     def _save(self) -> None:
         if self._folder is not None:

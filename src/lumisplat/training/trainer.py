@@ -16,10 +16,12 @@ from lumisplat.constants.training import (
     DENSIFY_EVERY,
     DENSIFY_UNTIL,
     NOISE_STRENGTH,
+    POSES_AFTER,
     SH_REST_SHARE,
 )
-from lumisplat.device.structs.gradients import GaussianGradient
-from lumisplat.device.structs.training import NoiseData, SplatRecord, StepRates
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
+from lumisplat.device.structs.training import NoiseData, Photograph, SplatRecord, StepRates
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules
@@ -31,6 +33,9 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
 from lumisplat.training import loss_kernels, optimizer_kernels
 from lumisplat.training.checkpoint import Checkpoint
+from lumisplat.training.corrections import exposure_kernels
+from lumisplat.training.corrections.exposures import ExposedFrame, Exposures
+from lumisplat.training.corrections.poses import Poses
 from lumisplat.training.densify import Record, densified
 from lumisplat.training.initial import Surroundings, first_gaussians, random_points
 from lumisplat.training.learnt import Learnt, LearntOnDevice
@@ -79,12 +84,17 @@ class Trainer:
         self._launcher = Launcher(device, threads)
         self._buffers = Buffers(self._launcher.device)
         raster_kernels = frame_modules(FramePlan.of(RenderConfig(), Scene()), self._launcher, RenderConfig())
-        own = [optimizer_kernels, loss_kernels]
+        own = [optimizer_kernels, loss_kernels, *([exposure_kernels] if config.exposures else [])]
         self._launcher.load([*raster_kernels, *gradient_modules(self._launcher), *own], progress)
         settings = RenderConfig(background=background, raster=raster, lighting=False)
         self._raster = TrainingRaster(self._launcher, self._buffers, settings)
         self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, alpha=config.alpha)
         self._device_splats = LearntOnDevice(self._buffers)
+        self.exposures = Exposures.neutral(len(views)) if config.exposures else None
+        """Those of the photographs, in their order; None: they are not learnt."""
+        self.poses = Poses.of([view.camera for view in views], self.around.distance) if config.refine_poses else None
+        """Those of the photographs, in their order; None: they stay."""
+        self._background = background
         self.iteration = 0
         """Steps that were made."""
         rng = np.random.default_rng([config.seed, 0])
@@ -109,13 +119,16 @@ class Trainer:
     def checkpoint(self) -> Checkpoint:
         """The state."""
         record = {name: np.array(device_array(getattr(self._record, name)).numpy()) for name in ("motion", "frames")}
-        return Checkpoint(self.iteration, self._learnt(), record)
+        of_photographs = {name: values for learnt in self._corrections for name, values in learnt.state.items()}
+        return Checkpoint(self.iteration, self._learnt(), record, of_photographs)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Goes on from a state."""
         self._place(checkpoint.learnt)
         for name, values in checkpoint.record.items():
             device_array(getattr(self._record, name)).assign(values)
+        for learnt in self._corrections:
+            learnt.restore(checkpoint.of_photographs)
         self.iteration = checkpoint.iteration
 
     def step(self) -> Loss:
@@ -124,13 +137,17 @@ class Trainer:
         Raises:
             DivergedError: The loss is not finite.
         """
-        camera, picture = self._view_of(self.iteration).smaller(self._halvings)
+        number = self._number_of(self.iteration)
+        camera, picture = self._views[number].smaller(self._halvings)
+        if self.poses is not None:
+            camera = self.poses.posed(number, camera)
         photograph = self._loss.load(picture.color, picture.weight, picture.alpha)
         pixels = self._raster.draw(camera, self._degree)
-        loss, by_pixels = self._loss.differentiate((camera.width, camera.height), pixels, photograph)
-        if not np.isfinite(loss.total):
-            raise DivergedError(f"training stopped at step {self.iteration + 1:,}: the loss is {loss.total}")
+        loss, by_pixels = self._compare(number, (camera.width, camera.height), pixels, photograph)
         gradient = self._raster.backward(pixels, by_pixels)
+        if self.poses is not None and self._done >= POSES_AFTER:
+            rate = falling(self.config.rates.poses, self.config.rates.poses_last, self._done)
+            self.poses.move(number, self._raster.by_pose(camera), self._turn, rate)
         self._note(camera)
         self._update(gradient)
         self.iteration += 1
@@ -140,11 +157,48 @@ class Trainer:
 
     # --- Steps of a step ---
 
-    def _view_of(self, iteration: int) -> TrainingView:
+    def _number_of(self, iteration: int) -> int:
         """The photograph of a step: all in turn, in another order each time."""
         epoch, place = divmod(iteration, len(self._views))
         order = np.random.default_rng([self.config.seed, 1, epoch]).permutation(len(self._views))
-        return self._views[int(order[place])]
+        return int(order[place])
+
+    @property
+    def _corrections(self) -> list[Exposures | Poses]:
+        """What is learnt of photographs beside what they show."""
+        return [learnt for learnt in (self.exposures, self.poses) if learnt is not None]
+
+    @property
+    def _turn(self) -> int:
+        """How often the turn of the photograph of this step has come."""
+        return self.iteration // len(self._views) + 1
+
+    def _compare(
+        self, number: int, size: tuple[int, int], pixels: PixelData, photograph: Photograph
+    ) -> tuple[Loss, PixelGradient]:
+        """The loss of a frame of a photograph, and its derivatives by pixels; the exposure of the photograph moves.
+
+        Raises:
+            DivergedError: The loss is not finite.
+        """
+        exposed = None
+        if self.exposures is not None:
+            exposure = self.exposures.values[number]
+            exposed = ExposedFrame(self._launcher, self._buffers, exposure, self._background)
+        loss, gradient = self._loss.differentiate(size, exposed.of(pixels) if exposed else pixels, photograph)
+        if not np.isfinite(loss.total):
+            raise DivergedError(f"training stopped at step {self.iteration + 1:,}: the loss is {loss.total}")
+        if self.exposures is not None and exposed is not None:
+            rates, turn = self.config.rates, self._turn
+            gradient, by_exposure = exposed.backward(size, pixels, gradient)
+            rate = falling(rates.exposures, rates.exposures_last, self._done)
+            self.exposures.move(number, by_exposure, turn, rate)
+        return loss, gradient
+
+    @property
+    def _done(self) -> float:
+        """Share of the steps that were made."""
+        return self.iteration / self.config.iterations
 
     @property
     def _degree(self) -> int:
@@ -175,9 +229,9 @@ class Trainer:
                 self._launcher.run_banded(optimizer_kernels.explore, self.count, noise, data, on.values)
 
     def _rates(self) -> StepRates:
-        config, done = self.config, self.iteration / self.config.iterations
+        config = self.config
         learning, row = config.rates, StepRates()
-        row.means = learning.means * (learning.means_last / learning.means) ** done * self.around.extent
+        row.means = falling(learning.means, learning.means_last, self._done) * self.around.extent
         row.rotations, row.log_scales, row.logits = learning.rotations, learning.log_scales, learning.logits
         row.sh, row.sh_rest = learning.sh, SH_REST_SHARE * learning.sh
         row.sh_active = (self._degree + 1) ** 2
@@ -233,3 +287,14 @@ class Trainer:
         self._record = self._buffers.struct("training.record", SplatRecord, learnt.count)
         for array in (self._record.motion, self._record.frames):
             device_array(array).zero_()
+
+
+def falling(first: float, last: float, done: float) -> float:
+    """A rate that falls by the same factor in each step.
+
+    Args:
+        first: At the first step.
+        last: After the last.
+        done: Share of the steps that were made.
+    """
+    return first * (last / first) ** done

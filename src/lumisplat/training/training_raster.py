@@ -7,6 +7,7 @@ from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.structs.training import LearntSplats
+from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.gradients.splat_backward import SplatBackward
 from lumisplat.renderer.raster.binning import binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
@@ -14,6 +15,7 @@ from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.splat_gradients import pose_gradient
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
@@ -75,6 +77,15 @@ class TrainingRaster:
         """
         self.by_splat = self._backward.splats(self._scene, self.drawn, pixels, gradient)
         return self._backward.gaussians(self._scene, self.drawn, self.by_splat, 0)
+
+    def by_pose(self, camera: Camera) -> Doubles:
+        """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4); after ``backward``.
+
+        Args:
+            camera: Of the last frame.
+        """
+        sums = self._backward.pose(self._scene, self.drawn, self.by_splat, 0)
+        return pose_gradient(sums, SplatInstance(self._gaussians), camera)
 
     @property
     def data(self) -> GaussianData:

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 import lumisplat as ls
+from lumisplat.training.learnt import Learnt
 from lumisplat.training.views import Picture, TrainingView
 
 BACKGROUND = (0.1, 0.2, 0.3)
@@ -27,6 +28,15 @@ def known(count: int = 30) -> ls.Gaussians:
     )
 
 
+def known_learnt() -> Learnt:
+    """The same as it is learnt, before it has moved."""
+    gaussians = known()
+    logits = np.log(gaussians.opacities / (1.0 - gaussians.opacities))
+    log_scales = np.log(gaussians.scales)
+    values = {"means": gaussians.means, "rotations": gaussians.rotations_wxyz, "sh": gaussians.sh}
+    return Learnt.new({**values, "log_scales": log_scales, "logits": logits})
+
+
 def cameras(count: int, size: int = 40) -> list[ls.Camera]:
     """Around it, at changing heights."""
     found: list[ls.Camera] = []
@@ -37,12 +47,15 @@ def cameras(count: int, size: int = 40) -> list[ls.Camera]:
     return found
 
 
-def views(count: int, size: int = 40) -> list[TrainingView]:
-    """Photographs of it that have no noise."""
+def views(count: int, size: int = 40, gains: np.ndarray | None = None) -> list[TrainingView]:
+    """Photographs of it that have no noise, each with its gains of channels, (count, 3), if these are given."""
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
     scene, found = ls.Scene([known()]), []
     for number, camera in enumerate(cameras(count, size)):
-        color = renderer.render(scene, camera).color.astype(np.float32)
+        frame = renderer.render(scene, camera)
+        behind = (1.0 - frame.alpha[..., None]) * np.array(BACKGROUND)
+        gain = 1.0 if gains is None else gains[number]
+        color = (behind + gain * (frame.color - behind)).astype(np.float32)
         found.append(TrainingView(f"{number:02d}", camera, lambda color=color: Picture(color)))
     return found
 

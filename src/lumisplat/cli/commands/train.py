@@ -56,6 +56,10 @@ class Train(DeviceCommand):
     """How much colours may change with the direction of view."""
     antialiased: Flag = False
     """Compensate opacities for the width of pixels (Mip-Splatting)."""
+    exposures: Flag = False
+    """Learn how each photograph was exposed, too: for cameras that chose by themselves."""
+    refine_poses: Flag = False
+    """Learn the poses, too: for those that are a little off."""
     seed: Annotated[int, arg(metavar="N")] = 0
     """Of everything that is random: the same seed gives the same capture."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
@@ -100,6 +104,8 @@ class Train(DeviceCommand):
             sh_degree=self.sh_degree,
             densification=ls.Densification(self.densification),
             antialiased=self.antialiased,
+            exposures=self.exposures,
+            refine_poses=self.refine_poses,
             seed=self.seed,
         )
 

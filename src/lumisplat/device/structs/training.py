@@ -84,6 +84,16 @@ class LossGrid:
 
 
 @struct
+class Exposure:
+    """How a photograph was exposed: what Gaussians show is mapped as ``matrix * color + alpha * offset``."""
+
+    matrix: wp.mat33
+    offset: wp.vec3
+    background: wp.vec3
+    """Display-referred sRGB behind the Gaussians, which stays as it is."""
+
+
+@struct
 class LossMaps:
     """Blurred maps, an element a pixel."""
 

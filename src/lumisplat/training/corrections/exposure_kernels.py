@@ -1,0 +1,56 @@
+"""What Gaussians show as a photograph was exposed, and the derivatives by it and by the exposure.
+
+The equations are in docs/method/training.md#exposures.
+"""
+
+import warp as wp
+
+from lumisplat.constants import FUSED_FLAGS
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.device.structs.training import Exposure
+
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+
+
+@wp.func
+def shown_of(pixels: PixelData, exposure: Exposure, i: int) -> wp.vec3:
+    """What the Gaussians of a pixel show, without the background."""
+    return pixels.color[i] - (1.0 - pixels.alpha[i]) * exposure.background
+
+
+@wp.kernel
+def expose(start: int, exposure: Exposure, pixels: PixelData, color_out: wp.array[wp.vec3]):
+    """Item = pixel: what a photograph of this exposure has there; the background is as it is."""
+    i = start + wp.tid()
+    alpha = pixels.alpha[i]
+    exposed = exposure.matrix * shown_of(pixels, exposure, i) + alpha * exposure.offset
+    color_out[i] = exposed + (1.0 - alpha) * exposure.background
+
+
+@wp.kernel
+def differentiate_rows(
+    start: int,
+    width: int,
+    exposure: Exposure,
+    pixels: PixelData,
+    by_exposed: PixelGradient,
+    by_pixels_out: PixelGradient,
+    by_matrix_out: wp.array[wp.mat33],
+    by_offset_out: wp.array[wp.vec3],
+):
+    """Item = row: derivatives by its pixels, and sums of those by the exposure."""
+    y = start + wp.tid()
+    by_matrix = wp.mat33(0.0)
+    by_offset = wp.vec3(0.0)
+    from_exposed = wp.transpose(exposure.matrix)
+    of_alpha = exposure.matrix * exposure.background + exposure.offset - exposure.background
+    for x in range(width):
+        i = y * width + x
+        g = by_exposed.color[i]
+        by_matrix += wp.outer(g, shown_of(pixels, exposure, i))
+        by_offset += pixels.alpha[i] * g
+        by_pixels_out.color[i] = from_exposed * g
+        by_pixels_out.alpha[i] = by_exposed.alpha[i] + wp.dot(g, of_alpha)
+    by_matrix_out[y] = by_matrix
+    by_offset_out[y] = by_offset

@@ -1,0 +1,89 @@
+"""Where photographs were taken from: poses that move with the Gaussians (Lin et al. 2021)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lumisplat.math.arrays import Doubles
+from lumisplat.math.rigid import cross_matrix, rigid_from_twist, twist_from_rigid
+from lumisplat.scene.camera import Camera
+from lumisplat.training.corrections.adam_rows import AdamRows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Those of the photographs that are learnt from, and where they began.
+
+    If all cameras and all Gaussians move alike, no photograph changes: the mean of the motions of the cameras, seen
+    from the world, stays 0.
+    """
+
+    values: Doubles
+    """``camera_from_world`` of each, shape (K, 4, 4)."""
+    given: Doubles
+    """The same, before they moved."""
+    rows: AdamRows
+    length: float
+    """Scene units that count as much as a radian: the distance from cameras to what they look at."""
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera], length: float) -> Poses:
+        """Those of cameras that have not moved yet."""
+        given = np.stack([np.asarray(camera.camera_from_world, np.float64) for camera in cameras])
+        return cls(given.copy(), given, AdamRows.still(len(cameras), 6), length)
+
+    @property
+    def state(self) -> dict[str, Doubles]:
+        """All that the next step depends on."""
+        return {"poses": self.values, "poses.first": self.rows.first, "poses.second": self.rows.second}
+
+    def restore(self, state: dict[str, Doubles]) -> None:
+        """Goes on from a state."""
+        for name, values in self.state.items():
+            values[:] = state[name]
+
+    def posed(self, number: int, camera: Camera) -> Camera:
+        """A camera of a photograph where that is now."""
+        return replace(camera, camera_from_world=self.values[number])
+
+    def move(self, number: int, gradient: Doubles, turn: int, rate: float) -> None:
+        """A step of one of them.
+
+        Args:
+            number: The photograph.
+            gradient: Derivatives of the loss by the upper rows of its ``camera_from_world``, shape (3, 4).
+            turn: As of `AdamRows.step`.
+            rate: How far it turns, radians.
+        """
+        by_parameters = self._twist_from_parameters.T @ twist_gradient(self.values[number], gradient)
+        step = self._twist_from_parameters @ (rate * self.rows.step(number, by_parameters, turn))
+        self.values[number] = rigid_from_twist(step) @ self.values[number]
+        moved = np.linalg.inv(self.given) @ self.values
+        drift = np.mean([twist_from_rigid(one) for one in moved], axis=0)
+        self.values[:] = self.values @ rigid_from_twist(-drift)
+
+    @property
+    def _twist_from_parameters(self) -> Doubles:
+        """What moves: turns about a point on the optical axis, as far as what the camera looks at, and shifts.
+
+        Turns about the camera itself look like shifts, so that one would undo the other for long; shape (6, 6).
+        """
+        point = np.array([0.0, 0.0, self.length])
+        parameters = np.eye(6)
+        parameters[3:, :3] = cross_matrix(point)
+        parameters[3:, 3:] *= self.length
+        return parameters
+
+
+def twist_gradient(pose: Doubles, gradient: Doubles) -> Doubles:
+    """Derivatives by a twist of the camera, ``exp(twist) @ pose`` at 0: a turn and a shift in its axes, shape (6,).
+
+    Args:
+        pose: ``camera_from_world``, shape (4, 4).
+        gradient: Derivatives by its upper rows, shape (3, 4).
+    """
+    m = gradient @ pose[:3].T
+    return np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], *gradient[:, 3]])

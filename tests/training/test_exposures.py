@@ -1,0 +1,130 @@
+"""How photographs were exposed is learnt with what they show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.device.structs.film import PixelData
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.training.corrections.exposures import ExposedFrame, Exposures
+from lumisplat.training.photo_loss import PhotoLoss
+from lumisplat.training.trainer import Trainer
+from support.scenes.training_scenes import BACKGROUND, cameras, known, known_learnt, views
+from training.test_photo_loss import ALPHA, SIZE, SSIM, expected, images
+
+WIDTH, HEIGHT = SIZE
+
+
+def exposed(color: np.ndarray, alpha: np.ndarray, exposure: np.ndarray) -> np.ndarray:
+    """The method's equation, float64."""
+    behind = (1.0 - alpha)[..., None] * np.array(BACKGROUND)
+    return (color - behind) @ exposure[:, :3].T + alpha[..., None] * exposure[:, 3] + behind
+
+
+def test_derivatives_by_exposures_colors_and_alphas() -> None:
+    """Of the whole loss, against central differences of its float64 statement."""
+    color, alpha = images(1).astype(np.float64), images(2, None).astype(np.float64)
+    wanted = images(3), images(4, None), images(5, None)
+    exposure = np.eye(3, 4) + 0.2 * np.random.default_rng(6).normal(size=(3, 4))
+    exposure = exposure.astype(np.float32).astype(np.float64)
+    launcher, buffers = Launcher("cpu", 2), Buffers("cpu")
+    pixels = PixelData()
+    pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
+    pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))
+    loss = PhotoLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA)
+    frame = ExposedFrame(launcher, buffers, exposure, BACKGROUND)
+    found, gradient = loss.differentiate(SIZE, frame.of(pixels), loss.load(*wanted))
+    gradient, by_exposure = frame.backward(SIZE, pixels, gradient)
+    arrays = gradient.color, gradient.alpha
+    by_color, by_alpha = (np.array(array.numpy()) for array in arrays)  # pyright: ignore[reportUnknownMemberType]
+
+    def total(color: np.ndarray, alpha: np.ndarray, exposure: np.ndarray) -> float:
+        return expected(exposed(color, alpha, exposure), alpha, wanted)
+
+    assert found.total == pytest.approx(total(color, alpha, exposure), abs=1e-6)
+    given = color, alpha, exposure
+    for which, by, places in (
+        (0, by_color.reshape(color.shape), [(0, 0, 0), (16, 22, 2), (8, 11, 1)]),
+        (1, by_alpha.reshape(alpha.shape), [(0, 0), (16, 22), (8, 11), (3, 5)]),
+        (2, by_exposure, [(row, column) for row in range(3) for column in range(4)]),
+    ):
+        scale = float(np.abs(by).mean())
+        for place in places:
+            moved = [[values.copy() for values in given] for _ in range(2)]
+            moved[0][which][place] += 1e-6
+            moved[1][which][place] -= 1e-6
+            slope = (total(*moved[0]) - total(*moved[1])) / 2e-6
+            assert by[place] == pytest.approx(slope, abs=1e-4 * scale), (which, place)
+
+
+def test_their_mean_stays_neutral() -> None:
+    """However each of them moves, so that the colours of the capture do not drift."""
+    exposures, rng = Exposures.neutral(5), np.random.default_rng(0)
+    for turn in range(1, 20):
+        for number in rng.permutation(5):
+            exposures.move(int(number), rng.normal(number - 2.0, 0.2, (3, 4)), turn, 0.01)
+    np.testing.assert_allclose(exposures.values.mean(axis=0), np.eye(3, 4), atol=1e-12)
+    assert np.abs(exposures.values - np.eye(3, 4)).max() > 0.01
+
+
+def neutral_psnr(of: Trainer) -> float:
+    """On photographs between those that were learnt from, exposed as the mean of these."""
+    renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
+    scores: list[float] = []
+    for camera in cameras(40)[33:]:
+        shown, wanted = (renderer.render(ls.Scene([g]), camera).color for g in (of.gaussians(), known()))
+        scores.append(ls.psnr(np.clip(shown, 0.0, 1.0), np.clip(wanted, 0.0, 1.0)))
+    return float(np.mean(scores))
+
+
+def gains_of(count: int) -> np.ndarray:
+    """From 0.7 to 1.3, 1 in the mean, shape (count, 3)."""
+    gains = np.random.default_rng(2).uniform(0.7, 1.3, (count, 3))
+    return gains / gains.mean(axis=0)
+
+
+def errors_of(of: Trainer, gains: np.ndarray) -> np.ndarray:
+    """Of the gains that were found, as shares."""
+    assert of.exposures is not None
+    return np.abs(np.diagonal(of.exposures.values, axis1=1, axis2=2) / gains - 1.0)
+
+
+def test_gains_of_photographs_are_found() -> None:
+    """Of a scene that is known at first: without exposures, its colours become wrong, with them, they stay."""
+    gains, rates = gains_of(12), ls.LearningRates(exposures=3e-2, exposures_last=3e-3)
+    config = ls.TrainConfig(iterations=900, cap=30, sh_degree=1, opacity_decay=0.0, scale_decay=0.0, rates=rates)
+    psnr: dict[bool, float] = {}
+    for exposures in (False, True):
+        given = replace(config, exposures=exposures)
+        one = Trainer(views(12, gains=gains), given, background=BACKGROUND, points=known().means, device="cpu")
+        one._place(known_learnt())
+        for _ in range(config.iterations):
+            one.step()
+        psnr[exposures] = neutral_psnr(one)
+        if exposures:
+            errors = errors_of(one, gains)
+            assert errors.mean() < 0.02 and errors.max() < 0.05, errors
+    assert psnr[True] > psnr[False] + 15.0, psnr
+
+
+@pytest.mark.deep
+def test_gains_are_found_with_the_scene() -> None:
+    """Of which nothing is known."""
+    gains, rates = gains_of(32), ls.LearningRates(exposures=3e-2)
+    config = ls.TrainConfig(iterations=6000, cap=400, initial=400, sh_degree=1, rates=rates)
+    psnr: dict[bool, float] = {}
+    for exposures in (False, True):
+        given = replace(config, exposures=exposures)
+        one = Trainer(views(32, 64, gains), given, background=BACKGROUND, device="cpu")
+        for _ in range(config.iterations):
+            one.step()
+        psnr[exposures] = neutral_psnr(one)
+        if exposures:
+            assert errors_of(one, gains).mean() < 0.03
+    assert psnr[True] > psnr[False] + 6.0, psnr

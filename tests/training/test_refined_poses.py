@@ -1,0 +1,117 @@
+"""Poses of photographs that are a little off are found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.math.rigid import rigid_from_twist, twist_from_rigid
+from lumisplat.training.corrections.poses import Poses, twist_gradient
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import TrainingView
+from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
+
+STILL = ls.LearningRates(
+    means=1e-12, means_last=1e-13, rotations=0.0, log_scales=0.0, logits=0.0, sh=0.0, poses=1e-2, poses_last=3e-4
+)
+"""Gaussians stay where they are."""
+CONFIG = ls.TrainConfig(iterations=600, cap=30, sh_degree=1, refine_poses=True, rates=STILL)
+
+
+def moved(given: list[TrainingView], degrees: float, shift: float) -> list[TrainingView]:
+    """Views whose cameras have turned and moved, by nothing in the mean."""
+    twists = np.random.default_rng(5).normal(size=(len(given), 6)) * np.repeat([np.radians(degrees), shift], 3)
+    twists -= twists.mean(axis=0)
+    return [
+        replace(view, camera=replace(view.camera, camera_from_world=view.camera.camera_from_world @ motion))
+        for view, motion in zip(given, map(rigid_from_twist, twists), strict=True)
+    ]
+
+
+def started(given: list[TrainingView], config: ls.TrainConfig) -> Trainer:
+    """A training whose Gaussians are those that the photographs show."""
+    one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu")
+    one._place(known_learnt())
+    return one
+
+
+def errors(poses: np.ndarray, true: list[TrainingView]) -> np.ndarray:
+    """Root mean squares of how far cameras are turned, degrees, and how far their eyes are off, scene units."""
+    truth = np.stack([view.camera.camera_from_world for view in true])
+    turns = [twist_from_rigid(pose @ np.linalg.inv(one))[:3] for pose, one in zip(poses, truth, strict=True)]
+    eyes = np.linalg.inv(poses)[:, :3, 3] - np.linalg.inv(truth)[:, :3, 3]
+    return np.sqrt([np.sum(np.square(np.degrees(turns)), axis=1).mean(), np.sum(eyes**2, axis=1).mean()])
+
+
+def test_poses_that_are_off_are_found_again() -> None:
+    """Of known Gaussians, by turns of a degree and shifts by a hundredth of the distance: errors shrink to a fifth."""
+    true = views(12)
+    one = started(moved(true, 1.0, 0.03), CONFIG)
+    assert one.poses is not None
+    before = errors(one.poses.values, true)
+    assert before[0] > 1.0 and before[1] > 0.04
+    for _ in range(CONFIG.iterations):
+        one.step()
+    after = errors(one.poses.values, true)
+    assert (after < before / 5.0).all(), (before, after)
+
+
+def test_a_step_goes_against_the_derivatives_of_the_loss() -> None:
+    """Those by turns and shifts of the camera are central differences of the loss of the trainer's own frames."""
+    given = moved(views(2), 1.0, 0.03)
+    one = started(given, CONFIG)
+    camera, wanted = given[0].camera, given[0].read()
+    photograph = one._loss.load(wanted.color, None, None)
+
+    def total(pose: np.ndarray) -> float:
+        pixels = one._raster.draw(replace(camera, camera_from_world=pose), 1)
+        return one._compare(0, (40, 40), pixels, photograph)[0].total
+
+    pixels = one._raster.draw(camera, 1)
+    one._raster.backward(pixels, one._compare(0, (40, 40), pixels, photograph)[1])
+    pose = np.asarray(camera.camera_from_world)
+    found = twist_gradient(pose, one._raster.by_pose(camera))
+    step = 1e-3
+    slopes = [
+        (total(rigid_from_twist(step * axis) @ pose) - total(rigid_from_twist(-step * axis) @ pose)) / (2.0 * step)
+        for axis in np.eye(6)
+    ]
+    np.testing.assert_allclose(found, slopes, atol=0.03 * np.abs(slopes).max())
+
+
+def test_what_no_photograph_shows_stays() -> None:
+    """All cameras do not turn or move together, and parameters are independent of one another."""
+    poses = Poses.of([view.camera for view in views(5)], 3.0)
+    rng = np.random.default_rng(0)
+    for turn in range(1, 10):
+        for number in rng.permutation(5):
+            poses.move(int(number), rng.normal(1.0 + number, 0.5, (3, 4)), turn, 1e-3)
+    motions = np.linalg.inv(poses.given) @ poses.values
+    twists = np.array([twist_from_rigid(motion) for motion in motions])
+    np.testing.assert_allclose(twists.mean(axis=0), 0.0, atol=1e-4 * np.abs(twists).max())
+    assert np.abs(twists).max() > 1e-3
+    turns = poses.values[:, :3, :3]
+    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.repeat(np.eye(3)[None], 5, axis=0), atol=1e-12)
+
+
+def test_corrections_are_resumed_and_written(tmp_path: Path) -> None:
+    """To the bit; a file of cameras that have moved, and one of exposures."""
+    folder = folder_of(tmp_path / "set")
+    config = ls.TrainConfig(iterations=60, cap=100, initial=80, sh_degree=1, exposures=True, refine_poses=True)
+    whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
+    parts: list[ls.TrainResult] = []
+    while not parts or not parts[-1].is_finished:
+        parts.append(ls.train(folder, config, output=tmp_path / "b.ply", stop_after=0.1, device="cpu"))
+    assert len(parts) > 1 and (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    for name in ("exposures.json", "poses.json"):
+        assert (tmp_path / "a.training" / name).read_bytes() == (tmp_path / "b.training" / name).read_bytes()
+    assert whole.cameras is not None and whole.exposures is not None
+    given = {camera.name: camera for camera in ls.load_cameras(folder / "transforms.json")}
+    saved = ls.load_cameras(tmp_path / "a.training" / "poses.json")
+    assert [camera.name for camera in saved] == [camera.name for camera in whole.cameras] == list(whole.exposures)
+    for one, camera in zip(saved, whole.cameras, strict=True):
+        np.testing.assert_allclose(one.camera_from_world, camera.camera_from_world, atol=1e-9)
+        assert np.abs(camera.camera_from_world - given[camera.name].camera_from_world).max() > 1e-4
