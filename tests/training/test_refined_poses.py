@@ -11,7 +11,7 @@ import lumisplat as ls
 from lumisplat.math.rigid import rigid_from_twist, twist_from_rigid
 from lumisplat.training.corrections.poses import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import TrainingView
+from lumisplat.training.views import Lesson, TrainingView
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
 
 STILL = ls.LearningRates(
@@ -64,14 +64,14 @@ def test_a_step_goes_against_the_derivatives_of_the_loss() -> None:
     given = moved(views(2), 1.0, 0.03)
     one = started(given, CONFIG)
     camera, wanted = given[0].camera, given[0].read()
-    photograph = one._loss.load(wanted.color, None, None)
+    photograph, lesson = one._loss.load(wanted.color, None, None), Lesson(0, camera, wanted, BACKGROUND)
 
     def total(pose: np.ndarray) -> float:
-        pixels = one._raster.draw(replace(camera, camera_from_world=pose), 1)
-        return one._compare(0, (40, 40), pixels, photograph)[0].total
+        pixels = one._raster.draw(replace(camera, camera_from_world=pose), 1, BACKGROUND)
+        return one._compare(lesson, pixels, photograph)[0].total
 
-    pixels = one._raster.draw(camera, 1)
-    one._raster.backward(pixels, one._compare(0, (40, 40), pixels, photograph)[1])
+    pixels = one._raster.draw(camera, 1, BACKGROUND)
+    one._raster.backward(pixels, one._compare(lesson, pixels, photograph)[1])
     pose = np.asarray(camera.camera_from_world)
     found = twist_gradient(pose, one._raster.by_pose(camera))
     step = 1e-3
@@ -86,9 +86,9 @@ def test_what_no_photograph_shows_stays() -> None:
     """All cameras do not turn or move together, and parameters are independent of one another."""
     poses = Poses.of([view.camera for view in views(5)], 3.0)
     rng = np.random.default_rng(0)
-    for turn in range(1, 10):
+    for _ in range(9):
         for number in rng.permutation(5):
-            poses.move(int(number), rng.normal(1.0 + number, 0.5, (3, 4)), turn, 1e-3)
+            poses.move(int(number), rng.normal(1.0 + number, 0.5, (3, 4)), 1e-3)
     motions = np.linalg.inv(poses.given) @ poses.values
     twists = np.array([twist_from_rigid(motion) for motion in motions])
     np.testing.assert_allclose(twists.mean(axis=0), 0.0, atol=1e-4 * np.abs(twists).max())

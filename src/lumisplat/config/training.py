@@ -43,10 +43,10 @@ class LearningRates:
     """Of the exposures of photographs, of the first step, above 0, at most 1."""
     exposures_last: float = 1e-3
     """Of the last step, likewise."""
-    poses: float = 1e-3
+    poses: float = 3e-3
     """Of the poses of photographs, of the first step: radians, and shares of the distance to what the cameras look at,
     above 0, at most 1."""
-    poses_last: float = 1e-5
+    poses_last: float = 1e-4
     """Of the last step, likewise."""
 
     def __post_init__(self) -> None:
@@ -77,6 +77,9 @@ class TrainConfig:
     """Gaussians to begin with, where there are no points, 1 to 100,000,000."""
     ssim: float = 0.2
     """Share of SSIM in the loss, 0..1; the rest is L1."""
+    random_background: bool = False
+    """Whether photographs that are transparent somewhere, and their frames, are over another colour in each step: what
+    is transparent is then neither filled by Gaussians of the background's colour nor left to them."""
     alpha: float = 0.1
     """Weight of the error of alpha, of photographs that have one, 0..10."""
     opacity_decay: float = 0.01
@@ -111,7 +114,7 @@ class TrainConfig:
             check_range(name, getattr(self, name), 0.0, 10.0)
         check_range("grow_pull", self.grow_pull, 0.0, 1.0)
         check_whole("coarse", self.coarse, 0, 4)
-        for name in ("antialiased", "exposures", "refine_poses"):
+        for name in ("antialiased", "exposures", "refine_poses", "random_background"):
             check_flag(name, getattr(self, name))
         check_kind("rates", self.rates, LearningRates)
         check_whole("seed", self.seed, 0, 2**32 - 1)

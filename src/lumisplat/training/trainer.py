@@ -41,7 +41,7 @@ from lumisplat.training.initial import Surroundings, first_gaussians, random_poi
 from lumisplat.training.learnt import Learnt, LearntOnDevice
 from lumisplat.training.photo_loss import Loss, PhotoLoss
 from lumisplat.training.training_raster import TrainingRaster
-from lumisplat.training.views import TrainingView
+from lumisplat.training.views import Lesson, TrainingView
 
 
 class DivergedError(LumisplatError, RuntimeError):
@@ -137,18 +137,15 @@ class Trainer:
         Raises:
             DivergedError: The loss is not finite.
         """
-        number = self._number_of(self.iteration)
-        camera, picture = self._views[number].smaller(self._halvings)
-        if self.poses is not None:
-            camera = self.poses.posed(number, camera)
-        photograph = self._loss.load(picture.color, picture.weight, picture.alpha)
-        pixels = self._raster.draw(camera, self._degree)
-        loss, by_pixels = self._compare(number, (camera.width, camera.height), pixels, photograph)
+        lesson = self._lesson()
+        photograph = self._loss.load(lesson.picture.color, lesson.picture.weight, lesson.picture.alpha)
+        pixels = self._raster.draw(lesson.camera, self._degree, lesson.background)
+        loss, by_pixels = self._compare(lesson, pixels, photograph)
         gradient = self._raster.backward(pixels, by_pixels)
         if self.poses is not None and self._done >= POSES_AFTER:
             rate = falling(self.config.rates.poses, self.config.rates.poses_last, self._done)
-            self.poses.move(number, self._raster.by_pose(camera), self._turn, rate)
-        self._note(camera)
+            self.poses.move(lesson.number, self._raster.by_pose(lesson.camera), rate)
+        self._note(lesson.camera)
         self._update(gradient)
         self.iteration += 1
         if self._changes_count:
@@ -156,6 +153,19 @@ class Trainer:
         return loss
 
     # --- Steps of a step ---
+
+    def _lesson(self) -> Lesson:
+        """What the next step learns from."""
+        number = self._number_of(self.iteration)
+        view = self._views[number]
+        camera, picture = view.smaller(self._halvings)
+        if self.poses is not None:
+            camera = self.poses.posed(number, camera)
+        if not self.config.random_background or picture.alpha is None:
+            return Lesson(number, camera, picture, self._background)
+        red, green, blue = np.random.default_rng([self.config.seed, 3, self.iteration]).uniform(size=3).tolist()
+        behind = (red, green, blue)
+        return Lesson(number, camera, picture.over(np.subtract(behind, view.background)), behind)
 
     def _number_of(self, iteration: int) -> int:
         """The photograph of a step: all in turn, in another order each time."""
@@ -168,31 +178,23 @@ class Trainer:
         """What is learnt of photographs beside what they show."""
         return [learnt for learnt in (self.exposures, self.poses) if learnt is not None]
 
-    @property
-    def _turn(self) -> int:
-        """How often the turn of the photograph of this step has come."""
-        return self.iteration // len(self._views) + 1
-
-    def _compare(
-        self, number: int, size: tuple[int, int], pixels: PixelData, photograph: Photograph
-    ) -> tuple[Loss, PixelGradient]:
-        """The loss of a frame of a photograph, and its derivatives by pixels; the exposure of the photograph moves.
+    def _compare(self, lesson: Lesson, pixels: PixelData, photograph: Photograph) -> tuple[Loss, PixelGradient]:
+        """The loss of a frame, and its derivatives by pixels; the exposure of the photograph moves.
 
         Raises:
             DivergedError: The loss is not finite.
         """
-        exposed = None
+        exposed, size = None, (lesson.camera.width, lesson.camera.height)
         if self.exposures is not None:
-            exposure = self.exposures.values[number]
-            exposed = ExposedFrame(self._launcher, self._buffers, exposure, self._background)
+            exposure = self.exposures.values[lesson.number]
+            exposed = ExposedFrame(self._launcher, self._buffers, exposure, lesson.background)
         loss, gradient = self._loss.differentiate(size, exposed.of(pixels) if exposed else pixels, photograph)
         if not np.isfinite(loss.total):
             raise DivergedError(f"training stopped at step {self.iteration + 1:,}: the loss is {loss.total}")
         if self.exposures is not None and exposed is not None:
-            rates, turn = self.config.rates, self._turn
             gradient, by_exposure = exposed.backward(size, pixels, gradient)
-            rate = falling(rates.exposures, rates.exposures_last, self._done)
-            self.exposures.move(number, by_exposure, turn, rate)
+            rate = falling(self.config.rates.exposures, self.config.rates.exposures_last, self._done)
+            self.exposures.move(lesson.number, by_exposure, rate)
         return loss, gradient
 
     @property

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from lumisplat.config import RenderConfig
+from lumisplat.config.colors import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
@@ -11,12 +14,12 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.gradients.splat_backward import SplatBackward
 from lumisplat.renderer.raster.binning import binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
-from lumisplat.renderer.raster.splat_raster import SplatRaster
+from lumisplat.renderer.raster.splat_raster import SplatRaster, raster_table
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.splat_gradients import pose_gradient
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
@@ -38,8 +41,10 @@ class TrainingRaster:
         self._scene = DeviceScene(launcher, buffers, config)
         binning = binning_of(launcher, buffers)
         meshes = MeshRaster(launcher, buffers, binning)
-        splats = SplatRaster(launcher, buffers, config, binning)
-        self._unlit = UnlitRaster(launcher, buffers, binning=binning, meshes=meshes, splats=splats)
+        self._splats = SplatRaster(launcher, buffers, config, binning)
+        self._unlit = UnlitRaster(
+            launcher, buffers, binning=binning, meshes=meshes, splats=self._splats, finds_depth=False
+        )
         self._backward = SplatBackward(launcher, buffers)
         self._launcher = launcher
         self.by_splat: DeviceArray
@@ -53,18 +58,25 @@ class TrainingRaster:
             learnt: Has their means and harmonics.
         """
         self._gaussians, self._learnt = gaussians, learnt
+        self._is_placed = True
 
-    def draw(self, camera: Camera, sh_degree: int) -> PixelData:
+    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
         """The pixels of a frame.
 
         Args:
             camera: A pinhole.
             sh_degree: Of colours.
+            background: Display-referred sRGB behind the Gaussians.
         """
+        if background != self._config.background:
+            self._config = replace(self._config, background=background)
+            assign_table(self._splats.settings, raster_table(self._config))
         scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
         self._launcher.stage_ms = {}
         self._scene.sync(scene, camera, FramePlan.of(self._config, scene))
-        self.data.means, self.data.sh = self._learnt.means, self._learnt.sh
+        if self._is_placed:  # in place of copies in each step; no pass of training reads the scene's table of sets
+            self.data.means, self.data.sh = self._learnt.means, self._learnt.sh
+            self._is_placed = False
         self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._learnt, self.data)
         return self._unlit.draw(self._scene).data
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
 
 from lumisplat.io.photographs.photographs import Photograph
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.camera import Camera
+
+LEAST_WEIGHT = 1e-6
+"""Where less counts, it does not matter what is there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +28,35 @@ class Picture:
     alpha: FloatArray | None = None
     """What the frame's alpha should be, 0..1, shape (H, W); None: nobody knows."""
 
+    def resized(self, size: tuple[int, int]) -> Picture:
+        """With other pixels, each the mean over its area of what counts there.
+
+        Args:
+            size: Width and height.
+        """
+        weight = None if self.weight is None else _resized(self.weight, size)
+        color, alpha = (self._mean_of(layer, weight, size) for layer in (self.color, self.alpha))
+        assert color is not None
+        return Picture(color, weight, alpha)
+
+    def _mean_of(self, layer: FloatArray | None, weight: FloatArray | None, size: tuple[int, int]) -> FloatArray | None:
+        """One of its layers with other pixels, of which so much counts."""
+        if layer is None or self.weight is None or weight is None:
+            return None if layer is None else _resized(layer, size)
+        shares, total = ((w if layer.ndim == 2 else w[..., None]) for w in (self.weight, weight))
+        return np.asarray(_resized(layer * shares, size) / np.maximum(total, LEAST_WEIGHT), np.float32)
+
+    def over(self, change: npt.ArrayLike) -> Picture:
+        """Over another background.
+
+        Args:
+            change: How it differs from that of before, shape (3,).
+        """
+        if self.alpha is None:
+            return self
+        color = self.color + (1.0 - self.alpha)[..., None] * np.asarray(change, np.float32)
+        return replace(self, color=color.astype(np.float32))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingView:
@@ -34,6 +67,8 @@ class TrainingView:
     """A pinhole of the photograph's size."""
     read: Callable[[], Picture]
     """Reads its pixels."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Display-referred sRGB over which these are where they are transparent."""
 
     @classmethod
     def of(cls, photograph: Photograph) -> TrainingView:
@@ -42,19 +77,26 @@ class TrainingView:
         def read() -> Picture:
             return Picture(photograph.pixels(), photograph.mask(), photograph.alpha())
 
-        return cls(photograph.name, photograph.camera, read)
+        return cls(photograph.name, photograph.camera, read, photograph.background or (0.0, 0.0, 0.0))
 
     def smaller(self, halvings: int) -> tuple[Camera, Picture]:
         """The camera and the pixels, with sides halved so often; pixels are means over areas."""
-        picture = self.read()
         if halvings == 0:
-            return self.camera, picture
+            return self.camera, self.read()
         width, height = (max(side >> halvings, 1) for side in (self.camera.width, self.camera.height))
-        camera = self.camera.scaled(width, height)
-        layers = (picture.color, picture.weight, picture.alpha)
-        color, weight, alpha = (None if layer is None else _resized(layer, (width, height)) for layer in layers)
-        assert color is not None
-        return camera, Picture(color, weight, alpha)
+        return self.camera.scaled(width, height), self.read().resized((width, height))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lesson:
+    """What a step learns from."""
+
+    number: int
+    """Of the photograph."""
+    camera: Camera
+    picture: Picture
+    background: tuple[float, float, float]
+    """Display-referred sRGB behind the Gaussians, and behind what is transparent in the picture."""
 
 
 def _resized(layer: FloatArray, size: tuple[int, int]) -> FloatArray:

@@ -148,6 +148,28 @@ def test_what_is_black_in_a_mask_does_not_count(tmp_path, place):
     assert half[5, 6] == pytest.approx(0.5, abs=2 * BYTE) and half[9, 12] == 0.0 and half[0, 0] == 1.0
 
 
+@pytest.mark.parametrize("scale", [0.5, 0.35])
+def test_what_does_not_count_is_not_mixed_into_smaller_photographs(tmp_path, scale):
+    """What a mask hides may have any colour; at its edge, pixels are means over what counts of their areas."""
+    views = []
+    for name, painted in (("a", 0), ("b", 255)):
+        write_transforms_photographs(tmp_path / name, ring_cameras(2))
+        image = next(iter(sorted((tmp_path / name).rglob("view_0.*"))))
+        hidden = np.zeros((30, 40), np.uint8)
+        hidden[:13, :17] = 255
+        (tmp_path / name / "masks").mkdir()
+        Image.fromarray(255 - hidden).save(tmp_path / name / "masks" / "view_0.png")
+        pixels = np.array(Image.open(image).convert("RGB"))
+        pixels[hidden > 0] = painted
+        Image.fromarray(pixels).save(image)
+        views.append(ls.load_photographs(tmp_path / name, hold_out=0, scale=scale).training[0])
+    mask = views[0].mask()
+    assert mask is not None and ((mask > 0.0) & (mask < 1.0)).any()
+    counts = mask > 0.01
+    np.testing.assert_array_equal(views[0].pixels()[counts], views[1].pixels()[counts])
+    assert (views[0].pixels() != views[1].pixels()).any()
+
+
 def test_the_scene_is_where_the_cameras_look(tmp_path):
     """1.1 times the radius of the ring of training cameras, and its middle."""
     write_transforms_photographs(tmp_path, ring_cameras(6, 8, 6))

@@ -49,7 +49,8 @@ class Train(DeviceCommand):
     """Find poses first, if the folder has none: of photographs that see each other in any order, or of the frames of a
     film (pip install 'lumisplat[poses]')."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
-    """Behind the Gaussians and what is transparent in photographs: a name, "#rrggbb" or r,g,b."""
+    """Behind the Gaussians and what is transparent in photographs: a name, "#rrggbb", r,g,b, or random, another one in
+    each step (measured over black)."""
     densification: Literal["mcmc", "adaptive"] = "mcmc"
     """How Gaussians come and go: as samples, up to --cap, or where the loss pulls."""
     sh_degree: Annotated[int, arg(metavar="0-3")] = 3
@@ -86,7 +87,7 @@ class Train(DeviceCommand):
                     output=self.output,
                     scale=self.scale,
                     hold_out=self.hold_out,
-                    background=self.background,
+                    background="black" if self._is_random else self.background,
                     stop_after=stop_after,
                     overwrite=self.overwrite,
                     preview=self.preview,
@@ -106,8 +107,14 @@ class Train(DeviceCommand):
             antialiased=self.antialiased,
             exposures=self.exposures,
             refine_poses=self.refine_poses,
+            random_background=self._is_random,
             seed=self.seed,
         )
+
+    @property
+    def _is_random(self) -> bool:
+        """Whether the background is another one in each step."""
+        return self.background.strip().lower() == "random"
 
     def _tell(self, result: ls.TrainResult) -> None:
         """Says what came of it."""

@@ -14,6 +14,9 @@ from lumisplat.io.photographs.lens import is_bent, lens_points, straightened
 from lumisplat.math.resampling import area_mean
 from lumisplat.scene.camera import Camera
 
+SHARE_MIN = 1e-3
+"""Share of a pixel that counts, below which it is rounding."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
@@ -43,7 +46,10 @@ def decode(source: Source) -> Pixels:
     if source.mask is not None:
         planes["mask"] = read_mask(source.mask)
     lens = source.camera
-    planes = {name: _smaller(plane, lens.width, lens.height) for name, plane in planes.items()}
+    smaller = {name: _smaller(plane, lens.width, lens.height) for name, plane in planes.items()}
+    planes = (
+        _counted(planes, smaller) if "mask" in planes and planes["color"].shape != smaller["color"].shape else smaller
+    )
     if is_bent(lens):
         points, covered = lens_points(lens)
         if not covered.all():
@@ -66,6 +72,23 @@ def read_mask(path: Path) -> Plane:
             path, "is black everywhere: no pixel of its photograph would count, expected white where it does"
         )
     return 255 * (counts > 0).astype(np.uint8)
+
+
+def _counted(planes: dict[str, Plane], smaller: dict[str, Plane]) -> dict[str, Plane]:
+    """Smaller planes that are means over what counts of their areas: what does not is not mixed in.
+
+    Args:
+        planes: Of the size of the file.
+        smaller: Means over all of the areas, which stay where nothing counts, and those of the mask.
+    """
+    height, width = smaller["mask"].shape[:2]
+    counts = planes["mask"] > 0
+    share = area_mean(counts, width, height)
+    made = dict(smaller)
+    for name in smaller.keys() - {"mask"}:
+        mean = area_mean(planes[name] * counts, width, height) / np.maximum(share, SHARE_MIN)
+        made[name] = np.where(share > SHARE_MIN, mean + 0.5, smaller[name]).astype(np.uint8)
+    return made
 
 
 def _smaller(plane: Plane, width: int, height: int) -> Plane:

@@ -102,11 +102,17 @@ class SplatRaster:
         tiles: SplatTiles,
         meshes: MeshPixels,
         pixels: PixelData,
+        *,
+        finds_depth: bool,
     ) -> None:
-        """Blends each pixel's splats front to back over the mesh or the background."""
+        """Blends each pixel's splats front to back over the mesh or the background.
+
+        Without ``finds_depth``, depths are those of the means of Gaussians.
+        """
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, EXTRA_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
-        self._set_depth(scene, splat_raster_kernels.set_pixel_depth, meshes, pixels)
+        if finds_depth:
+            self._set_depth(scene, splat_raster_kernels.set_pixel_depth, meshes, pixels)
 
     def find_hits(
         self,

@@ -40,13 +40,22 @@ class UnlitRaster:
         binning: Sorts and bins.
         meshes: Rasterises meshes.
         splats: Rasterises splats.
+        finds_depth: Whether depths of pixels are wanted; else they are of no meaning.
     """
 
     def __init__(
-        self, launcher: Launcher, buffers: Buffers, *, binning: Binning, meshes: MeshRaster, splats: SplatRaster
+        self,
+        launcher: Launcher,
+        buffers: Buffers,
+        *,
+        binning: Binning,
+        meshes: MeshRaster,
+        splats: SplatRaster,
+        finds_depth: bool = True,
     ) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._binning, self._meshes, self._splats = binning, meshes, splats
+        self._finds_depth = finds_depth
         self.drawn: DrawnSplats | None = None
         """What the last frame was composited from."""
 
@@ -82,5 +91,5 @@ class UnlitRaster:
         with stage("bin"):
             tiles = self._splats.bin(scene, order, splats)
         with stage("composite"):
-            self._splats.draw(scene, tiles, meshes, pixels.data)
+            self._splats.draw(scene, tiles, meshes, pixels.data, finds_depth=self._finds_depth)
         return DrawnSplats(splats, tiles, meshes, self._splats.settings)

@@ -18,21 +18,27 @@ class AdamRows:
     """Shape (K, P)."""
     second: Doubles
     """Shape (K, P)."""
+    turns: Doubles
+    """How often each has moved, shape (K,)."""
 
     @classmethod
     def still(cls, count: int, parameters: int) -> AdamRows:
         """Of parameters that have not moved yet."""
-        return cls(np.zeros((count, parameters)), np.zeros((count, parameters)))
+        return cls(np.zeros((count, parameters)), np.zeros((count, parameters)), np.zeros(count))
 
-    def step(self, number: int, gradient: Doubles, turn: int) -> Doubles:
+    def state(self, name: str) -> dict[str, Doubles]:
+        """All of it, by names that begin with ``name``."""
+        return {f"{name}.{part}": getattr(self, part) for part in ("first", "second", "turns")}
+
+    def step(self, number: int, gradient: Doubles) -> Doubles:
         """How far the parameters of a photograph move against their derivatives, at a rate of 1.
 
         Args:
             number: The photograph.
             gradient: Derivatives of the loss, shape (P,).
-            turn: How many times its turn has come, with this one.
         """
-        first, second = self.first[number], self.second[number]
+        self.turns[number] += 1.0
+        first, second, turn = self.first[number], self.second[number], self.turns[number]
         first += (1.0 - ADAM_BETA_1) * (gradient - first)
         second += (1.0 - ADAM_BETA_2) * (gradient * gradient - second)
         unbiased = first / (1.0 - ADAM_BETA_1**turn)

@@ -36,23 +36,22 @@ class Exposures:
     @property
     def state(self) -> dict[str, Doubles]:
         """All that the next step depends on."""
-        return {"exposures": self.values, "exposures.first": self.rows.first, "exposures.second": self.rows.second}
+        return {"exposures": self.values} | self.rows.state("exposures")
 
     def restore(self, state: dict[str, Doubles]) -> None:
         """Goes on from a state."""
         for name, values in self.state.items():
             values[:] = state[name]
 
-    def move(self, number: int, gradient: Doubles, turn: int, rate: float) -> None:
+    def move(self, number: int, gradient: Doubles, rate: float) -> None:
         """A step of one of them.
 
         Args:
             number: The photograph.
             gradient: Derivatives of the loss by its exposure, shape (3, 4).
-            turn: As of `AdamRows.step`.
             rate: How far it moves.
         """
-        self.values[number] += rate * self.rows.step(number, gradient.reshape(12), turn).reshape(3, 4)
+        self.values[number] += rate * self.rows.step(number, gradient.reshape(12)).reshape(3, 4)
         self.values[:] -= self.values.mean(axis=0) - IDENTITY
 
 

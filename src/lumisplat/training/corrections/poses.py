@@ -38,7 +38,7 @@ class Poses:
     @property
     def state(self) -> dict[str, Doubles]:
         """All that the next step depends on."""
-        return {"poses": self.values, "poses.first": self.rows.first, "poses.second": self.rows.second}
+        return {"poses": self.values} | self.rows.state("poses")
 
     def restore(self, state: dict[str, Doubles]) -> None:
         """Goes on from a state."""
@@ -49,17 +49,16 @@ class Poses:
         """A camera of a photograph where that is now."""
         return replace(camera, camera_from_world=self.values[number])
 
-    def move(self, number: int, gradient: Doubles, turn: int, rate: float) -> None:
+    def move(self, number: int, gradient: Doubles, rate: float) -> None:
         """A step of one of them.
 
         Args:
             number: The photograph.
             gradient: Derivatives of the loss by the upper rows of its ``camera_from_world``, shape (3, 4).
-            turn: As of `AdamRows.step`.
             rate: How far it turns, radians.
         """
         by_parameters = self._twist_from_parameters.T @ twist_gradient(self.values[number], gradient)
-        step = self._twist_from_parameters @ (rate * self.rows.step(number, by_parameters, turn))
+        step = self._twist_from_parameters @ (rate * self.rows.step(number, by_parameters))
         self.values[number] = rigid_from_twist(step) @ self.values[number]
         moved = np.linalg.inv(self.given) @ self.values
         drift = np.mean([twist_from_rigid(one) for one in moved], axis=0)
