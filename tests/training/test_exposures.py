@@ -40,7 +40,7 @@ def test_derivatives_by_exposures_colors_and_alphas() -> None:
     loss = PhotoLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA)
     frame = ExposedFrame(launcher, buffers, exposure, BACKGROUND)
     found, gradient = loss.differentiate(SIZE, frame.of(pixels), loss.load(*wanted))
-    gradient, by_exposure = frame.backward(SIZE, pixels, gradient)
+    gradient, by_exposure = frame.backward(pixels, gradient)
     arrays = gradient.color, gradient.alpha
     by_color, by_alpha = (np.array(array.numpy()) for array in arrays)  # pyright: ignore[reportUnknownMemberType]
 

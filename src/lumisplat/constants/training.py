@@ -13,6 +13,9 @@ POSE_CHUNK = 256
 BACKWARD_HITS = 2**22
 """Hits of rays whose derivatives are on the device at once: 44 bytes each, some 180 MiB, unless a packet has more."""
 
+EXPOSURE_CHUNK = 256
+"""Pixels whose derivatives by an exposure are added up by one item."""
+
 # --- The optimiser (Kingma and Ba 2015; values of Kerbl et al. 2023) ---
 
 ADAM_BETA_1 = 0.9

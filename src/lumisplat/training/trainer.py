@@ -192,7 +192,7 @@ class Trainer:
         if not np.isfinite(loss.total):
             raise DivergedError(f"training stopped at step {self.iteration + 1:,}: the loss is {loss.total}")
         if self.exposures is not None and exposed is not None:
-            gradient, by_exposure = exposed.backward(size, pixels, gradient)
+            gradient, by_exposure = exposed.backward(pixels, gradient)
             rate = falling(self.config.rates.exposures, self.config.rates.exposures_last, self._done)
             self.exposures.move(lesson.number, by_exposure, rate)
         return loss, gradient

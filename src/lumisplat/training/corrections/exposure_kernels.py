@@ -6,11 +6,14 @@ The equations are in docs/method/training.md#exposures.
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
+from lumisplat.constants.training import EXPOSURE_CHUNK
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.device.structs.training import Exposure
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+
+CHUNK = wp.constant(EXPOSURE_CHUNK)
 
 
 @wp.func
@@ -29,9 +32,8 @@ def expose(start: int, exposure: Exposure, pixels: PixelData, color_out: wp.arra
 
 
 @wp.kernel
-def differentiate_rows(
+def differentiate_chunks(
     start: int,
-    width: int,
     exposure: Exposure,
     pixels: PixelData,
     by_exposed: PixelGradient,
@@ -39,18 +41,17 @@ def differentiate_rows(
     by_matrix_out: wp.array[wp.mat33],
     by_offset_out: wp.array[wp.vec3],
 ):
-    """Item = row: derivatives by its pixels, and sums of those by the exposure."""
-    y = start + wp.tid()
+    """Item = chunk of pixels: derivatives by these, and sums of those by the exposure."""
+    chunk = start + wp.tid()
     by_matrix = wp.mat33(0.0)
     by_offset = wp.vec3(0.0)
     from_exposed = wp.transpose(exposure.matrix)
     of_alpha = exposure.matrix * exposure.background + exposure.offset - exposure.background
-    for x in range(width):
-        i = y * width + x
+    for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, pixels.alpha.shape[0])):
         g = by_exposed.color[i]
         by_matrix += wp.outer(g, shown_of(pixels, exposure, i))
         by_offset += pixels.alpha[i] * g
         by_pixels_out.color[i] = from_exposed * g
         by_pixels_out.alpha[i] = by_exposed.alpha[i] + wp.dot(g, of_alpha)
-    by_matrix_out[y] = by_matrix
-    by_offset_out[y] = by_offset
+    by_matrix_out[chunk] = by_matrix
+    by_offset_out[chunk] = by_offset

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from lumisplat.constants.training import EXPOSURE_CHUNK
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.device.structs.training import Exposure
@@ -78,25 +79,22 @@ class ExposedFrame:
         self._launcher.run_banded(kernels.expose, count, self._exposure, pixels, exposed.color)
         return exposed
 
-    def backward(
-        self, size: tuple[int, int], pixels: PixelData, by_exposed: PixelGradient
-    ) -> tuple[PixelGradient, Doubles]:
+    def backward(self, pixels: PixelData, by_exposed: PixelGradient) -> tuple[PixelGradient, Doubles]:
         """Derivatives by pixels, and by the exposure, shape (3, 4).
 
         Args:
-            size: Width and height, pixels.
             pixels: Of the frame, as it was before.
             by_exposed: Derivatives by what ``of`` has made of them.
         """
-        width, height = size
-        get, count = self._buffers.get, width * height
+        get, count = self._buffers.get, len(pixels.alpha)
+        chunks = -(-count // EXPOSURE_CHUNK)
         by_pixels = PixelGradient()
         by_pixels.color, by_pixels.alpha = (
             get("exposed.by_color", wp.vec3, count),
             get("exposed.by_alpha", wp.float32, count),
         )
-        sums = get("exposed.by_matrix", wp.mat33, height), get("exposed.by_offset", wp.vec3, height)
-        inputs = (width, self._exposure, pixels, by_exposed, by_pixels)
-        self._launcher.run_banded(kernels.differentiate_rows, height, *inputs, *sums)
+        sums = get("exposed.by_matrix", wp.mat33, chunks), get("exposed.by_offset", wp.vec3, chunks)
+        inputs = (self._exposure, pixels, by_exposed, by_pixels)
+        self._launcher.run_banded(kernels.differentiate_chunks, chunks, *inputs, *sums)
         by_matrix, by_offset = (rows.numpy().sum(axis=0, dtype=np.float64) for rows in sums)
         return by_pixels, np.column_stack([by_matrix, by_offset])
