@@ -32,7 +32,7 @@ while (waiting) {
     if (taken & self) group = taken;
     waiting &= ~taken;
 }
-return group == self ? 0 : int(group);
+return group == self ? 0 : static_cast<int>(group);
 """
 
 # Floats in the order of integers: the hardware finds the largest of these in one instruction, from sm_80 on.
@@ -40,12 +40,12 @@ _LARGEST = """
 if (group == 0) return number;
 #if __CUDA_ARCH__ >= 800
 const int bits = __float_as_int(number);
-const int most = __reduce_max_sync(unsigned(group), bits < 0 ? bits ^ 0x7fffffff : bits);
+const int most = __reduce_max_sync(static_cast<unsigned>(group), bits < 0 ? bits ^ 0x7fffffff : bits);
 return __int_as_float(most < 0 ? most ^ 0x7fffffff : most);
 #else
 float most = number;
-for (unsigned rest = group; rest; rest &= rest - 1)
-    most = fmaxf(most, __shfl_sync(unsigned(group), number, __ffs(rest) - 1));
+for (unsigned rest = static_cast<unsigned>(group); rest; rest &= rest - 1)
+    most = fmaxf(most, __shfl_sync(static_cast<unsigned>(group), number, __ffs(rest) - 1));
 return most;
 #endif
 """
