@@ -6,7 +6,7 @@ from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
 from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
 from lumisplat.config.paths import PathConfig, PathPrimary
 from lumisplat.config.probes import ProbeConfig
-from lumisplat.config.raster import Antialiasing, GaussianSurface, RasterConfig, RasterStrategy
+from lumisplat.config.raster import Antialiasing, GaussianSurface, Projection, RasterConfig, RasterStrategy
 from lumisplat.config.rays import (
     HitDistance,
     NormalMethod,
@@ -55,6 +55,7 @@ __all__ = [
     "PathPrimary",
     "Pipeline",
     "ProbeConfig",
+    "Projection",
     "RadianceCacheConfig",
     "RasterConfig",
     "RasterStrategy",

@@ -7,6 +7,7 @@ from enum import Enum
 
 from lumisplat.config.checks import check_range, check_whole, take_enum
 from lumisplat.constants import DEPTH_ISO_TRANSMITTANCE, DILATION_PX2, SH_DEGREE_MAX, TRANSMITTANCE_MIN
+from lumisplat.errors import ConfigError
 
 
 class RasterStrategy(Enum):
@@ -17,6 +18,17 @@ class RasterStrategy(Enum):
     STOCHASTIC = "stochastic"
     """Accepts each splat with its alpha as probability; the nearest accepted one is the sample. Nothing is sorted, and
     the mean over samples converges to the exact colour."""
+
+
+class Projection(Enum):
+    """How the rasteriser sees a Gaussian (docs/method/unscented.md)."""
+
+    EWA = "ewa"
+    """As the ellipse that a linearised pinhole makes of it (Zwicker et al. 2001): fast, and what most captures are
+    trained with. The frame of a lens that distorts is one of a pinhole, resampled."""
+    UNSCENTED = "unscented"
+    """By its response along the ray of each pixel, as the tracer sees it; points of it find the tiles (Wu et al. 2025).
+    Through any lens, distorted or fisheye, and with a rolling shutter."""
 
 
 class GaussianSurface(Enum):
@@ -54,12 +66,16 @@ class RasterConfig:
 
     strategy: RasterStrategy = RasterStrategy.SORTED
     """How the splats of a pixel become its colour."""
+    projection: Projection = Projection.EWA
+    """How Gaussians are seen: as ellipses, or along rays, for any lens; of ``Pipeline.RASTER`` and ``HYBRID``, with
+    ``SORTED`` and ``ISO``."""
     surface: GaussianSurface = GaussianSurface.ISO
     """Which surface of a pixel's Gaussians lights reach, in lit frames."""
     antialiasing: Antialiasing = Antialiasing.AUTO
     """When to compensate opacity for the dilation."""
     dilation: float = DILATION_PX2
-    """Variance added to the projected covariance, pixel^2, 0..10."""
+    """Variance added to the projected covariance, pixel^2, 0..10; with ``UNSCENTED`` to a Gaussian itself, in squared
+    widths of the pixel where it is."""
     sh_degree: int = SH_DEGREE_MAX
     """Highest SH degree that is evaluated, 0..3."""
     transmittance_min: float = TRANSMITTANCE_MIN
@@ -69,9 +85,17 @@ class RasterConfig:
 
     def __post_init__(self) -> None:
         take_enum(self, "strategy", RasterStrategy)
+        take_enum(self, "projection", Projection)
         take_enum(self, "surface", GaussianSurface)
         take_enum(self, "antialiasing", Antialiasing)
         check_range("dilation", self.dilation, 0.0, 10.0)
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
         check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
+        if self.projection is Projection.UNSCENTED:
+            for name, needed in (("strategy", RasterStrategy.SORTED), ("surface", GaussianSurface.ISO)):
+                if getattr(self, name) is not needed:
+                    raise ConfigError(
+                        f"{name} is {getattr(self, name).value!r}, which projection='unscented' does not have: "
+                        f"expected {needed.value!r}"
+                    )

@@ -47,6 +47,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.renderer.unscented.unscented_raster import UnscentedRaster
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
 from lumisplat.scene.camera import Camera
@@ -74,6 +75,7 @@ class Renderer:
         splats = SplatRaster(launcher, buffers, config, binning)
         self._unlit_raster = UnlitRaster(launcher, buffers, binning=binning, meshes=meshes, splats=splats)
         self._raster = RasterHits(launcher, buffers, config, binning=binning, meshes=meshes, splats=splats)
+        self._unscented = UnscentedRaster(launcher, buffers, config, binning)
         self._camera_rays = CameraRays(launcher, buffers)
         self._tracer = RayTracer(launcher, buffers, config)
         self._integrators = Integrators(launcher, buffers, config, self._tracer)
@@ -130,7 +132,7 @@ class Renderer:
         check_scene(scene)
         check_camera(camera)
         plan = FramePlan.of(self.config, scene)
-        if plan.rasterises and camera.is_distorted:
+        if plan.rasterises and not plan.is_unscented and camera.is_distorted:
             refuse_lens(camera, self.config.pipeline)
             if resume is not None:
                 raise ConfigError("a rasterised frame of a distorting lens cannot be resumed: it is resampled")
@@ -140,6 +142,8 @@ class Renderer:
         self._load(modules, progress)
         self._launcher.stage_ms = {}
         self._scene.sync(scene, camera, plan)
+        if plan.is_unscented:
+            self._unscented.begin_frame(camera)
         if not plan.is_sampled:
             pixels = self._unlit_raster.draw(self._scene)
             with self._launcher.stage("download"):
@@ -242,7 +246,7 @@ class Renderer:
             check_resumed_scene(resume, scene)
         check_aovs(self.config, plan)
         if plan.rasterises:
-            refuse_lens(camera, self.config.pipeline)
+            refuse_lens(camera, self.config.pipeline, self.config.raster.projection)
             self._warnings.warn_of_degree(scene)
         if self.config.pipeline is Pipeline.HYBRID and scene.splats:
             self._warnings.warn_of_normals(self.config.trace)
@@ -255,6 +259,8 @@ class Renderer:
 
         def find() -> PrimaryHits:
             rays = self._camera_rays.start(self._scene, listed)
+            if plan.is_unscented:
+                return self._unscented.find_hits(self._scene, rays)
             if plan.rasterises:
                 return self._raster.find_hits(self._scene, rays)
             return self._tracer.find_hits(self._scene, rays, "camera")

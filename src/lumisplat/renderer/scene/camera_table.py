@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.config import Pipeline
+from lumisplat.config import Pipeline, Projection
 from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
+from lumisplat.constants.unscented import FIELD_MARGIN, FIELD_MAX
 from lumisplat.device.camera.camera import FISHEYE, ORTHOGRAPHIC, PINHOLE
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.errors import SceneError
-from lumisplat.math.distortion import distortion_reach
+from lumisplat.math.distortion import distortion_reach, undistort
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
 
@@ -33,19 +34,29 @@ def check_camera(camera: object) -> None:
         )
 
 
-def refuse_lens(camera: Camera, pipeline: Pipeline) -> None:
-    """Raises a `SceneError` for a camera that only rays can draw: not a sharp pinhole, or with a rolling shutter."""
-    problem = None
-    if camera.model is not CameraModel.PINHOLE:
+def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Projection.EWA) -> None:
+    """Raises a `SceneError` for a camera that only rays can draw.
+
+    It is not a sharp pinhole or has a rolling shutter; with sigma points, it is orthographic or not sharp.
+    """
+    problem, remedy = None, ""
+    if pipeline is not Pipeline.REALTIME:
+        remedy = "RasterConfig(projection='unscented') or "
+    if camera.model is CameraModel.ORTHOGRAPHIC or camera.aperture > 0.0:
+        sharp = f"is {camera.model.value}" if camera.aperture == 0.0 else f"has an aperture of {camera.aperture:g}"
+        problem, remedy = sharp, ""
+    elif projection is Projection.UNSCENTED:
+        return
+    elif camera.model is not CameraModel.PINHOLE:
         problem = f"is {camera.model.value}"
-    elif camera.aperture > 0.0:
-        problem = f"has an aperture of {camera.aperture:g}"
     elif camera.camera_from_world_end is not None:
         problem = "has a rolling shutter"
     if problem:
         name = f" '{camera.name}'" if camera.name else ""
         others = "PATH" if pipeline is Pipeline.REALTIME else "TRACE"
-        raise SceneError(f"camera{name} {problem}, which Pipeline.{pipeline.name} cannot draw: use Pipeline.{others}")
+        raise SceneError(
+            f"camera{name} {problem}, which Pipeline.{pipeline.name} cannot draw: use {remedy}Pipeline.{others}"
+        )
 
 
 def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.ndarray:
@@ -81,6 +92,18 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     row["turn_angle"] = angle
     row["motion"] = camera.shutter_motion
     return table
+
+
+def image_field(camera: Camera) -> float:
+    """Up to which tangent of the angle from a pinhole's axis sigma points are projected as they are.
+
+    That is ``FIELD_MARGIN`` beyond the rays of all pixels. Other cameras show all points as they are.
+    """
+    x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
+    shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1)
+    seen = np.linalg.norm(undistort(shown.astype(np.float64), camera.distortion), axis=-1)
+    widest = np.nanmax(seen, initial=0.0) if not np.isnan(seen).any() else distortion_reach(camera.distortion)
+    return float(np.tan(np.clip(np.arctan(widest) + FIELD_MARGIN, 0.0, FIELD_MAX)))
 
 
 def tile_grid(width: int, height: int) -> tuple[int, int]:

@@ -9,6 +9,7 @@ from lumisplat.config import (
     GaussianSurface,
     PathPrimary,
     Pipeline,
+    Projection,
     RasterConfig,
     RasterStrategy,
     RenderConfig,
@@ -76,6 +77,8 @@ class FramePlan:
     """Lights light the surfaces that reflect."""
     rasterises: bool
     """Primary hits are rasterised; otherwise traced."""
+    is_unscented: bool
+    """They are rasterised along the rays of any lens, by sigma points; those of meshes are traced."""
     traces_paths: bool
     """Light bounces in all directions, by paths."""
     follows_rays: bool
@@ -163,6 +166,7 @@ class FramePlan:
         traces_paths = bounces and is_lit
         rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID, Pipeline.REALTIME)
         only_rasterises = config.pipeline is Pipeline.RASTER
+        is_unscented = rasterises and config.raster.projection is Projection.UNSCENTED
         keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
         in_haze = is_lit and shows_lights_in_haze(config, scene)
@@ -188,6 +192,7 @@ class FramePlan:
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
+            is_unscented=is_unscented,
             traces_paths=traces_paths,
             follows_rays=(casts_shadows and splat_shadows.exist) or not only_rasterises,
             traces_rays=not only_rasterises,
@@ -195,7 +200,7 @@ class FramePlan:
             casts_shadows=casts_shadows,
             splat_shadows=splat_shadows,
             spawns_shadow_rays=casts_shadows or traces_paths or has_lobes or "lights" in aovs,
-            is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
+            is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises or is_unscented,
             samples=config.samples or (SAMPLES_OPEN if is_open else samples_wanted),
             time_limit=config.time_limit,
             noise=config.noise,

@@ -1,0 +1,176 @@
+"""Pixels that may see a Gaussian: bounds of its image by sigma points or, where it is large, by its outline.
+
+The equations are in docs/method/unscented.md#bounds.
+"""
+
+import math
+
+import warp as wp
+
+from lumisplat.constants.unscented import (
+    OUTLINE_POINTS,
+    OUTLINE_SLACK,
+    UNSCENTED_MARGIN,
+    UNSCENTED_SINE_MAX,
+    UNSCENTED_SLACK_PX,
+)
+from lumisplat.device.camera.camera import turned
+from lumisplat.device.camera.lens import row_time, seen_point
+from lumisplat.device.gaussian.sigma_points import projected_moments
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.ray_splats import ImageBounds, PixelBox, WorldGaussian
+
+wp.set_module_options({"enable_backward": False})
+
+POINTS = wp.constant(OUTLINE_POINTS)
+HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
+TINY = wp.constant(wp.float32(1.0e-30))
+STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
+SLACK = wp.constant(wp.float32(OUTLINE_SLACK))
+SINE_MAX = wp.constant(wp.float32(UNSCENTED_SINE_MAX))
+MARGIN = wp.constant(wp.float32(1.0 + UNSCENTED_MARGIN))
+SLACK_PX = wp.constant(wp.float32(UNSCENTED_SLACK_PX))
+
+
+@wp.func
+def canonical(gaussian: WorldGaussian, vector: wp.vec3) -> wp.vec3:
+    """A vector in canonical space."""
+    return wp.cw_div(wp.transpose(gaussian.axes) * vector, gaussian.scale)
+
+
+@wp.func
+def everywhere() -> ImageBounds:
+    """No bounds."""
+    bounds = ImageBounds()
+    bounds.low = wp.vec2(-wp.inf)
+    bounds.high = wp.vec2(wp.inf)
+    return bounds
+
+
+@wp.func
+def sigma_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
+    """Of the ellipse that sigma points have found."""
+    moments = projected_moments(camera, field, gaussian)
+    extent = MARGIN * reach * wp.vec2(wp.sqrt(moments.xx), wp.sqrt(moments.yy)) + wp.vec2(moments.error + SLACK_PX)
+    bounds = ImageBounds()
+    bounds.low = moments.mean - extent
+    bounds.high = moments.mean + extent
+    return bounds
+
+
+@wp.func
+def across_of(vector: wp.vec3) -> wp.vec3:
+    """A unit vector at right angles to another one."""
+    axis = wp.vec3(0.0, 1.0, 0.0)
+    if wp.abs(vector[0]) < wp.abs(vector[1]):
+        axis = wp.vec3(1.0, 0.0, 0.0)
+    return wp.normalize(wp.cross(vector, axis))
+
+
+@wp.func
+def turns_far(before: wp.vec2, after: wp.vec2) -> bool:
+    """Whether two directions are more than 45 degrees apart."""
+    return wp.dot(before, after) < HALF_RIGHT * wp.length(before) * wp.length(after)
+
+
+@wp.func
+def outline_bounds(
+    camera: CameraData,
+    field: float,
+    gaussian: WorldGaussian,
+    time: float,
+    eye: wp.vec3,
+    backward: wp.vec3,
+    reach: float,
+) -> ImageBounds:
+    """Of points on the outline of the ellipsoid at which a Gaussian ends: in canonical space, where rays touch a sphere.
+
+    Args:
+        camera: The camera.
+        field: As of ``image_point``.
+        gaussian: The Gaussian.
+        time: Of the shutter, when its mean is seen.
+        eye: Where that is then, in its canonical space, outside of the ellipsoid.
+        backward: Against the axis, world space.
+        reach: Canonical distance at which it ends.
+    """
+    distance2 = wp.length_sq(eye)
+    middle = (reach * reach / distance2) * eye
+    radius = reach * wp.sqrt(wp.max(1.0 - reach * reach / distance2, 0.0))
+    right = across_of(eye)
+    down = wp.normalize(wp.cross(eye, right))
+    low = wp.vec2(wp.inf)
+    high = wp.vec2(-wp.inf)
+    bend = wp.vec2(0.0)
+    before = wp.vec2(0.0)
+    last = wp.vec2(0.0)
+    error = float(0.0)
+    behind_before = float(0.0)
+    for k in range(POINTS + 2):  # the first two once more, for differences all around
+        angle = float(k) * STEP
+        touching = middle + radius * (wp.cos(angle) * right + wp.sin(angle) * down)
+        offset = gaussian.axes * wp.cw_mul(gaussian.scale, touching)
+        found = seen_point(camera, field, gaussian.point + offset)
+        at = wp.vec2(found[0], found[1])
+        behind = wp.dot(gaussian.point + offset - time * camera.motion, backward)
+        if k > 0 and wp.min(behind, behind_before) > 0.0 and turns_far(last - camera.center, at - camera.center):
+            return everywhere()  # the outline runs around the image between the two
+        behind_before = behind
+        low = wp.min(low, at)
+        high = wp.max(high, at)
+        error = wp.max(error, found[2])
+        if k > 1:
+            second = at - 2.0 * last + before
+            bend = wp.max(bend, wp.vec2(wp.abs(second[0]), wp.abs(second[1])))
+        before = last
+        last = at
+    slack = SLACK * bend + wp.vec2(error + SLACK_PX)
+    bounds = ImageBounds()
+    bounds.low = low - slack
+    bounds.high = high + slack
+    return bounds
+
+
+@wp.func
+def nearest_eye(camera: CameraData, gaussian: WorldGaussian, eye: wp.vec3, time: float) -> float:
+    """How near the eye comes to a mean while the shutter is open, canonical space, if it is at ``eye`` at a time."""
+    motion = canonical(gaussian, camera.motion)
+    start = eye - time * motion
+    nearest = wp.clamp(-wp.dot(start, motion) / wp.max(wp.length_sq(motion), TINY), 0.0, 1.0)
+    return wp.length(start + nearest * motion)
+
+
+@wp.func
+def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
+    """Bounds of the pixels whose rays come within ``reach`` of a Gaussian; pixels are where their samples are."""
+    time = float(0.0)
+    if camera.shutter != 0:
+        time = row_time(camera, seen_point(camera, field, gaussian.point)[1])
+    point = gaussian.point - time * camera.motion
+    if reach * wp.max(gaussian.scale) <= SINE_MAX * wp.length(point):
+        return sigma_bounds(camera, field, gaussian, reach)
+    eye = -canonical(gaussian, point)
+    if not nearest_eye(camera, gaussian, eye, time) > reach:
+        return everywhere()  # it is inside
+    backward = turned(camera.world_from_camera * wp.vec3(0.0, 0.0, -1.0), camera.turn_axis, time * camera.turn_angle)
+    away = canonical(gaussian, backward)
+    across = wp.length(wp.cross(eye, away))
+    if wp.dot(eye, away) < 0.0 and across <= reach * wp.length(away):
+        return everywhere()  # it is all around the image
+    return outline_bounds(camera, field, gaussian, time, eye, backward, reach)
+
+
+@wp.func
+def pixel_box(camera: CameraData, bounds: ImageBounds) -> PixelBox:
+    """Pixels whose samples are within bounds; none if these are not numbers."""
+    box = PixelBox()
+    low = bounds.low - camera.offset
+    high = bounds.high - camera.offset
+    last_x = float(camera.width - 1)
+    last_y = float(camera.height - 1)
+    if low[0] <= last_x and low[1] <= last_y and high[0] >= 0.0 and high[1] >= 0.0:
+        box.x0 = int(wp.ceil(wp.max(low[0], 0.0)))
+        box.y0 = int(wp.ceil(wp.max(low[1], 0.0)))
+        box.x1 = int(wp.floor(wp.min(high[0], last_x))) + 1
+        box.y1 = int(wp.floor(wp.min(high[1], last_y))) + 1
+    return box

@@ -1,0 +1,130 @@
+"""Host pass: primary hits of any lens, Gaussians by tiles and along rays, meshes by rays (Wu et al. 2025, 3DGUT)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from lumisplat.config import RenderConfig
+from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
+from lumisplat.device.structs.raster import TileRect
+from lumisplat.device.structs.ray_splats import RayRasterData, RaySplat
+from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
+from lumisplat.renderer.raster.binning import Binning
+from lumisplat.renderer.raster.splat_raster import ProjectedSplats, SplatTiles
+from lumisplat.renderer.scene.camera_table import image_field
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace.mesh_trace import MeshTracer
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.unscented import ray_splat_kernels, ray_splat_pixel_kernels, ray_splat_tile_kernels
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype
+from lumisplat.scene.camera import Camera
+
+
+@dataclass(frozen=True, slots=True)
+class SplatsOnRays:
+    """What the rays of a frame's pixels have met."""
+
+    splats: ProjectedSplats
+    """Of ``RaySplat``."""
+    tiles: SplatTiles
+    rays: RayData
+    limits: DeviceArray
+    """Distances up to which they count."""
+    hits: GaussianHits
+    settings: DeviceArray
+    """A 1-element ``RayRasterData`` array."""
+
+
+class UnscentedRaster:
+    """Finds the hits of camera rays: those of Gaussians by the lists of tiles, those of meshes by rays.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings; they do not change.
+        binning: Sorts Gaussians and lists them per tile.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, binning: Binning) -> None:
+        self._launcher, self._buffers, self._config, self._binning = launcher, buffers, config, binning
+        self._meshes = MeshTracer(launcher, buffers)
+        self._table = settings_table(config)
+        self._settings = buffers.get("unscented.settings", RayRasterData, 1)
+        self.met: SplatsOnRays | None = None
+        """What the last frame's rays have met."""
+
+    def begin_frame(self, camera: Camera) -> None:
+        """Takes note of a frame's camera."""
+        self._table["field"] = image_field(camera)
+        assign_table(self._settings, self._table)
+
+    def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
+        """What the rays of the scene's current sample hit; they count once ``Binning.finish`` says that they are all.
+
+        Args:
+            scene: The scene on the device, at this sample.
+            rays: The rays of its pixels.
+        """
+        stage = self._launcher.stage
+        self._binning.begin()
+        with stage("mesh"):
+            meshes = self._meshes.find(scene, rays, "unscented.meshes")
+        with stage("project"):
+            splats = self._project(scene)
+        with stage("sort"):
+            order = self._binning.sort(splats.keys)
+        with stage("bin"):
+            tiles_x, tiles_y = scene.tile_grid
+            lists = self._binning.bin("raster", order, splats.rects, tiles_x, tiles_x * tiles_y)
+            tiles = SplatTiles(splats.data, lists.starts, lists.items)
+        with stage("composite"):
+            hits = self._composite(scene, tiles, rays, meshes.t)
+        self.met = SplatsOnRays(splats, tiles, rays, meshes.t, hits, self._settings)
+        return PrimaryHits(rays, meshes, hits)
+
+    def _project(self, scene: DeviceScene) -> ProjectedSplats:
+        count = scene.gaussian_count
+        splats = ProjectedSplats(
+            self._buffers.get("unscented.splats", RaySplat, count),
+            keys=self._buffers.get("unscented.keys", wp.uint32, count),
+            rects=self._buffers.get("unscented.rects", TileRect, count),
+        )
+        for asset in scene.assets:
+            self._launcher.run_banded(
+                ray_splat_kernels.project_gaussians,
+                asset.placed_count,
+                *(scene.camera, self._settings, scene.splat_instances, asset.instance_ids, asset.data),
+                *(splats.data, splats.keys, splats.rects),
+            )
+        return splats
+
+    def _composite(self, scene: DeviceScene, tiles: SplatTiles, rays: RayData, limits: DeviceArray) -> GaussianHits:
+        fields = MEAN_FIELDS if scene.mixes_sets else EXTRA_FIELDS
+        hits = self._buffers.struct("unscented.hits", GaussianHits, len(rays.t_max), fields)
+        lists = (tiles.splats, tiles.starts, tiles.items)
+        inputs = (scene.camera, self._settings, scene.splat_instances, *lists, rays, limits, hits)
+        by_pixel = self._launcher.is_parallel or scene.mixes_sets or "hits" in self._config.aovs
+        count, bands = math.prod(scene.tile_grid), TILE_BANDS_PER_THREAD * self._launcher.threads
+        if by_pixel:
+            kernel, count = ray_splat_pixel_kernels.composite_pixels, count * TILE_PX * TILE_PX
+        else:
+            kernel = ray_splat_tile_kernels.composite_tiles
+        self._launcher.run_banded(kernel, count, *inputs, bands=bands)
+        surfaces = (scene.camera, scene.splat_instances, scene.gaussians, rays, limits, hits)
+        self._launcher.run_banded(ray_splat_kernels.set_depth, math.prod(scene.image_size), *surfaces)
+        return hits
+
+
+def settings_table(config: RenderConfig) -> np.ndarray:
+    """The 1-element table that kernels read the rasteriser's settings from, but for the camera's field."""
+    row = table = np.zeros(1, dtype=table_dtype(RayRasterData))
+    for name in ("dilation", "sh_degree", "transmittance_min", "depth_iso_transmittance"):
+        row[name] = getattr(config.raster, name)
+    row["background"] = config.background or (0.0, 0.0, 0.0)
+    return table
