@@ -398,6 +398,7 @@ DEFAULTS: dict[str, Any] = {
     "adaptive": "auto" if CONFIG.adaptive is None else CONFIG.adaptive,
     "seed": CONFIG.seed,
     "max_bounces": "auto" if CONFIG.max_bounces is None else CONFIG.max_bounces,
+    "projection": CONFIG.raster.projection,
     "primary": CONFIG.path.primary,
     "quality": CONFIG.realtime.quality,
     "min_response": CONFIG.response.min_response,

@@ -218,6 +218,7 @@ CHOICES = [
     (ls.RenderConfig, "shadows", ls.Shadows),
     (ls.RenderConfig, "tone_map", ls.ToneMap),
     (ls.RasterConfig, "strategy", ls.RasterStrategy),
+    (ls.RasterConfig, "projection", ls.Projection),
     (ls.RasterConfig, "surface", ls.GaussianSurface),
     (ls.RasterConfig, "antialiasing", ls.Antialiasing),
     (ls.TraceConfig, "strategy", ls.TraceStrategy),

@@ -58,6 +58,7 @@ LAYERS = (
     "renderer.light",
     "renderer.film",
     "renderer.raster",
+    "renderer.unscented",
     "renderer.gradients",
     "renderer.gi",
     "renderer.realtime",

@@ -181,7 +181,7 @@ def test_still_shutters_do_not_move_at_all() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": FISHEYE}, "camera 'left' is fisheye, which Pipeline.RASTER cannot draw: use Pipeline.TRACE"),
+        ({"model": FISHEYE}, r"camera 'left' is fisheye, which Pipeline\.RASTER cannot draw: use Projection\.UNSCENTED or"),
         ({"model": ORTHOGRAPHIC, "name": ""}, "^camera is orthographic, which"),
         ({"aperture": 0.1}, "has an aperture of 0.1"),
         ({"camera_from_world_end": np.eye(4)}, "has a rolling shutter"),
@@ -195,6 +195,8 @@ def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, Any], message
         refuse_lens(replace(camera, **changes), ls.Pipeline.RASTER)
     with pytest.raises(ls.SceneError, match=r"which Pipeline\.REALTIME cannot draw: use Pipeline\.PATH"):
         refuse_lens(replace(camera, **changes), ls.Pipeline.REALTIME)
+    if changes.get("model") is FISHEYE or "camera_from_world_end" in changes:
+        refuse_lens(replace(camera, **changes), ls.Pipeline.RASTER, ls.Projection.UNSCENTED)
 
 
 def test_depth_z_of_a_drawn_frame() -> None:

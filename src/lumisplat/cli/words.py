@@ -24,6 +24,7 @@ OPTION_OF_CHOICE: dict[str, str] = {
     "Shadows": "--shadows",
     "ToneMap": "--tone-map",
     "RasterStrategy": "--raster-strategy",
+    "Projection": "--projection",
     "Antialiasing": "--antialiasing",
     "TraceStrategy": "--strategy",
     "HitDistance": "--hit-distance",

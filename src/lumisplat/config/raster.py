@@ -93,9 +93,6 @@ class RasterConfig:
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
         check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
         if self.projection is Projection.UNSCENTED:
-            for name, needed in (("strategy", RasterStrategy.SORTED), ("surface", GaussianSurface.ISO)):
-                if getattr(self, name) is not needed:
-                    raise ConfigError(
-                        f"{name} is {getattr(self, name).value!r}, which projection='unscented' does not have: "
-                        f"expected {needed.value!r}"
-                    )
+            for value, needed in ((self.strategy, RasterStrategy.SORTED), (self.surface, GaussianSurface.ISO)):
+                if value is not needed:
+                    raise ConfigError(f"{value} does not go with Projection.UNSCENTED, which has {needed} alone")

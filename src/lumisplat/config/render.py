@@ -185,7 +185,7 @@ class RenderConfig:
         if self.lighting is not None:
             check_flag("lighting", self.lighting)
         if self.raster.projection is Projection.UNSCENTED and self.pipeline is Pipeline.REALTIME:
-            raise ConfigError("raster.projection is 'unscented', which Pipeline.REALTIME does not have: use HYBRID")
+            raise ConfigError("Projection.UNSCENTED does not go with Pipeline.REALTIME: use Pipeline.HYBRID")
         take_enum(self, "shadows", Shadows)
         check_kind("shadow_rays", self.shadow_rays, ShadowConfig)
         take_enum(self, "tone_map", ToneMap)

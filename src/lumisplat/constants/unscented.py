@@ -31,8 +31,8 @@ SHUTTER_STEPS = 5
 """Steps in which the row that sees a point finds the time at which it is exposed. 3DGUT's number."""
 
 FIELD_MARGIN = 0.1
-"""Radians beyond the last ray of a pinhole's image up to which points are projected as they are. From there on they move
-outwards with their angle, where tangents would leave all bounds."""
+"""Radians beyond the last ray of a pinhole's image up to which points are projected as they are. From there on they
+move outwards with their angle, where tangents would leave all bounds."""
 
 FIELD_MAX = 1.56
 """Largest angle of that kind, radians."""

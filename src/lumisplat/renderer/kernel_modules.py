@@ -38,9 +38,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     modules += _kernels("trees.box_tree_kernels") if has_boxes else []
     if plan.has_unshadowed:
         modules += _kernels("light.unshadowed_light_kernels")
-    if plan.is_unscented:
-        modules += unscented_modules(plan, launcher)
-    elif plan.rasterises:
+    if plan.rasterises:
         modules += raster_modules(plan, launcher, config)
     if plan.max_bounces and (plan.has_history or not plan.traces_paths):
         modules += _kernels("trace.specular_wave_kernels")
@@ -48,7 +46,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.is_sampled:
         modules += _kernels("trace.camera_ray_kernels", "film.film_kernels")
         modules += _kernels("film.adaptive_kernels") if plan.adapts else []
-    if plan.traces_rays or (plan.is_unscented and plan.has_meshes):
+    if plan.traces_rays:
         modules += _kernels("trace.mesh_trace_kernels")
     if launcher.is_cuda:
         modules += picture_modules(plan)
@@ -69,6 +67,8 @@ def realtime_modules() -> list[KernelModule]:
 
 def raster_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
     """The kernel modules of rasterised primary hits."""
+    if plan.is_unscented:
+        return unscented_modules(plan, launcher)
     is_sorted = config.raster.strategy is RasterStrategy.SORTED
     blended = ("splat_block" if is_sorted else "splat_pixel") if launcher.is_parallel else "splat_tile"
     names = [blended, "splat_raster", "binning"]
@@ -87,7 +87,8 @@ def unscented_modules(plan: FramePlan, launcher: Launcher) -> list[KernelModule]
     """The kernel modules of primary hits that are rasterised along rays."""
     by_pixel = launcher.is_parallel or plan.mixes_sets or "hits" in plan.aovs
     names = ["ray_splat", "ray_splat_pixel" if by_pixel else "ray_splat_tile"]
-    return _kernels(*(f"unscented.{name}_kernels" for name in names), "raster.binning_kernels")
+    meshes = ("trace.mesh_trace_kernels",) if plan.has_meshes else ()
+    return _kernels(*(f"unscented.{name}_kernels" for name in names), "raster.binning_kernels", *meshes)
 
 
 def gradient_modules(launcher: Launcher) -> list[KernelModule]:

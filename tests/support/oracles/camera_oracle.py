@@ -49,7 +49,7 @@ def camera_rays(
     )
 
 
-def world_from_row(camera: Camera, row: int) -> np.ndarray:
+def world_from_row(camera: Camera, row: float) -> np.ndarray:
     """Pose at which a row is exposed: slerp as the power of the turn between the two rotations."""
     first = np.linalg.inv(camera.camera_from_world)
     last = first if camera.camera_from_world_end is None else np.linalg.inv(camera.camera_from_world_end)

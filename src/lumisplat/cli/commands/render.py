@@ -25,7 +25,7 @@ from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
 
-_OF_RASTER = ("raster_strategy",)
+_OF_RASTER = ("raster_strategy", "projection")
 _OF_REALTIME = ("frames",)
 
 
@@ -66,6 +66,9 @@ class Render(FrameCommand):
     raster_strategy: Annotated[Literal["sorted", "stochastic"] | None, setting("{sorted,stochastic}", "sorted")] = None
     """How the rasteriser resolves splats. sorted: front to back, without noise. stochastic: a random one of them,
     nothing is sorted; --samples average the noise."""
+    projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
+    """How the rasteriser sees Gaussians. ewa: as ellipses, by a pinhole. unscented: along the ray of each pixel, also
+    through distorting lenses, fisheyes and rolling shutters."""
     antialiasing: Annotated[Literal["auto", "on", "off"] | None, setting("{auto,on,off}", "auto")] = None
     """Whether splats are those of Mip-Splatting, which dilation does not widen; auto: as each capture says."""
     sh_degree: Annotated[int | None, setting("0..3", "3")] = None
@@ -142,6 +145,7 @@ class Render(FrameCommand):
         end = without_none({"transmittance_min": self.transmittance_min})
         shared = without_none({"sh_degree": self.sh_degree, "depth_iso_transmittance": self.depth_iso}) | end
         strategy = without_none({"strategy": self.raster_strategy and ls.RasterStrategy(self.raster_strategy)})
+        strategy |= without_none({"projection": self.projection and ls.Projection(self.projection)})
         shared |= without_none({"antialiasing": self.antialiasing and ls.Antialiasing(self.antialiasing)})
         return {"raster": strategy | shared, "trace": shared, "shadow_rays": end}
 

@@ -74,7 +74,8 @@ def not_used(config: ls.RenderConfig, options: list[str], others: str) -> str:
 def _used_by_raster(config: ls.RenderConfig, *, lit: bool, shadowed: bool) -> list[str]:
     """Fields of `RayOptions` that a rasterised frame uses: those of samples, and those of shadow rays."""
     used: list[str] = []
-    if lit or config.raster.strategy is ls.RasterStrategy.STOCHASTIC:
+    raster = config.raster
+    if lit or raster.strategy is ls.RasterStrategy.STOCHASTIC or raster.projection is ls.Projection.UNSCENTED:
         used += _OF_SAMPLES
     if shadowed:
         used += _OF_SHADOW_RAYS

@@ -18,13 +18,12 @@ from lumisplat.device.camera.camera import turned
 from lumisplat.device.camera.lens import row_time, seen_point
 from lumisplat.device.gaussian.sigma_points import projected_moments
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.ray_splats import ImageBounds, PixelBox, WorldGaussian
+from lumisplat.device.structs.raster import ImageBounds, PixelBox, WorldGaussian
 
 wp.set_module_options({"enable_backward": False})
 
 POINTS = wp.constant(OUTLINE_POINTS)
 HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
-TINY = wp.constant(wp.float32(1.0e-30))
 STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
 SLACK = wp.constant(wp.float32(OUTLINE_SLACK))
 SINE_MAX = wp.constant(wp.float32(UNSCENTED_SINE_MAX))
@@ -83,7 +82,7 @@ def outline_bounds(
     backward: wp.vec3,
     reach: float,
 ) -> ImageBounds:
-    """Of points on the outline of the ellipsoid at which a Gaussian ends: in canonical space, where rays touch a sphere.
+    """Of points on the outline of the ellipsoid at which a Gaussian ends: where rays touch a sphere, canonically.
 
     Args:
         camera: The camera.
@@ -132,15 +131,6 @@ def outline_bounds(
 
 
 @wp.func
-def nearest_eye(camera: CameraData, gaussian: WorldGaussian, eye: wp.vec3, time: float) -> float:
-    """How near the eye comes to a mean while the shutter is open, canonical space, if it is at ``eye`` at a time."""
-    motion = canonical(gaussian, camera.motion)
-    start = eye - time * motion
-    nearest = wp.clamp(-wp.dot(start, motion) / wp.max(wp.length_sq(motion), TINY), 0.0, 1.0)
-    return wp.length(start + nearest * motion)
-
-
-@wp.func
 def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
     """Bounds of the pixels whose rays come within ``reach`` of a Gaussian; pixels are where their samples are."""
     time = float(0.0)
@@ -150,8 +140,8 @@ def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, r
     if reach * wp.max(gaussian.scale) <= SINE_MAX * wp.length(point):
         return sigma_bounds(camera, field, gaussian, reach)
     eye = -canonical(gaussian, point)
-    if not nearest_eye(camera, gaussian, eye, time) > reach:
-        return everywhere()  # it is inside
+    if not wp.length(eye) - 2.0 * wp.length(canonical(gaussian, camera.motion)) > reach:
+        return everywhere()  # it is inside, or so near that while it moves the outline is another one
     backward = turned(camera.world_from_camera * wp.vec3(0.0, 0.0, -1.0), camera.turn_axis, time * camera.turn_angle)
     away = canonical(gaussian, backward)
     across = wp.length(wp.cross(eye, away))

@@ -5,15 +5,14 @@ The equations are in docs/method/unscented.md.
 
 import warp as wp
 
-from lumisplat.device.camera.camera import FISHEYE, turned
+from lumisplat.device.camera.camera import FISHEYE
 from lumisplat.device.camera.lens import row_time, seen_point, view_at
 from lumisplat.device.camera.tiles import TILE
 from lumisplat.device.gaussian.image_bounds import canonical, gaussian_bounds, pixel_box
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, OPACITY_MIN, gaussian_normal, towards
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import TileRect
-from lumisplat.device.structs.ray_splats import PixelBox, RayRasterData, RaySplat, WorldGaussian
+from lumisplat.device.structs.raster import PixelBox, RayRasterData, RaySplat, TileRect, WorldGaussian
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})

@@ -1,4 +1,4 @@
-"""The unscented transform: moments of a projected Gaussian by seven points of it (Julier and Uhlmann 1997, Wu et al. 2025).
+"""The unscented transform: moments of a projected Gaussian by seven points of it (Julier and Uhlmann 1997).
 
 The equations are in docs/method/unscented.md#sigma-points.
 """
@@ -10,7 +10,7 @@ import warp as wp
 from lumisplat.constants.unscented import UNSCENTED_ALPHA, UNSCENTED_BETA, UNSCENTED_KAPPA
 from lumisplat.device.camera.lens import seen_point
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.ray_splats import ImageMoments, WorldGaussian
+from lumisplat.device.structs.raster import ImageMoments, WorldGaussian
 
 wp.set_module_options({"enable_backward": False})
 

@@ -41,7 +41,7 @@ def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Pro
     """
     problem, remedy = None, ""
     if pipeline is not Pipeline.REALTIME:
-        remedy = "RasterConfig(projection='unscented') or "
+        remedy = "Projection.UNSCENTED or "
     if camera.model is CameraModel.ORTHOGRAPHIC or camera.aperture > 0.0:
         sharp = f"is {camera.model.value}" if camera.aperture == 0.0 else f"has an aperture of {camera.aperture:g}"
         problem, remedy = sharp, ""

@@ -11,8 +11,7 @@ from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.ray_splat import is_finite, ray_splat, tiles_of
 from lumisplat.device.gaussian.surface_depth import surface_peak
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import TileRect
-from lumisplat.device.structs.ray_splats import RayRasterData, RaySplat
+from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 

@@ -12,7 +12,7 @@ from lumisplat.device.camera.tiles import STRIP, TILE, TileFloats, TileInts, til
 from lumisplat.device.gaussian.ray_splat import eye_of_row
 from lumisplat.device.gaussian.splat_coverage import visible_alpha
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.ray_splats import RayRasterData, RaySplat
+from lumisplat.device.structs.raster import RayRasterData, RaySplat
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.device.structs.scene import SplatInstanceData
 

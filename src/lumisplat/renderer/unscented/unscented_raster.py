@@ -10,8 +10,7 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
-from lumisplat.device.structs.raster import TileRect
-from lumisplat.device.structs.ray_splats import RayRasterData, RaySplat
+from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.splat_raster import ProjectedSplats, SplatTiles
@@ -34,7 +33,7 @@ class SplatsOnRays:
     """Of ``RaySplat``."""
     tiles: SplatTiles
     rays: RayData
-    limits: DeviceArray
+    limits: wp.array[float]
     """Distances up to which they count."""
     hits: GaussianHits
     settings: DeviceArray
@@ -104,7 +103,7 @@ class UnscentedRaster:
             )
         return splats
 
-    def _composite(self, scene: DeviceScene, tiles: SplatTiles, rays: RayData, limits: DeviceArray) -> GaussianHits:
+    def _composite(self, scene: DeviceScene, tiles: SplatTiles, rays: RayData, limits: wp.array[float]) -> GaussianHits:
         fields = MEAN_FIELDS if scene.mixes_sets else EXTRA_FIELDS
         hits = self._buffers.struct("unscented.hits", GaussianHits, len(rays.t_max), fields)
         lists = (tiles.splats, tiles.starts, tiles.items)

@@ -1,0 +1,215 @@
+"""Frames that are rasterised along rays, against the tracer, the float64 twin, and what linear projections make."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.runtime.launcher import Launcher
+from support.compare.ways import WAYS, renderer_of
+from support.oracles.unscented_oracle import Parameters, Twin
+from support.scenes.lenses import LENSES, large, layers, lens
+from support.scenes.raster_scenes import checker_quad, random_gaussians
+
+NAMES = list(LENSES)
+
+
+def unscented(**changes: object) -> ls.RenderConfig:
+    """Settings of such frames; ``changes`` are of ``RasterConfig``."""
+    return ls.RenderConfig(raster=replace(ls.RasterConfig(projection=ls.Projection.UNSCENTED), **changes))
+
+
+def traced(dilation: float = 0.3) -> ls.RenderConfig:
+    """Settings of the frames of rays that they are compared with."""
+    trace = ls.TraceConfig(dilation=dilation, hit_distance=ls.HitDistance.MEAN)
+    return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_the_tracers_frame(name: str) -> None:
+    """Where no two Gaussians are in another order: colour, alpha, depth, normal and index, through every lens."""
+    camera = LENSES[name]
+    scene = ls.Scene([layers(camera)])
+    frame = ls.render(scene, camera, unscented(dilation=0.0), device="cpu")
+    expected = ls.render(scene, camera, traced(0.0), device="cpu")
+    assert expected.alpha.mean() > 0.02
+    # A rolling shutter: a Gaussian has one colour and one normal a frame, a ray of the tracer those of its own eye.
+    slack = 4e-3 if camera.camera_from_world_end is not None else 0.0
+    np.testing.assert_allclose(frame.alpha, expected.alpha, atol=1.5e-4)  # the tracer blends one more at the end
+    np.testing.assert_allclose(frame.color, expected.color, atol=2e-4 + slack)
+    same = frame.gaussian_index == expected.gaussian_index
+    assert same.mean() > 0.999
+    both = same & np.isfinite(expected.depth)
+    np.testing.assert_allclose(frame.depth[both], expected.depth[both], rtol=2e-4)
+    cosine = (frame.normal * expected.normal).sum(axis=-1)[frame.alpha > 0.1]
+    assert np.quantile(cosine, 0.01) > 0.999 - slack
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_the_tracers_frame_with_footprints(name: str) -> None:
+    """Of Gaussians as small as a pixel, which these widen most: ours are taken at means, the tracer's at each ray."""
+    camera = LENSES[name]
+    camera = camera.scaled(4 * camera.width)
+    gaussians = layers(camera)
+    scene = ls.Scene([replace(gaussians, scales=0.1 * gaussians.scales)])
+    frame = ls.render(scene, camera, unscented(), device="cpu")
+    expected = ls.render(scene, camera, traced(), device="cpu")
+    sharp = ls.render(scene, camera, traced(0.0), device="cpu")
+    error = np.abs(frame.alpha - expected.alpha)
+    assert error.max() < 1.1 / 255.0 and (error > 2e-3).mean() < 1e-3  # outlines are elsewhere
+    assert np.abs(sharp.alpha - expected.alpha).max() > 0.3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_the_twins_frame(name: str) -> None:
+    """In double precision and without tiles; thresholds of alpha may be crossed by rounding, in few pixels."""
+    camera, gaussians = LENSES[name], random_gaussians(3, count=40, degree=2, center=(0.0, 0.0, 2.0))
+    config = replace(unscented(), background=(0.2, 0.4, 0.6))
+    frame = ls.render(ls.Scene([gaussians]), camera, config, device="cpu")
+    p = Parameters.of(gaussians, (0.2, 0.4, 0.6))
+    color, transmittance = Twin(camera).sums(p)
+    error = np.abs(frame.color - (color + transmittance[..., None] * p.background)).max(axis=-1)
+    assert np.abs(frame.alpha - (1.0 - transmittance)).max() < 1.1 / 255.0
+    assert error.max() < 1.5 / 255.0 and (error > 2e-5).mean() < 5e-3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tiles_cut_nothing_of_large_gaussians(name: str) -> None:
+    """However large, near the edge of what the lens sees, behind it or around the eye: alpha is that of no tiles."""
+    camera = LENSES[name]
+    renderer = ls.create_renderer(unscented(transmittance_min=0.0, dilation=0.0), "cpu")
+    twin = Twin(camera, dilation=0.0, transmittance_min=0.0)
+    seen = 0
+    for seed in range(30):
+        gaussians = large(seed)
+        _, transmittance = twin.sums(Parameters.of(gaussians))
+        frame = renderer.render(ls.Scene([gaussians]), camera)
+        # Half of what one pixel loses where an alpha of 1/255 is cut off; rounding may do so at an outline.
+        difference = np.abs(frame.alpha - (1.0 - transmittance)) > 0.5 / 255.0 * transmittance
+        assert difference.sum() <= 1, (seed, np.argwhere(difference))
+        seen += np.count_nonzero(transmittance < 0.9)
+    assert seen > 1000
+
+
+def test_small_gaussians_are_the_ellipses_of_ewa() -> None:
+    """They differ by what the linear projection leaves out: half as much for half the angle."""
+    errors = []
+    for factor in (1.0, 2.0, 4.0):
+        camera = lens(60.0)
+        gaussians = random_gaussians(7, count=30, scale_range=(0.02, 0.08), extent=(0.8, 0.6, 0.4))
+        camera = replace(camera, fx=factor * camera.fx, fy=factor * camera.fy, camera_from_world=np.eye(4))
+        far = replace(gaussians, means=(gaussians.means - (0.0, 0.0, 4.0)) + (0.0, 0.0, 4.0 * factor))
+        ewa = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
+        frames = [ls.render(ls.Scene([far]), camera, config, device="cpu") for config in (ewa, unscented(dilation=0.0))]
+        errors.append(np.abs(frames[0].alpha - frames[1].alpha).mean() / frames[0].alpha.mean())
+    assert errors[0] < 0.02
+    assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1], errors
+
+
+def test_a_footprint_is_the_dilation_on_the_axis() -> None:
+    """A point of a Gaussian has the profile of its dilated splat."""
+    camera = replace(lens(60.0), camera_from_world=np.eye(4), cx=32.0, cy=24.0, fy=60.0)
+    point = ls.Gaussians([(0.0, 0.0, 4.0)], [(1.0, 0.0, 0.0, 0.0)], [(1e-4,) * 3], [0.9], np.zeros((1, 1, 3)))
+    ewa, rays = (
+        ls.render(ls.Scene([point]), camera, config, device="cpu") for config in (ls.RenderConfig(), unscented())
+    )
+    np.testing.assert_allclose(rays.alpha, ewa.alpha, atol=3e-4)
+    assert ewa.alpha.max() > 0.3
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
+def test_all_schedules_agree(way: str, name: str) -> None:
+    """Tiles on CPUs, pixels on CUDA, graphs."""
+    camera, scene = LENSES[name], ls.Scene([random_gaussians(11, count=120, degree=1, center=(0.0, 0.0, 2.5))])
+    frame = renderer_of(way, unscented()).render(scene, camera)
+    expected = ls.render(scene, camera, unscented(), device="cpu")
+    np.testing.assert_allclose(frame.color, expected.color, atol=1e-5)
+    assert (frame.gaussian_index == expected.gaussian_index).mean() > 0.999
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    """Bands write what is theirs."""
+    camera, scene = LENSES["rolling fisheye"], ls.Scene([random_gaussians(12, count=300, center=(0.0, 0.0, 2.5))])
+    one, two, five = (ls.Renderer(unscented(), Launcher("cpu", threads)).render(scene, camera) for threads in (1, 2, 5))
+    for other in (two, five):
+        np.testing.assert_array_equal(one.color, other.color)
+        np.testing.assert_array_equal(one.depth, other.depth)
+
+
+def test_samples_are_those_of_their_rays() -> None:
+    """Where several antialias a frame, all of them are the tracer's."""
+    camera, gaussians = LENSES["fisheye"], layers(LENSES["fisheye"])
+    scene, samples = ls.Scene([gaussians]), 4
+    frame = ls.render(scene, camera, replace(unscented(dilation=0.0), samples=samples), device="cpu")
+    expected = ls.render(scene, camera, replace(traced(0.0), samples=samples), device="cpu")
+    np.testing.assert_allclose(frame.color, expected.color, atol=2e-4)
+
+
+def test_meshes_are_seen_through_the_same_lens() -> None:
+    """A textured wall between Gaussians, lit: as traced, with what the lens bends, and in front of it as behind."""
+    camera = LENSES["fisheye of 220 degrees"]
+    gaussians = layers(camera)
+    scene = ls.Scene([gaussians], [checker_quad(2.5)], [ls.LightPoint((0.5, -1.0, 0.0), (1.0, 1.0, 1.0), 30.0)])
+    frames = [ls.render(scene, camera, config, device="cpu") for config in (unscented(dilation=0.0), traced(0.0))]
+    assert (frames[1].instance_index == 1).mean() > 0.05
+    np.testing.assert_allclose(frames[0].color, frames[1].color, atol=3e-4)
+
+
+def test_relit_sets_among_captured_ones_are_lit_as_by_the_tracer() -> None:
+    """What they show is added up apart."""
+    camera = LENSES["phone"]
+    gaussians = layers(camera, count=24)
+    halves = [gaussians.subset(np.arange(k, 24, 2)) for k in (0, 1)]
+    relit = ls.SplatInstance(halves[1], material=ls.MaterialPbr(roughness=0.6))
+    scene = ls.Scene([ls.SplatInstance(halves[0]), relit], [], [ls.LightPoint((0.5, -1.0, 0.0), (1.0, 1.0, 1.0), 9.0)])
+    frames = [
+        ls.render(scene, camera, replace(config, pipeline=pipeline), device="cpu")
+        for config, pipeline in ((unscented(dilation=0.0), "hybrid"), (traced(0.0), "trace"))
+    ]
+    np.testing.assert_allclose(frames[0].color, frames[1].color, atol=2e-3)
+
+
+def test_hits_are_counted() -> None:
+    """As many as the tracer has blended."""
+    camera = LENSES["fisheye"]
+    scene = ls.Scene([layers(camera)])
+    frames = [
+        ls.render(scene, camera, replace(config, aovs=("hits",)), device="cpu")
+        for config in (unscented(dilation=0.0), traced(0.0))
+    ]
+    assert frames[0].hits is not None and frames[1].hits is not None
+    assert (frames[0].hits == frames[1].hits).mean() > 0.99 and frames[0].hits.max() > 2
+
+
+def test_what_it_cannot_draw_is_refused() -> None:
+    """In a line that says what can."""
+    scene = ls.Scene([random_gaussians(1, count=3)])
+    orthographic = lens(8.0, model=ls.CameraModel.ORTHOGRAPHIC)
+    with pytest.raises(ls.SceneError, match=r"^camera is orthographic, .* use Pipeline\.TRACE$"):
+        ls.render(scene, orthographic, unscented(), device="cpu")
+    with pytest.raises(ls.SceneError, match=r"^camera has an aperture of 0\.1, .* use Pipeline\.TRACE$"):
+        ls.render(scene, lens(40.0, aperture=0.1), unscented(), device="cpu")
+    for change in ({"strategy": ls.RasterStrategy.STOCHASTIC}, {"surface": ls.GaussianSurface.MEAN}):
+        with pytest.raises(ls.ConfigError, match=r"^\w+\.(STOCHASTIC|MEAN) does not go with Projection\.UNSCENTED"):
+            unscented(**change)
+    with pytest.raises(ls.ConfigError, match=r"^Projection\.UNSCENTED does not go with Pipeline\.REALTIME"):
+        replace(unscented(), pipeline=ls.Pipeline.REALTIME)
+
+
+def test_who_can_is_named_where_ewa_cannot() -> None:
+    """The message for a fisheye names this projection."""
+    with pytest.raises(ls.SceneError, match=r"use Projection\.UNSCENTED or Pipeline\.TRACE$"):
+        ls.render(ls.Scene([random_gaussians(1, count=3)]), LENSES["fisheye"], device="cpu")
+
+
+def test_gaussians_that_are_not_finite_are_dropped_and_counted() -> None:
+    """One that overflows hides nothing of the others."""
+    gaussians = random_gaussians(2, count=5)
+    means = gaussians.means.copy()
+    means[1] = 3e38
+    frame = ls.render(ls.Scene([replace(gaussians, means=means)]), lens(45.0), unscented(), device="cpu")
+    assert np.isfinite(frame.color).all() and frame.alpha.max() > 0.0

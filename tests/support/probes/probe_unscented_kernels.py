@@ -1,0 +1,34 @@
+"""Kernels that ask for the moments of projected Gaussians, for tests."""
+
+import warp as wp
+
+from lumisplat.device.camera.lens import seen_point
+from lumisplat.device.gaussian.sigma_points import projected_moments
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.raster import ImageMoments, WorldGaussian
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def probe_moments(
+    field: float,
+    camera: wp.array(dtype=CameraData),
+    gaussians: wp.array(dtype=WorldGaussian),
+    moments_out: wp.array(dtype=ImageMoments),
+):
+    """Of Gaussians."""
+    i = wp.tid()
+    moments_out[i] = projected_moments(camera[0], field, gaussians[i])
+
+
+@wp.kernel
+def probe_points(
+    field: float,
+    camera: wp.array(dtype=CameraData),
+    points: wp.array(dtype=wp.vec3),
+    pixels_out: wp.array(dtype=wp.vec3),
+):
+    """Where the image has points."""
+    i = wp.tid()
+    pixels_out[i] = seen_point(camera[0], field, points[i])

@@ -1,0 +1,78 @@
+"""Cameras that no pinhole is, and Gaussians before them, for tests of frames that are rasterised along rays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import lumisplat as ls
+
+SIZE = 64, 48
+
+
+def pose(eye: tuple[float, float, float] = (0.2, -0.1, -0.3), turn: float = 0.0) -> np.ndarray:
+    """Looks along +z, a little aside and rolled, so that nothing is symmetric."""
+    target = (eye[0] + 0.1 + turn, eye[1] - 0.05, eye[2] + 1.0)
+    return np.array(ls.Camera.look_at(eye, target, (0.2 + turn, -1.0, 0.0)).camera_from_world)
+
+
+def lens(focal: float, size: tuple[int, int] = SIZE, **changes: object) -> ls.Camera:
+    """A pinhole, its principal point aside; ``changes`` replace its fields."""
+    width, height = size
+    place = {"cx": 0.5 * width + 1.5, "cy": 0.5 * height - 2.0, "camera_from_world": pose()}
+    return replace(ls.Camera(width=width, height=height, fx=focal, fy=1.05 * focal, **place), **changes)
+
+
+def rolling(camera: ls.Camera) -> ls.Camera:
+    """The same with a rolling shutter: it moves by some pixels of what is 3 away, and turns by a degree."""
+    return replace(camera, camera_from_world_end=pose((0.27, -0.04, -0.33), turn=0.02))
+
+
+FISHEYE = ls.CameraModel.FISHEYE
+WIDE = (-0.02, 0.003, -0.0005, 0.0, 0.002, 0.001)
+"""A fisheye's distortion, up to 220 degrees across and more."""
+
+LENSES = {
+    "pinhole": lens(45.0),
+    "phone": lens(50.0, distortion=(0.0578, -0.0805, 0.0, 0.0, -0.00098, 0.00016)),
+    "barrel": lens(28.0, distortion=(-0.25, 0.04, 0.0, 0.0, 0.01, -0.01)),
+    "fold": lens(25.0, distortion=(-0.2, 0.0, 0.0, 0.0, 0.0, 0.0)),
+    "fisheye": lens(20.0, model=FISHEYE),
+    "fisheye of 220 degrees": lens(16.0, model=FISHEYE, distortion=WIDE),
+    "fisheye of a whole sphere": lens(11.0, model=FISHEYE),
+    "rolling shutter": rolling(lens(45.0)),
+    "rolling fisheye": rolling(lens(18.0, model=FISHEYE, distortion=WIDE)),
+}
+
+
+def layers(camera: ls.Camera, seed: int = 5, count: int = 44) -> ls.Gaussians:
+    """Gaussians behind each other, each so much farther than the one before that every order is the same."""
+    rng = np.random.default_rng(seed)
+    is_round = camera.model is FISHEYE
+    distances = 1.2 ** np.arange(count)
+    angles = rng.uniform(0.0, 1.9 if is_round else 0.55, count)
+    turns = rng.uniform(0.0, 2.0 * np.pi, count)
+    ways = np.stack([np.sin(angles) * np.cos(turns), np.sin(angles) * np.sin(turns), np.cos(angles)], axis=-1)
+    if not is_round:
+        ways /= ways[:, 2:]
+    world = camera.world_from_camera
+    return ls.Gaussians(
+        means=(distances[:, None] * ways) @ world[:3, :3].T + world[:3, 3],
+        rotations_wxyz=rng.normal(size=(count, 4)),
+        scales=(2.5 if is_round else 1.0) * distances[:, None] * np.exp(rng.uniform(-4.2, -3.0, (count, 3))),
+        opacities=rng.uniform(0.2, 1.0, count),
+        sh=rng.normal(size=(count, 4, 3)) * (0.3, 0.4, 0.5),
+    )
+
+
+def large(seed: int, count: int = 4) -> ls.Gaussians:
+    """Gaussians of all sizes all around the origin, many of them as large as the view; some hold the eye."""
+    rng = np.random.default_rng(seed)
+    return ls.Gaussians(
+        means=rng.normal(size=(count, 3)) * rng.choice([0.5, 2.0, 5.0], (count, 1)),
+        rotations_wxyz=rng.normal(size=(count, 4)),
+        scales=np.exp(rng.uniform(-5.0, 0.7, (count, 1)) + rng.uniform(-2.0, 0.5, (count, 3))),
+        opacities=rng.uniform(0.05, 0.7, count),
+        sh=np.zeros((count, 1, 3)),
+    )
