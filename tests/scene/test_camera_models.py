@@ -181,7 +181,10 @@ def test_still_shutters_do_not_move_at_all() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": FISHEYE}, r"camera 'left' is fisheye, which Pipeline\.RASTER cannot draw: use Projection\.UNSCENTED or"),
+        (
+            {"model": FISHEYE},
+            r"camera 'left' is fisheye, which Pipeline\.RASTER cannot draw: use Projection\.UNSCENTED or",
+        ),
         ({"model": ORTHOGRAPHIC, "name": ""}, "^camera is orthographic, which"),
         ({"aperture": 0.1}, "has an aperture of 0.1"),
         ({"camera_from_world_end": np.eye(4)}, "has a rolling shutter"),

@@ -1,0 +1,56 @@
+"""``render --projection``: lenses that only rays can show."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.scenes.raster_scenes import random_gaussians
+
+FISHEYE = {
+    "camera_model": "OPENCV_FISHEYE",
+    **{"w": 40, "h": 30, "fl_x": 20.0, "fl_y": 20.0, "cx": 20.0, "cy": 15.0, "k1": -0.01},
+    "frames": [{"file_path": "one.png", "transform_matrix": np.diag([1.0, -1.0, -1.0, 1.0]).tolist()}],
+}
+
+
+@pytest.fixture
+def work(tmp_path, capsys) -> Workplace:
+    """A folder to run commands in."""
+    return Workplace(tmp_path, capsys)
+
+
+def test_fisheyes_are_rasterised_along_rays(work):
+    """The picture is that of the library; without the option, the line names it."""
+    ls.save(work.folder / "a.ply", random_gaussians(3, count=30))
+    (work.folder / "fisheye.json").write_text(json.dumps(FISHEYE))
+    shown = ("render", "@a.ply", "--cameras", "@fisheye.json", "-o", "@a.npz", "--device", "cpu")
+    refused = work.run(*shown)
+    assert refused.status == 2
+    assert (
+        "is fisheye, which --pipeline raster cannot draw: use --projection unscented or --pipeline trace" in refused.err
+    )
+    assert work.run(*shown, "--projection", "unscented").status == 0
+    (camera,) = ls.load_cameras(work.folder / "fisheye.json")
+    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+    frame = ls.render(ls.Scene([ls.load(work.folder / "a.ply")]), camera, config, device="cpu")
+    with np.load(work.folder / "a.npz") as file:
+        np.testing.assert_array_equal(file["color"], frame.color)
+    assert frame.alpha.max() > 0.3
+
+
+def test_the_option_is_of_the_rasteriser(work, caplog):
+    """Rays say that they do not use it; what it does not go with is told in words of the shell."""
+    ls.save(work.folder / "a.ply", random_gaussians(3, count=3))
+    small = ("--width", "8", "--height", "6", "--device", "cpu")
+    work.run("render", "@a.ply", "-o", "@a.png", *small, "--pipeline", "trace", "--projection", "unscented")
+    assert "not used by --pipeline trace: --projection" in caplog.text
+    refused = work.run(
+        "render", "@a.ply", "-o", "@a.png", "--raster-strategy", "stochastic", "--projection", "unscented"
+    )
+    assert refused.status == 2
+    assert "--raster-strategy stochastic does not go with --projection unscented" in refused.err
