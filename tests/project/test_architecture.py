@@ -25,6 +25,7 @@ LAYERS = (
     "device.bvh",
     "device.camera",
     "device.gaussian",
+    "device.unscented",
     "device.mesh",
     "device.shadow_map",
     "device.material",

@@ -9,12 +9,12 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.camera.tiles import STRIP, TILE, TileFloats, TileInts, tile_corner
-from lumisplat.device.gaussian.ray_splat import eye_of_row
 from lumisplat.device.gaussian.splat_coverage import visible_alpha
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RayRasterData, RaySplat
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.device.structs.scene import SplatInstanceData
+from lumisplat.device.unscented.ray_splat import eye_of_row
 
 # Options as those of ``splat_tile_kernels``, for the same reasons.
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": FUSED_FLAGS})

@@ -16,9 +16,9 @@ from lumisplat.constants.unscented import (
 )
 from lumisplat.device.camera.camera import turned
 from lumisplat.device.camera.lens import row_time, seen_point
-from lumisplat.device.gaussian.sigma_points import projected_moments
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import ImageBounds, PixelBox, WorldGaussian
+from lumisplat.device.unscented.sigma_points import projected_moments
 
 wp.set_module_options({"enable_backward": False})
 
