@@ -10,6 +10,7 @@ import pytest
 from lumisplat.config import Densification, TrainConfig
 from lumisplat.training.densify import Record, densified, grown, multiplied, pruned, relocated, reset, shared
 from lumisplat.training.learnt import NAMES, Learnt
+from support.oracles.particle_oracle import response
 
 CONFIG = TrainConfig(densification=Densification.ADAPTIVE, cap=100)
 
@@ -36,17 +37,18 @@ def learnt(opacities: list[float], scales: list[float] | None = None) -> Learnt:
 
 @pytest.mark.parametrize("count", [2, 3, 10, 51])
 @pytest.mark.parametrize("opacity", [0.01, 0.3, 0.9])
-def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float) -> None:
+@pytest.mark.parametrize("degree", [2, 0, 1, 5])
+def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float, degree: int) -> None:
     """At its centre exactly; and as much in all along a line through it, which fixes the scale (equation 9)."""
-    each, factor = shared(np.array([opacity]), np.array([count]))
+    each, factor = shared(np.array([opacity]), np.array([count]), degree)
     assert each[0] >= 0.005, "none is dead"
     if 1.0 - (1.0 - opacity) ** (1.0 / count) < 0.005:
         assert each[0] == 0.005
     if each[0] > 0.005:
         assert 1.0 - (1.0 - each[0]) ** count == pytest.approx(opacity)
-    x = np.linspace(-12.0, 12.0, 200_001)
-    many = 1.0 - (1.0 - each[0] * np.exp(-0.5 * (x / factor[0]) ** 2)) ** count
-    one = opacity * np.exp(-0.5 * x**2)
+    x = np.linspace(-60.0, 60.0, 1_000_001)
+    many = 1.0 - (1.0 - each[0] * response(np.abs(x / factor[0]), degree)) ** count
+    one = opacity * response(np.abs(x), degree)
     if each[0] > 0.005:
         assert many.sum() == pytest.approx(one.sum(), rel=1e-5)
 
@@ -54,7 +56,7 @@ def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float) -
 def test_dead_gaussians_take_the_places_of_others() -> None:
     """Their number stays; who was copied, and who copied, has not moved yet; all others are untouched."""
     before, after = learnt([0.9, 0.001, 0.5, 0.002]), learnt([0.9, 0.001, 0.5, 0.002])
-    after = relocated(after, np.random.default_rng(0))
+    after = relocated(after, TrainConfig(), np.random.default_rng(0))
     assert after.count == 4 and (after.opacities > 0.005).all()
     for dead in (1, 3):
         source = next(i for i in (0, 2) if (after.values["means"][dead] == after.values["means"][i]).all())
@@ -68,9 +70,9 @@ def test_dead_gaussians_take_the_places_of_others() -> None:
 def test_their_number_grows_to_the_cap_and_no_further() -> None:
     """By a twentieth at a time."""
     rng = np.random.default_rng(0)
-    assert grown(learnt([0.5] * 100), 1000, rng).count == 105
-    assert grown(learnt([0.5] * 100), 102, rng).count == 102
-    assert grown(learnt([0.5] * 100), 100, rng).count == 100
+    assert grown(learnt([0.5] * 100), TrainConfig(cap=1000), rng).count == 105
+    assert grown(learnt([0.5] * 100), TrainConfig(cap=102), rng).count == 102
+    assert grown(learnt([0.5] * 100), TrainConfig(cap=100), rng).count == 100
 
 
 def test_small_ones_are_cloned_and_large_ones_split() -> None:

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from lumisplat.config.checks import check_flag, check_kind, check_positive, check_range, check_whole, take_enum
+from lumisplat.config.render import Pipeline
+from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
+from lumisplat.errors import ConfigError
 
 
 class Densification(Enum):
@@ -91,6 +94,11 @@ class TrainConfig:
     of magnitudes (AbsGS), which do not cancel."""
     coarse: int = 0
     """Photographs begin smaller, by this power of two, 0..4: a quarter of the iterations for all smaller sizes."""
+    pipeline: Pipeline = Pipeline.RASTER
+    """What draws the Gaussians while they are learnt: ``RASTER``, or ``TRACE``, through the derivatives of rays, which
+    is several times slower, and densified by MCMC alone."""
+    kernel_degree: int = KERNEL_DEGREE
+    """Exponent of the distance in the response of Gaussians, 0 (linear) to 5 (quintic); others than 2 are of rays."""
     antialiased: bool = False
     """Whether opacities are compensated for the width of pixels (Mip-Splatting)."""
     exposures: bool = False
@@ -116,5 +124,18 @@ class TrainConfig:
         check_whole("coarse", self.coarse, 0, 4)
         for name in ("antialiased", "exposures", "refine_poses", "random_background"):
             check_flag(name, getattr(self, name))
+        take_enum(self, "pipeline", Pipeline)
+        check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
+        self._check_pipeline()
         check_kind("rates", self.rates, LearningRates)
         check_whole("seed", self.seed, 0, 2**32 - 1)
+
+    def _check_pipeline(self) -> None:
+        if self.pipeline not in (Pipeline.RASTER, Pipeline.TRACE):
+            raise ConfigError(f"pipeline is {self.pipeline.value}, expected raster or trace: others cannot be trained")
+        if self.pipeline is Pipeline.RASTER and self.kernel_degree != KERNEL_DEGREE:
+            raise ConfigError(f"kernel_degree is {self.kernel_degree}, which rays alone show: use Pipeline.TRACE")
+        if self.pipeline is Pipeline.TRACE and self.densification is Densification.ADAPTIVE:
+            raise ConfigError("densification is adaptive, which looks at splats of Pipeline.RASTER: use mcmc for rays")
+        if self.pipeline is Pipeline.TRACE and self.refine_poses:
+            raise ConfigError("refine_poses moves the cameras of Pipeline.RASTER alone: rays leave them as they are")

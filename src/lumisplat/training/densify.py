@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import Densification, TrainConfig
+from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.constants.training import (
     DEAD_OPACITY,
     GROWTH,
@@ -53,7 +54,7 @@ def densified(learnt: Learnt, record: Record, config: TrainConfig, rng: np.rando
         rng: Random numbers.
     """
     if config.densification is Densification.MCMC:
-        return grown(relocated(learnt, rng), config.cap, rng)
+        return grown(relocated(learnt, config, rng), config, rng)
     learnt = multiplied(learnt, record, config, rng)
     learnt = pruned(learnt, record.extent if record.iteration > TOO_LARGE_AFTER else math.inf)
     if record.iteration % RESET_EVERY == 0:
@@ -64,54 +65,60 @@ def densified(learnt: Learnt, record: Record, config: TrainConfig, rng: np.rando
 # --- Markov chain Monte Carlo (Kheradmand et al. 2024) ---
 
 
-def relocated(learnt: Learnt, rng: np.random.Generator) -> Learnt:
+def relocated(learnt: Learnt, config: TrainConfig, rng: np.random.Generator) -> Learnt:
     """Dead Gaussians take the places of others, which share what they show with them."""
     opacities = learnt.opacities
     dead, alive = np.flatnonzero(opacities <= DEAD_OPACITY), np.flatnonzero(opacities > DEAD_OPACITY)
     if dead.size == 0 or alive.size == 0:
         return learnt
     sources = alive[rng.choice(alive.size, dead.size, p=opacities[alive] / opacities[alive].sum())]
-    share(learnt, sources)
+    share(learnt, sources, config.kernel_degree)
     for values in learnt.values.values():
         values[dead] = values[sources]
     learnt.still(np.union1d(dead, sources))
     return learnt
 
 
-def grown(learnt: Learnt, cap: int, rng: np.random.Generator) -> Learnt:
+def grown(learnt: Learnt, config: TrainConfig, rng: np.random.Generator) -> Learnt:
     """A few per cent more of them, at the places of others, up to a number."""
-    more = min(cap, max(learnt.count + 1, int(GROWTH * learnt.count))) - learnt.count
+    more = min(config.cap, max(learnt.count + 1, int(GROWTH * learnt.count))) - learnt.count
     if more <= 0:
         return learnt
     opacities = learnt.opacities
     sources = rng.choice(learnt.count, more, p=opacities / opacities.sum())
-    share(learnt, sources)
+    share(learnt, sources, config.kernel_degree)
     learnt.still(np.unique(sources))
     return learnt.joined(learnt.fresh(sources))
 
 
-def share(learnt: Learnt, sources: Indices) -> None:
+def share(learnt: Learnt, sources: Indices, degree: int) -> None:
     """Makes Gaussians such that each, with as many copies of itself as it is listed, shows what it showed alone."""
     unique, counts = np.unique(sources, return_counts=True)
-    opacity, factor = shared(learnt.opacities[unique], counts + 1)
+    opacity, factor = shared(learnt.opacities[unique], counts + 1, degree)
     learnt.values["logits"][unique] = np.log(opacity / (1.0 - opacity))
     learnt.values["log_scales"][unique] += np.log(factor)[:, None].astype(np.float32)
 
 
-def shared(opacities: Doubles, counts: Indices) -> tuple[Doubles, Doubles]:
+def shared(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE) -> tuple[Doubles, Doubles]:
     """Opacity of each of so many Gaussians at one place, and the factor of their scales (equation 9 of the paper).
 
     Args:
         opacities: Of one Gaussian that they replace, shape (N,).
         counts: How many there will be, 2 or more, shape (N,).
+        degree: Of their kernel.
     """
     counts = np.minimum(counts, RELOCATED_MAX)
     each = np.clip(-np.expm1(np.log1p(-np.minimum(opacities, 1.0 - 1e-6)) / counts), DEAD_OPACITY, 1.0 - 1e-6)
     total = np.zeros(len(each))
     for i in range(1, int(counts.max(initial=1)) + 1):
-        terms = sum(math.comb(i - 1, k) * (-each) ** k * each / math.sqrt(k + 1) for k in range(i))
+        terms = sum(math.comb(i - 1, k) * (-each) ** k * each / narrowing(degree, k + 1) for k in range(i))
         total += np.where(i <= counts, terms, 0.0)
     return each, opacities / total
+
+
+def narrowing(degree: int, power: int) -> float:
+    """How much less there is of a power of the response along a line through the mean than of the response itself."""
+    return 0.5 * (power + 1.0) if degree == 0 else float(power ** (1.0 / degree))
 
 
 # --- Adaptive density control (Kerbl et al. 2023, section 5; Ye et al. 2024) ---

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from lumisplat.config import TrainConfig
 from lumisplat.device.structs.training import LearntSplats
 from lumisplat.math.arrays import FloatArray
 from lumisplat.runtime.buffers import Buffers, device_array
@@ -75,15 +76,16 @@ class Learnt:
             for name in NAMES:
                 part[name][rows] = 0.0
 
-    def gaussians(self, *, antialiased: bool) -> Gaussians:
-        """What they are, as a capture has it."""
+    def gaussians(self, config: TrainConfig) -> Gaussians:
+        """What they are, as a capture of these settings has it."""
         return Gaussians(
             means=self.values["means"].copy(),
             rotations_wxyz=self.values["rotations"].copy(),
             scales=self.scales.astype(np.float32),
             opacities=self.opacities.astype(np.float32),
             sh=self.values["sh"].copy(),
-            antialiased=antialiased,
+            antialiased=config.antialiased,
+            kernel_degree=config.kernel_degree,
         )
 
     @property

@@ -8,7 +8,15 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import Antialiasing, Densification, RasterConfig, RenderConfig, TrainConfig
+from lumisplat.config import (
+    Antialiasing,
+    Densification,
+    Pipeline,
+    RasterConfig,
+    RenderConfig,
+    TraceConfig,
+    TrainConfig,
+)
 from lumisplat.constants.training import (
     ADAM_BETA_1,
     ADAM_BETA_2,
@@ -24,7 +32,8 @@ from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.training import NoiseData, Photograph, SplatRecord, StepRates
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
-from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules
+from lumisplat.renderer.film import traced_pixel_kernels
+from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules, ray_gradient_modules
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher, Progress
@@ -41,6 +50,7 @@ from lumisplat.training.initial import Surroundings, first_gaussians, random_poi
 from lumisplat.training.learnt import Learnt, LearntOnDevice
 from lumisplat.training.photo_loss import Loss, PhotoLoss
 from lumisplat.training.training_raster import TrainingRaster
+from lumisplat.training.training_rays import TrainingRays
 from lumisplat.training.views import Lesson, TrainingView
 
 
@@ -79,15 +89,15 @@ class Trainer:
     ) -> None:
         self._views, self.config = views, config
         self.around = Surroundings.of([view.camera for view in views])
-        antialiasing = Antialiasing.ON if config.antialiased else Antialiasing.OFF
-        raster = RasterConfig(sh_degree=config.sh_degree, antialiasing=antialiasing)
         self._launcher = Launcher(device, threads)
         self._buffers = Buffers(self._launcher.device)
-        raster_kernels = frame_modules(FramePlan.of(RenderConfig(), Scene()), self._launcher, RenderConfig())
+        settings = frame_settings(config, background)
+        traces = config.pipeline is Pipeline.TRACE
+        frames = frame_modules(FramePlan.of(settings, Scene()), self._launcher, settings)
+        gradients = [*ray_gradient_modules(), traced_pixel_kernels] if traces else gradient_modules(self._launcher)
         own = [optimizer_kernels, loss_kernels, *([exposure_kernels] if config.exposures else [])]
-        self._launcher.load([*raster_kernels, *gradient_modules(self._launcher), *own], progress)
-        settings = RenderConfig(background=background, raster=raster, lighting=False)
-        self._raster = TrainingRaster(self._launcher, self._buffers, settings)
+        self._launcher.load([*frames, *gradients, *own], progress)
+        self._frames = (TrainingRays if traces else TrainingRaster)(self._launcher, self._buffers, settings)
         self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, alpha=config.alpha)
         self._device_splats = LearntOnDevice(self._buffers)
         self.exposures = Exposures.neutral(len(views)) if config.exposures else None
@@ -113,7 +123,7 @@ class Trainer:
 
     def gaussians(self) -> Gaussians:
         """What has been learnt so far."""
-        return self._learnt().gaussians(antialiased=self.config.antialiased)
+        return self._learnt().gaussians(self.config)
 
     @property
     def checkpoint(self) -> Checkpoint:
@@ -139,12 +149,12 @@ class Trainer:
         """
         lesson = self._lesson()
         photograph = self._loss.load(lesson.picture.color, lesson.picture.weight, lesson.picture.alpha)
-        pixels = self._raster.draw(lesson.camera, self._degree, lesson.background)
+        pixels = self._frames.draw(lesson.camera, self._degree, lesson.background)
         loss, by_pixels = self._compare(lesson, pixels, photograph)
-        gradient = self._raster.backward(pixels, by_pixels)
+        gradient = self._frames.backward(pixels, by_pixels)
         if self.poses is not None and self._done >= POSES_AFTER:
             rate = falling(self.config.rates.poses, self.config.rates.poses_last, self._done)
-            self.poses.move(lesson.number, self._raster.by_pose(lesson.camera), rate)
+            self.poses.move(lesson.number, self._frames.by_pose(lesson.camera), rate)
         self._note(lesson.camera)
         self._update(gradient)
         self.iteration += 1
@@ -214,13 +224,13 @@ class Trainer:
         return max(coarse - 4 * coarse * self.iteration // self.config.iterations, 0)
 
     def _note(self, camera: Camera) -> None:
-        if self.config.densification is Densification.ADAPTIVE:
+        if isinstance(self._frames, TrainingRaster) and self.config.densification is Densification.ADAPTIVE:
             half = wp.vec2(0.5 * camera.width, 0.5 * camera.height)
-            inputs = (half, self._raster.drawn.splats.rects, self._raster.by_splat, self._record)
+            inputs = (half, self._frames.drawn.splats.rects, self._frames.by_splat, self._record)
             self._launcher.run_banded(optimizer_kernels.note, self.count, *inputs)
 
     def _update(self, gradient: GaussianGradient) -> None:
-        rates, data, on = self._rates(), self._raster.data, self._device_splats
+        rates, data, on = self._rates(), self._frames.data, self._device_splats
         with self._launcher.stage("optimiser"):
             inputs = (rates, gradient, data, on.values, on.first, on.second)
             self._launcher.run_banded(optimizer_kernels.update, self.count, *inputs)
@@ -285,7 +295,7 @@ class Trainer:
         """Goes on with parameters from the host."""
         self._device_splats.upload(learnt)
         self._count = learnt.count
-        self._raster.place(learnt.gaussians(antialiased=self.config.antialiased), self._device_splats.values)
+        self._frames.place(learnt.gaussians(self.config), self._device_splats.values)
         self._record = self._buffers.struct("training.record", SplatRecord, learnt.count)
         for array in (self._record.motion, self._record.frames):
             device_array(array).zero_()
@@ -300,3 +310,15 @@ def falling(first: float, last: float, done: float) -> float:
         done: Share of the steps that were made.
     """
     return first * (last / first) ** done
+
+
+def frame_settings(config: TrainConfig, background: tuple[float, float, float]) -> RenderConfig:
+    """Settings of the frames that are compared with photographs."""
+    antialiasing = Antialiasing.ON if config.antialiased else Antialiasing.OFF
+    return RenderConfig(
+        pipeline=config.pipeline,
+        background=background,
+        raster=RasterConfig(sh_degree=config.sh_degree, antialiasing=antialiasing),
+        trace=TraceConfig(sh_degree=config.sh_degree, antialiasing=antialiasing),
+        lighting=False,
+    )

@@ -68,7 +68,7 @@ class BvhScene:
         """What the instances place, as AssetBvh."""
         self._tlas_nodes: dict[SplatSets, DeviceArray] = {}
         """Top levels: trees of the instances' world boxes; their leaves are ~instance."""
-        self._placed: object = None
+        self._placed: tuple[list[int], list[bytes], dict[SplatSets, list[bool]]] | None = None
         self.footprint = 0.0
         """The widest footprint of the instances, in widths of a pixel."""
         self.hit_distance = HIT_PEAK
@@ -152,6 +152,19 @@ class BvhScene:
             self._placed = None  # until all of it is there
             self._place(scene, places, members)
             self._placed = placed
+
+    def refit(self, scene: Scene) -> None:
+        """Follows Gaussians that were written where they lie, or whose arrays are others, since the last ``sync``.
+
+        Args:
+            scene: The one that was synced.
+        """
+        assert self._placed is not None
+        places, _, members = self._placed
+        for held in self._held:
+            held.bvh.refit(held.data)
+        self.assets = self._buffers.table("assets", AssetBvh, self._asset_rows() or [AssetBvh()])
+        self._place(scene, places, members)
 
     def _place(self, scene: Scene, places: list[int], members: dict[SplatSets, list[bool]]) -> None:
         """Builds the top levels.

@@ -1,0 +1,82 @@
+"""Host pass: what rays show of the Gaussians that are learnt, and the derivatives; all of it stays on the device."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.config import RenderConfig
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.training import LearntSplats
+from lumisplat.renderer.film import traced_pixel_kernels
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.gradients.ray_backward import RayBackward
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace.camera_rays import CameraRays
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.training import optimizer_kernels
+
+
+class TrainingRays:
+    """Traces one Gaussian set, as `TrainingRaster` rasterises one: of any kernel degree, by any camera.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings of unlit, sorted frames of rays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        assert config.background is not None
+        self._background = wp.vec3(*config.background)
+        self._scene = DeviceScene(launcher, buffers, config)
+        self._rays = CameraRays(launcher, buffers)
+        self._tracer = RayTracer(launcher, buffers, config)
+        self._backward = RayBackward(launcher, buffers, config)
+        self._hits: PrimaryHits
+
+    def place(self, gaussians: Gaussians, learnt: LearntSplats) -> None:
+        """As of `TrainingRaster`."""
+        self._gaussians, self._learnt = gaussians, learnt
+
+    def draw(self, camera: Camera, sh_degree: int) -> PixelData:
+        """The pixels of a frame, but for images other than colour and alpha.
+
+        Args:
+            camera: Of any kind.
+            sh_degree: Of colours.
+        """
+        scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
+        self._launcher.stage_ms = {}
+        self._scene.sync(scene, camera, FramePlan.of(self._config, scene))
+        self.data.means, self.data.sh = self._learnt.means, self._learnt.sh
+        self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._learnt, self.data)
+        with self._launcher.stage("refit"):
+            self._scene.bvh.refit(scene)
+        self._scene.begin_sample(0)
+        self._hits = self._tracer.find_hits(self._scene, self._rays.start(self._scene), "camera")
+        pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
+        inputs = (*self._scene.image_size, self._background, self._hits.gaussians, pixels)
+        self._launcher.run_banded(traced_pixel_kernels.show_rays, self._hits.count, *inputs)
+        return pixels
+
+    def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
+        """As of `TrainingRaster`."""
+        by_rays = self._backward.start_pixels(self._scene.image_size, self._hits.count, pixels, gradient)
+        sums = self._backward.begin(self._scene)
+        self._backward.add(self._scene, self._hits, by_rays, sums)
+        return sums.gaussians[0]
+
+    @property
+    def data(self) -> GaussianData:
+        """As of `TrainingRaster`."""
+        return self._scene.assets[0].data
