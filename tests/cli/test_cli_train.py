@@ -34,9 +34,25 @@ def test_a_folder_becomes_a_capture_and_the_same_command_goes_on(
     assert isinstance(asset, ls.Gaussians) and asset.count == 120
 
 
+def test_rays_learn_kernels_of_other_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file says its degree, and is measured by rays."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    rays = ("--pipeline", "trace", "--kernel-degree", "4", "--iterations", "3", "--cap", "60", "--sh-degree", "1")
+    assert main(["train", str(folder), "-o", str(output), *rays, "--device", "cpu"]) == 0
+    asset = ls.load(output)
+    assert isinstance(asset, ls.Gaussians) and asset.kernel_degree == 4
+    told = capsys.readouterr().out.split()
+    measured = told[told.index("mean") + 1]
+    assert main(["evaluate", str(output), str(folder), "--pipeline", "trace", "--device", "cpu"]) == 0
+    again = capsys.readouterr().out.split()
+    assert float(again[again.index("views") + 1]) == pytest.approx(float(measured), abs=0.011)
+
+
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
+        (("-o", "a.ply", "--kernel-degree", "4"), "--kernel-degree is 4, which rays alone show: use --pipeline trace"),
+        (("-o", "a.spz", "--pipeline", "trace", "--kernel-degree", "4"), "a.spz, which cannot say its kernel degree"),
         (("-o", "a.obj"), "-o is a.obj, expected a file that ends in .ply or .spz"),
         (("-o", "a.ply", "--stop-after", "soon"), "--stop-after is 'soon', expected a time such as 90s, 10m or 1.5h"),
         (("-o", "a.ply", "--cap", "0"), "cap is 0, expected"),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lumisplat.config import RenderConfig
+from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.photographs.photographs import Photograph
 from lumisplat.math.arrays import FloatArray
@@ -36,13 +36,21 @@ class HeldOut:
         photographs: Those that were not learnt from; there may be none.
         device: As of `lumisplat.create_renderer`.
         threads: As of `lumisplat.create_renderer`.
+        pipeline: What draws captures.
     """
 
-    def __init__(self, photographs: Sequence[Photograph], device: str, threads: int | None) -> None:
+    def __init__(
+        self,
+        photographs: Sequence[Photograph],
+        device: str,
+        threads: int | None,
+        pipeline: Pipeline = Pipeline.RASTER,
+    ) -> None:
         self._photographs = photographs
         self._renderer: Renderer | None = None
         if photographs:
-            config = RenderConfig(background=photographs[0].background or (0.0, 0.0, 0.0), lighting=False)
+            background = photographs[0].background or (0.0, 0.0, 0.0)
+            config = RenderConfig(pipeline=pipeline, background=background, lighting=False)
             self._renderer = create_renderer(config, device, threads=threads)
             self._renderer.render(Scene(), photographs[0].camera)  # so that no kernel is compiled while others wait
 

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lumisplat.config import TrainConfig
+from lumisplat.config import Pipeline, TrainConfig
 from lumisplat.config.checks import check_kind, check_positive, check_whole
+from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import ConfigError
 from lumisplat.io import save, save_cameras
 from lumisplat.io.photographs.loading import load_photographs
@@ -78,7 +79,7 @@ def train(
 
     Args:
         photographs: A folder, or what `lumisplat.load_photographs` has read; then ``scale``, ``hold_out`` and
-            ``background`` are those of it.
+            ``background`` are those of it. A folder's lenses stay as they are if ``config.pipeline`` is ``TRACE``.
         config: Settings; None: the defaults.
         output: The capture, .ply or .spz; None: it is returned alone.
         scale: As of `lumisplat.load_photographs`.
@@ -106,8 +107,13 @@ def train(
         check_whole("preview", preview, 1, config.iterations)
     if output is not None and Path(output).suffix.lower() not in CAPTURES:
         raise ConfigError(f"output is {output}, expected a file that ends in {' or '.join(CAPTURES)}")
+    if output is not None and Path(output).suffix.lower() == ".spz" and config.kernel_degree != KERNEL_DEGREE:
+        raise ConfigError(f"output is {output}, which cannot say its kernel degree of {config.kernel_degree}: use .ply")
     if not isinstance(photographs, Photographs):
-        photographs = load_photographs(photographs, scale=scale, hold_out=hold_out, background=background)
+        straighten = config.pipeline is Pipeline.RASTER
+        photographs = load_photographs(
+            photographs, scale=scale, hold_out=hold_out, background=background, straighten=straighten
+        )
     folder = None if output is None else RunFolder.of(Path(output))
     run = _Run(photographs, config, folder, device=device, threads=threads, progress=progress or _say_nothing)
     run.start(overwrite=overwrite)
@@ -140,7 +146,7 @@ class _Run:
             threads=threads,
             progress=progress,
         )
-        self._held_out = HeldOut(photographs.held_out, device, threads)
+        self._held_out = HeldOut(photographs.held_out, device, threads, config.pipeline)
         self._curve = Curve()
         self._begun = 0.0
         """When the first step of this call began, seconds."""

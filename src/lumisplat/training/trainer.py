@@ -97,7 +97,7 @@ class Trainer:
         gradients = [*ray_gradient_modules(), traced_pixel_kernels] if traces else gradient_modules(self._launcher)
         own = [optimizer_kernels, loss_kernels, *([exposure_kernels] if config.exposures else [])]
         self._launcher.load([*frames, *gradients, *own], progress)
-        self._frames = (TrainingRays if traces else TrainingRaster)(self._launcher, self._buffers, settings)
+        self._raster = (TrainingRays if traces else TrainingRaster)(self._launcher, self._buffers, settings)
         self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, alpha=config.alpha)
         self._device_splats = LearntOnDevice(self._buffers)
         self.exposures = Exposures.neutral(len(views)) if config.exposures else None
@@ -149,12 +149,12 @@ class Trainer:
         """
         lesson = self._lesson()
         photograph = self._loss.load(lesson.picture.color, lesson.picture.weight, lesson.picture.alpha)
-        pixels = self._frames.draw(lesson.camera, self._degree, lesson.background)
+        pixels = self._raster.draw(lesson.camera, self._degree, lesson.background)
         loss, by_pixels = self._compare(lesson, pixels, photograph)
-        gradient = self._frames.backward(pixels, by_pixels)
-        if self.poses is not None and self._done >= POSES_AFTER:
+        gradient = self._raster.backward(pixels, by_pixels)
+        if self.poses is not None and isinstance(self._raster, TrainingRaster) and self._done >= POSES_AFTER:
             rate = falling(self.config.rates.poses, self.config.rates.poses_last, self._done)
-            self.poses.move(lesson.number, self._frames.by_pose(lesson.camera), rate)
+            self.poses.move(lesson.number, self._raster.by_pose(lesson.camera), rate)
         self._note(lesson.camera)
         self._update(gradient)
         self.iteration += 1
@@ -224,13 +224,13 @@ class Trainer:
         return max(coarse - 4 * coarse * self.iteration // self.config.iterations, 0)
 
     def _note(self, camera: Camera) -> None:
-        if isinstance(self._frames, TrainingRaster) and self.config.densification is Densification.ADAPTIVE:
+        if isinstance(self._raster, TrainingRaster) and self.config.densification is Densification.ADAPTIVE:
             half = wp.vec2(0.5 * camera.width, 0.5 * camera.height)
-            inputs = (half, self._frames.drawn.splats.rects, self._frames.by_splat, self._record)
+            inputs = (half, self._raster.drawn.splats.rects, self._raster.by_splat, self._record)
             self._launcher.run_banded(optimizer_kernels.note, self.count, *inputs)
 
     def _update(self, gradient: GaussianGradient) -> None:
-        rates, data, on = self._rates(), self._frames.data, self._device_splats
+        rates, data, on = self._rates(), self._raster.data, self._device_splats
         with self._launcher.stage("optimiser"):
             inputs = (rates, gradient, data, on.values, on.first, on.second)
             self._launcher.run_banded(optimizer_kernels.update, self.count, *inputs)
@@ -295,7 +295,7 @@ class Trainer:
         """Goes on with parameters from the host."""
         self._device_splats.upload(learnt)
         self._count = learnt.count
-        self._frames.place(learnt.gaussians(self.config), self._device_splats.values)
+        self._raster.place(learnt.gaussians(self.config), self._device_splats.values)
         self._record = self._buffers.struct("training.record", SplatRecord, learnt.count)
         for array in (self._record.motion, self._record.frames):
             device_array(array).zero_()

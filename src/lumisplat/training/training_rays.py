@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.config import RenderConfig
+from lumisplat.config.colors import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
@@ -36,8 +37,6 @@ class TrainingRays:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
-        assert config.background is not None
-        self._background = wp.vec3(*config.background)
         self._scene = DeviceScene(launcher, buffers, config)
         self._rays = CameraRays(launcher, buffers)
         self._tracer = RayTracer(launcher, buffers, config)
@@ -48,12 +47,13 @@ class TrainingRays:
         """As of `TrainingRaster`."""
         self._gaussians, self._learnt = gaussians, learnt
 
-    def draw(self, camera: Camera, sh_degree: int) -> PixelData:
+    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
         """The pixels of a frame, but for images other than colour and alpha.
 
         Args:
             camera: Of any kind.
             sh_degree: Of colours.
+            background: Display-referred sRGB behind the Gaussians.
         """
         scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
         self._launcher.stage_ms = {}
@@ -65,7 +65,7 @@ class TrainingRays:
         self._scene.begin_sample(0)
         self._hits = self._tracer.find_hits(self._scene, self._rays.start(self._scene), "camera")
         pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
-        inputs = (*self._scene.image_size, self._background, self._hits.gaussians, pixels)
+        inputs = (*self._scene.image_size, wp.vec3(*background), self._hits.gaussians, pixels)
         self._launcher.run_banded(traced_pixel_kernels.show_rays, self._hits.count, *inputs)
         return pixels
 

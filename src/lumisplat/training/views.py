@@ -64,7 +64,7 @@ class TrainingView:
 
     name: str
     camera: Camera
-    """A pinhole of the photograph's size."""
+    """Of the photograph's size; a pinhole, unless rays draw it."""
     read: Callable[[], Picture]
     """Reads its pixels."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -47,6 +47,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
     hold_out: Annotated[int, arg(metavar="N")] = 8
     """The first photograph by name and each Nth after it are compared; of Blender's sets those of transforms_test.json
     are."""
+    pipeline: Annotated[Literal["raster", "trace"] | None, setting("{raster,trace}", "raster")] = None
+    """What draws the capture: trace for those of a kernel degree other than 2."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
     """Behind the capture, and behind transparent photographs: a name such as white, #rrggbb, or r,g,b in 0..1."""
 
@@ -58,6 +60,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
         config = scene_settings(scene_file(scene_files))
         if self.background is not None:
             config = replace(config, background=self.background)  # pyright: ignore[reportArgumentType]
+        if self.pipeline is not None:
+            config = replace(config, pipeline=ls.Pipeline(self.pipeline))
         if config.background is None:
             raise ls.ConfigError("--background is transparent, expected a colour over which pictures are compared")
         views = self._views(folder, config.background)

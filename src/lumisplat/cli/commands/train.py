@@ -55,6 +55,11 @@ class Train(DeviceCommand):
     """How Gaussians come and go: as samples, up to --cap, or where the loss pulls."""
     sh_degree: Annotated[int, arg(metavar="0-3")] = 3
     """How much colours may change with the direction of view."""
+    pipeline: Literal["raster", "trace"] = "raster"
+    """What draws the Gaussians while they are learnt: splats, or rays, which are several times slower, and see through
+    fisheyes and lenses that distort as they are."""
+    kernel_degree: Annotated[int, arg(metavar="0..5")] = 2
+    """How steeply Gaussians end: 2 is that of a Gaussian, others are of --pipeline trace and of .ply alone."""
     antialiased: Flag = False
     """Compensate opacities for the width of pixels (Mip-Splatting)."""
     exposures: Flag = False
@@ -104,6 +109,8 @@ class Train(DeviceCommand):
             cap=self.cap,
             sh_degree=self.sh_degree,
             densification=ls.Densification(self.densification),
+            pipeline=ls.Pipeline(self.pipeline),
+            kernel_degree=self.kernel_degree,
             antialiased=self.antialiased,
             exposures=self.exposures,
             refine_poses=self.refine_poses,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from lumisplat.config.checks import check_range, check_whole, is_number, quoted
+from lumisplat.config.checks import check_flag, check_range, check_whole, is_number, quoted
 from lumisplat.config.colors import Color, display_color
 from lumisplat.constants.photographs import HOLD_OUT, PHOTOGRAPH_CACHE_BYTES
 from lumisplat.errors import ConfigError, FormatError, MissingFileError
@@ -43,12 +44,22 @@ class _Found:
     points: tuple[FloatArray, FloatArray] | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """How photographs are to be."""
+
+    scale: float
+    background: Color | None
+    straight: bool
+
+
 def load_photographs(
     folder: PathLike,
     *,
     scale: float = 1.0,
     hold_out: int = HOLD_OUT,
     background: str | Sequence[float] | None = None,
+    straighten: bool = True,
     cache_bytes: int = PHOTOGRAPH_CACHE_BYTES,
     allow_outside: bool = False,
 ) -> Photographs:
@@ -60,10 +71,11 @@ def load_photographs(
     ``images``. Where ``masks`` holds a mask of the name of a photograph, or the file names one, only what is not black
     there counts.
 
-    Lenses that distort, and fisheyes, are straightened: the cameras are pinholes of the same focal lengths and size,
-    whose pixels are resampled by Catmull-Rom's cubics; a log line says so. What the pinhole sees beyond the picture of
-    the lens is masked out, what it does not see is left out. Smaller photographs are means over areas, of
-    display-referred values, for captures blend in these; they are made smaller before they are straightened.
+    Lenses that distort, and fisheyes, are straightened, unless they are to stay: the cameras are pinholes of the same
+    focal lengths and size, whose pixels are resampled by Catmull-Rom's cubics; a log line says so. What the pinhole
+    sees beyond the picture of the lens is masked out, what it does not see is left out. Smaller photographs are means
+    over areas, of display-referred values, for captures blend in these; they are made smaller before they are
+    straightened.
 
     Args:
         folder: The folder.
@@ -72,6 +84,8 @@ def load_photographs(
             least 2; 0: none is, also of a test file.
         background: Behind transparent pixels, as of `RenderConfig`: three numbers in 0..1, a name or ``"#rrggbb"``;
             None or ``"transparent"``: they stay premultiplied by alpha.
+        straighten: Whether lenses that distort, and fisheyes, become pinholes; else their cameras are what they are,
+            which `Pipeline.TRACE` draws, and pixels that they have no ray for are masked out.
         cache_bytes: Memory for decoded photographs, 8 bits a value, at least 0; what does not fit is decoded again.
         allow_outside: Whether the file may name photographs outside of its own folder, as files that you trust do.
 
@@ -85,19 +99,20 @@ def load_photographs(
     if not is_number(scale) or not 0.0 < scale <= 1.0:
         raise ConfigError(f"scale is {quoted(scale)}, expected more than 0 and at most 1")
     check_whole("hold_out", hold_out, 0, 1 << 31)
+    check_flag("straighten", straighten)
     check_range("cache_bytes", cache_bytes, 0, 1 << 62)
     if hold_out == 1:
         raise ConfigError("hold_out is 1, which leaves no photograph to learn from: expected 2 or more, or 0 for none")
     color = display_color("background", background)
     with references_outside(allow_outside):
         found = _find(Path(folder), hold_out > 0)
-    cache = PixelCache(cache_bytes)
-    views = _views(found.file, found.photographs, scale, color, cache)
+    set_of = partial(_views, found.file, Wanted(scale, color, straighten), PixelCache(cache_bytes))
+    views = set_of(found.photographs)
     if found.held_out is None:
         held = [view for index, view in enumerate(views) if hold_out and index % hold_out == 0]
         views = [view for view in views if view not in held]
     else:
-        held = _views(found.file, found.held_out, scale, color, cache)
+        held = set_of(found.held_out)
     cameras = [view.camera for view in views]
     points, colors = found.points or (None, None)
     return Photographs(
@@ -134,9 +149,7 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
     return _Found(model, colmap_photographs(model, folder), points=read_colmap_points(model))
 
 
-def _views(
-    file: Path, listed: Sequence[Listed], scale: float, background: Color | None, cache: PixelCache
-) -> list[Photograph]:
+def _views(file: Path, wanted: Wanted, cache: PixelCache, listed: Sequence[Listed]) -> list[Photograph]:
     """The photographs of a file, in the order of their names, smaller by a factor."""
     if len(listed) < 2:
         raise FormatError(file, "has a single photograph, expected two or more: depth shows between photographs only")
@@ -145,13 +158,14 @@ def _views(
     ordered = sorted(listed, key=lambda photograph: photograph.image)
     cameras = unique_names([photograph.camera for photograph in ordered])
     bent = sum(is_bent(camera) for camera in cameras)
-    if bent:
+    if bent and wanted.straight:
         _log.warning("%s: %d photographs of distorting lenses are straightened: resampled as of pinholes", file, bent)
     views: list[Photograph] = []
     for camera, photograph in zip(cameras, ordered, strict=True):
-        lens = _smaller(camera, scale)
-        source = Source(lens, photograph.image, photograph.mask)
-        views.append(Photograph(camera.name, pinhole_of(lens), photograph.image, background, source, cache))
+        lens = _smaller(camera, wanted.scale)
+        source = Source(lens, photograph.image, photograph.mask, straightens=wanted.straight)
+        seen = pinhole_of(lens) if wanted.straight else lens
+        views.append(Photograph(camera.name, seen, photograph.image, wanted.background, source, cache))
     return views
 
 

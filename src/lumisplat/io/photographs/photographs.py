@@ -17,7 +17,7 @@ from lumisplat.scene.camera import Camera
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
-    """A photograph as a pinhole camera sees it. Its pixels are decoded when they are asked for, and kept for a while.
+    """A photograph as its camera sees it. Its pixels are decoded when they are asked for, and kept for a while.
 
     Every method reads the files if their contents are no longer kept, and raises `FormatError` if that fails.
     """
@@ -25,7 +25,7 @@ class Photograph:
     name: str
     """That of the image without its extension; each of a set has its own."""
     camera: Camera
-    """A pinhole without distortion, of the size of the pixels."""
+    """Of the size of the pixels: a pinhole without distortion, unless lenses were to stay as they are."""
     path: Path
     """The image."""
     background: Color | None
@@ -50,7 +50,8 @@ class Photograph:
     def mask(self) -> FloatArray | None:
         """How much of each pixel counts, 0..1, shape (H, W); None: all of it.
 
-        It is 0 where the mask of the photograph is black, and where its lens does not show what the pinhole sees.
+        It is 0 where the mask of the photograph is black, and where its lens does not show what the pinhole sees; of
+        lenses that stay as they are, where there is no ray.
         """
         mask = self._kept().mask
         return None if mask is None else _share(mask)

@@ -26,6 +26,8 @@ class Source:
     """With its lens, at the size that is wanted."""
     image: Path
     mask: Path | None = None
+    straightens: bool = True
+    """Whether a lens that distorts, or a fisheye, is made a pinhole."""
 
 
 def decode(source: Source) -> Pixels:
@@ -50,7 +52,11 @@ def decode(source: Source) -> Pixels:
     planes = (
         _counted(planes, smaller) if "mask" in planes and planes["color"].shape != smaller["color"].shape else smaller
     )
-    if is_bent(lens):
+    if is_bent(lens) and not source.straightens:
+        has_ray = lens.ray_directions().any(axis=2, keepdims=True)
+        if not has_ray.all():
+            planes["mask"] = np.where(has_ray, planes.get("mask", 255), 0).astype(np.uint8)
+    elif is_bent(lens):
         points, covered = lens_points(lens)
         if not covered.all():
             planes.setdefault("mask", np.full((lens.height, lens.width, 1), 255, np.uint8))

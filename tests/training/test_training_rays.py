@@ -1,0 +1,143 @@
+"""Training through rays: of kernels of any degree, by cameras that no rasteriser draws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.runtime.buffers import device_array
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import Picture, TrainingView
+from support.files.photograph_files import write_transforms_photographs
+from support.scenes.training_scenes import BACKGROUND, cameras, known
+
+CONFIG = ls.TrainConfig(
+    iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3, pipeline=ls.Pipeline.TRACE, kernel_degree=4
+)
+FRAMES = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=BACKGROUND, lighting=False)
+
+
+def fisheyes(count: int) -> list[ls.Camera]:
+    """Around what is to be found, with a lens that distorts."""
+    lens: dict[str, Any] = {"model": ls.CameraModel.FISHEYE, "distortion": (0.1, -0.02, 0.01, 0.0, 0.0, 0.0)}
+    return [replace(camera, fx=55.0, fy=55.0, name=f"{n:02d}", **lens) for n, camera in enumerate(cameras(count))]
+
+
+def seen(of: ls.Gaussians, some: list[ls.Camera]) -> list[np.ndarray]:
+    """Frames of rays."""
+    renderer = ls.create_renderer(FRAMES, "cpu")
+    return [np.array(renderer.render(ls.Scene([of]), camera).color, np.float32) for camera in some]
+
+
+def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None = None) -> Trainer:
+    """One that has made no step, with frames of what is to be found."""
+    truth = replace(known(), kernel_degree=config.kernel_degree)
+    views = [
+        TrainingView(camera.name, camera, lambda color=color: Picture(color))
+        for camera, color in zip(some, seen(truth, some), strict=True)
+    ]
+    return Trainer(views, config, background=BACKGROUND, device="cpu", threads=threads)
+
+
+def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
+    """On other views than those that were learnt from."""
+    truth = replace(known(), kernel_degree=of.config.kernel_degree)
+    pairs = zip(seen(of.gaussians(), some), seen(truth, some), strict=True)
+    return float(np.mean([ls.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
+
+
+def test_what_is_compared_is_what_every_renderer_shows() -> None:
+    """Also after the Gaussians have moved, and are others: the hierarchy follows them."""
+    one, camera = trainer(CONFIG, cameras(4, 20)), cameras(6)[5]
+    for _ in range(30):
+        one.step()
+    check_frame(one, camera)
+    state = one.checkpoint
+    fewer = {name: values[:50] for name, values in state.record.items()}
+    one.restore(replace(state, learnt=state.learnt.rows(np.arange(50)), record=fewer))
+    check_frame(one, camera)
+    one.step()
+    check_frame(one, camera)
+
+
+def check_frame(one: Trainer, camera: ls.Camera) -> None:
+    """The trainer's frame against that of another renderer."""
+    pixels = one._raster.draw(camera, 1, BACKGROUND)
+    expected = seen(one.gaussians(), [camera])[0]
+    shown = device_array(pixels.color).numpy().reshape(expected.shape)
+    assert np.abs(shown - expected).max() < 2e-6
+
+
+def test_training_learns() -> None:
+    """What it was not shown, too: 4 dB nearer after 200 small steps."""
+    one, others = trainer(CONFIG, cameras(8, 32)), cameras(40)[33:36]
+    before, losses = held_out_psnr(one, others), [one.step().total for _ in range(200)]
+    assert np.mean(losses[-40:]) < 0.6 * np.mean(losses[:20])
+    assert held_out_psnr(one, others) > before + 4.0
+    assert one.gaussians().kernel_degree == 4
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("kind", ["pinhole", "fisheye"])
+def test_known_gaussians_of_degree_4_are_recovered(kind: str) -> None:
+    """From 32 renders of them by rays: above 40 dB on views that were held out."""
+    config = replace(CONFIG, iterations=6000, cap=400, initial=400)
+    views = fisheyes(40) if kind == "fisheye" else cameras(40, 64)
+    one = trainer(config, views[:32])
+    for _ in range(config.iterations):
+        one.step()
+    assert held_out_psnr(one, views[33:]) > 40.0
+
+
+def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:
+    """Adding up is in one order, refits are as well."""
+    made = [trainer(CONFIG, cameras(4, 20), threads) for threads in (1, 2, 5)]
+    for one in made:
+        for _ in range(40):
+            one.step()
+    first = made[0].checkpoint.learnt
+    for other in made[1:]:
+        for name, values in other.checkpoint.learnt.values.items():
+            np.testing.assert_array_equal(values, first.values[name], err_msg=name)
+
+
+def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> None:
+    """A folder of them becomes a capture whose file says its degree; pixels without a ray do not count."""
+    some = [replace(camera, fx=2.5, fy=2.5) if n == 4 else camera for n, camera in enumerate(fisheyes(9))]
+    frames = [np.clip(frame, 0.0, 1.0) for frame in seen(replace(known(), kernel_degree=4), some)]
+    folder = tmp_path / "set"
+    write_transforms_photographs(folder, some, frames)
+    view = ls.load_photographs(folder, straighten=False).training[3]
+    assert view.camera.model is ls.CameraModel.FISHEYE and view.camera.is_distorted
+    np.testing.assert_allclose(view.pixels(), frames[4], atol=0.003)
+    mask = view.mask()
+    assert mask is not None and 0.0 < mask.mean() < 1.0
+    np.testing.assert_array_equal(mask > 0.0, some[4].ray_directions().any(axis=2))
+    result = ls.train(folder, replace(CONFIG, iterations=40), output=tmp_path / "a.ply", device="cpu")
+    assert result.score is not None and result.is_finished
+    asset = ls.load(tmp_path / "a.ply")
+    assert isinstance(asset, ls.Gaussians) and asset.kernel_degree == 4
+    black = replace(FRAMES, background=(0.0, 0.0, 0.0))
+    shown = ls.render(ls.Scene([asset]), some[0], black, device="cpu").color
+    assert result.score.of_views["00"] == pytest.approx(ls.psnr(np.clip(shown, 0.0, 1.0), frames[0]), abs=0.05)
+
+
+def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
+    """In a line."""
+    refused: list[tuple[dict[str, Any], str]] = [
+        ({"kernel_degree": 4}, "kernel_degree is 4, which rays alone show: use Pipeline.TRACE"),
+        ({"kernel_degree": 6, "pipeline": "trace"}, "kernel_degree is 6, expected"),
+        ({"pipeline": "path"}, "pipeline is path, expected raster or trace"),
+        ({"pipeline": "trace", "refine_poses": True}, "refine_poses moves the cameras of Pipeline.RASTER alone"),
+        ({"pipeline": "trace", "densification": "adaptive"}, "densification is adaptive, which looks at splats"),
+    ]
+    for settings, problem in refused:
+        with pytest.raises(ls.ConfigError, match=problem):
+            ls.TrainConfig(**settings)
+    with pytest.raises(ls.ConfigError, match=r"a\.spz, which cannot say its kernel degree of 4: use \.ply$"):
+        ls.train(tmp_path, CONFIG, output=tmp_path / "a.spz", device="cpu")
