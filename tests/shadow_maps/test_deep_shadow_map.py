@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.shadow_maps import culling, deep_shadow_map
 from support.oracles import deep_shadow_oracle as oracle
 from support.oracles.raster_oracle import rotation_from_quaternion
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
@@ -142,6 +143,19 @@ def test_culled_is_unculled(resolution: int, layout: ls.AtlasLayout, light: Any)
     culled, every = (build(casters, light, replace(config, culling=culling), points) for culling in (True, False))
     assert culled.stats.pairs < (0.5 if resolution == 128 else 1.01) * every.stats.pairs
     np.testing.assert_allclose(culled.transmittance(points), every.transmittance(points), atol=3e-5)
+
+
+def test_lists_in_parts_are_the_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On CUDA many items go through the casters of a cell, a part each: to the same map, in the same order."""
+    config = replace(WHOLE, bins=16, max_distance=None)
+    whole = build(config=config)
+    launcher = deep_shadow_map.Launcher
+    monkeypatch.setattr(deep_shadow_map, "Launcher", lambda device: launcher(device, parallel=True))
+    for parts in (1, 300, 10_000):  # of fewer cells; more than one has casters
+        monkeypatch.setattr(culling, "PARALLEL_PARTS", parts)
+        parted = build(config=config)
+        assert parted.stats.pairs == whole.stats.pairs
+        np.testing.assert_array_equal(parted.transmittance(scattered(500)), whole.transmittance(scattered(500)))
 
 
 @pytest.mark.parametrize(

@@ -54,9 +54,13 @@ def load_module(module: KernelModule, device: str, block_threads: int) -> None:
 
 def _folder(module: KernelModule, block_threads: int) -> Path:
     """Where Warp keeps what it has compiled of a module."""
+    return Path(wp.config.kernel_cache_dir or "", warp_module_of(module).get_module_identifier(block_threads))
+
+
+def warp_module_of(module: KernelModule) -> wp.Module:
+    """What Warp has made of a module."""
     name = module.__name__ if isinstance(module, ModuleType) else module
-    warp_module = wp.get_module(name) if isinstance(name, str) else name
-    return Path(wp.config.kernel_cache_dir or "", warp_module.get_module_identifier(block_threads))
+    return wp.get_module(name) if isinstance(name, str) else name
 
 
 def _is_damaged(file: Path) -> bool:

@@ -16,13 +16,12 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any, TypeVar, cast
 
 import warp as wp
 
 from lumisplat.errors import ConfigError, DeviceError, StoppedError
-from lumisplat.runtime.kernel_cache import KernelModule, load_module
+from lumisplat.runtime.kernel_cache import KernelModule, load_module, warp_module_of
 
 _log = logging.getLogger("lumisplat")
 
@@ -30,9 +29,6 @@ _log = logging.getLogger("lumisplat")
 # program writes. Whoever wants them sets the level again, after this import.
 if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
-
-BLOCK_THREADS = 256
-"""CUDA threads a block, but for modules that ask for warps: a module compiles whole per block size."""
 
 COMPILING_ANNOUNCED_S = 1.0
 """Kernels that take longer than this to load, seconds, are being compiled, which is announced."""
@@ -78,6 +74,11 @@ def keep_scratch(device: str) -> None:
 def usable_cores() -> int:
     """CPU cores this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def block_threads(compiled: Any) -> int:
+    """CUDA threads of the blocks that a kernel, or a module of Warp, is compiled for."""
+    return getattr(compiled, "module", compiled).options["block_dim"]
 
 
 @contextmanager
@@ -174,7 +175,7 @@ class Launcher:
         """Runs ``count`` items of ``kernel`` in one launch."""
         if count:
             wp.launch(  # pyright: ignore[reportUnknownMemberType]
-                kernel, dim=count, inputs=inputs, device=self.device, block_dim=self._block_threads
+                kernel, dim=count, inputs=inputs, device=self.device, block_dim=self._threads_of(kernel)
             )
 
     def run_blocks(self, kernel: Kernel, blocks: int, *inputs: object) -> None:
@@ -187,7 +188,7 @@ class Launcher:
             *inputs: The kernel's parameters.
         """
         if blocks:
-            threads = cast(wp.Kernel, kernel).module.options["block_dim"]
+            threads = block_threads(kernel)
             with _blocks_on_cpus():
                 wp.launch(  # pyright: ignore[reportUnknownMemberType]
                     kernel, dim=(blocks, threads), inputs=inputs, device=self.device, block_dim=threads
@@ -248,7 +249,7 @@ class Launcher:
                 dim=end - start,
                 inputs=(start, *inputs),
                 device=self.device,
-                block_dim=self._block_threads,
+                block_dim=self._threads_of(kernel),
                 record_cmd=True,
             )
         else:
@@ -344,16 +345,15 @@ class Launcher:
         device: Any = wp.get_device(self.device)
         return self.is_cuda and not self.profile and bool(device.is_mempool_enabled)
 
-    @property
-    def _block_threads(self) -> int:
+    def _threads_of(self, kernel: Kernel) -> int:
         """Threads of a block whose items do not know each other."""
-        return 1 if self.device == "cpu" else BLOCK_THREADS
+        return block_threads(kernel) if self.is_cuda else 1
 
     def _load(self, module: KernelModule) -> None:
         """Compiles and loads a module for blocks as large as those that it is launched in."""
-        name = module.__name__ if isinstance(module, ModuleType) else ""
-        has_blocks = name.endswith(("_block_kernels", "_warp_kernels"))
-        threads = wp.get_module(name).options["block_dim"] if has_blocks else self._block_threads
+        warp_module = warp_module_of(module)
+        has_blocks = warp_module.name.endswith(("_block_kernels", "_warp_kernels"))
+        threads = block_threads(warp_module) if has_blocks or self.is_cuda else 1
         with _blocks_on_cpus() if has_blocks else nullcontext():
             load_module(module, self.device, threads)
 

@@ -20,6 +20,9 @@ from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 BANDS_PER_THREAD = 16
 """Work is cut finely, because cells differ much in cost: some have many casters, others none."""
 
+PARALLEL_PARTS = 2**16
+"""On CUDA lists are gone through in parts, as many as keep a GPU busy: cells are few, and their lists are long."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CulledCasters:
@@ -88,19 +91,23 @@ class TileLists:
 
     def _narrow(self, name: str, cells: DeviceArray, footprints: DeviceArray, lists: CasterLists) -> CulledCasters:
         """Of the casters in each cell's parent list, those that may intersect the cell."""
-        count, run = cells.shape[0], self._launcher.run_banded
+        parts = max(PARALLEL_PARTS // cells.shape[0], 1) if self._launcher.is_parallel else 1
+        count, run = cells.shape[0] * parts, self._launcher.run_banded
         bands = BANDS_PER_THREAD * self._launcher.threads
+        inputs = self._atlas, footprints, cells, lists, parts
         counts_out = self._buffers.get(f"{name}.counts", wp.int32, count)
-        run(kernels.count_intersections, count, self._atlas, footprints, cells, lists, counts_out, bands=bands)
+        run(kernels.count_intersections, count, *inputs, counts_out, bands=bands)
         counts = counts_out.numpy()
         total = int(counts.sum(dtype=np.int64))
         if total >= 2**31:
             raise SceneError(f"{total:,} pairs of casters and tiles are too many: move the light off the casters")
+        ends = np.cumsum(counts, dtype=np.int32)
         narrowed = CasterLists()
-        narrowed.ends = self._buffers.upload(f"{name}.ends", wp.int32, np.cumsum(counts, dtype=np.int32))
         narrowed.items = self._buffers.get(f"{name}.items", wp.int32, total)
-        run(kernels.list_intersections, count, self._atlas, footprints, cells, lists, narrowed, bands=bands)
-        return CulledCasters(narrowed, counts)
+        ends_of_parts = self._buffers.upload(f"{name}.ends_of_parts", wp.int32, ends)
+        run(kernels.list_intersections, count, *inputs, ends_of_parts, narrowed.items, bands=bands)
+        narrowed.ends = self._buffers.upload(f"{name}.ends", wp.int32, ends[parts - 1 :: parts])
+        return CulledCasters(narrowed, counts.reshape(-1, parts).sum(axis=1, dtype=np.int32))
 
     def _cells(
         self, name: str, corners: npt.NDArray[np.integer], side: int, parents: npt.NDArray[np.integer]

@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.shadow_map.atlas import atlas_from_world, ray_through, texel_coordinates, texel_number
-from lumisplat.device.shadow_map.culling import bounded_cell, footprint_of, list_begin, may_intersect
+from lumisplat.device.shadow_map.culling import bounded_cell, footprint_of, list_begin, may_intersect, part_of_list
 from lumisplat.device.shadow_map.lookup import may_be_shadowed, sample_point, sample_weight
 from lumisplat.device.shadow_map.optical_depth import DEPTH_MIN, depth_profile, may_block, occluder_of
 from lumisplat.device.shadow_map.table import add_depths, bin_below, column_number, loss_at
@@ -68,13 +68,15 @@ def count_intersections(
     footprints: wp.array[Footprint],
     cells: wp.array[Cell],
     lists: CasterLists,
+    parts: int,
     counts_out: wp.array[int],
 ):
-    """How many casters of its parent's list may intersect a cell. One item is one cell."""
+    """How many casters of its parent's list may intersect a cell. One item is one part of that list."""
     i = start + wp.tid()
-    cell = cells[i]
+    cell = cells[i // parts]
+    begin, end = part_of_list(lists, cell.parent, i % parts, parts)
     count = int(0)
-    for k in range(list_begin(lists, cell.parent), lists.ends[cell.parent]):
+    for k in range(begin, end):
         if may_intersect(atlas, footprints[lists.items[k]], cell):
             count += 1
     counts_out[i] = count
@@ -87,15 +89,20 @@ def list_intersections(
     footprints: wp.array[Footprint],
     cells: wp.array[Cell],
     lists: CasterLists,
-    lists_out: CasterLists,
+    parts: int,
+    ends: wp.array[int],
+    items_out: wp.array[int],
 ):
-    """Which casters these are, in order; the ends of ``lists_out`` are there already. One item is one cell."""
+    """Which casters these are, in order; those of an item end at its number in ``ends``."""
     i = start + wp.tid()
-    cell = cells[i]
-    place = list_begin(lists_out, i)
-    for k in range(list_begin(lists, cell.parent), lists.ends[cell.parent]):
+    cell = cells[i // parts]
+    begin, end = part_of_list(lists, cell.parent, i % parts, parts)
+    place = int(0)
+    if i > 0:
+        place = ends[i - 1]
+    for k in range(begin, end):
         if may_intersect(atlas, footprints[lists.items[k]], cell):
-            lists_out.items[place] = lists.items[k]
+            items_out[place] = lists.items[k]
             place += 1
 
 

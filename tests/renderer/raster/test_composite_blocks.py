@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import TILE_PX
 from lumisplat.renderer.raster import splat_block_kernels, splat_pixel_kernels
-from lumisplat.runtime.launcher import BLOCK_THREADS, Launcher
+from lumisplat.runtime.launcher import Launcher
 from support.kernels import CUDA_ARCHITECTURES, compile_for_cuda
 from support.scenes.raster_scenes import front_camera, quad, random_gaussians
 
@@ -23,7 +24,7 @@ class ByPixels(Launcher):
     def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
         """One item a pixel instead."""
         assert kernel is splat_block_kernels.composite_blocks
-        self.run_banded(splat_pixel_kernels.composite_pixels, blocks * BLOCK_THREADS, *inputs)
+        self.run_banded(splat_pixel_kernels.composite_pixels, blocks * TILE_PX * TILE_PX, *inputs)
 
 
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.95])
@@ -40,7 +41,7 @@ def test_lists_of_several_batches(opacity: float, with_mesh: bool) -> None:
         for launcher in (ByPixels("cpu", parallel=True), Launcher("cpu", parallel=True))
     ]
     assert frames[0].stats is not None
-    assert frames[0].stats.pair_count > 3 * BLOCK_THREADS * 6, "the lists are short"
+    assert frames[0].stats.pair_count > 3 * TILE_PX * TILE_PX * 6, "the lists are short"
     for name in LAYERS:
         np.testing.assert_array_equal(getattr(frames[0], name), getattr(frames[1], name), name)
 

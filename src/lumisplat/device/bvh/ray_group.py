@@ -10,6 +10,10 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 
+GROUP_MIN = 8
+"""Fewer rays than these go alone: what they would visit together is more than what they share."""
+
+
 def _on_cuda(code: str, otherwise: str) -> str:
     """A body for CUDA, and a statement for CPUs."""
     return f"#if defined(__CUDA_ARCH__)\n{code}\n#else\n{otherwise}\n#endif\n"
@@ -32,7 +36,7 @@ while (waiting) {
     if (taken & self) group = taken;
     waiting &= ~taken;
 }
-return group == self ? 0 : static_cast<int>(group);
+return __popc(group) < GROUP_MIN ? 0 : static_cast<int>(group);
 """
 
 # Floats in the order of integers: the hardware finds the largest of these in one instruction, from sm_80 on.
@@ -51,7 +55,7 @@ return most;
 """
 
 
-@wp.func_native(_on_cuda(_GROUP, "return 0;"))
+@wp.func_native(_on_cuda(_GROUP.replace("GROUP_MIN", str(GROUP_MIN)), "return 0;"))
 def group_of(origin: wp.vec3, direction: wp.vec3, radius: float, spread: float) -> int:
     """The group of a thread's ray: those of its warp of which a first one differs at most by these.
 

@@ -183,3 +183,12 @@ def may_intersect(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
 def list_begin(lists: CasterLists, i: int) -> int:
     """Where list ``i`` begins."""
     return wp.where(i > 0, lists.ends[wp.max(i - 1, 0)], 0)
+
+
+@wp.func
+def part_of_list(lists: CasterLists, i: int, part: int, parts: int):
+    """Where a part of list ``i`` begins, and where it ends."""
+    begin = list_begin(lists, i)
+    end = lists.ends[i]
+    size = (end - begin + parts - 1) // parts
+    return wp.min(begin + part * size, end), wp.min(begin + (part + 1) * size, end)

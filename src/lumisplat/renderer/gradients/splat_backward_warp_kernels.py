@@ -33,7 +33,7 @@ STRIDE = wp.constant(WARP_THREADS // TILE_PX)
 RowFloats = wp.types.vector(length=TILE_PX * TILE_PX // WARP_THREADS, dtype=wp.float32)
 
 
-@wp.kernel(grid_stride=False)
+@wp.kernel(launch_bounds=(32, 12), grid_stride=False)
 def backward_warps(
     camera: wp.array[CameraData],
     settings: wp.array[RasterData],
@@ -72,15 +72,19 @@ def backward_warps(
             blue[k] = gradient.color[pixel][2]
             behind[k] = behind_pixel(pixels, gradient, pixel, mesh_z[k])
 
+    batch = wp.tile_empty(shape=WARP_THREADS, dtype=Splat, storage="shared")
     j = int(tile_starts[tile])
     end = int(tile_starts[tile + 1])
     unfinished = int(1)
     while j < end and unfinished > 0:
+        fetched = Splat()
+        if j + lane < end:
+            load_splat(splats, tile_splats[j + lane], fetched)
+        wp.tile_scatter_masked(batch, lane, fetched, j + lane < end)
+        first = int(j)
         stop = wp.min(j + LANES, end)
         while j < stop:
-            index = tile_splats[j]
-            splat = Splat()
-            load_splat(splats, index, splat)
+            splat = batch[j - first]
             part = PairFloats(0.0)
             touched = int(0)
             for k in range(ROWS):
@@ -102,6 +106,7 @@ def backward_warps(
             if wp.tile_sum(wp.tile(touched))[0] > 0:
                 record = record_of(splat, wp.tile_extract(wp.tile_sum(wp.tile(part, preserve_type=True)), 0))
             if lane == 0:
+                index = tile_splats[j]
                 pairs_out[pair_slot(rects[index], pair_starts[index], tile_x, tile_y)] = record
             j += 1
         unfinished = wp.tile_sum(wp.tile(wp.where(wp.max(transmittance) > 0.0, 1, 0)))[0]
