@@ -39,13 +39,13 @@ wp.set_module_options(PACKET_OPTIONS)
 TRACE_THREADS = 128
 """CUDA threads of a block. Four of these at once leave each thread 128 registers, half of what it would take; what they
 save each other in waiting is more (H200, a million Gaussians: 86 ms instead of 103)."""
-CUDA_OPTIONS = {**PACKET_OPTIONS, "block_dim": TRACE_THREADS}
 
 
 @functools.cache
 def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     """The kernel for items of ``lanes`` rays; up to ``entries`` nodes wait."""
     LANES = lanes
+    options = {**PACKET_OPTIONS, "block_dim": TRACE_THREADS}
     stacks = node_stack_of(entries)
     NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
     tools, tracing = packet_of(lanes), packet_tracing_of(lanes)
@@ -54,7 +54,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     enter_instance, visit_node = tools.enter_instance, tools.visit_node
     TracedStorage, traced_packet, keep_hits = tracing.storage, tracing.traced_packet, tracing.keep_hits
 
-    @wp.kernel(module="unique", module_options=CUDA_OPTIONS, launch_bounds=(TRACE_THREADS, 4))
+    @wp.kernel(module="unique", module_options=options, launch_bounds=(TRACE_THREADS, 4))
     def trace_gaussians(
         start: int,
         settings: wp.array[TraceData],
