@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.scenes import lit_scene, trace_scenes
+from support.scenes import gradient_scenes, lit_scene, trace_scenes
 from support.scenes import raster_scenes as scenes
 
 pytestmark = [
@@ -65,6 +65,25 @@ def test_captures_come_out_of_cuda_as_they_went_in(pipeline: ls.Pipeline) -> Non
     assert unlit.color.std() > 0.05
     np.testing.assert_allclose(frame.captured, unlit.color, rtol=0.0, atol=2e-6)
     np.testing.assert_array_equal(frame.light, 0.0)
+
+
+@pytest.mark.parametrize("degree", [2, 4])
+def test_cuda_differentiates_rays_as_the_cpu_does(degree: int) -> None:
+    """Frames of rays, by all parameters and by the pose; the same bits again."""
+    scene, camera = ls.Scene([replace(gradient_scenes.cloud(count=60), kernel_degree=degree)]), gradient_scenes.view()
+    found: list[ls.SplatGradients] = []
+    for device in ("cpu", "cuda", "cuda"):
+        renderer = ls.DifferentiableRenderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device)
+        for _ in range(3):  # the third is from a graph
+            renderer.render(scene, camera)
+        found.append(renderer.gradients(*gradient_scenes.by_pixels(camera), pose=True))
+    cpu, cuda, again = map(gradient_scenes.vars_of, found)
+    for name, value in cpu.items():
+        assert np.abs(cuda[name] - value).max() < 1e-3 * np.abs(value).mean(), name
+        np.testing.assert_array_equal(cuda[name], again[name])
+    poses = [one.camera_from_world for one in found]
+    assert poses[0] is not None and poses[1] is not None
+    np.testing.assert_allclose(poses[1], poses[0], atol=1e-3 * np.abs(poses[0]).max())
 
 
 def test_graph_repeats_the_direct_frame() -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import lumisplat as ls
 from lumisplat.math.rigid import rigid_from_twist, twist_from_rigid
@@ -59,10 +60,11 @@ def test_poses_that_are_off_are_found_again() -> None:
     assert (after < before / 5.0).all(), (before, after)
 
 
-def test_a_step_goes_against_the_derivatives_of_the_loss() -> None:
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
+def test_a_step_goes_against_the_derivatives_of_the_loss(pipeline: ls.Pipeline) -> None:
     """Those by turns and shifts of the camera are central differences of the loss of the trainer's own frames."""
     given = moved(views(2), 1.0, 0.03)
-    one = started(given, CONFIG)
+    one = started(given, replace(CONFIG, pipeline=pipeline))
     camera, wanted = given[0].camera, given[0].read()
     photograph, lesson = one._loss.load(wanted.color, None, None), Lesson(0, camera, wanted, BACKGROUND)
 

@@ -133,7 +133,6 @@ def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
         ({"kernel_degree": 4}, "kernel_degree is 4, which rays alone show: use Pipeline.TRACE"),
         ({"kernel_degree": 6, "pipeline": "trace"}, "kernel_degree is 6, expected"),
         ({"pipeline": "path"}, "pipeline is path, expected raster or trace"),
-        ({"pipeline": "trace", "refine_poses": True}, "refine_poses moves the cameras of Pipeline.RASTER alone"),
         ({"pipeline": "trace", "densification": "adaptive"}, "densification is adaptive, which looks at splats"),
     ]
     for settings, problem in refused:

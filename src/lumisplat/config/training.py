@@ -137,5 +137,3 @@ class TrainConfig:
             raise ConfigError(f"kernel_degree is {self.kernel_degree}, which rays alone show: use Pipeline.TRACE")
         if self.pipeline is Pipeline.TRACE and self.densification is Densification.ADAPTIVE:
             raise ConfigError("densification is adaptive, which looks at splats of Pipeline.RASTER: use mcmc for rays")
-        if self.pipeline is Pipeline.TRACE and self.refine_poses:
-            raise ConfigError("refine_poses moves the cameras of Pipeline.RASTER alone: rays leave them as they are")

@@ -50,7 +50,7 @@ class DifferentiableRenderer(Renderer):
     any number of threads, the result has the same bits.
 
     Frames of ``Pipeline.TRACE`` are those of one ray a pixel, of any camera: fisheyes, lenses that distort and rolling
-    shutters as well, and of kernels of any degree. They have no derivatives by the pose, and no further features.
+    shutters as well, and of kernels of any degree. They have no further features.
 
     Args:
         config: Settings; None: the defaults. Its pipeline is ``RASTER`` or ``TRACE``.
@@ -94,7 +94,7 @@ class DifferentiableRenderer(Renderer):
             if options.get("resume") is not None:
                 raise ConfigError("a frame that is resumed has more than one sample a pixel, and no gradients")
             frame = super().render(scene, camera, **options)
-            self._traced = TracedFrame((camera.height, camera.width), self._hits)
+            self._traced = TracedFrame(scene, camera, self._hits)
             return frame
         if camera.is_distorted:
             raise ConfigError("frames of a lens that distorts are resampled, and have no gradients: take a pinhole")
@@ -149,14 +149,14 @@ class DifferentiableRenderer(Renderer):
             pose: Whether to differentiate by the camera's pose, too.
 
         Raises:
-            ConfigError: Nothing was rendered yet, or no features of this frame; or ``pose`` is of a frame of rays.
+            ConfigError: Nothing was rendered yet, or no features of this frame.
             SceneError: A shape does not fit, a value is not finite, or the scene is lit.
         """
         if self._traced is not None:
-            if pose or dL_dfeatures is not None:
-                raise ConfigError("gradients: those by the pose and by features are of Pipeline.RASTER, not of TRACE")
+            if dL_dfeatures is not None:
+                raise ConfigError("gradients: those by features are of Pipeline.RASTER, not of TRACE")
             by_color, gradient = self._given(self._traced.shape, dL_dcolor, dL_dalpha)
-            return self._by_rays.of_frame(self._scene, self._traced, by_color, gradient)
+            return self._by_rays.of_frame(self._scene, self._traced, by_color, gradient, pose=pose)
         scene, camera, drawn = self._last_frame("gradients")
         shape = (camera.height, camera.width)
         by_color, gradient = self._given(shape, dL_dcolor, dL_dalpha)

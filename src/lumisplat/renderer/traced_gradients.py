@@ -15,6 +15,7 @@ from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.given_rays import GivenRays, batches
 from lumisplat.renderer.gradients.given_arrays import given_array
 from lumisplat.renderer.gradients.ray_backward import RayBackward
+from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
 from lumisplat.renderer.gradients.results import (
     RayGradients,
     SplatGradients,
@@ -28,6 +29,7 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 
@@ -35,9 +37,14 @@ from lumisplat.scene.scene import Scene
 class TracedFrame:
     """What a frame of one ray a pixel was drawn from."""
 
-    shape: tuple[int, int]
-    """Height and width, pixels."""
+    scene: Scene
+    camera: Camera
     hits: PrimaryHits
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, pixels."""
+        return self.camera.height, self.camera.width
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +85,7 @@ class TracedGradients:
         self._rays = GivenRays(launcher, buffers)
 
     def of_frame(
-        self, scene: DeviceScene, frame: TracedFrame, by_color: FloatArray, gradient: PixelGradient
+        self, scene: DeviceScene, frame: TracedFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool
     ) -> SplatGradients:
         """Derivatives by what a frame was drawn from.
 
@@ -87,16 +94,19 @@ class TracedGradients:
             frame: The frame.
             by_color: Derivatives by its colour, shape (H, W, 3).
             gradient: The same on the device, and those by its alpha.
+            pose: Whether to differentiate by the camera's pose, too.
         """
         pixels = PixelBuffers.of(self._buffers, scene.image_size).data
         sums = self._backward.begin(scene)
         by_rays = self._backward.start_pixels(scene.image_size, frame.hits.count, pixels, gradient)
         self._backward.add(scene, frame.hits, by_rays, sums)
+        instances = frame.scene.splats
+        by_pose = pose_of_rays_gradient(sums.motions, instances, frame.camera) if pose else None
         none = np.zeros((0, 2), np.float32)
         return SplatGradients(
             sets=tuple(map(set_gradient, sums.gaussians)),
             background=by_background(by_color, 1.0 - host_values(pixels.alpha)),
-            camera_from_world=None,
+            camera_from_world=None if by_pose is None else np.vstack([by_pose, np.zeros(4)]),
             centers=none,
             centers_absolute=none,
             weights=host_values(sums.weights),

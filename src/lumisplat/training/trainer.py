@@ -152,7 +152,7 @@ class Trainer:
         pixels = self._raster.draw(lesson.camera, self._degree, lesson.background)
         loss, by_pixels = self._compare(lesson, pixels, photograph)
         gradient = self._raster.backward(pixels, by_pixels)
-        if self.poses is not None and isinstance(self._raster, TrainingRaster) and self._done >= POSES_AFTER:
+        if self.poses is not None and self._done >= POSES_AFTER:
             rate = falling(self.config.rates.poses, self.config.rates.poses_last, self._done)
             self.poses.move(lesson.number, self._raster.by_pose(lesson.camera), rate)
         self._note(lesson.camera)

@@ -10,9 +10,11 @@ from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.structs.training import LearntSplats
+from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.film import traced_pixel_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
-from lumisplat.renderer.gradients.ray_backward import RayBackward
+from lumisplat.renderer.gradients.ray_backward import RayBackward, RaySums
+from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
@@ -42,6 +44,7 @@ class TrainingRays:
         self._tracer = RayTracer(launcher, buffers, config)
         self._backward = RayBackward(launcher, buffers, config)
         self._hits: PrimaryHits
+        self._sums: RaySums
 
     def place(self, gaussians: Gaussians, learnt: LearntSplats) -> None:
         """As of `TrainingRaster`."""
@@ -72,9 +75,13 @@ class TrainingRays:
     def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
         """As of `TrainingRaster`."""
         by_rays = self._backward.start_pixels(self._scene.image_size, self._hits.count, pixels, gradient)
-        sums = self._backward.begin(self._scene)
-        self._backward.add(self._scene, self._hits, by_rays, sums)
-        return sums.gaussians[0]
+        self._sums = self._backward.begin(self._scene)
+        self._backward.add(self._scene, self._hits, by_rays, self._sums)
+        return self._sums.gaussians[0]
+
+    def by_pose(self, camera: Camera) -> Doubles:
+        """As of `TrainingRaster`."""
+        return pose_of_rays_gradient(self._sums.motions, [SplatInstance(self._gaussians)], camera)
 
     @property
     def data(self) -> GaussianData:

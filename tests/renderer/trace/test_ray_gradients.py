@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.math.rigid import cross_matrix, rigid_from_twist
 from lumisplat.renderer.gradients import ray_backward
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.gradient_oracle import Parameters, differences
@@ -108,6 +109,40 @@ def test_those_of_any_rays_are_central_differences_of_the_twin() -> None:
     )
     parameters = Parameters.of(gaussians, (0.0, 0.0, 0.0), view())
     check_differences(vars_of(found), loss, parameters)
+
+
+POSED = {
+    "pinhole": view(*SIZE),
+    "fisheye": ls.Camera.look_at((0.1, 0.2, -0.4), (0.0, 0.0, 1.0), width=16, height=16, fov_y=3.0, model="fisheye"),
+    "orthographic": ls.Camera.look_at((0.3, -0.2, -3.0), (0.0, 0.0, 0.0), width=18, height=15, model="orthographic"),
+}
+
+
+@pytest.mark.parametrize("kind", POSED)
+def test_those_by_the_pose_are_of_turns_and_shifts(kind: str) -> None:
+    """Of the camera, in its axes, which its rays follow; Gaussians lie in a placed set, and see one eye or many."""
+    camera, gaussians, place = POSED[kind], replace(cloud(8, COUNT, degree=2), kernel_degree=3), np.eye(4)
+    place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    place[:3, 3] = 0.1, -0.2, 0.3
+    renderer = ls.DifferentiableRenderer(config(), "cpu")
+    renderer.render(ls.Scene([ls.SplatInstance(gaussians, place)]), camera)
+    found = renderer.gradients(*by_pixels(camera), pose=True).camera_from_world
+    assert found is not None and not found[3].any()
+    parameters, pose = Parameters.of(ls.transform(gaussians, place), BACKGROUND, camera), camera.camera_from_world
+    slopes, expected = np.zeros(6), np.zeros(6)
+    for number, twist in enumerate(np.eye(6)):
+        generator = np.zeros((4, 4))
+        generator[:3, :3] = cross_matrix(twist[:3])
+        generator[:3, 3] = twist[3:]
+        slopes[number] = (found * (generator @ pose)).sum()
+        ends = [loss_at(camera, rigid_from_twist(sign * 1e-5 * twist) @ pose, parameters) for sign in (1.0, -1.0)]
+        expected[number] = (ends[0] - ends[1]) / 2e-5
+    assert np.abs(slopes - expected).max() < 1e-4 * np.abs(expected).mean(), (slopes, expected)
+
+
+def loss_at(camera: ls.Camera, pose: np.ndarray, parameters: Parameters) -> float:
+    """The twin's number of a frame from another pose."""
+    return loss_of(replace(camera, camera_from_world=pose), degree=3)(parameters)
 
 
 @pytest.mark.parametrize("degree", [2, 4])
@@ -291,8 +326,8 @@ def test_only_what_is_drawn_unlit_sorted_and_once_is_differentiated() -> None:
             ls.DifferentiableRenderer(settings, "cpu")
     renderer = ls.DifferentiableRenderer(config(), "cpu")
     frame = renderer.render(scene, camera)
-    with pytest.raises(ls.ConfigError, match=r"^gradients: those by the pose and by features are of Pipeline.RASTER"):
-        renderer.gradients(*by_pixels(camera), pose=True)
+    with pytest.raises(ls.ConfigError, match=r"^gradients: those by features are of Pipeline.RASTER"):
+        renderer.gradients(*by_pixels(camera), dL_dfeatures=np.zeros((30, 36, 1)))
     with pytest.raises(ls.ConfigError, match=r"^render_features: further features are those of Pipeline.RASTER"):
         renderer.render_features(np.ones((16, 1)))
     with pytest.raises(ls.ConfigError, match="a frame that is resumed has more than one sample"):

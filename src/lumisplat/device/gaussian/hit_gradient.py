@@ -10,7 +10,7 @@ from lumisplat.device.gaussian.projection import ALPHA_LIMIT
 from lumisplat.device.gaussian.projection_gradient import color_dot, open_channels, sh_weights
 from lumisplat.device.gaussian.ray_compositing import hit_color
 from lumisplat.device.structs.bvh import TraceData
-from lumisplat.device.structs.gradients import GaussianGradient, HitMoments
+from lumisplat.device.structs.gradients import GaussianGradient, HitMoments, RayMotion
 from lumisplat.device.structs.rays import Ray
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
 
@@ -104,16 +104,17 @@ def add_hit(
 
 @wp.func
 def add_moments(
-    gaussians: GaussianData, i: int, axes: wp.mat33, moments: HitMoments, by_mean: wp.vec3, out: GaussianGradient
-):
-    """Adds the derivatives by Gaussian ``i`` that follow from its hits.
+    gaussians: GaussianData, i: int, axes: wp.mat33, moments: HitMoments, out: GaussianGradient
+) -> RayMotion:
+    """Adds the derivatives by Gaussian ``i`` that follow from its hits; returns those by its rays.
+
+    These move against it: what changes if all of them are moved is what would if the Gaussian were moved back.
 
     Args:
         gaussians: The set.
         i: The Gaussian.
         axes: Its axes, as columns.
         moments: Of its hits.
-        by_mean: Derivative by its mean by way of its colours.
         out: Receives the sums.
     """
     scale = gaussians.scales[i]
@@ -125,12 +126,17 @@ def add_moments(
         by_scale[1] = by_scale[1] + moments.largest
     else:
         by_scale[2] = by_scale[2] + moments.largest
-    turn = 4.0 * moments.turn
-    by_rotation = gaussians.rotations[i] * wp.quat(turn[0], turn[1], turn[2], 0.0)
-    out.means[i] = out.means[i] + by_mean - 2.0 * (axes * moments.pull) + moments.path
+    by_mean = moments.path - 2.0 * (axes * moments.pull)
+    turn = 2.0 * moments.turn
+    by_rotation = gaussians.rotations[i] * wp.quat(2.0 * turn[0], 2.0 * turn[1], 2.0 * turn[2], 0.0)
+    out.means[i] = out.means[i] + by_mean
     out.rotations[i] = out.rotations[i] + by_rotation
     out.scales[i] = out.scales[i] + by_scale
     out.opacities[i] = out.opacities[i] + moments.log_opacity / gaussians.opacities[i]
+    motion = RayMotion()
+    motion.shift = -by_mean
+    motion.turn = -(axes * turn) - wp.cross(gaussians.means[i], by_mean)
+    return motion
 
 
 @wp.func
@@ -141,11 +147,15 @@ def add_color(
     i: int,
     eye: wp.vec3,
     by_color: wp.vec3,
+    motion: RayMotion,
     out: GaussianGradient,
-) -> wp.vec3:
-    """Adds the derivatives by the harmonics of Gaussian ``i``, whose colour an eye sees; returns that by its mean."""
+) -> RayMotion:
+    """Adds the derivatives by the harmonics and the mean of Gaussian ``i``, whose colour an eye sees.
+
+    Returns ``motion`` with those by the rays: their eye moves with them.
+    """
     if instance.own_colors != 0:
-        return wp.vec3(0.0)
+        return motion
     stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
     degree = wp.min(wp.min(view.sh_degree, instance.sh_degree), stored)
     first = i * gaussians.sh_count
@@ -154,4 +164,7 @@ def add_color(
     by_mean, _eye, _degree, harmonics = wp.grad(color_dot)(gaussians.means[i], eye, degree, weights)
     for k in range((degree + 1) * (degree + 1)):
         out.sh[first + k] = out.sh[first + k] + harmonics[k] * by_open
-    return by_mean
+    out.means[i] = out.means[i] + by_mean
+    motion.shift -= by_mean
+    motion.turn -= wp.cross(eye, by_mean)
+    return motion

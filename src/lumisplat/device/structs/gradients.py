@@ -88,6 +88,16 @@ class HitGradients:
 
 
 @struct
+class RayMotion:
+    """By where the rays are that hit a Gaussian of an instance, object space."""
+
+    shift: wp.vec3
+    """By a shift of all of them."""
+    turn: wp.vec3
+    """By a turn of all of them about the origin."""
+
+
+@struct
 class HitMoments:
     """Sums over the hits of one Gaussian, of which its derivatives are made; along its own axes if not said otherwise.
 

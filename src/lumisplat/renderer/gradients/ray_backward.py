@@ -14,7 +14,13 @@ from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD
 from lumisplat.constants.training import BACKWARD_HITS
 from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.film import PixelData
-from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient
+from lumisplat.device.structs.gradients import (
+    GaussianGradient,
+    HitGradients,
+    PixelGradient,
+    RayGradient,
+    RayMotion,
+)
 from lumisplat.device.structs.rays import HitProfiles, RayData
 from lumisplat.math.arrays import FloatArray, IntArray, Rows
 from lumisplat.renderer.gradients import ray_backward_kernels as kernels
@@ -37,6 +43,8 @@ class RaySums:
     """By each asset of the scene."""
     weights: DeviceArray
     """Sum of the weights with which each Gaussian of the scene is blended, instance by instance."""
+    motions: DeviceArray
+    """By where the rays are that hit each of these, ``RayMotion``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +110,10 @@ class RayBackward:
         sums = RaySums(
             [gradient_of_asset(self._buffers, asset, number) for number, asset in enumerate(scene.assets)],
             self._buffers.get("backward.weights", wp.float32, scene.gaussian_count),
+            self._buffers.get("backward.motions", RayMotion, scene.gaussian_count),
         )
         sums.weights.zero_()
+        sums.motions.zero_()
         for out in sums.gaussians:
             for array in (out.means, out.rotations, out.scales, out.opacities, out.sh):
                 device_array(array).zero_()
@@ -157,7 +167,7 @@ class RayBackward:
                 run(
                     kernels.gather_gaussians,
                     asset.gaussians.count,
-                    *(*placed, part.rays, part.gradient, rows, order, begins, ends, sums.weights, out),
+                    *(*placed, part.rays, part.gradient, rows, order, begins, ends, sums.weights, sums.motions, out),
                     bands=bands,
                 )
 

@@ -21,7 +21,14 @@ from lumisplat.device.gaussian.packet_tracing import ray_of
 from lumisplat.device.gaussian.ray_compositing import hit_color
 from lumisplat.device.structs.bvh import SceneBvh, TraceData
 from lumisplat.device.structs.film import PixelData
-from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, HitMoments, PixelGradient, RayGradient
+from lumisplat.device.structs.gradients import (
+    GaussianGradient,
+    HitGradients,
+    HitMoments,
+    PixelGradient,
+    RayGradient,
+    RayMotion,
+)
 from lumisplat.device.structs.rays import HitProfiles, RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
@@ -111,6 +118,7 @@ def gather_gaussians(
     begins: wp.array[int],
     ends: wp.array[int],
     weights_inout: wp.array[float],
+    motions_inout: wp.array[RayMotion],
     gaussians_inout: GaussianGradient,
 ):
     """Item = Gaussian of the asset: adds up its hits, over its instances.
@@ -130,8 +138,8 @@ def gather_gaussians(
         moments = HitMoments()
         eye = wp.vec3(0.0)
         by_color = wp.vec3(0.0)
-        by_mean = wp.vec3(0.0)
-        weights = float(0.0)
+        motion = motions_inout[index]
+        weights = float(weights_inout[index])
         for place in range(begins[index], ends[index]):
             row = order[place]
             number_of_ray = hits.ray[row]
@@ -139,11 +147,14 @@ def gather_gaussians(
             moments = add_hit(moments, instance, mean, axes, scale, ray, hits.log_alpha[row])
             from_eye = ray.origin - ray.path_length * ray.direction
             if place > begins[index] and wp.length_sq(from_eye - eye) > 0.0:
-                by_mean += add_color(view, instance, gaussians, i, eye, by_color, gaussians_inout)
+                motion = add_color(view, instance, gaussians, i, eye, by_color, motion, gaussians_inout)
                 by_color = wp.vec3(0.0)
             eye = from_eye
             by_color += hits.weight[row] * gradient.color[number_of_ray]
             weights += hits.weight[row]
-        by_mean += add_color(view, instance, gaussians, i, eye, by_color, gaussians_inout)
-        add_moments(gaussians, i, axes, moments, by_mean, gaussians_inout)
-        weights_inout[index] = weights_inout[index] + weights
+        motion = add_color(view, instance, gaussians, i, eye, by_color, motion, gaussians_inout)
+        by_rays = add_moments(gaussians, i, axes, moments, gaussians_inout)
+        motion.shift += by_rays.shift
+        motion.turn += by_rays.turn
+        motions_inout[index] = motion
+        weights_inout[index] = weights

@@ -42,7 +42,8 @@ class SplatGradients:
     """By the colour of the background, shape (3,)."""
     camera_from_world: Doubles | None
     """By the elements of the camera's pose, shape (4, 4), whose last row is 0; None: it was not asked for. Small turns
-    and shifts of the camera follow from it by the chain rule."""
+    and shifts of the camera follow from it by the chain rule; of a frame of rays, nothing else is in it, and both poses
+    of a rolling shutter move together."""
     centers: FloatArray
     """By where splats are in the image, pixels; of all Gaussians of the scene, instance by instance, shape (N, 2). No
     rows, like what follows, of a frame of rays: these know no splats."""
