@@ -56,7 +56,7 @@ class Row:
     """Why it failed or was skipped."""
 
 
-CHECKS, TIMES = "bench.first_light.checks", "bench.first_light.times"
+CHECKS, TIMES, DERIVATIVES = (f"bench.first_light.{name}" for name in ("checks", "times", "derivatives"))
 STEPS = (
     Step("machine", f"{CHECKS}:machine", 60.0),
     Step("kernels", f"{CHECKS}:kernels", 200.0),
@@ -67,12 +67,15 @@ STEPS = (
     Step("moving sets", f"{CHECKS}:moving_sets", 60.0),
     Step("pictures", f"{CHECKS}:pictures", 60.0),
     Step("rays", f"{CHECKS}:rays", 60.0),
+    Step("derivatives", f"{DERIVATIVES}:gradients", 60.0),
     Step("deep shadow maps", f"{CHECKS}:deep_shadow_maps", 60.0),
     Step("out of memory", f"{CHECKS}:out_of_memory", 60.0),
     Step("rasterised frames, times", f"{TIMES}:raster_times", 120.0),
     Step("beside gsplat", f"{TIMES}:beside_gsplat", 60.0),
     Step("traced frames, times", f"{TIMES}:trace_times", 120.0),
     Step("lit hybrid frames, times", f"{TIMES}:lit_times", 120.0),
+    Step("derivatives beside gsplat", f"{DERIVATIVES}:gradients_beside_gsplat", 60.0),
+    Step("training, times", f"{DERIVATIVES}:training_times", 60.0),
     Step("sorts, times", f"{TIMES}:sort_times", 60.0),
     Step("copies, times", f"{TIMES}:copy_times", 60.0),
 )

@@ -6,7 +6,7 @@ without atomics, and without a barrier that others would wait at. The equations 
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS, TILE_PX, WARP_THREADS
+from lumisplat.constants import FUSED_FLAGS, TILE_PX
 from lumisplat.device.gaussian.aligned import load_splat
 from lumisplat.device.gaussian.blend_gradient import (
     PairFloats,
@@ -21,6 +21,8 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient, SplatGradient
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
+
+WARP_THREADS = 32
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": WARP_THREADS})
 
