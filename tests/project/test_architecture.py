@@ -67,6 +67,7 @@ LAYERS = (
     "renderer",
     "relighting",
     "training.corrections",
+    "training.surfaces",
     "training",
     "public",
     "viewer.thresholds",

@@ -89,6 +89,13 @@ class TrainConfig:
     """Weight of the mean opacity in the loss of MCMC, 0..10: without need, Gaussians fade."""
     scale_decay: float = 0.01
     """Weight of the mean scale, likewise, 0..10."""
+    flatness: float = 0.0
+    """Weight of the mean least scale of what is drawn, in extents, 0..1000: makes Gaussians flat (PGSR)."""
+    normals: float = 0.0
+    """Weight of 1 less the cosine between normals of Gaussians and of the depth of their frame, 0..1000: makes them lie
+    on surfaces (2DGS)."""
+    depth_spread: float = 0.0
+    """Weight of the standard deviation of depth along rays, in extents, 0..1000: makes surfaces thin (R3DG)."""
     grow_pull: float = 8e-4
     """Mean pull of the loss at a splat, in halves of the image, above which adaptive densification adds to it, 0..1;
     of magnitudes (AbsGS), which do not cancel."""
@@ -120,6 +127,8 @@ class TrainConfig:
         check_range("ssim", self.ssim, 0.0, 1.0)
         for name in ("alpha", "opacity_decay", "scale_decay"):
             check_range(name, getattr(self, name), 0.0, 10.0)
+        for name in ("flatness", "normals", "depth_spread"):
+            check_range(name, getattr(self, name), 0.0, 1000.0)
         check_range("grow_pull", self.grow_pull, 0.0, 1.0)
         check_whole("coarse", self.coarse, 0, 4)
         for name in ("antialiased", "exposures", "refine_poses", "random_background"):
@@ -130,6 +139,11 @@ class TrainConfig:
         check_kind("rates", self.rates, LearningRates)
         check_whole("seed", self.seed, 0, 2**32 - 1)
 
+    @property
+    def makes_flat(self) -> bool:
+        """Whether there are terms on surfaces."""
+        return max(self.flatness, self.normals, self.depth_spread) > 0.0
+
     def _check_pipeline(self) -> None:
         if self.pipeline not in (Pipeline.RASTER, Pipeline.TRACE):
             raise ConfigError(f"pipeline is {self.pipeline.value}, expected raster or trace: others cannot be trained")
@@ -137,3 +151,5 @@ class TrainConfig:
             raise ConfigError(f"kernel_degree is {self.kernel_degree}, which rays alone show: use Pipeline.TRACE")
         if self.pipeline is Pipeline.TRACE and self.densification is Densification.ADAPTIVE:
             raise ConfigError("densification is adaptive, which looks at splats of Pipeline.RASTER: use mcmc for rays")
+        if self.pipeline is Pipeline.TRACE and self.makes_flat:
+            raise ConfigError("flatness, normals and depth_spread are of splats of Pipeline.RASTER: leave them at 0")

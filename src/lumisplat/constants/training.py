@@ -27,6 +27,17 @@ ADAM_EPSILON = 1e-15
 NOISE_SLOPE = 100.0
 """How sharply the noise ends at `DEAD_OPACITY`."""
 
+# --- Surfaces ---
+
+SURFACE_ALPHA = 0.5
+"""Alpha above which a pixel has a surface."""
+
+SURFACE_VARIANCE_MIN = 1e-6
+"""Variance of depth, extents^2, below which a surface is thin enough. Gao et al. 2024, code."""
+
+SURFACES_AFTER = 0.23
+"""Share of the steps after which normals and depths count. 7,000 of 30,000, Huang et al. 2024, code."""
+
 # --- Poses ---
 
 POSES_AFTER = 0.1

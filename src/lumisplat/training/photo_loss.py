@@ -44,7 +44,7 @@ class PhotoLoss:
     def __init__(self, launcher: Launcher, buffers: Buffers, *, ssim: float, alpha: float) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._ssim, self._alpha = ssim, alpha
-        self._total = 1.0
+        self.counted = 1.0
         """Sum of what counts of the photograph, pixels."""
 
     def load(self, color: FloatArray, weight: FloatArray | None, alpha: FloatArray | None) -> Photograph:
@@ -56,7 +56,7 @@ class PhotoLoss:
             alpha: What the frame's alpha should be, shape (H, W); None: nobody knows.
         """
         photograph = Photograph()
-        self._total = float(color.shape[0] * color.shape[1] if weight is None else weight.sum(dtype=np.float64)) or 1.0
+        self.counted = float(color.shape[0] * color.shape[1] if weight is None else weight.sum(dtype=np.float64)) or 1.0
         photograph.color = self._buffers.upload("photograph.color", wp.vec3, color.reshape(-1, 3))
         none = np.zeros(0, np.float32)
         for name, values in (("weight", weight), ("alpha", alpha)):
@@ -97,14 +97,14 @@ class PhotoLoss:
 
     def _weights(self) -> LossWeights:
         weights = LossWeights()
-        weights.l1 = (1.0 - self._ssim) / (3.0 * self._total)
-        weights.ssim = self._ssim / (3.0 * self._total)
-        weights.alpha = self._alpha / self._total
+        weights.l1 = (1.0 - self._ssim) / (3.0 * self.counted)
+        weights.ssim = self._ssim / (3.0 * self.counted)
+        weights.alpha = self._alpha / self.counted
         return weights
 
     def _loss(self, count: int, ssim_rows: FloatArray, sums: FloatArray) -> Loss:
         """Means over pixels that count; where none does, frame and photograph are the same, and SSIM is 1."""
-        total = self._total
+        total = self.counted
         ssim = 1.0 - (3.0 * count - float(ssim_rows.sum(dtype=np.float64))) / (3.0 * total)
         means = sums.sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total)
         l1, squared, alpha = (float(mean) for mean in means)

@@ -26,6 +26,7 @@ from lumisplat.constants.training import (
     NOISE_STRENGTH,
     POSES_AFTER,
     SH_REST_SHARE,
+    SURFACES_AFTER,
 )
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
@@ -33,7 +34,7 @@ from lumisplat.device.structs.training import NoiseData, Photograph, SplatRecord
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.film import traced_pixel_kernels
-from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules, ray_gradient_modules
+from lumisplat.renderer.kernel_modules import feature_modules, frame_modules, gradient_modules, ray_gradient_modules
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher, Progress
@@ -49,6 +50,8 @@ from lumisplat.training.densify import Record, densified
 from lumisplat.training.initial import Surroundings, first_gaussians, random_points
 from lumisplat.training.learnt import Learnt, LearntOnDevice
 from lumisplat.training.photo_loss import Loss, PhotoLoss
+from lumisplat.training.surfaces import surface_kernels
+from lumisplat.training.surfaces.surface_terms import SurfaceLoss
 from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.training_rays import TrainingRays
 from lumisplat.training.views import Lesson, TrainingView
@@ -96,9 +99,12 @@ class Trainer:
         frames = frame_modules(FramePlan.of(settings, Scene()), self._launcher, settings)
         gradients = [*ray_gradient_modules(), traced_pixel_kernels] if traces else gradient_modules(self._launcher)
         own = [optimizer_kernels, loss_kernels, *([exposure_kernels] if config.exposures else [])]
+        if config.makes_flat:
+            own += [surface_kernels, *feature_modules()]
         self._launcher.load([*frames, *gradients, *own], progress)
         self._raster = (TrainingRays if traces else TrainingRaster)(self._launcher, self._buffers, settings)
         self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, alpha=config.alpha)
+        self._surfaces = self._surface_loss()
         self._device_splats = LearntOnDevice(self._buffers)
         self.exposures = Exposures.neutral(len(views)) if config.exposures else None
         """Those of the photographs, in their order; None: they are not learnt."""
@@ -151,7 +157,7 @@ class Trainer:
         photograph = self._loss.load(lesson.picture.color, lesson.picture.weight, lesson.picture.alpha)
         pixels = self._raster.draw(lesson.camera, self._degree, lesson.background)
         loss, by_pixels = self._compare(lesson, pixels, photograph)
-        gradient = self._raster.backward(pixels, by_pixels)
+        gradient = self._backward(pixels, photograph, by_pixels)
         if self.poses is not None and self._done >= POSES_AFTER:
             rate = falling(self.config.rates.poses, self.config.rates.poses_last, self._done)
             self.poses.move(lesson.number, self._raster.by_pose(lesson.camera), rate)
@@ -206,6 +212,27 @@ class Trainer:
             rate = falling(self.config.rates.exposures, self.config.rates.exposures_last, self._done)
             self.exposures.move(lesson.number, by_exposure, rate)
         return loss, gradient
+
+    def _backward(self, pixels: PixelData, photograph: Photograph, gradient: PixelGradient) -> GaussianGradient:
+        """Derivatives by Gaussians, also those of terms on surfaces, given those of the photograph by pixels."""
+        raster = self._raster
+        if isinstance(raster, TrainingRays):
+            return raster.backward(pixels, gradient)
+        surfaces = self._surfaces if self._done >= SURFACES_AFTER else None
+        if surfaces is not None:
+            raster.compare_surfaces(surfaces, pixels, photograph, counted=self._loss.counted, gradient=gradient)
+        by_gaussians = raster.backward(pixels, gradient, surfaces)
+        if self.config.flatness > 0.0:
+            raster.flatten(self.config.flatness / self.around.extent, by_gaussians)
+        return by_gaussians
+
+    def _surface_loss(self) -> SurfaceLoss | None:
+        """What is compared of surfaces, if anything is."""
+        weights = {"normals": self.config.normals, "depth": self.config.depth_spread}
+        if not any(weights.values()) or isinstance(self._raster, TrainingRays):
+            return None
+        scale = {"middle": self.around.distance, "extent": self.around.extent}
+        return SurfaceLoss(self._launcher, self._buffers, self._raster.channels(), **weights, **scale)
 
     @property
     def _done(self) -> float:

@@ -9,8 +9,9 @@ from lumisplat.config.colors import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import LearntSplats
+from lumisplat.device.structs.training import LearntSplats, Photograph, SurfaceMaps
 from lumisplat.math.arrays import Doubles
+from lumisplat.renderer.gradients.feature_channels import FeatureChannels
 from lumisplat.renderer.gradients.splat_backward import SplatBackward
 from lumisplat.renderer.raster.binning import binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
@@ -25,6 +26,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
 from lumisplat.training import optimizer_kernels
+from lumisplat.training.surfaces import surface_kernels
+from lumisplat.training.surfaces.surface_terms import SurfaceLoss
 
 
 class TrainingRaster:
@@ -46,7 +49,7 @@ class TrainingRaster:
             launcher, buffers, binning=binning, meshes=meshes, splats=self._splats, finds_depth=False
         )
         self._backward = SplatBackward(launcher, buffers)
-        self._launcher = launcher
+        self._launcher, self._buffers = launcher, buffers
         self.by_splat: DeviceArray
         """Derivatives by the splats of the last frame, ``SplatGradient``; written by ``backward``."""
 
@@ -80,15 +83,38 @@ class TrainingRaster:
         self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._learnt, self.data)
         return self._unlit.draw(self._scene).data
 
-    def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
+    def compare_surfaces(
+        self, surfaces: SurfaceLoss, pixels: PixelData, photograph: Photograph, counted: float, gradient: PixelGradient
+    ) -> SurfaceMaps:
+        """As `SurfaceLoss.differentiate`, of the last frame."""
+        return surfaces.differentiate(self._scene, self.drawn, pixels, photograph, counted, gradient)
+
+    def backward(
+        self, pixels: PixelData, gradient: PixelGradient, surfaces: SurfaceLoss | None = None
+    ) -> GaussianGradient:
         """Derivatives by the Gaussians of the last frame.
 
         Args:
             pixels: Of the last frame.
             gradient: Derivatives by these.
+            surfaces: What was compared of its surfaces, if anything.
         """
         self.by_splat = self._backward.splats(self._scene, self.drawn, pixels, gradient)
-        return self._backward.gaussians(self._scene, self.drawn, self.by_splat, 0)
+        by_features = None if surfaces is None else surfaces.backward(self._scene, self.drawn, self.by_splat)
+        by_gaussians = self._backward.gaussians(self._scene, self.drawn, self.by_splat, 0)
+        if surfaces is not None and by_features is not None:
+            surfaces.add_by_features(self._scene, by_features, by_gaussians)
+        return by_gaussians
+
+    def flatten(self, weight: float, gradient: GaussianGradient) -> None:
+        """Adds the derivatives of the mean least scale of what was drawn, times a weight."""
+        count = self._gaussians.count
+        inputs = (weight / count, self.drawn.splats.rects, self.data, gradient)
+        self._launcher.run_banded(surface_kernels.flatten, count, *inputs)
+
+    def channels(self) -> FeatureChannels:
+        """What shows further features of the last frame."""
+        return FeatureChannels(self._launcher, self._buffers, self._unlit, self._backward)
 
     def by_pose(self, camera: Camera) -> Doubles:
         """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4); after ``backward``.

@@ -94,6 +94,31 @@ class Exposure:
 
 
 @struct
+class SurfaceTerms:
+    """What counts how much on the surfaces of a frame; each is a share of a pixel."""
+
+    normals: float
+    depth: float
+    middle: float
+    """View depth that is 0 as a feature, scene units."""
+    per_unit: float
+    """Of features, in a scene unit."""
+
+
+@struct
+class SurfaceMaps:
+    """What a frame's surfaces say, an element a pixel."""
+
+    terms: wp.array[wp.vec2]
+    """Of the loss: of normals, and of depths."""
+    across: wp.array[wp.vec3]
+    """Derivatives by the vector from the surface to the left to that to the right; likewise ``down``."""
+    down: wp.array[wp.vec3]
+    alpha: wp.array[float]
+    """Derivatives by alpha."""
+
+
+@struct
 class LossMaps:
     """Blurred maps, an element a pixel."""
 

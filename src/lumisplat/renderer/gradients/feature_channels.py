@@ -53,7 +53,7 @@ class FeatureChannels:
     def __init__(self, launcher: Launcher, buffers: Buffers, raster: UnlitRaster, backward: SplatBackward) -> None:
         self._launcher, self._buffers, self._raster, self._backward = launcher, buffers, raster, backward
 
-    def show(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray) -> ShownFeatures:
+    def show(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray | DeviceArray) -> ShownFeatures:
         """Sums of features over the splats of each pixel, with the weights of their colours.
 
         Args:
@@ -77,7 +77,7 @@ class FeatureChannels:
         scene: DeviceScene,
         drawn: DrawnSplats,
         shown: ShownFeatures,
-        by_pixels: FloatArray,
+        by_pixels: FloatArray | DeviceArray,
         by_splat: DeviceArray,
     ) -> DeviceArray:
         """Derivatives by the features, shape (N, C); adds those by the shapes of splats to ``by_splat``.
@@ -89,7 +89,7 @@ class FeatureChannels:
             by_pixels: Derivatives by what was shown, shape (H * W, C).
             by_splat: Receives derivatives by splats.
         """
-        count, get, run = len(by_pixels), self._buffers.get, self._launcher.run_banded
+        count, get, run = by_pixels.shape[0], self._buffers.get, self._launcher.run_banded
         given = self._upload("features.by_pixels", by_pixels)
         pixels, gradient = PixelData(), PixelGradient()
         pixels.color, gradient.color = (get(f"features.{name}", wp.vec3, count) for name in ("shown", "by_shown"))
@@ -111,7 +111,9 @@ class FeatureChannels:
         self._launcher.run_banded(kernels.show_features, drawn.splats.count, *inputs)
         return replace(drawn, splats=replace(drawn.splats, data=splats), tiles=replace(drawn.tiles, splats=splats))
 
-    def _upload(self, name: str, values: FloatArray) -> DeviceArray:
+    def _upload(self, name: str, values: FloatArray | DeviceArray) -> DeviceArray:
+        if isinstance(values, wp.array):
+            return values
         array = self._buffers.get(name, wp.float32, (max(len(values), 1), values.shape[1]))
         if values.size:
             array.assign(values)

@@ -1,0 +1,231 @@
+"""Terms of the loss on the surfaces of a frame, and their derivatives.
+
+Features of a Gaussian are its view depth, the square of that, and its normal; depths are in units of the scene's extent
+and from a depth in the middle of the scene, so that variances keep their digits. The equations are in
+docs/method/training.md#surfaces.
+"""
+
+import warp as wp
+
+from lumisplat.constants import FUSED_FLAGS
+from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_VARIANCE_MIN
+from lumisplat.device.gaussian.splat_coverage import is_listed
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gradients import GaussianGradient
+from lumisplat.device.structs.raster import TileRect
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.training import Photograph, SurfaceMaps, SurfaceTerms
+
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+
+OPAQUE = wp.constant(wp.float32(SURFACE_ALPHA))
+VARIANCE_MIN = wp.constant(wp.float32(SURFACE_VARIANCE_MIN))
+AREA_MIN = wp.constant(wp.float32(1e-30))
+"""Length of a cross product below which it has no direction."""
+
+
+@wp.func
+def depth_of(view: CameraData, terms: SurfaceTerms, point: wp.vec3) -> float:
+    """View depth of a point as a feature."""
+    forward = wp.vec3(view.world_from_camera[0, 2], view.world_from_camera[1, 2], view.world_from_camera[2, 2])
+    return (wp.dot(forward, point - view.eye) - terms.middle) * terms.per_unit
+
+
+@wp.func
+def shortest_axis(scale: wp.vec3) -> int:
+    """Number of the axis of least scale; of equal ones the first."""
+    if scale[0] <= scale[1] and scale[0] <= scale[2]:
+        return 0
+    return wp.where(scale[1] <= scale[2], 1, 2)
+
+
+@wp.func
+def normal_of(view: CameraData, gaussians: GaussianData, i: int) -> wp.vec3:
+    """The shortest axis of a Gaussian on the side of the eye, world space, unit."""
+    axis = wp.vec3(0.0)
+    axis[shortest_axis(gaussians.scales[i])] = 1.0
+    normal = wp.quat_rotate(gaussians.rotations[i], axis)
+    return wp.where(wp.dot(normal, gaussians.means[i] - view.eye) > 0.0, -normal, normal)
+
+
+@wp.kernel
+def find_features(
+    start: int,
+    camera: wp.array[CameraData],
+    terms: SurfaceTerms,
+    gaussians: GaussianData,
+    features_out: wp.array2d[float],
+):
+    """Item = Gaussian: depth, its square, and normal."""
+    i = start + wp.tid()
+    depth = depth_of(camera[0], terms, gaussians.means[i])
+    normal = normal_of(camera[0], gaussians, i)
+    features_out[i, 0] = depth
+    features_out[i, 1] = depth * depth
+    for k in range(3):
+        features_out[i, 2 + k] = normal[k]
+
+
+@wp.func
+def ray_at(view: CameraData, x: int, y: int) -> wp.vec3:
+    """From the eye to the plane at view depth 1, world space."""
+    u = (float(x) + 0.5 - view.raster_center[0]) / view.focal[0]
+    v = (float(y) + 0.5 - view.raster_center[1]) / view.focal[1]
+    return view.world_from_camera * wp.vec3(u, v, 1.0)
+
+
+@wp.func
+def surface_at(
+    view: CameraData, terms: SurfaceTerms, sums: wp.array2d[float], alpha: wp.array[float], x: int, y: int
+) -> wp.vec3:
+    """Where the mean depth of a pixel is, from the eye."""
+    i = y * view.width + x
+    return (terms.middle + sums[i, 0] / (alpha[i] * terms.per_unit)) * ray_at(view, x, y)
+
+
+@wp.func
+def has_normal(view: CameraData, alpha: wp.array[float], x: int, y: int) -> bool:
+    """Whether depths around a pixel say how its surface is turned."""
+    if x < 1 or y < 1 or x >= view.width - 1 or y >= view.height - 1:
+        return False
+    i = y * view.width + x
+    least = wp.min(wp.min(alpha[i - 1], alpha[i + 1]), wp.min(alpha[i - view.width], alpha[i + view.width]))
+    return wp.min(least, alpha[i]) > OPAQUE
+
+
+@wp.func
+def counted_share(photograph: Photograph, i: int) -> float:
+    """How much a pixel counts, 0..1."""
+    if photograph.weight.shape[0] > 0:
+        return photograph.weight[i]
+    return 1.0
+
+
+@wp.kernel
+def compare(
+    start: int,
+    camera: wp.array[CameraData],
+    terms: SurfaceTerms,
+    photograph: Photograph,
+    alpha: wp.array[float],
+    sums: wp.array2d[float],
+    maps_out: SurfaceMaps,
+    by_sums_out: wp.array2d[float],
+):
+    """Item = pixel: its terms, and derivatives by its own sums and by the sides of its surface."""
+    i = start + wp.tid()
+    view = camera[0]
+    x = i % view.width
+    y = i // view.width
+    share = counted_share(photograph, i)
+    a = alpha[i]
+    by_depth = float(0.0)
+    by_square = float(0.0)
+    by_normal = wp.vec3(0.0)
+    by_alpha = float(0.0)
+    across = wp.vec3(0.0)
+    down = wp.vec3(0.0)
+    found = wp.vec2(0.0)
+    if a > OPAQUE:
+        mean = sums[i, 0] / a
+        variance = sums[i, 1] / a - mean * mean
+        spread = wp.sqrt(wp.max(variance, VARIANCE_MIN))
+        found[1] = share * terms.depth * spread
+        if variance > VARIANCE_MIN:
+            slope = share * terms.depth / (2.0 * spread * a)
+            by_square = slope
+            by_depth = -2.0 * mean * slope
+            by_alpha = slope * (2.0 * mean * mean - sums[i, 1] / a)
+    if has_normal(view, alpha, x, y):
+        right = surface_at(view, terms, sums, alpha, x + 1, y) - surface_at(view, terms, sums, alpha, x - 1, y)
+        below = surface_at(view, terms, sums, alpha, x, y + 1) - surface_at(view, terms, sums, alpha, x, y - 1)
+        area = wp.cross(right, below)
+        length = wp.length(area)
+        if length > AREA_MIN:
+            weight = share * terms.normals
+            away = area / length
+            shown = wp.vec3(sums[i, 2], sums[i, 3], sums[i, 4])
+            found[0] = weight * (a + wp.dot(shown, away))
+            by_normal = weight * away
+            by_alpha += weight
+            by_area = (weight / length) * (shown - wp.dot(shown, away) * away)
+            across = wp.cross(below, by_area)
+            down = wp.cross(by_area, right)
+    maps_out.terms[i] = found
+    maps_out.across[i] = across
+    maps_out.down[i] = down
+    maps_out.alpha[i] = by_alpha
+    by_sums_out[i, 0] = by_depth
+    by_sums_out[i, 1] = by_square
+    for k in range(3):
+        by_sums_out[i, 2 + k] = by_normal[k]
+
+
+@wp.kernel
+def gather(
+    start: int,
+    camera: wp.array[CameraData],
+    terms: SurfaceTerms,
+    alpha: wp.array[float],
+    sums: wp.array2d[float],
+    maps: SurfaceMaps,
+    by_sums_inout: wp.array2d[float],
+    by_alpha_inout: wp.array[float],
+):
+    """Item = pixel: derivatives by its depth from the sides of the surfaces of its neighbours."""
+    i = start + wp.tid()
+    view = camera[0]
+    x = i % view.width
+    y = i // view.width
+    by_point = wp.vec3(0.0)
+    if x > 0:
+        by_point += maps.across[i - 1]
+    if x < view.width - 1:
+        by_point -= maps.across[i + 1]
+    if y > 0:
+        by_point += maps.down[i - view.width]
+    if y < view.height - 1:
+        by_point -= maps.down[i + view.width]
+    by_alpha = maps.alpha[i]
+    if alpha[i] > OPAQUE:
+        by_depth = wp.dot(by_point, ray_at(view, x, y)) / (alpha[i] * terms.per_unit)
+        by_sums_inout[i, 0] = by_sums_inout[i, 0] + by_depth
+        by_alpha -= by_depth * sums[i, 0] / alpha[i]
+    by_alpha_inout[i] = by_alpha_inout[i] + by_alpha
+
+
+@wp.kernel
+def add_by_features(
+    start: int,
+    camera: wp.array[CameraData],
+    terms: SurfaceTerms,
+    gaussians: GaussianData,
+    by_features: wp.array2d[float],
+    gradient_inout: GaussianGradient,
+):
+    """Item = Gaussian: the chain rule from its features to where it is, and how it is turned."""
+    i = start + wp.tid()
+    view = camera[0]
+    depth = depth_of(view, terms, gaussians.means[i])
+    by_depth = (by_features[i, 0] + 2.0 * depth * by_features[i, 1]) * terms.per_unit
+    forward = wp.vec3(view.world_from_camera[0, 2], view.world_from_camera[1, 2], view.world_from_camera[2, 2])
+    gradient_inout.means[i] = gradient_inout.means[i] + by_depth * forward
+    by_normal = wp.vec3(by_features[i, 2], by_features[i, 3], by_features[i, 4])
+    by_turn = wp.cross(normal_of(view, gaussians, i), by_normal)
+    # A turn by w moves the quaternion q by half of (w, 0) q.
+    q = gaussians.rotations[i]
+    by_rotation = 2.0 * (wp.quat(by_turn[0], by_turn[1], by_turn[2], 0.0) * q)
+    gradient_inout.rotations[i] = gradient_inout.rotations[i] + by_rotation
+
+
+@wp.kernel
+def flatten(
+    start: int, weight: float, rects: wp.array[TileRect], gaussians: GaussianData, gradient_inout: GaussianGradient
+):
+    """Item = Gaussian: adds the derivative by its least scale, if it was drawn."""
+    i = start + wp.tid()
+    if is_listed(rects[i]):
+        by_scale = gradient_inout.scales[i]
+        k = shortest_axis(gaussians.scales[i])
+        by_scale[k] = by_scale[k] + weight
+        gradient_inout.scales[i] = by_scale

@@ -1,0 +1,139 @@
+"""Terms that make Gaussians flat and lie on surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_VARIANCE_MIN
+from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.training.learnt import Learnt
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import Picture, TrainingView
+from support.oracles.gradient_oracle import Loss, Parameters, differences
+
+SIZE = 22, 16
+NORMALS, DEPTH, FLATNESS = 0.7, 1.3, 2.0
+
+
+def wall(count: int = 14) -> ls.Gaussians:
+    """Large Gaussians, some thin, on a wall that is not even."""
+    rng = np.random.default_rng(1)
+    places = rng.uniform(-1.0, 1.0, (count, 2))
+    rotations = np.column_stack([np.full(count, 2.0), rng.normal(size=(count, 3))])
+    return ls.Gaussians(
+        means=np.column_stack([places, 0.2 * np.sin(3.0 * places[:, 0]) + 0.1 * rng.normal(size=count)]),
+        rotations_wxyz=rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
+        scales=rng.uniform(0.25, 0.6, (count, 3)) * (1.0, 1.0, 0.5),
+        opacities=rng.uniform(0.5, 0.9, count),
+        sh=rng.normal(size=(count, 1, 3)),
+    )
+
+
+def started(**settings: float) -> Trainer:
+    """A trainer that is at the wall, and has drawn it."""
+    size = {"width": SIZE[0], "height": SIZE[1], "fov_y": 0.5}
+    camera = ls.Camera.look_at((0.4, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), **size)
+    other = ls.Camera.look_at((-0.6, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), **size)
+    weight = np.random.default_rng(2).uniform(0.2, 1.0, (SIZE[1], SIZE[0])).astype(np.float32)
+    picture = Picture(np.zeros((SIZE[1], SIZE[0], 3), np.float32), weight)
+    views = [TrainingView(str(k), one, lambda: picture) for k, one in enumerate((camera, other))]
+    gaussians = wall()
+    config = ls.TrainConfig(iterations=10, cap=gaussians.count, sh_degree=0, **settings)
+    one = Trainer(views, config, points=gaussians.means, device="cpu")
+    logits = np.log(gaussians.opacities / (1.0 - gaussians.opacities))
+    values = {"means": gaussians.means, "rotations": gaussians.rotations_wxyz, "sh": gaussians.sh}
+    one._place(Learnt.new({**values, "log_scales": np.log(gaussians.scales), "logits": logits}))
+    return one
+
+
+def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
+    """The terms of the first view, and the derivatives by Gaussians."""
+    camera, picture = one._views[0].smaller(0)
+    photograph = one._loss.load(picture.color, picture.weight, None)
+    pixels = one._raster.draw(camera, 0, (0.0, 0.0, 0.0))
+    count = SIZE[0] * SIZE[1]
+    nothing = PixelGradient()
+    nothing.color = one._buffers.upload("nothing.color", wp.vec3, np.zeros((count, 3), np.float32))
+    nothing.alpha = one._buffers.upload("nothing.alpha", wp.float32, np.zeros(count, np.float32))
+    total = 0.0
+    if one._surfaces is not None:
+        maps = one._raster.compare_surfaces(one._surfaces, pixels, photograph, one._loss.counted, nothing)
+        total = float(np.asarray(maps.terms.numpy(), np.float64).sum())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+    gradient = one._raster.backward(pixels, nothing, one._surfaces)
+    if one.config.flatness:
+        one._raster.flatten(one.config.flatness / one.around.extent, gradient)
+    arrays = {name: np.array(getattr(gradient, name).numpy()) for name in ("means", "rotations", "scales", "opacities")}
+    return total, {**arrays, "rotations": np.roll(arrays["rotations"], 1, axis=1)}
+
+
+@dataclass(frozen=True)
+class Sums(Loss):
+    """Sums of depths and their squares in place of colours, and of normals."""
+
+    middle: float = 0.0
+    extent: float = 1.0
+
+    def _color(self, p: Parameters) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
+        depth = (p.means @ p.camera_from_world[2, :3] + p.camera_from_world[2, 3] - self.middle) / self.extent
+        return np.column_stack([depth, depth**2, np.zeros(len(depth))])
+
+
+def expected(p: Parameters, one: Trainer) -> float:
+    """The terms once more, float64: equation 13 of Huang et al. 2024, and the spread of depth of Gao et al. 2024."""
+    camera, picture = one._views[0].smaller(0)
+    none = np.zeros((SIZE[1], SIZE[0], 3))
+    around = {"middle": one.around.distance, "extent": one.around.extent}
+    sums, clear = Sums(camera, none, none[..., 0], False, by_features=np.zeros((1, 1, 4)), **around).sums(p)
+    alpha, weight = 1.0 - clear, np.asarray(picture.weight, np.float64)
+    has = alpha > SURFACE_ALPHA
+    mean = sums[..., 0] / np.where(has, alpha, 1.0)
+    variance = np.maximum(sums[..., 1] / np.where(has, alpha, 1.0) - mean**2, SURFACE_VARIANCE_MIN)
+    total = one.config.depth_spread * (weight * np.sqrt(variance))[has].sum()
+    z = one.around.distance + one.around.extent * mean
+    x, y = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+    points = z[..., None] * np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
+    right, below = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
+    area = np.cross(right, below)
+    towards = -area / np.linalg.norm(area, axis=-1, keepdims=True) @ p.camera_from_world[:3, :3]
+    inside = np.s_[1:-1, 1:-1]
+    whole = has[inside] & has[1:-1, 2:] & has[1:-1, :-2] & has[2:, 1:-1] & has[:-2, 1:-1]
+    missed = alpha[inside] - (sums[inside][..., 4:7] * towards).sum(axis=-1)
+    return float((total + one.config.normals * (weight[inside] * missed)[whole].sum()) / weight.sum())
+
+
+@pytest.mark.parametrize(("normals", "depth"), [(NORMALS, 0.0), (0.0, DEPTH), (NORMALS, DEPTH)])
+def test_derivatives_of_normals_and_depths(normals: float, depth: float) -> None:
+    """By all that Gaussians are, against central differences of the float64 statement."""
+    one = started(normals=normals, depth_spread=depth)
+    total, found = found_by(one)
+    p = Parameters.of(one.gaussians(), (0.0, 0.0, 0.0), one._views[0].camera)
+    p = replace(p, features=np.zeros((len(p.means), 0)))
+    assert total == pytest.approx(expected(p, one), rel=2e-4) and total > 0.01
+    for name, by in found.items():
+        field = {"rotations": "rotations_wxyz"}.get(name, name)
+        slopes, agree = differences(lambda q: expected(q, one), p, field)
+        assert agree.mean() > 0.8
+        scale = np.abs(slopes).mean()
+        error = np.abs(by - slopes)[agree] / scale
+        assert np.median(error) < 1e-3 and error.max() < 2e-2, (name, np.median(error), error.max())
+
+
+def test_the_least_scale_counts_where_a_gaussian_is_drawn() -> None:
+    """And no other."""
+    one = started(flatness=FLATNESS)
+    _, found = found_by(one)
+    scales = one.gaussians().scales
+    expected = np.zeros_like(scales)
+    expected[np.arange(len(scales)), scales.argmin(axis=1)] = FLATNESS / (len(scales) * one.around.extent)
+    np.testing.assert_allclose(found["scales"], expected, rtol=1e-5)
+    one._place(one._learnt().rows(np.arange(len(scales))))
+    means = one._learnt().values
+    means["means"][3] = (0.0, 0.0, -9.0)  # behind the camera
+    one._place(Learnt.new(means))
+    _, found = found_by(one)
+    assert not found["scales"][3].any() and found["scales"][2].any()
