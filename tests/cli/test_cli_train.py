@@ -12,7 +12,7 @@ from lumisplat.cli import main
 from lumisplat.cli.commands.train import seconds_of
 from support.scenes.training_scenes import folder_of
 
-SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--device", "cpu")
+SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--prune-below", "0", "--device", "cpu")
 
 
 def test_a_folder_becomes_a_capture_and_the_same_command_goes_on(

@@ -106,6 +106,9 @@ class TrainConfig:
     is several times slower, and densified by MCMC alone."""
     kernel_degree: int = KERNEL_DEGREE
     """Exponent of the distance in the response of Gaussians, 0 (linear) to 5 (quintic); others than 2 are of rays."""
+    prune_below: float = 0.01
+    """At the end, Gaussians that are never blended with so much weight in a pixel of a photograph are removed, 0..1;
+    those that ``TRACE`` has learnt all stay."""
     antialiased: bool = False
     """Whether opacities are compensated for the width of pixels (Mip-Splatting)."""
     exposures: bool = False
@@ -129,6 +132,7 @@ class TrainConfig:
             check_range(name, getattr(self, name), 0.0, 10.0)
         for name in ("flatness", "normals", "depth_spread"):
             check_range(name, getattr(self, name), 0.0, 1000.0)
+        check_range("prune_below", self.prune_below, 0.0, 1.0)
         check_range("grow_pull", self.grow_pull, 0.0, 1.0)
         check_whole("coarse", self.coarse, 0, 4)
         for name in ("antialiased", "exposures", "refine_poses", "random_background"):

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from lumisplat.config import Pipeline, TrainConfig
 from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.constants import KERNEL_DEGREE
@@ -52,6 +54,8 @@ class TrainResult:
     exposures: dict[str, Doubles] | None = None
     """How each photograph that was learnt from was exposed, by name, shape (3, 4): what its colours, display-referred,
     were multiplied by, and what was added; their mean is the identity. None: it was not learnt."""
+    pruned: int = 0
+    """Gaussians that were removed at the end, for they showed too little."""
     cameras: tuple[Camera, ...] | None = None
     """Of the photographs that were learnt from, where they have moved to; None: they stayed."""
 
@@ -188,7 +192,8 @@ class _Run:
 
     def finish(self, output: Path | None) -> TrainResult:
         """Writes the capture, and measures it."""
-        gaussians, exposures, cameras = self._trainer.gaussians(), self._exposures(), self._cameras()
+        gaussians, pruned = self._pruned()
+        exposures, cameras = self._exposures(), self._cameras()
         score = self._held_out.score(gaussians, self._progress)
         if score is not None:
             self._curve.measure(self._trainer.iteration, score.psnr)
@@ -201,7 +206,15 @@ class _Run:
                 save_cameras(self._folder.poses, cameras)
         done = self._trainer.iteration
         seconds = time.monotonic() - self._begun
-        return TrainResult(gaussians, done, done == self._config.iterations, score, seconds, exposures, cameras)
+        return TrainResult(gaussians, done, done == self._config.iterations, score, seconds, exposures, pruned, cameras)
+
+    def _pruned(self) -> tuple[Gaussians, int]:
+        """What has been learnt without what shows too little, and how many these were."""
+        gaussians, least = self._trainer.gaussians(), self._config.prune_below
+        if least == 0.0:
+            return gaussians, 0
+        shows = self._trainer.largest_weights() >= least
+        return gaussians.subset(np.flatnonzero(shows)), int((~shows).sum())
 
     def _exposures(self) -> dict[str, Doubles] | None:
         """Those that were learnt, by name."""

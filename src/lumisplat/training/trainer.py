@@ -41,7 +41,7 @@ from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
-from lumisplat.training import loss_kernels, optimizer_kernels
+from lumisplat.training import loss_kernels, optimizer_kernels, weight_kernels
 from lumisplat.training.checkpoint import Checkpoint
 from lumisplat.training.corrections import exposure_kernels
 from lumisplat.training.corrections.exposures import ExposedFrame, Exposures
@@ -130,6 +130,17 @@ class Trainer:
     def gaussians(self) -> Gaussians:
         """What has been learnt so far."""
         return self._learnt().gaussians(self.config)
+
+    def largest_weights(self) -> FloatArray:
+        """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,)."""
+        self._launcher.load([weight_kernels])
+        largest = self._buffers.get("weights.largest", wp.float32, self.count)
+        largest.zero_()
+        for number, view in enumerate(self._views):
+            camera = view.camera if self.poses is None else self.poses.posed(number, view.camera)
+            self._raster.draw(camera, self.config.sh_degree, self._background)
+            self._raster.add_largest_weights(largest)
+        return np.array(largest.numpy(), np.float32)
 
     @property
     def checkpoint(self) -> Checkpoint:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+
+import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.colors import Color
@@ -25,7 +28,7 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
-from lumisplat.training import optimizer_kernels
+from lumisplat.training import optimizer_kernels, weight_kernels
 from lumisplat.training.surfaces import surface_kernels
 from lumisplat.training.surfaces.surface_terms import SurfaceLoss
 
@@ -115,6 +118,19 @@ class TrainingRaster:
     def channels(self) -> FeatureChannels:
         """What shows further features of the last frame."""
         return FeatureChannels(self._launcher, self._buffers, self._unlit, self._backward)
+
+    def add_largest_weights(self, largest: DeviceArray) -> None:
+        """Notes with how much weight each Gaussian was blended at most in the last frame.
+
+        Args:
+            largest: The largest so far, shape (N,).
+        """
+        run, drawn, tiles = self._launcher.run_banded, self.drawn, math.prod(self._scene.tile_grid)
+        starts = self._backward.pair_starts(drawn)
+        pairs = self._buffers.get("weights.pairs", wp.float32, drawn.tiles.items.shape[0])
+        lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
+        run(weight_kernels.find_largest_weights, tiles, self._scene.camera, drawn.settings, *lists, pairs)
+        run(weight_kernels.keep_largest, drawn.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
         """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4); after ``backward``.

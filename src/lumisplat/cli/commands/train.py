@@ -66,6 +66,14 @@ class Train(DeviceCommand):
     """Learn how each photograph was exposed, too: for cameras that chose by themselves."""
     refine_poses: Flag = False
     """Learn the poses, too: for those that are a little off."""
+    flatness: Annotated[float, arg(metavar="WEIGHT")] = 0.0
+    """For relighting: how much it counts that Gaussians are flat; try 1."""
+    normals: Annotated[float, arg(metavar="WEIGHT")] = 0.0
+    """For relighting: how much it counts that Gaussians lie on surfaces; try 0.05. A step takes half as long again."""
+    depth_spread: Annotated[float, arg(metavar="WEIGHT")] = 0.0
+    """For relighting: how much it counts that surfaces are thin; try 0.1."""
+    prune_below: Annotated[float, arg(metavar="WEIGHT")] = 0.01
+    """At the end, remove Gaussians that never show with so much weight in a pixel of a photograph, 0..1."""
     seed: Annotated[int, arg(metavar="N")] = 0
     """Of everything that is random: the same seed gives the same capture."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
@@ -115,6 +123,10 @@ class Train(DeviceCommand):
             exposures=self.exposures,
             refine_poses=self.refine_poses,
             random_background=self._is_random,
+            flatness=self.flatness,
+            normals=self.normals,
+            depth_spread=self.depth_spread,
+            prune_below=self.prune_below,
             seed=self.seed,
         )
 
@@ -133,6 +145,8 @@ class Train(DeviceCommand):
             )
         steps = f"{result.iterations:,} of {self.iterations:,} steps"
         print(f"{self.output}: {counted(result.gaussians.count, 'Gaussian')}, {steps}, {spoken_time(result.seconds)}")
+        if result.pruned:
+            print(f"{counted(result.pruned, 'Gaussian')} more showed too little, and were left out")
         if not result.is_finished:
             print(f"{self._again} goes on")
 

@@ -68,9 +68,7 @@ class SplatBackward:
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count = drawn.splats.count
-        counts, starts = (get(f"backward.pair_{kind}", wp.int32, count + 1) for kind in ("counts", "starts"))
-        run(splat_backward_kernels.count_pairs, count + 1, drawn.splats.rects, counts)
-        prefix_sum(counts, starts, inclusive=False)
+        starts = self.pair_starts(drawn)
         pairs = get("backward.pairs", SplatGradient, drawn.tiles.items.shape[0])
         lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
         inputs = (scene.camera, drawn.settings, *lists, drawn.meshes, pixels, gradient, pairs)
@@ -84,6 +82,14 @@ class SplatBackward:
         with self._launcher.stage("backward: splats"):
             run(splat_backward_kernels.add_pairs, count, starts, pairs, sums)
         return sums
+
+    def pair_starts(self, drawn: DrawnSplats) -> DeviceArray:
+        """Where the records of the tiles of each splat begin; the last element is their number."""
+        count = drawn.splats.count + 1
+        counts, starts = (self._buffers.get(f"backward.pair_{kind}", wp.int32, count) for kind in ("counts", "starts"))
+        self._launcher.run_banded(splat_backward_kernels.count_pairs, count, drawn.splats.rects, counts)
+        prefix_sum(counts, starts, inclusive=False)
+        return starts
 
     def gaussians(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> GaussianGradient:
         """Derivatives by the Gaussians of an asset, 0 for those that were not drawn.

@@ -1,0 +1,131 @@
+"""``lumisplat train`` on what cannot be: one line each, and nothing that was made is lost."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lumisplat.cli import main
+from lumisplat.training import train
+from support.scenes.training_scenes import folder_of
+
+SHORT = ("--iterations", "60", "--cap", "120", "--sh-degree", "1", "--device", "cpu")
+
+
+def told(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line of standard error."""
+    text = capsys.readouterr().err
+    assert text.startswith("error: ") and text.count("\n") == 1, text
+    return text
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 200 kB, which is full soon."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(folder)], check=False, capture_output=True
+    )
+    if mounted.returncode:
+        pytest.skip("file systems cannot be mounted here")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def test_a_single_photograph_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Depth shows between photographs only."""
+    folder = folder_of(tmp_path / "set", 1)
+    assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
+    assert "transforms.json: has a single photograph, expected two or more" in told(capsys)
+    assert not (tmp_path / "a.training").exists()
+
+
+def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is named."""
+    folder = folder_of(tmp_path / "set", 3)
+    (folder / "masks").mkdir()
+    Image.fromarray(np.zeros((40, 40), np.uint8)).save(folder / "masks" / "01.png")
+    assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
+    assert "01.png: is black everywhere: no pixel of its photograph would count" in told(capsys)
+    assert not (tmp_path / "a.training").exists()
+
+
+def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The setting is named, and all files stay as they are."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    command = ["train", str(folder), "-o", str(output), *SHORT]
+    assert main(command) == 0
+    capsys.readouterr()
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
+    for option, problem in (
+        (("--seed", "7"), "with seed 0, not 7"),
+        (("--exposures",), "with exposures False, not True"),
+    ):
+        assert main([*command, *option]) == 2
+        assert f"is of a training {problem}: use the settings of before, or begin anew" in told(capsys)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("file", "writes"), [("checkpoint.npz", 20), ("curve.json", 20), ("a.ply", 1), ("metrics.json", 1), ("08.png", 1)]
+)
+def test_a_disk_that_fills_up_loses_nothing(
+    file: str, writes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whichever file finds it full: one line names it, what was there stays, and the same command goes on."""
+    folder, output, written = folder_of(tmp_path / "set"), tmp_path / "a.ply", 0
+    assert main(["train", str(folder), "-o", str(tmp_path / "whole.ply"), *SHORT]) == 0
+    capsys.readouterr()
+    monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
+    replace = os.replace
+
+    def full(source: str, target: Path) -> None:
+        nonlocal written
+        written += target.name == file
+        if written == writes:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace(source, target)
+
+    command = ["train", str(folder), "-o", str(output), *SHORT]
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", full)
+        assert main(command) == 2
+    line = told(capsys)
+    assert file in line and "cannot be written: No space left on device" in line
+    assert (tmp_path / "a.training" / "checkpoint.npz").exists()
+    assert not list(tmp_path.rglob(".*lumisplat*")), "no half of a file"
+    assert main(command) == 0
+    for name in ("a.ply", "a.training/curve.json", "a.training/metrics.json"):
+        assert (tmp_path / name).read_bytes() == (tmp_path / name.replace("a.", "whole.", 1)).read_bytes()
+
+
+def test_a_full_disk_is_one_line(
+    small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a file system that is really full; with room, the same command goes on."""
+    folder, output = folder_of(tmp_path / "set"), small_disk / "a.ply"
+    monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
+    command = ["train", str(folder), "-o", str(output), *SHORT]
+    assert main([*command, "--stop-after", "0.01"]) == 0
+    capsys.readouterr()
+    steps = json.loads((small_disk / "a.training" / "curve.json").read_text())["count"]
+    ballast = small_disk / "ballast"
+    with pytest.raises(OSError, match="No space left"), ballast.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(4096))
+    assert main(command) == 2
+    assert "cannot be written: No space left on device" in told(capsys)
+    ballast.unlink()
+    subprocess.run(["mount", "-o", "remount,size=2m", str(small_disk)], check=True)
+    assert main(command) == 0 and steps < 60
+    assert "60 of 60 steps" in capsys.readouterr().out

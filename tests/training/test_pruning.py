@@ -1,0 +1,50 @@
+"""What shows nothing is removed at the end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.training.learnt import Learnt
+from lumisplat.training.trainer import Trainer
+from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
+
+
+@pytest.mark.parametrize("threads", [1, 5])
+def test_largest_weights_are_those_of_frames(threads: int) -> None:
+    """Each Gaussian's weight in each pixel is a feature that it alone has; one that no camera sees has none."""
+    given = views(3, 45)
+    learnt = known_learnt().rows(np.arange(30))
+    learnt.values["means"][4] = (0.0, 50.0, 0.0)
+    learnt.values["logits"][5] = -4.0
+    config = ls.TrainConfig(cap=30, sh_degree=1)
+    one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu", threads=threads)
+    one._place(Learnt.new(learnt.values))
+    found = one.largest_weights()
+    renderer, expected = ls.DifferentiableRenderer(ls.RenderConfig(), "cpu"), np.zeros(30)
+    for view in given:
+        renderer.render(ls.Scene([one.gaussians()]), view.camera)
+        expected = np.maximum(expected, renderer.render_features(np.eye(30)).max(axis=(0, 1)))
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+    assert found[4] == 0.0 and found[5] < 0.02 < 0.3 < found.max()
+
+
+def test_what_shows_too_little_is_removed_and_counted(tmp_path: Path) -> None:
+    """From the capture, not from the checkpoint; those that stay are as they were."""
+    folder = folder_of(tmp_path / "set")
+    config = ls.TrainConfig(iterations=150, cap=150, initial=100, sh_degree=1)
+    whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
+    some = ls.train(folder, replace(config, prune_below=0.02), output=tmp_path / "b.ply", device="cpu")
+    assert whole.pruned == 0 and 0 < some.pruned < whole.gaussians.count / 2
+    assert some.gaussians.count == whole.gaussians.count - some.pruned
+    rows = {tuple(mean) for mean in whole.gaussians.means}
+    assert all(tuple(mean) in rows for mean in some.gaussians.means)
+    assert whole.score is not None and some.score is not None
+    assert some.score.psnr == pytest.approx(whole.score.psnr, abs=0.1)
+    with np.load(tmp_path / "b.training" / "checkpoint.npz") as state:
+        assert len(state["values.means"]) == whole.gaussians.count
+    assert ls.load(tmp_path / "b.ply").count == some.gaussians.count  # pyright: ignore[reportAttributeAccessIssue]
