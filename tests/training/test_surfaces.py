@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def wall(count: int = 14) -> ls.Gaussians:
     )
 
 
-def started(**settings: float) -> Trainer:
+def started(**settings: Any) -> Trainer:
     """A trainer that is at the wall, and has drawn it."""
     size = {"width": SIZE[0], "height": SIZE[1], "fov_y": 0.5}
     camera = ls.Camera.look_at((0.4, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), **size)

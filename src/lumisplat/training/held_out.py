@@ -86,8 +86,14 @@ class HeldOut:
     def write_pairs(self, gaussians: Gaussians, folder: Path) -> None:
         """Writes all photographs beside what a capture shows in their places."""
         for photograph in self._photographs:
-            name = "".join(char if char.isalnum() or char in "-_." else "_" for char in photograph.name)
-            write_pair(folder / f"{name}.png", photograph.pixels(), self.shown(gaussians, photograph))
+            write_pair(
+                folder / f"{file_name(photograph.name)}.png", photograph.pixels(), self.shown(gaussians, photograph)
+            )
+
+
+def file_name(name: str) -> str:
+    """A name that any file may have, another one for each name: what may not be in it becomes its number."""
+    return "".join(char if char.isalnum() or char in "-_." else f"%{ord(char):02X}" for char in name)
 
 
 def masked_psnr(shown: FloatArray, photograph: Photograph) -> float:

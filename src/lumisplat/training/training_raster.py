@@ -90,7 +90,7 @@ class TrainingRaster:
         self, surfaces: SurfaceLoss, pixels: PixelData, photograph: Photograph, counted: float, gradient: PixelGradient
     ) -> SurfaceMaps:
         """As `SurfaceLoss.differentiate`, of the last frame."""
-        return surfaces.differentiate(self._scene, self.drawn, pixels, photograph, counted, gradient)
+        return surfaces.differentiate(self._scene, self.drawn, pixels, photograph, counted=counted, gradient=gradient)
 
     def backward(
         self, pixels: PixelData, gradient: PixelGradient, surfaces: SurfaceLoss | None = None

@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from lumisplat.errors import FormatError
 from lumisplat.io.cameras.camera_json import decode_frame, parse_json
@@ -32,6 +32,8 @@ class Listed:
     """With its lens, of the size that the file says."""
     image: Path
     mask: Path | None
+    name: str = ""
+    """The ``file_path`` of its frame, in its shortest spelling."""
 
 
 def transforms_photographs(path: Path) -> list[Listed]:
@@ -57,9 +59,8 @@ def transforms_photographs(path: Path) -> list[Listed]:
                 continue
             camera = decode_frame(path, index, entry, partial(transforms_camera, path, content, None))
             assert image is not None
-            found.append(
-                Listed(camera, image, _listed_mask(path, values.get("mask_path")) or _mask_beside(path.parent, image))
-            )
+            mask = _listed_mask(path, values.get("mask_path")) or _mask_beside(path.parent, image)
+            found.append(Listed(camera, image, mask, str(PurePosixPath(name))))
         _report_missing(path, missing, len(frames), path.parent)
         return found
 

@@ -21,6 +21,7 @@ from lumisplat.io.images.texture import image_size
 from lumisplat.io.photographs.cache import PixelCache
 from lumisplat.io.photographs.lens import is_bent, pinhole_of
 from lumisplat.io.photographs.listing import Listed, colmap_photographs, transforms_photographs
+from lumisplat.io.photographs.nerfstudio import Splits, nerfstudio_points
 from lumisplat.io.photographs.photographs import Photograph, Photographs
 from lumisplat.io.photographs.pixels import Source, read_mask
 from lumisplat.io.photographs.surroundings import camera_extent, camera_target
@@ -68,8 +69,9 @@ def load_photographs(
     The first that is there counts: ``transforms_train.json`` (Blender, NeRF-synthetic; what is held out are the
     photographs of ``transforms_test.json``, else of ``transforms_val.json``), ``transforms.json`` (nerfstudio,
     instant-ngp), or a sparse model of COLMAP in ``sparse/0``, ``sparse`` or the folder itself, with its photographs in
-    ``images``. Where ``masks`` holds a mask of the name of a photograph, or the file names one, only what is not black
-    there counts.
+    ``images``. The ``train_filenames`` and ``test_filenames`` (else ``val_filenames``) of a ``transforms.json``, where
+    it has these, say what is held out, and its ``ply_file_path`` has points. Where ``masks`` holds a mask of the name
+    of a photograph, or the file names one, only what is not black there counts.
 
     Lenses that distort, and fisheyes, are straightened, unless they are to stay: the cameras are pinholes of the same
     focal lengths and size, whose pixels are resampled by Catmull-Rom's cubics; a log line says so. What the pinhole
@@ -106,6 +108,10 @@ def load_photographs(
     color = display_color("background", background)
     with references_outside(allow_outside):
         found = _find(Path(folder), hold_out > 0)
+    if len(found.photographs) < 2:
+        raise FormatError(
+            found.file, "has a single photograph, expected two or more: depth shows between photographs only"
+        )
     set_of = partial(_views, found.file, Wanted(scale, color, straighten), PixelCache(cache_bytes))
     views = set_of(found.photographs)
     if found.held_out is None:
@@ -137,7 +143,9 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
         test = next((path for path in tests if path.is_file() and with_held_out), None)
         return _Found(train, transforms_photographs(train), None if test is None else transforms_photographs(test))
     if (folder / "transforms.json").is_file():
-        return _Found(folder / "transforms.json", transforms_photographs(folder / "transforms.json"))
+        file = folder / "transforms.json"
+        learnt, held_out = Splits.of(file).divide(file, transforms_photographs(file), holds_out=with_held_out)
+        return _Found(file, learnt, held_out, nerfstudio_points(file))
     models = (folder / "sparse" / "0", folder / "sparse", folder)
     model = next((path for path in models if is_colmap(path)), None)
     if model is None:
@@ -151,8 +159,6 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
 
 def _views(file: Path, wanted: Wanted, cache: PixelCache, listed: Sequence[Listed]) -> list[Photograph]:
     """The photographs of a file, in the order of their names, smaller by a factor."""
-    if len(listed) < 2:
-        raise FormatError(file, "has a single photograph, expected two or more: depth shows between photographs only")
     for photograph in listed:
         _check(file, photograph)
     ordered = sorted(listed, key=lambda photograph: photograph.image)

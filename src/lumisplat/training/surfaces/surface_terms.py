@@ -58,6 +58,7 @@ class SurfaceLoss:
         drawn: DrawnSplats,
         pixels: PixelData,
         photograph: Photograph,
+        *,
         counted: float,
         gradient: PixelGradient,
     ) -> SurfaceMaps:

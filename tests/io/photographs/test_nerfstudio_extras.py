@@ -1,0 +1,95 @@
+"""Points and splits of nerfstudio's ``transforms.json``."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.photograph_files import ring_cameras, write_transforms_photographs
+
+POINTS = np.random.default_rng(3).normal(size=(7, 3)).astype(np.float32)
+BYTES = np.random.default_rng(4).integers(0, 256, (7, 3), np.uint8)
+
+
+def folder_with(folder: Path, **values: Any) -> Path:
+    """Ten photographs, whose file says more."""
+    return write_transforms_photographs(folder, ring_cameras(10, 8, 6), **values)
+
+
+def write_points(path: Path, positions: np.ndarray, colors: np.ndarray | None = None) -> None:
+    """A PLY file of points, as nerfstudio writes it."""
+    columns = [("float", name, positions[:, k]) for k, name in enumerate("xyz")]
+    if colors is not None:
+        kind = "uchar" if colors.dtype == np.uint8 else "float"
+        columns += [(kind, name, colors[:, k]) for k, name in enumerate(("red", "green", "blue"))]
+    lines = [f"property {kind} {name}" for kind, name, _ in columns]
+    head = "\n".join(["ply", "format ascii 1.0", f"element vertex {len(positions)}", *lines, "end_header", ""])
+    rows = "".join(" ".join(repr(column[i].item()) for _, _, column in columns) + "\n" for i in range(len(positions)))
+    path.write_text(head + rows)
+
+
+def names(found: tuple[Any, ...]) -> list[int]:
+    """Numbers of views."""
+    return [int(view.name.removeprefix("view_")) for view in found]
+
+
+def test_points_are_where_to_begin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """With bytes, floats, or without colours; where they are not there, a line says so."""
+    folder = folder_with(tmp_path / "set", ply_file_path="./sparse_pc.ply")
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert ls.load_photographs(folder).points is None
+    assert "sparse_pc.ply is not there" in caplog.text.replace("'", "").replace('"', "").replace("./", "")
+    for colors, expected in (
+        (BYTES, BYTES / 255.0),
+        (BYTES / np.float32(255.0), BYTES / 255.0),
+        (None, 0.5 + 0.0 * POINTS),
+    ):
+        write_points(folder / "sparse_pc.ply", POINTS, colors)
+        found = ls.load_photographs(folder)
+        assert found.points is not None and found.point_colors is not None
+        np.testing.assert_allclose(found.points, POINTS, rtol=1e-6)
+        np.testing.assert_allclose(found.point_colors, expected, atol=1e-6)
+    write_points(folder / "sparse_pc.ply", np.where(POINTS > 1.0, np.nan, POINTS))
+    with pytest.raises(ls.FormatError, match="not finite"):
+        ls.load_photographs(folder)
+    folder_with(folder, ply_file_path="../other.ply")
+    with pytest.raises(ls.FormatError, match="not in its folder"):
+        ls.load_photographs(folder)
+
+
+@pytest.mark.parametrize(
+    ("given", "training", "held_out"),
+    [
+        ({"train": [0, 1, 2, 3], "test": [5, 6], "val": [7]}, [0, 1, 2, 3], [5, 6]),
+        ({"train": [0, 1, 2, 3], "val": [7]}, [0, 1, 2, 3], [7]),
+        ({"train": [0, 1, 2, 3, 4, 5]}, [0, 1, 2, 3, 4, 5], [6, 7, 8, 9]),
+        ({"test": [0, 9]}, [1, 2, 3, 4, 5, 6, 7, 8], [0, 9]),
+        ({}, [1, 2, 3, 4, 5, 6, 7, 9], [0, 8]),
+    ],
+)
+def test_what_is_held_out_is_what_the_file_says(
+    given: dict[str, list[int]], training: list[int], held_out: list[int], tmp_path: Path
+) -> None:
+    """Frames by their paths, in any spelling; without a word, every eighth."""
+    splits = {f"{part}_filenames": [f"./images/view_{k}.png" for k in numbers] for part, numbers in given.items()}
+    folder = folder_with(tmp_path / "set", **splits)
+    found = ls.load_photographs(folder)
+    assert names(found.training) == training and names(found.held_out) == held_out
+    if "train" in given:
+        all_of_it = ls.load_photographs(folder, hold_out=0)
+        assert names(all_of_it.training) == training and not all_of_it.held_out
+
+
+def test_splits_that_are_none_are_refused(tmp_path: Path) -> None:
+    """No list, and names of no frame."""
+    for value, problem in (("all", "expected a list of the file_path of frames"), (["a.png"], "none of the frames")):
+        folder = folder_with(tmp_path / str(len(value)), train_filenames=value)
+        with pytest.raises(ls.FormatError, match=problem):
+            ls.load_photographs(folder)
+        assert json.loads((folder / "transforms.json").read_text())["train_filenames"] == value
