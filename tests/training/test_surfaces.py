@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
+from bench import known_surfaces
 
 import lumisplat as ls
 from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_VARIANCE_MIN
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.training.learnt import Learnt
 from lumisplat.training.trainer import Trainer
+from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Picture, TrainingView
 from support.oracles.gradient_oracle import Loss, Parameters, differences
 
@@ -61,13 +63,14 @@ def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
     nothing = PixelGradient()
     nothing.color = one._buffers.upload("nothing.color", wp.vec3, np.zeros((count, 3), np.float32))
     nothing.alpha = one._buffers.upload("nothing.alpha", wp.float32, np.zeros(count, np.float32))
-    total = 0.0
+    total, raster = 0.0, one._raster
+    assert isinstance(raster, TrainingRaster)
     if one._surfaces is not None:
-        maps = one._raster.compare_surfaces(one._surfaces, pixels, photograph, one._loss.counted, nothing)
+        maps = raster.compare_surfaces(one._surfaces, pixels, photograph, counted=one._loss.counted, gradient=nothing)
         total = float(np.asarray(maps.terms.numpy(), np.float64).sum())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
-    gradient = one._raster.backward(pixels, nothing, one._surfaces)
+    gradient = raster.backward(pixels, nothing, one._surfaces)
     if one.config.flatness:
-        one._raster.flatten(one.config.flatness / one.around.extent, gradient)
+        raster.flatten(one.config.flatness / one.around.extent, gradient)
     arrays = {name: np.array(getattr(gradient, name).numpy()) for name in ("means", "rotations", "scales", "opacities")}
     return total, {**arrays, "rotations": np.roll(arrays["rotations"], 1, axis=1)}
 
@@ -138,3 +141,13 @@ def test_the_least_scale_counts_where_a_gaussian_is_drawn() -> None:
     one._place(Learnt.new(means))
     _, found = found_by(one)
     assert not found["scales"][3].any() and found["scales"][2].any()
+
+
+@pytest.mark.deep
+def test_surfaces_come_nearer_to_known_ones() -> None:
+    """Of a ball over a disc: normals and depths, for a small part of the quality of its pictures."""
+    plain = known_surfaces.score(known_surfaces.fitted(known_surfaces.CONFIG))
+    weights = {"flatness": 0.3, "normals": 0.05}
+    flat = known_surfaces.score(known_surfaces.fitted(replace(known_surfaces.CONFIG, **weights)))
+    assert flat.normals < 0.7 * plain.normals and flat.depth < 0.7 * plain.depth, (plain, flat)
+    assert flat.psnr > plain.psnr - 0.5, (plain, flat)

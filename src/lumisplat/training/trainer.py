@@ -98,7 +98,7 @@ class Trainer:
         traces = config.pipeline is Pipeline.TRACE
         frames = frame_modules(FramePlan.of(settings, Scene()), self._launcher, settings)
         gradients = [*ray_gradient_modules(), traced_pixel_kernels] if traces else gradient_modules(self._launcher)
-        own = [optimizer_kernels, loss_kernels, *([exposure_kernels] if config.exposures else [])]
+        own = [optimizer_kernels, loss_kernels, weight_kernels, *([exposure_kernels] if config.exposures else [])]
         if config.makes_flat:
             own += [surface_kernels, *feature_modules()]
         self._launcher.load([*frames, *gradients, *own], progress)
@@ -132,14 +132,19 @@ class Trainer:
         return self._learnt().gaussians(self.config)
 
     def largest_weights(self) -> FloatArray:
-        """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,)."""
-        self._launcher.load([weight_kernels])
+        """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,).
+
+        Of rays, nobody has looked: 1.
+        """
+        raster = self._raster
+        if isinstance(raster, TrainingRays):
+            return np.ones(self.count, np.float32)
         largest = self._buffers.get("weights.largest", wp.float32, self.count)
         largest.zero_()
         for number, view in enumerate(self._views):
             camera = view.camera if self.poses is None else self.poses.posed(number, view.camera)
-            self._raster.draw(camera, self.config.sh_degree, self._background)
-            self._raster.add_largest_weights(largest)
+            raster.draw(camera, self.config.sh_degree, self._background)
+            raster.add_largest_weights(largest)
         return np.array(largest.numpy(), np.float32)
 
     @property
