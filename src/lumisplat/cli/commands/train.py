@@ -69,7 +69,7 @@ class Train(DeviceCommand):
     flatness: Annotated[float, arg(metavar="WEIGHT")] = 0.0
     """For relighting: how much it counts that Gaussians are flat; try 1."""
     normals: Annotated[float, arg(metavar="WEIGHT")] = 0.0
-    """For relighting: how much it counts that Gaussians lie on surfaces; try 0.05. A step takes half as long again."""
+    """For relighting: how much it counts that Gaussians lie on surfaces; try 0.05. A step takes twice as long."""
     depth_spread: Annotated[float, arg(metavar="WEIGHT")] = 0.0
     """For relighting: how much it counts that surfaces are thin; try 0.1."""
     prune_below: Annotated[float, arg(metavar="WEIGHT")] = 0.01
