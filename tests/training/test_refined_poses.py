@@ -117,3 +117,30 @@ def test_corrections_are_resumed_and_written(tmp_path: Path) -> None:
     for one, camera in zip(saved, whole.cameras, strict=True):
         np.testing.assert_allclose(one.camera_from_world, camera.camera_from_world, atol=1e-9)
         assert np.abs(camera.camera_from_world - given[camera.name].camera_from_world).max() > 1e-4
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    """With all that may be learnt or added."""
+    config = ls.TrainConfig(
+        iterations=40,
+        cap=60,
+        initial=60,
+        sh_degree=1,
+        exposures=True,
+        refine_poses=True,
+        random_background=True,
+        flatness=1.0,
+        normals=0.1,
+        depth_spread=0.1,
+    )
+    found: list[dict[str, np.ndarray]] = []
+    for threads in (1, 2, 5):
+        one = Trainer(views(4), config, background=BACKGROUND, device="cpu", threads=threads)
+        for _ in range(config.iterations):
+            one.step()
+        state = one.checkpoint
+        found.append({**state.learnt.values, **state.of_photographs, "weights": one.largest_weights()})
+    for other in found[1:]:
+        for name, values in found[0].items():
+            np.testing.assert_array_equal(other[name], values, err_msg=name)
+    assert np.abs(found[0]["exposures"] - np.eye(3, 4)).max() > 1e-3
