@@ -12,6 +12,7 @@ import lumisplat as ls
 from lumisplat.math.rigid import rigid_from_twist, twist_from_rigid
 from lumisplat.training.corrections.poses import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
+from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Lesson, TrainingView
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
 
@@ -66,16 +67,18 @@ def test_a_step_goes_against_the_derivatives_of_the_loss(pipeline: ls.Pipeline) 
     given = moved(views(2), 1.0, 0.03)
     one = started(given, replace(CONFIG, pipeline=pipeline))
     camera, wanted = given[0].camera, given[0].read()
+    raster = one._raster
+    assert isinstance(raster, TrainingRaster)
     photograph, lesson = one._loss.load(wanted.color, None, None), Lesson(0, camera, wanted, BACKGROUND)
 
     def total(pose: np.ndarray) -> float:
-        pixels = one._raster.draw(replace(camera, camera_from_world=pose), 1, BACKGROUND)
+        pixels = raster.draw(replace(camera, camera_from_world=pose), 1, BACKGROUND)
         return one._compare(lesson, pixels, photograph)[0].total
 
-    pixels = one._raster.draw(camera, 1, BACKGROUND)
-    one._raster.backward(pixels, one._compare(lesson, pixels, photograph)[1])
+    pixels = raster.draw(camera, 1, BACKGROUND)
+    raster.backward(pixels, one._compare(lesson, pixels, photograph)[1])
     pose = np.asarray(camera.camera_from_world)
-    found = twist_gradient(pose, one._raster.by_pose(camera))
+    found = twist_gradient(pose, raster.by_pose(camera))
     step = 1e-3
     slopes = [
         (total(rigid_from_twist(step * axis) @ pose) - total(rigid_from_twist(-step * axis) @ pose)) / (2.0 * step)
