@@ -12,7 +12,6 @@ import lumisplat as ls
 from lumisplat.math.rigid import rigid_from_twist, twist_from_rigid
 from lumisplat.training.corrections.poses import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Lesson, TrainingView
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
 
@@ -68,7 +67,6 @@ def test_a_step_goes_against_the_derivatives_of_the_loss(pipeline: ls.Pipeline) 
     one = started(given, replace(CONFIG, pipeline=pipeline))
     camera, wanted = given[0].camera, given[0].read()
     raster = one._raster
-    assert isinstance(raster, TrainingRaster)
     photograph, lesson = one._loss.load(wanted.color, None, None), Lesson(0, camera, wanted, BACKGROUND)
 
     def total(pose: np.ndarray) -> float:
