@@ -85,7 +85,9 @@ def test_a_frame_launches_what_was_loaded(pipeline: ls.Pipeline, parallel: bool)
             if pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME) and "lights" in settings.get("aovs", ()):
                 continue  # refused
             launcher = Recorder(parallel)
-            Renderer(ls.RenderConfig(pipeline=pipeline, **settings), launcher).render(content, front_camera(16, 16))
+            Renderer(ls.RenderConfig(pipeline=pipeline, samples=1, **settings), launcher).render(
+                content, front_camera(16, 16)
+            )
             assert launcher.launched <= launcher.loaded, f"{name}, {kind}"
 
 

@@ -16,7 +16,8 @@ from lumisplat.renderer.shadow.gaussian_shadow_kernels import first_hits_shadow_
 from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kernel
 from lumisplat.runtime.launcher import Launcher
 
-CUDA_ARCHITECTURES = (86, 90)
+CUDA_ARCHITECTURE = 86
+"""What kernels are compiled for each day: the oldest that is tested, whose code newer ones run, too."""
 
 
 def kernels_of(module: Any) -> list[wp.Kernel]:
@@ -61,6 +62,7 @@ def compile_all() -> None:
         list(pool.map(compile_for_cuda, [*cuda_modules(), *generated_modules(parallel=True)]))
 
 
-def compile_for_cuda(module: Any) -> list[Path]:
-    """PTX of a module for each architecture, from the kernel cache if its sources have not changed."""
-    return wp.compile_aot_module(module, arch=list(CUDA_ARCHITECTURES), use_ptx=True)
+def compile_for_cuda(module: Any, architecture: int = CUDA_ARCHITECTURE) -> Path:
+    """PTX of a module, from the kernel cache if its sources have not changed."""
+    (artifact,) = wp.compile_aot_module(module, arch=architecture, use_ptx=True)
+    return artifact

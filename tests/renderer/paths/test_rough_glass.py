@@ -39,7 +39,9 @@ LAMPS: dict[str, tuple[Light | ls.Mesh, Light]] = {
 
 
 @pytest.mark.parametrize("thin", [False, True])
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize(
+    "lamp", ["mesh", "sky", *(pytest.param(n, marks=pytest.mark.deep) for n in ("rect", "sphere"))]
+)
 def test_what_comes_through_frosted_panes(lamp: str, thin: bool) -> None:
     """By samples of lights and by rays that meet them, weighted: the same light as by the former alone."""
     pane = quad((-4, -4, 0.0), (8, 0, 0), (0, 8, 0), diffuse(0.0)) if thin else ls.box(np.array([8.0, 8.0, 0.1]))
