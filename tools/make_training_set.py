@@ -106,7 +106,8 @@ def describe(mi: Any, scene: ls.Scene, sky: ls.LightEnvironment) -> dict:
 
 def mesh_of(mi: Any, instance: ls.MeshInstance) -> Any:
     """A textured mesh where it stands; bumps that only its normal map has are left out."""
-    mesh, material = instance.mesh, instance.mesh.material
+    mesh = instance.mesh
+    material: Any = mesh.material
     assert mesh.uvs is not None and material.base_color_texture is not None
     color = {"type": "bitmap", "bitmap": mi.Bitmap(np.array(material.base_color_texture))}
     bsdf = {"type": "principled", "base_color": color, "roughness": material.roughness, "metallic": material.metallic}
