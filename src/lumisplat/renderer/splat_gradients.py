@@ -258,7 +258,7 @@ def splat_gradients(
     pose: bool = False,
     device: str = "auto",
 ) -> SplatGradients:
-    """Derivatives of a number by the Gaussians of a scene, given those by the pixels of an unlit raster frame.
+    """Derivatives of a number by the Gaussians of a scene, given those by the pixels of an unlit frame.
 
     For more than one frame, a `lumisplat.DifferentiableRenderer` keeps what they share::
 

@@ -18,8 +18,8 @@ from support.oracles.ray_gradient_oracle import RayLoss
 from support.oracles.trace_oracle import camera_rays
 from support.scenes.gradient_scenes import BACKGROUND, by_pixels, cloud, vars_of, view
 
-SIZE = 18, 15
-COUNT = 9
+SIZE = 16, 13
+COUNT = 7
 
 
 def config(**trace: Any) -> ls.RenderConfig:
