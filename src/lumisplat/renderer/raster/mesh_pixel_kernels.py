@@ -1,8 +1,12 @@
-"""Nearest mesh surface at each pixel centre, on CUDA. One item is one pixel, tile after tile: one block is one tile."""
+"""Nearest mesh surface at each pixel centre, on CUDA. One item is one pair of a tile and a triangle that may touch it.
+
+Pairs write to the pixels that they share by an atomic minimum of depth and number together: whichever comes first, the
+nearest triangle remains, and of equally near ones the first.
+"""
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
+from lumisplat.device.camera.tiles import TILE, tile_corner
 from lumisplat.device.gaussian.compositing import pixel_ray
 from lumisplat.device.mesh.raster_alpha import has_alpha, pixel_meets
 from lumisplat.device.mesh.triangle_raster import depth_at
@@ -11,40 +15,73 @@ from lumisplat.device.structs.raster import RasterMeshes, Triangle
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+NOTHING = wp.constant(wp.int64(2**63 - 1))
+"""Of a pixel without a triangle."""
+INDEX_BITS = wp.constant(wp.int64(32))
+
+
+@wp.func
+def tile_of_pair(tile_starts: wp.array[int], pair: int) -> int:
+    """The last tile whose list begins at or before a pair."""
+    low = int(0)
+    high = int(tile_starts.shape[0] - 1)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if tile_starts[middle] <= pair:
+            low = middle
+        else:
+            high = middle
+    return low
+
 
 @wp.kernel
-def raster_pixels(
+def clear_nearest(start: int, nearest_out: wp.array[wp.int64]):
+    """Item = pixel: without a triangle yet."""
+    nearest_out[start + wp.tid()] = NOTHING
+
+
+@wp.kernel
+def raster_pairs(
     start: int,
     camera: wp.array[CameraData],
     scene: RasterMeshes,
     triangles: wp.array[Triangle],
     tile_starts: wp.array[int],
     tile_triangles: wp.array[int],
-    depth_out: wp.array[float],
-    triangle_out: wp.array[int],
+    nearest_inout: wp.array[wp.int64],
 ):
-    """Item = tile * 256 + pixel of the tile; the arithmetic of ``raster_tiles``."""
-    i = start + wp.tid()
-    view = camera[0]
-    tile = i // TILE_PIXELS
-    position = tile_pixel(view, i)
-    x = position[0]
-    y = position[1]
-    if x >= view.width or y >= view.height:
+    """Item = pair; those behind the last one are of nothing. The arithmetic of ``raster_tiles``."""
+    pair = start + wp.tid()
+    if pair >= tile_starts[tile_starts.shape[0] - 1]:
         return
-    ray = pixel_ray(view, x, y)
-    nearest = float(wp.inf)
-    winner = int(-1)
-    for j in range(tile_starts[tile], tile_starts[tile + 1]):
-        index = tile_triangles[j]
-        # Most triangles of a dense mesh miss the two rows of a warp: then this is all that is read of them.
-        if y < int(triangles[index].row_first) or y > int(triangles[index].row_last):
-            continue
-        triangle = triangles[index]
-        z = depth_at(triangle, ray)
-        if z > view.near and z < nearest:
-            if not has_alpha(triangle, scene) or pixel_meets(triangle, ray, y * view.width + x, scene):
-                nearest = z
-                winner = index
-    depth_out[y * view.width + x] = nearest
-    triangle_out[y * view.width + x] = winner
+    view = camera[0]
+    corner = tile_corner(view, tile_of_pair(tile_starts, pair))
+    index = tile_triangles[pair]
+    triangle = triangles[index]
+    is_whole = not has_alpha(triangle, scene)
+    first = wp.max(int(triangle.row_first), corner[1])
+    end = wp.min(wp.min(int(triangle.row_last) + 1, corner[1] + TILE), view.height)
+    right = wp.min(corner[0] + TILE, view.width)
+    for y in range(first, end):
+        for x in range(corner[0], right):
+            ray = pixel_ray(view, x, y)
+            z = depth_at(triangle, ray)
+            pixel = y * view.width + x
+            if z > view.near:
+                if is_whole or pixel_meets(triangle, ray, pixel, scene):
+                    key = (wp.int64(wp.cast(z, wp.int32)) << INDEX_BITS) | wp.int64(index)
+                    if key < nearest_inout[pixel]:
+                        wp.atomic_min(nearest_inout, pixel, key)
+
+
+@wp.kernel
+def store_nearest(start: int, nearest: wp.array[wp.int64], depth_out: wp.array[float], triangle_out: wp.array[int]):
+    """Item = pixel: depth and number of its triangle."""
+    pixel = start + wp.tid()
+    key = nearest[pixel]
+    if key == NOTHING:
+        depth_out[pixel] = wp.inf
+        triangle_out[pixel] = -1
+    else:
+        depth_out[pixel] = wp.cast(wp.int32(key >> INDEX_BITS), wp.float32)
+        triangle_out[pixel] = wp.int32(key)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
+from lumisplat.constants import TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.raster import MeshPixels, RasterMeshes, TileRect, Triangle
 from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.renderer.raster import mesh_pixel_kernels, mesh_tile_kernels
@@ -90,12 +90,15 @@ class MeshRaster:
         everything = self._binning.unsorted(triangles.shape[0])
         lists = self._binning.bin("mesh", everything, rects, tiles_x, tiles_x * tiles_y)
         winners = self._buffers.get("mesh.triangle", wp.int32, pixels)
-        per_tile = (scene.camera, raster_meshes(scene), triangles, lists.starts, lists.items, depth, winners)
+        per_tile = (scene.camera, raster_meshes(scene), triangles, lists.starts, lists.items)
         if self._launcher.is_parallel:
-            self._launcher.run(mesh_pixel_kernels.raster_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *per_tile)
+            run, nearest = self._launcher.run, self._buffers.get("mesh.nearest", wp.int64, pixels)
+            run(mesh_pixel_kernels.clear_nearest, pixels, 0, nearest)
+            run(mesh_pixel_kernels.raster_pairs, lists.items.shape[0], 0, *per_tile, nearest)
+            run(mesh_pixel_kernels.store_nearest, pixels, 0, nearest, depth, winners)
         else:
-            bands = TILE_BANDS_PER_THREAD * self._launcher.threads
-            self._launcher.run_banded(mesh_tile_kernels.raster_tiles, tiles_x * tiles_y, *per_tile, bands=bands)
+            bands, tiles = TILE_BANDS_PER_THREAD * self._launcher.threads, tiles_x * tiles_y
+            self._launcher.run_banded(mesh_tile_kernels.raster_tiles, tiles, *per_tile, depth, winners, bands=bands)
         return _NearestTriangles(depth, triangles, winners)
 
     def _project(self, scene: DeviceScene) -> tuple[DeviceArray, DeviceArray]:
