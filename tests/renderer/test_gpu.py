@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_captures_come_out_of_cuda_as_they_went_in(pipeline: ls.Pipeline) -> Non
     config = ls.RenderConfig(pipeline=pipeline, background=(0.2, 0.3, 0.4), lighting=True)
     frame = ls.render(scene, camera, config, device="cuda")
     unlit = ls.render(scene, camera, replace(config, lighting=False), device="cuda")
-    assert unlit.color.std() > 0.05
+    assert unlit.color.std() > 0.05 and frame.captured is not None
     np.testing.assert_allclose(frame.captured, unlit.color, rtol=0.0, atol=2e-6)
     np.testing.assert_array_equal(frame.light, 0.0)
 
@@ -119,3 +120,13 @@ def test_cuda_shadows_what_the_cpu_shadows(light: object) -> None:
     ]
     assert seen[0].min() < 0.5
     np.testing.assert_allclose(seen[1], seen[0], atol=1e-4)
+
+
+def test_derivatives_are_taken_from_arrays_on_the_gpu() -> None:
+    """By DLPack, as tensors of other packages are."""
+    scene, camera = ls.Scene([scenes.random_gaussians(3, 60)]), scenes.front_camera()
+    pull = np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)).astype(np.float32)
+    there: Any = wp.array(pull, dtype=wp.float32, device="cuda:0")  # pyright: ignore[reportArgumentType]
+    found, expected = (ls.splat_gradients(scene, camera, array, device="cuda").sets[0].means for array in (there, pull))
+    assert np.abs(expected).max() > 0.0
+    np.testing.assert_array_equal(found, expected)

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+import warp as wp
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray
 
+DLPACK_CUDA = 2
+"""kDLCUDA of dlpack.h."""
+
 
 def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
-    """A caller's array as C-contiguous float32, without a copy where that is possible.
+    """A caller's array as C-contiguous float32, without a copy where that is possible; those of GPUs are downloaded.
 
     Raises:
         SceneError: It has another shape, or values that are not finite.
     """
+    if _is_on_gpu(values):
+        there = cast(Any, wp).from_dlpack(values)
+        values = there.numpy()
     has_numpy = hasattr(values, "__array_interface__") or hasattr(values, "__array__")
     if hasattr(values, "__dlpack__") and not has_numpy:
         values = np.from_dlpack(values)
@@ -26,3 +33,9 @@ def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
     if bad:
         raise SceneError(f"{name}: {bad:,} of {array.size:,} values are not finite")
     return array
+
+
+def _is_on_gpu(values: Any) -> bool:
+    """Whether an array says, by DLPack, that NumPy cannot read its memory."""
+    device = getattr(values, "__dlpack_device__", None)
+    return device is not None and int(device()[0]) == DLPACK_CUDA
