@@ -1,7 +1,8 @@
 """What frames along rays cost beside ellipses and the tracer: ``python -m bench.unscented [--device cuda]``.
 
 The biker at 640x360, through a pinhole, a distorting lens and a fisheye of the same focal length: processor time of a
-frame, of all threads, and how alike the pictures are. Settings take turns.
+frame, of all threads, and how alike the pictures are; then, through the pinhole, of derivatives beside their frames.
+Settings take turns.
 """
 
 from __future__ import annotations
@@ -48,6 +49,28 @@ def main() -> None:
         alike = [f"{psnr(rays, other):.1f} dB" for other in (*ewa, traced)]
         missing = ["-"] * (len(configs) - len(suited))
         print(f"| {' | '.join([name, *missing, *cells, *missing, *alike])} |", flush=True)
+
+    print("\n| through the pinhole | ewa | unscented | trace |")
+    print("| --- | ---: | ---: | ---: |")
+    print(f"| {' | '.join(['frame, way back, ratio', *way_back(configs, scene, camera, device)])} |")
+
+
+def way_back(configs: list[ls.RenderConfig], scene: ls.Scene, camera: ls.Camera, device: str) -> list[str]:
+    """Medians of the processor times of a frame and of its derivatives, and their ratio."""
+    import lumisplat as ls
+
+    renderers = [ls.DifferentiableRenderer(config, device) for config in configs]
+    by_color = np.random.default_rng(1).normal(size=(camera.height, camera.width, 3)).astype(np.float32)
+    times: list[list[tuple[float, float]]] = [[] for _ in renderers]
+    for _ in range(FRAMES):
+        for renderer, found in zip(renderers, times, strict=True):
+            start = time.process_time()
+            renderer.render(scene, camera)
+            drawn = time.process_time()
+            renderer.gradients(by_color)
+            found.append((drawn - start, time.process_time() - drawn))
+    medians = [np.median(np.array(found[2:]), axis=0) for found in times]
+    return [f"{1e3 * frame:.0f} ms, {1e3 * back:.0f} ms, {back / frame:.2f}" for frame, back in medians]
 
 
 def timed(renderers: list[ls.Renderer], scene: ls.Scene, camera: ls.Camera) -> tuple[list[ls.Frame], list[float]]:

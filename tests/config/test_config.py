@@ -233,6 +233,7 @@ CHOICES = [
     (ls.DeepShadowConfig, "absorption", ls.Absorption),
     (ls.DeepShadowConfig, "sampling", ls.ReceiverSampling),
     (ls.TrainConfig, "pipeline", ls.Pipeline),
+    (ls.TrainConfig, "projection", ls.Projection),
 ]
 REFUSED = {
     (ls.ShadowConfig, ls.HitDistance.MEAN),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,11 +61,15 @@ def test_poses_that_are_off_are_found_again() -> None:
     assert (after < before / 5.0).all(), (before, after)
 
 
-@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
-def test_a_step_goes_against_the_derivatives_of_the_loss(pipeline: ls.Pipeline) -> None:
+@pytest.mark.parametrize(
+    "drawn_by",
+    [{}, {"pipeline": ls.Pipeline.TRACE}, {"projection": ls.Projection.UNSCENTED}],
+    ids=["ellipses", "rays", "along rays"],
+)
+def test_a_step_goes_against_the_derivatives_of_the_loss(drawn_by: dict[str, Any]) -> None:
     """Those by turns and shifts of the camera are central differences of the loss of the trainer's own frames."""
     given = moved(views(2), 1.0, 0.03)
-    one = started(given, replace(CONFIG, pipeline=pipeline))
+    one = started(given, replace(CONFIG, **drawn_by))
     camera, wanted = given[0].camera, given[0].read()
     raster = one._raster
     photograph, lesson = one._loss.load(wanted.color, None, None), Lesson(0, camera, wanted, BACKGROUND)

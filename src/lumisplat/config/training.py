@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from lumisplat.config.checks import check_flag, check_kind, check_positive, check_range, check_whole, take_enum
+from lumisplat.config.raster import Projection
 from lumisplat.config.render import Pipeline
 from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
 from lumisplat.errors import ConfigError
@@ -104,11 +105,13 @@ class TrainConfig:
     pipeline: Pipeline = Pipeline.RASTER
     """What draws the Gaussians while they are learnt: ``RASTER``, or ``TRACE``, through the derivatives of rays, which
     is several times slower, and densified by MCMC alone."""
+    projection: Projection = Projection.EWA
+    """How ``RASTER`` sees Gaussians: ``UNSCENTED``, along rays, through lenses as they are, densified by MCMC alone."""
     kernel_degree: int = KERNEL_DEGREE
     """Exponent of the distance in the response of Gaussians, 0 (linear) to 5 (quintic); others than 2 are of rays."""
     prune_below: float = 0.01
     """At the end, Gaussians that are never blended with so much weight in a pixel of a photograph are removed, 0..1;
-    those that ``TRACE`` has learnt all stay."""
+    those that ``TRACE`` or ``UNSCENTED`` has learnt all stay."""
     antialiased: bool = False
     """Whether opacities are compensated for the width of pixels (Mip-Splatting)."""
     exposures: bool = False
@@ -138,6 +141,7 @@ class TrainConfig:
         for name in ("antialiased", "exposures", "refine_poses", "random_background"):
             check_flag(name, getattr(self, name))
         take_enum(self, "pipeline", Pipeline)
+        take_enum(self, "projection", Projection)
         check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
         self._check_pipeline()
         check_kind("rates", self.rates, LearningRates)
@@ -153,7 +157,14 @@ class TrainConfig:
             raise ConfigError(f"pipeline is {self.pipeline.value}, expected raster or trace: others cannot be trained")
         if self.pipeline is Pipeline.RASTER and self.kernel_degree != KERNEL_DEGREE:
             raise ConfigError(f"kernel_degree is {self.kernel_degree}, which rays alone show: use Pipeline.TRACE")
-        if self.pipeline is Pipeline.TRACE and self.densification is Densification.ADAPTIVE:
+        if self.pipeline is Pipeline.TRACE and self.projection is not Projection.EWA:
+            raise ConfigError("projection is unscented, which is of Pipeline.RASTER: rays see every lens as it is")
+        if self.keeps_lenses and self.densification is Densification.ADAPTIVE:
             raise ConfigError("densification is adaptive, which looks at splats of Pipeline.RASTER: use mcmc for rays")
-        if self.pipeline is Pipeline.TRACE and self.makes_flat:
+        if self.keeps_lenses and self.makes_flat:
             raise ConfigError("flatness, normals and depth_spread are of splats of Pipeline.RASTER: leave them at 0")
+
+    @property
+    def keeps_lenses(self) -> bool:
+        """Whether photographs of distorting lenses and fisheyes are learnt from as they are, along rays."""
+        return self.pipeline is Pipeline.TRACE or self.projection is Projection.UNSCENTED

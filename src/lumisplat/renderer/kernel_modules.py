@@ -97,6 +97,12 @@ def gradient_modules(launcher: Launcher) -> list[KernelModule]:
     return _kernels(*(f"gradients.{name}_kernels" for name in names))
 
 
+def unscented_gradient_modules(launcher: Launcher) -> list[KernelModule]:
+    """The kernel modules of derivatives of frames that are rasterised along rays."""
+    names = ["ray_splat_backward", *(["ray_splat_backward_warp"] if launcher.is_parallel else [])]
+    return _kernels(*(f"gradients.{name}_kernels" for name in names), "gradients.splat_backward_kernels")
+
+
 def ray_gradient_modules() -> list[KernelModule]:
     """The kernel modules of derivatives of unlit frames of rays."""
     return _kernels("gradients.ray_backward_kernels")

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, TraceStrategy
+from lumisplat.config import Pipeline, Projection, RasterStrategy, RenderConfig, TraceStrategy
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.errors import ConfigError
@@ -29,15 +29,21 @@ from lumisplat.renderer.gradients.results import (
     set_gradient,
 )
 from lumisplat.renderer.gradients.splat_backward import PoseSums, SplatBackward
-from lumisplat.renderer.kernel_modules import feature_modules, gradient_modules, ray_gradient_modules
+from lumisplat.renderer.kernel_modules import (
+    feature_modules,
+    gradient_modules,
+    ray_gradient_modules,
+    unscented_gradient_modules,
+)
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.camera_table import check_camera
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.traced_gradients import GivenGradient, TracedFrame, TracedGradients, check_traced
+from lumisplat.renderer.unscented_gradients import MetFrame, UnscentedGradients
 from lumisplat.runtime.buffers import DeviceArray
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance
 
@@ -50,7 +56,8 @@ class DifferentiableRenderer(Renderer):
     any number of threads, the result has the same bits.
 
     Frames of ``Pipeline.TRACE`` are those of one ray a pixel, of any camera: fisheyes, lenses that distort and rolling
-    shutters as well, and of kernels of any degree. They have no further features.
+    shutters as well, and of kernels of any degree. They have no further features. Frames of ``Projection.UNSCENTED``
+    have none, either, and kernels of degree 2.
 
     Args:
         config: Settings; None: the defaults. Its pipeline is ``RASTER`` or ``TRACE``.
@@ -73,13 +80,16 @@ class DifferentiableRenderer(Renderer):
     ) -> None:
         super().__init__(_checked(checked_config(config)), Launcher(device, threads), progress)
         self._traces = self.config.pipeline is Pipeline.TRACE
-        self._load(ray_gradient_modules() if self._traces else gradient_modules(self._launcher), progress)
+        self._is_unscented = not self._traces and self.config.raster.projection is Projection.UNSCENTED
+        self._load(self._backward_modules(), progress)
         self._backward = SplatBackward(self._launcher, self._buffers)
         self._by_rays = TracedGradients(self._launcher, self._buffers, self.config, self._tracer)
+        self._along_rays = UnscentedGradients(self._launcher, self._buffers)
         self._features = FeatureChannels(self._launcher, self._buffers, self._unlit_raster, self._backward)
         self._shown: tuple[Scene, Camera, DrawnSplats] | None = None
         self._shown_features: ShownFeatures | None = None
         self._traced: TracedFrame | None = None
+        self._met: MetFrame | None = None
 
     def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
         """As `lumisplat.Renderer.render`.
@@ -96,8 +106,17 @@ class DifferentiableRenderer(Renderer):
             frame = super().render(scene, camera, **options)
             self._traced = TracedFrame(scene, camera, self._hits)
             return frame
+        if self._is_unscented:
+            check_traced(scene)
+            frame = super().render(scene, camera, **options)
+            if self._unscented.met is not None:
+                self._met = MetFrame(scene, camera, self._unscented.met)
+            return frame
         if camera.is_distorted:
-            raise ConfigError("frames of a lens that distorts are resampled, and have no gradients: take a pinhole")
+            raise ConfigError(
+                "frames of a lens that distorts are resampled, and have no gradients: take a pinhole, or "
+                "Projection.UNSCENTED"
+            )
         frame = super().render(scene, camera, **options)
         if self._unlit_raster.drawn is not None:
             self._shown = scene, camera, self._unlit_raster.drawn
@@ -120,8 +139,9 @@ class DifferentiableRenderer(Renderer):
             ConfigError: Nothing was rendered yet.
             SceneError: The shape does not fit, or a value is not finite.
         """
-        if self._traces:
-            raise ConfigError("render_features: further features are those of Pipeline.RASTER, not of TRACE")
+        if self._traces or self._is_unscented:
+            way = "TRACE" if self._traces else "Projection.UNSCENTED"
+            raise ConfigError(f"render_features: further features are those of Pipeline.RASTER, not of {way}")
         _, camera, drawn = self._last_frame("render_features")
         columns = np.shape(features)[1] if np.ndim(features) == 2 else 1
         values = given_array("features", features, (drawn.splats.count, max(columns, 1)))
@@ -152,9 +172,14 @@ class DifferentiableRenderer(Renderer):
             ConfigError: Nothing was rendered yet, or no features of this frame.
             SceneError: A shape does not fit, a value is not finite, or the scene is lit.
         """
+        if (self._traces or self._is_unscented) and dL_dfeatures is not None:
+            way = "TRACE" if self._traces else "Projection.UNSCENTED"
+            raise ConfigError(f"gradients: those by features are of Pipeline.RASTER, not of {way}")
+        if self._met is not None:
+            camera = self._met.camera
+            by_color, gradient = self._given((camera.height, camera.width), dL_dcolor, dL_dalpha)
+            return self._along_rays.of_frame(self._scene, self._met, by_color, gradient, pose=pose)
         if self._traced is not None:
-            if dL_dfeatures is not None:
-                raise ConfigError("gradients: those by features are of Pipeline.RASTER, not of TRACE")
             by_color, gradient = self._given(self._traced.shape, dL_dcolor, dL_dalpha)
             return self._by_rays.of_frame(self._scene, self._traced, by_color, gradient, pose=pose)
         scene, camera, drawn = self._last_frame("gradients")
@@ -207,7 +232,13 @@ class DifferentiableRenderer(Renderer):
         return super()._sync_rays(scene)
 
     def _forget(self) -> None:
-        self._shown = self._shown_features = self._traced = None
+        self._shown = self._shown_features = self._traced = self._met = None
+
+    def _backward_modules(self) -> list[KernelModule]:
+        """The kernel modules of the way back."""
+        if self._traces:
+            return ray_gradient_modules()
+        return (unscented_gradient_modules if self._is_unscented else gradient_modules)(self._launcher)
 
     def _given(
         self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None
@@ -312,7 +343,8 @@ def _checked(config: RenderConfig) -> RenderConfig:
     strategy = config.trace.strategy if traces else config.raster.strategy
     if strategy not in (TraceStrategy.SORTED, RasterStrategy.SORTED):
         raise ConfigError(f"gradients are those of sorted frames, not of the strategy {strategy.name}")
-    if traces and (config.samples not in (None, 1) or config.time_limit is not None or config.noise is not None):
+    along_rays = traces or config.raster.projection is Projection.UNSCENTED
+    if along_rays and (config.samples not in (None, 1) or config.time_limit is not None or config.noise is not None):
         raise ConfigError(
             "gradients of rays are those of one sample a pixel: leave samples, time_limit and noise alone"
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import RasterConfig, RenderConfig, TrainConfig
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.photographs.photographs import Photograph
 from lumisplat.math.arrays import FloatArray
@@ -36,7 +36,7 @@ class HeldOut:
         photographs: Those that were not learnt from; there may be none.
         device: As of `lumisplat.create_renderer`.
         threads: As of `lumisplat.create_renderer`.
-        pipeline: What draws captures.
+        config: What draws captures; None: ellipses.
     """
 
     def __init__(
@@ -44,14 +44,16 @@ class HeldOut:
         photographs: Sequence[Photograph],
         device: str,
         threads: int | None,
-        pipeline: Pipeline = Pipeline.RASTER,
+        config: TrainConfig | None = None,
     ) -> None:
         self._photographs = photographs
         self._renderer: Renderer | None = None
         if photographs:
             background = photographs[0].background or (0.0, 0.0, 0.0)
-            config = RenderConfig(pipeline=pipeline, background=background, lighting=False)
-            self._renderer = create_renderer(config, device, threads=threads)
+            drawn_by = config or TrainConfig()
+            raster = RasterConfig(projection=drawn_by.projection)
+            settings = RenderConfig(pipeline=drawn_by.pipeline, background=background, raster=raster, lighting=False)
+            self._renderer = create_renderer(settings, device, threads=threads)
             self._renderer.render(Scene(), photographs[0].camera)  # so that no kernel is compiled while others wait
 
     def psnr(self, gaussians: Gaussians) -> float | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.config import Pipeline, TrainConfig
+from lumisplat.config import TrainConfig
 from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import ConfigError
@@ -83,7 +83,8 @@ def train(
 
     Args:
         photographs: A folder, or what `lumisplat.load_photographs` has read; then ``scale``, ``hold_out`` and
-            ``background`` are those of it. A folder's lenses stay as they are if ``config.pipeline`` is ``TRACE``.
+            ``background`` are those of it. A folder's lenses stay as they are if ``config.pipeline`` is ``TRACE``,
+            or ``config.projection`` is ``UNSCENTED``.
         config: Settings; None: the defaults.
         output: The capture, .ply or .spz; None: it is returned alone.
         scale: As of `lumisplat.load_photographs`.
@@ -114,7 +115,7 @@ def train(
     if output is not None and Path(output).suffix.lower() == ".spz" and config.kernel_degree != KERNEL_DEGREE:
         raise ConfigError(f"output is {output}, which cannot say its kernel degree of {config.kernel_degree}: use .ply")
     if not isinstance(photographs, Photographs):
-        straighten = config.pipeline is Pipeline.RASTER
+        straighten = not config.keeps_lenses
         photographs = load_photographs(
             photographs, scale=scale, hold_out=hold_out, background=background, straighten=straighten
         )
@@ -150,7 +151,7 @@ class _Run:
             threads=threads,
             progress=progress,
         )
-        self._held_out = HeldOut(photographs.held_out, device, threads, config.pipeline)
+        self._held_out = HeldOut(photographs.held_out, device, threads, config)
         self._curve = Curve()
         self._begun = 0.0
         """When the first step of this call began, seconds."""

@@ -12,6 +12,7 @@ from lumisplat.config import (
     Antialiasing,
     Densification,
     Pipeline,
+    Projection,
     RasterConfig,
     RenderConfig,
     TraceConfig,
@@ -34,10 +35,16 @@ from lumisplat.device.structs.training import NoiseData, Photograph, SplatRecord
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.film import traced_pixel_kernels
-from lumisplat.renderer.kernel_modules import feature_modules, frame_modules, gradient_modules, ray_gradient_modules
+from lumisplat.renderer.kernel_modules import (
+    feature_modules,
+    frame_modules,
+    gradient_modules,
+    ray_gradient_modules,
+    unscented_gradient_modules,
+)
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.buffers import Buffers, device_array
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
@@ -54,6 +61,7 @@ from lumisplat.training.surfaces import surface_kernels
 from lumisplat.training.surfaces.surface_terms import SurfaceLoss
 from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.training_rays import TrainingRays
+from lumisplat.training.training_unscented import TrainingUnscented
 from lumisplat.training.views import Lesson, TrainingView
 
 
@@ -95,14 +103,12 @@ class Trainer:
         self._launcher = Launcher(device, threads)
         self._buffers = Buffers(self._launcher.device)
         settings = frame_settings(config, background)
-        traces = config.pipeline is Pipeline.TRACE
         frames = frame_modules(FramePlan.of(settings, Scene()), self._launcher, settings)
-        gradients = [*ray_gradient_modules(), traced_pixel_kernels] if traces else gradient_modules(self._launcher)
         own = [optimizer_kernels, loss_kernels, weight_kernels, *([exposure_kernels] if config.exposures else [])]
         if config.makes_flat:
             own += [surface_kernels, *feature_modules()]
-        self._launcher.load([*frames, *gradients, *own], progress)
-        self._raster = (TrainingRays if traces else TrainingRaster)(self._launcher, self._buffers, settings)
+        self._launcher.load([*frames, *backward_modules(config, self._launcher), *own], progress)
+        self._raster = raster_of(config)(self._launcher, self._buffers, settings)
         self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, alpha=config.alpha)
         self._surfaces = self._surface_loss()
         self._device_splats = LearntOnDevice(self._buffers)
@@ -134,10 +140,10 @@ class Trainer:
     def largest_weights(self) -> FloatArray:
         """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,).
 
-        Of rays, nobody has looked: 1.
+        Of rays, and along them, nobody has looked: 1.
         """
         raster = self._raster
-        if isinstance(raster, TrainingRays):
+        if not isinstance(raster, TrainingRaster):
             return np.ones(self.count, np.float32)
         largest = self._buffers.get("weights.largest", wp.float32, self.count)
         largest.zero_()
@@ -232,7 +238,7 @@ class Trainer:
     def _backward(self, pixels: PixelData, photograph: Photograph, gradient: PixelGradient) -> GaussianGradient:
         """Derivatives by Gaussians, also those of terms on surfaces, given those of the photograph by pixels."""
         raster = self._raster
-        if isinstance(raster, TrainingRays):
+        if not isinstance(raster, TrainingRaster):
             return raster.backward(pixels, gradient)
         surfaces = self._surfaces if self._done >= SURFACES_AFTER else None
         if surfaces is not None:
@@ -245,7 +251,7 @@ class Trainer:
     def _surface_loss(self) -> SurfaceLoss | None:
         """What is compared of surfaces, if anything is."""
         weights = {"normals": self.config.normals, "depth": self.config.depth_spread}
-        if not any(weights.values()) or isinstance(self._raster, TrainingRays):
+        if not any(weights.values()) or not isinstance(self._raster, TrainingRaster):
             return None
         scale = {"middle": self.around.distance, "extent": self.around.extent}
         return SurfaceLoss(self._launcher, self._buffers, self._raster.channels(), **weights, **scale)
@@ -355,13 +361,29 @@ def falling(first: float, last: float, done: float) -> float:
     return first * (last / first) ** done
 
 
+def raster_of(config: TrainConfig) -> type[TrainingRaster | TrainingRays | TrainingUnscented]:
+    """What draws the Gaussians that are learnt."""
+    if config.pipeline is Pipeline.TRACE:
+        return TrainingRays
+    return TrainingUnscented if config.projection is Projection.UNSCENTED else TrainingRaster
+
+
+def backward_modules(config: TrainConfig, launcher: Launcher) -> list[KernelModule]:
+    """The kernel modules of the derivatives of its frames."""
+    if config.pipeline is Pipeline.TRACE:
+        return [*ray_gradient_modules(), traced_pixel_kernels]
+    if config.projection is Projection.UNSCENTED:
+        return [*unscented_gradient_modules(launcher), traced_pixel_kernels]
+    return gradient_modules(launcher)
+
+
 def frame_settings(config: TrainConfig, background: tuple[float, float, float]) -> RenderConfig:
     """Settings of the frames that are compared with photographs."""
     antialiasing = Antialiasing.ON if config.antialiased else Antialiasing.OFF
     return RenderConfig(
         pipeline=config.pipeline,
         background=background,
-        raster=RasterConfig(sh_degree=config.sh_degree, antialiasing=antialiasing),
+        raster=RasterConfig(projection=config.projection, sh_degree=config.sh_degree, antialiasing=antialiasing),
         trace=TraceConfig(sh_degree=config.sh_degree, antialiasing=antialiasing),
         lighting=False,
     )

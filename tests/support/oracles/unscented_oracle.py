@@ -125,6 +125,21 @@ class Twin:
         return solid_angle / (self.camera.fx * self.camera.fy) * distance**2
 
 
+@dataclass(frozen=True)
+class Loss:
+    """``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame."""
+
+    twin: Twin
+    by_color: np.ndarray
+    by_alpha: np.ndarray
+
+    def __call__(self, p: Parameters) -> float:
+        """The number."""
+        shown, transmittance = self.twin.sums(p)
+        total = (self.by_color * (shown + transmittance[..., None] * p.background)).sum()
+        return float(total + (self.by_alpha * (1.0 - transmittance)).sum())
+
+
 def alpha_on(rays: Rays, mean: np.ndarray, axes: np.ndarray, scales: np.ndarray, opacity: float) -> np.ndarray:
     """Alpha of a Gaussian on each ray, by the point of the ray that is nearest to it in its own measure."""
     start = (rays.origin - mean) @ axes / scales

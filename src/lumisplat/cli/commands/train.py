@@ -58,6 +58,9 @@ class Train(DeviceCommand):
     pipeline: Literal["raster", "trace"] = "raster"
     """What draws the Gaussians while they are learnt: splats, or rays, which are several times slower, and see through
     fisheyes and lenses that distort as they are."""
+    projection: Literal["ewa", "unscented"] = "ewa"
+    """How --pipeline raster sees Gaussians: as ellipses, or along the rays of fisheyes and lenses that distort, which
+    then stay as they are."""
     kernel_degree: Annotated[int, arg(metavar="0..5")] = 2
     """How steeply Gaussians end: 2 is that of a Gaussian, others are of --pipeline trace and of .ply alone."""
     antialiased: Flag = False
@@ -118,6 +121,7 @@ class Train(DeviceCommand):
             sh_degree=self.sh_degree,
             densification=ls.Densification(self.densification),
             pipeline=ls.Pipeline(self.pipeline),
+            projection=ls.Projection(self.projection),
             kernel_degree=self.kernel_degree,
             antialiased=self.antialiased,
             exposures=self.exposures,

@@ -31,6 +31,25 @@ class SplatGradient:
 
 
 @struct
+class RaySplatGradient:
+    """By a Gaussian that rays of pixels meet, over the pixels of one tile or of all, 56 bytes.
+
+    The last three are sums over the points of rays that are nearest to its mean, in its canonical space, each times the
+    derivative by the logarithm of its alpha there.
+    """
+
+    color: wp.vec3
+    log_opacity: float
+    weight: float
+    """Sum of the weights with which it is blended."""
+    point: wp.vec3
+    squares: wp.vec3
+    """Of the points' coordinates."""
+    products: wp.vec3
+    """Of their coordinates y z, z x, x y."""
+
+
+@struct
 class GaussianGradient:
     """By the parameters of a Gaussian asset, an element a Gaussian."""
 

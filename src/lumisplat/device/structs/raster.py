@@ -152,8 +152,6 @@ class RayRasterData:
     """Highest that is evaluated."""
     transmittance_min: float
     depth_iso_transmittance: float
-    background: wp.vec3
-    """Display-referred sRGB."""
     field: float
     """Of a pinhole: tangent of the angle from its axis up to which points are projected as they are."""
 

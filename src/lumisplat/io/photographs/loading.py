@@ -87,7 +87,7 @@ def load_photographs(
         background: Behind transparent pixels, as of `RenderConfig`: three numbers in 0..1, a name or ``"#rrggbb"``;
             None or ``"transparent"``: they stay premultiplied by alpha.
         straighten: Whether lenses that distort, and fisheyes, become pinholes; else their cameras are what they are,
-            which `Pipeline.TRACE` draws, and pixels that they have no ray for are masked out.
+            which `Pipeline.TRACE` and `Projection.UNSCENTED` draw, and pixels that they have no ray for are masked out.
         cache_bytes: Memory for decoded photographs, 8 bits a value, at least 0; what does not fit is decoded again.
         allow_outside: Whether the file may name photographs outside of its own folder, as files that you trust do.
 

@@ -125,5 +125,4 @@ def settings_table(config: RenderConfig) -> np.ndarray:
     row = table = np.zeros(1, dtype=table_dtype(RayRasterData))
     for name in ("dilation", "sh_degree", "transmittance_min", "depth_iso_transmittance"):
         row[name] = getattr(config.raster, name)
-    row["background"] = config.background or (0.0, 0.0, 0.0)
     return table

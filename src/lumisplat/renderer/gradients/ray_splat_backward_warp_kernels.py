@@ -1,0 +1,118 @@
+"""Derivatives of what rays of pixels show by Gaussians on CUDA. One block is one tile and one warp.
+
+Each thread has eight pixels. As ``splat_backward_warp_kernels`` do it for ellipses. The equations are in
+docs/method/gradients.md#rasterisation-along-rays.
+"""
+
+import warp as wp
+
+from lumisplat.constants import FUSED_FLAGS, TILE_PX
+from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.gaussian.blend_gradient import behind_pixel, pair_slot
+from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import PixelGradient, RaySplatGradient
+from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.unscented.ray_splat import eye_of_row, is_within, log_alpha_along
+from lumisplat.device.unscented.ray_splat_gradient import (
+    RaySplatFloats,
+    nearest_point,
+    record_of_pixel,
+    record_of_sums,
+)
+
+WARP_THREADS = 32
+"""Threads that add up without a barrier. Of all NVIDIA GPUs."""
+
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": WARP_THREADS})
+
+TILE = wp.constant(TILE_PX)
+LANES = wp.constant(WARP_THREADS)
+ROWS = wp.constant(TILE_PX * TILE_PX // WARP_THREADS)
+"""Pixels of a thread: one in each second row of the tile."""
+STRIDE = wp.constant(WARP_THREADS // TILE_PX)
+"""Rows from one of them to the next."""
+RowFloats = wp.types.vector(length=TILE_PX * TILE_PX // WARP_THREADS, dtype=wp.float32)
+
+
+@wp.kernel(grid_stride=False)
+def backward_ray_warps(
+    camera: wp.array[CameraData],
+    settings: wp.array[RayRasterData],
+    splats: wp.array[RaySplat],
+    rects: wp.array[TileRect],
+    pair_starts: wp.array[int],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    rays: RayData,
+    limits: wp.array[float],
+    pixels: PixelData,
+    gradient: PixelGradient,
+    pairs_out: wp.array[RaySplatGradient],
+):
+    """As ``backward_ray_tiles``. All threads of a warp run through all Gaussians, as they add up together."""
+    tile, lane = wp.tid()
+    width = camera[0].width
+    height = camera[0].height
+    tile_x = tile % camera[0].tiles_x
+    tile_y = tile // camera[0].tiles_x
+    motion = camera[0].motion
+    has_shutter = camera[0].shutter != 0
+    x = tile_x * TILE + lane % TILE
+    top = tile_y * TILE + lane // TILE
+    t_floor = settings[0].transmittance_min
+    transmittance = RowFloats(-1.0)  # pixels outside the image count as finished
+    behind = RowFloats(0.0)
+    for k in range(ROWS):
+        y = top + k * STRIDE
+        if x < width and y < height:
+            ray = ray_of_pixel(width, x, y)
+            if rays.is_active[ray]:
+                transmittance[k] = 1.0
+                behind[k] = behind_pixel(pixels, gradient, y * width + x, limits[ray])
+
+    j = int(tile_starts[tile])
+    end = int(tile_starts[tile + 1])
+    unfinished = int(1)
+    while j < end and unfinished > 0:
+        stop = wp.min(j + LANES, end)
+        while j < stop:
+            index = tile_splats[j]
+            splat = splats[index]
+            part = RaySplatFloats(0.0)
+            touched = int(0)
+            for k in range(ROWS):
+                y = top + k * STRIDE
+                if transmittance[k] > 0.0 and is_within(splat.box, x, y):
+                    ray = ray_of_pixel(width, x, y)
+                    direction = rays.direction[ray]
+                    eye = splat.eye
+                    if has_shutter:
+                        eye = eye_of_row(splat, motion, (float(y) + 0.5) / float(height))
+                    log_alpha = log_alpha_along(splat, eye, direction, rays.t_min[ray], limits[ray])
+                    if log_alpha >= LOG_ALPHA_MIN:
+                        touched = 1
+                        alpha = alpha_from_log(log_alpha)
+                        weight = transmittance[k] * alpha
+                        if transmittance[k] - weight > t_floor:
+                            by_color = gradient.color[y * width + x]
+                            shown = wp.dot(by_color, splat.color)
+                            point = nearest_point(splat, eye, direction)
+                            part += record_of_pixel(point, alpha, transmittance[k], weight, shown, behind[k], by_color)
+                            behind[k] = behind[k] - weight * shown
+                            transmittance[k] = transmittance[k] - weight
+                        else:
+                            transmittance[k] = -transmittance[k]
+            record = RaySplatGradient()
+            if wp.tile_sum(wp.tile(touched))[0] > 0:
+                record = record_of_sums(wp.tile_extract(wp.tile_sum(wp.tile(part, preserve_type=True)), 0))
+            if lane == 0:
+                pairs_out[pair_slot(rects[index], pair_starts[index], tile_x, tile_y)] = record
+            j += 1
+        unfinished = wp.tile_sum(wp.tile(wp.where(wp.max(transmittance) > 0.0, 1, 0)))[0]
+    # What lies behind pixels that are all opaque has no part in them.
+    for k in range(j + lane, end, LANES):
+        index = tile_splats[k]
+        pairs_out[pair_slot(rects[index], pair_starts[index], tile_x, tile_y)] = RaySplatGradient()

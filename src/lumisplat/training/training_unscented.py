@@ -1,0 +1,94 @@
+"""Host pass: what is learnt, rasterised along rays, and the derivatives by it; all of it stays on the device."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.config import RenderConfig
+from lumisplat.config.colors import Color
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.training import LearntSplats
+from lumisplat.math.arrays import Doubles
+from lumisplat.renderer.film import traced_pixel_kernels
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
+from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward
+from lumisplat.renderer.raster.binning import binning_of
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace.camera_rays import CameraRays
+from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays, UnscentedRaster
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.training import optimizer_kernels
+
+
+class TrainingUnscented:
+    """Rasterises one Gaussian set along rays, as `TrainingRaster` does as ellipses: by any camera but apertures.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings of unlit, sorted frames of ``Projection.UNSCENTED``.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._scene = DeviceScene(launcher, buffers, config)
+        self._binning = binning_of(launcher, buffers)
+        self._rays = CameraRays(launcher, buffers)
+        self._raster = UnscentedRaster(launcher, buffers, config, self._binning)
+        self._backward = UnscentedBackward(launcher, buffers)
+
+    def place(self, gaussians: Gaussians, learnt: LearntSplats) -> None:
+        """As of `TrainingRaster`."""
+        self._gaussians, self._learnt = gaussians, learnt
+
+    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
+        """The pixels of a frame, but for images other than colour and alpha.
+
+        Args:
+            camera: A pinhole or a fisheye.
+            sh_degree: Of colours.
+            background: Display-referred sRGB behind the Gaussians.
+        """
+        scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
+        self._launcher.stage_ms = {}
+        self._scene.sync(scene, camera, FramePlan.of(self._config, scene))
+        self._raster.begin_frame(camera)
+        self.data.means, self.data.sh = self._learnt.means, self._learnt.sh
+        self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._learnt, self.data)
+        self._scene.begin_sample(0)
+        rays = self._rays.start(self._scene)
+        self._raster.find_hits(self._scene, rays)
+        while not self._binning.finish():
+            self._raster.find_hits(self._scene, rays)
+        pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
+        inputs = (*self._scene.image_size, wp.vec3(*background), self._met.hits, pixels)
+        self._launcher.run_banded(traced_pixel_kernels.show_rays, len(rays.t_max), *inputs)
+        return pixels
+
+    def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
+        """As of `TrainingRaster`."""
+        by_splat = self._backward.splats(self._scene, self._met, pixels, gradient)
+        return self._backward.gaussians(self._scene, self._met, by_splat, 0)
+
+    def by_pose(self, camera: Camera) -> Doubles:
+        """As of `TrainingRaster`."""
+        return pose_of_rays_gradient(self._backward.motions(self._met), [SplatInstance(self._gaussians)], camera)
+
+    @property
+    def data(self) -> GaussianData:
+        """As of `TrainingRaster`."""
+        return self._scene.assets[0].data
+
+    @property
+    def _met(self) -> SplatsOnRays:
+        """What the rays of the last frame have met."""
+        assert self._raster.met is not None
+        return self._raster.met

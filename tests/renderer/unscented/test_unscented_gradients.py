@@ -1,0 +1,201 @@
+"""Derivatives of frames that are rasterised along rays, against central differences of a float64 twin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.rigid import cross_matrix, rigid_from_twist
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.gradient_oracle import differences
+from support.oracles.unscented_oracle import Loss, Parameters, Twin
+from support.scenes.gradient_scenes import BACKGROUND, by_pixels, cloud, vars_of, view
+from support.scenes.lenses import FISHEYE, LENSES, WIDE
+from support.scenes.raster_scenes import random_gaussians
+
+VIEWS = {
+    "pinhole": view(),
+    "barrel": replace(view(), distortion=(-0.2, 0.03, 0.0, 0.0, 0.01, -0.005)),
+    "fisheye": replace(view(), model=FISHEYE, fx=30.0, fy=31.0, distortion=WIDE),
+}
+
+
+def config_of(**changes: Any) -> ls.RenderConfig:
+    """Settings; ``changes`` are of ``RasterConfig``."""
+    raster = replace(ls.RasterConfig(projection=ls.Projection.UNSCENTED), **changes)
+    return ls.RenderConfig(background=BACKGROUND, raster=raster)
+
+
+def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None, **changes: Any) -> ls.SplatGradients:
+    """Of the pixels of ``by_pixels``."""
+    renderer = ls.DifferentiableRenderer(config_of(**changes), "cpu", threads=threads)
+    renderer.render(scene, camera)
+    return renderer.gradients(*by_pixels(camera))
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
+@pytest.mark.parametrize("name", VIEWS)
+def test_derivatives_are_central_differences_of_the_twin(name: str, antialiased: bool) -> None:
+    """Of every parameter, where two step sizes agree: median below 1e-5 of their mean magnitude, worst 1e-3."""
+    gaussians, camera = cloud(count=9, antialiased=antialiased), VIEWS[name]
+    found = gradients_of(ls.Scene([gaussians]), camera)
+    loss: Any = Loss(Twin(camera, dilation=0.0 if antialiased else 0.3), *by_pixels(camera))
+    parameters: Any = Parameters.of(gaussians, BACKGROUND)
+    for key, value in (vars_of(found) | {"background": found.background}).items():
+        expected, agree = differences(loss, parameters, key)
+        error = np.abs(value - expected)[agree] / np.abs(expected).mean()
+        assert agree.mean() > 0.8, key
+        assert np.median(error) < 1e-5 and error.max() < 1e-3, (key, np.median(error), error.max())
+
+
+def test_a_rolling_shutter_is_differentiated_but_for_its_times() -> None:
+    """When a mean is seen, on which its colour and its footprint depend, counts as given: a share of a thousandth."""
+    end = np.array(view().camera_from_world)
+    end[:3, 3] += (0.05, -0.03, 0.02)
+    camera = replace(view(), camera_from_world_end=end)
+    gaussians = cloud(count=9)
+    found = gradients_of(ls.Scene([gaussians]), camera)
+    loss: Any = Loss(Twin(camera), *by_pixels(camera))
+    parameters: Any = Parameters.of(gaussians, BACKGROUND)
+    for key in ("means", "scales", "opacities"):
+        expected, agree = differences(loss, parameters, key)
+        error = np.abs(getattr(found.sets[0], key) - expected)[agree] / np.abs(expected).mean()
+        assert agree.mean() > 0.8 and np.median(error) < 5e-4 and error.max() < 1e-2, (key, error.max())
+
+
+def test_what_is_not_met_has_derivatives_of_exactly_0() -> None:
+    """Behind a pinhole, beside the image, too transparent to be seen."""
+    base = cloud(count=8)
+    means = base.means.copy()
+    means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
+    opacities = base.opacities.copy()
+    opacities[2] = 1.0 / 300.0
+    found = gradients_of(ls.Scene([replace(base, means=means, opacities=opacities)]), view())
+    for name, value in vars_of(found).items():
+        assert not value[:3].any(), name
+        assert value[3:].any(), name
+    assert not found.weights[:3].any() and (found.weights[3:] > 0.0).all()
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    """Each record has one writer, and sums have one order."""
+    camera = LENSES["rolling fisheye"]
+    scene = ls.Scene([random_gaussians(12, count=300, degree=1, center=(0.0, 0.0, 2.5))])
+    one, two, five = (gradients_of(scene, camera, threads) for threads in (1, 2, 5))
+    for other in (two, five):
+        for name, value in vars_of(one).items():
+            np.testing.assert_array_equal(value, vars_of(other)[name], err_msg=name)
+
+
+@pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
+def test_the_schedule_of_gpus_agrees(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warps of pixels on a CPU give the derivatives of tiles, but for the order of sums."""
+    camera, scene = LENSES[name], ls.Scene([random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
+    tiles = gradients_of(scene, camera)
+    monkeypatch.setattr(
+        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+    )
+    warps = gradients_of(scene, camera)
+    for key, value in vars_of(tiles).items():
+        assert np.abs(vars_of(warps)[key] - value).max() < 2e-4 * np.abs(value).mean(), key
+    np.testing.assert_allclose(warps.weights, tiles.weights, rtol=1e-4, atol=1e-5)
+
+
+def test_instances_add_up_and_their_places_are_undone() -> None:
+    """A set that is turned, scaled and moved has the derivatives of one that is so in its file, and two of one add."""
+    gaussians, camera = cloud(9, degree=0), VIEWS["fisheye"]
+    angle, scale, place = 0.7, 1.3, np.eye(4)
+    turn = [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
+    place[:3, :3], place[:3, 3] = scale * np.array(turn), (0.1, -0.2, 0.3)
+    placed = gradients_of(ls.Scene([ls.SplatInstance(gaussians, place)]), camera)
+    baked = gradients_of(ls.Scene([ls.transform(gaussians, place)]), camera)
+    close(placed.sets[0].means, baked.sets[0].means @ place[:3, :3])
+    close(placed.sets[0].scales, scale * baked.sets[0].scales)
+    close(placed.sets[0].opacities, baked.sets[0].opacities)
+    aside = np.eye(4)
+    aside[2, 3] = 1e4  # too small to be seen
+    twice = gradients_of(
+        ls.Scene([ls.SplatInstance(gaussians, place), ls.SplatInstance(gaussians, aside)]), camera, dilation=0.0
+    )
+    alone = gradients_of(ls.Scene([ls.SplatInstance(gaussians, place)]), camera, dilation=0.0)
+    assert len(twice.sets) == 1
+    close(twice.sets[0].means, alone.sets[0].means)
+
+
+@pytest.mark.parametrize("name", ["barrel", "fisheye"])
+def test_those_by_the_pose_are_of_turns_and_shifts(name: str) -> None:
+    """Of the camera, in its axes, which its rays follow; Gaussians lie in a placed set."""
+    camera, gaussians, place = VIEWS[name], cloud(8, count=9, degree=2), np.eye(4)
+    place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    place[:3, 3] = 0.1, -0.2, 0.3
+    renderer = ls.DifferentiableRenderer(config_of(), "cpu")
+    renderer.render(ls.Scene([ls.SplatInstance(gaussians, place)]), camera)
+    found = renderer.gradients(*by_pixels(camera), pose=True).camera_from_world
+    assert found is not None and not found[3].any()
+    parameters, pose = Parameters.of(ls.transform(gaussians, place), BACKGROUND), camera.camera_from_world
+    slopes, expected = np.zeros(6), np.zeros(6)
+    for number, twist in enumerate(np.eye(6)):
+        generator = np.zeros((4, 4))
+        generator[:3, :3], generator[:3, 3] = cross_matrix(twist[:3]), twist[3:]
+        slopes[number] = (found * (generator @ pose)).sum()
+        ends = [
+            Loss(
+                Twin(replace(camera, camera_from_world=rigid_from_twist(sign * 1e-5 * twist) @ pose)),
+                *by_pixels(camera),
+            )
+            for sign in (1.0, -1.0)
+        ]
+        expected[number] = (ends[0](parameters) - ends[1](parameters)) / 2e-5
+    assert np.abs(slopes - expected).max() < 1e-4 * np.abs(expected).mean(), (slopes, expected)
+
+
+def close(value: np.ndarray, expected: np.ndarray) -> None:
+    """Equal but for the rounding of float32."""
+    assert np.abs(value - expected).max() < 3e-4 * np.abs(expected).mean()
+
+
+def test_a_mesh_hides_what_is_behind_it() -> None:
+    """What is behind it has no derivatives, and the background none, either."""
+    gaussians, camera = cloud(count=12), VIEWS["fisheye"]
+    gaussians = replace(gaussians, scales=0.3 * gaussians.scales)
+    wall = ls.Mesh(
+        np.array([[-99.0, -99.0, 0.0], [99.0, -99.0, 0.0], [99.0, 99.0, 0.0], [-99.0, 99.0, 0.0]]),
+        np.array([[0, 1, 2], [0, 2, 3]]),
+        material=ls.MaterialPbr(base_color=(0.2, 0.4, 0.6)),
+    )
+    found = gradients_of(ls.Scene([gaussians], [wall]), camera)
+    behind, before = (gaussians.means[:, 2] * side > 4.0 * gaussians.scales.max(axis=1) for side in (1.0, -1.0))
+    assert behind.any() and before.any()
+    assert not found.sets[0].means[behind].any() and found.sets[0].means[before].any(axis=1).all()
+    assert not found.background.any(), "it is hidden, too"
+
+
+def test_frames_are_those_of_every_renderer() -> None:
+    """To the bit: what is differentiated is what is shown; the function of one call has the same derivatives."""
+    camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=30)])
+    renderer = ls.DifferentiableRenderer(config_of(), "cpu")
+    shown = renderer.render(scene, camera)
+    np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config_of(), device="cpu").color)
+    once = ls.splat_gradients(scene, camera, *by_pixels(camera), config_of(), device="cpu")
+    np.testing.assert_array_equal(once.sets[0].means, renderer.gradients(*by_pixels(camera)).sets[0].means)
+
+
+def test_what_has_no_derivatives_is_refused() -> None:
+    """By features, and of more than one sample."""
+    camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=3)])
+    renderer = ls.DifferentiableRenderer(config_of(), "cpu")
+    with pytest.raises(ls.ConfigError, match="render a frame first"):
+        renderer.gradients(np.zeros((30, 36, 3)))
+    renderer.render(scene, camera)
+    with pytest.raises(ls.ConfigError, match=r"not of Projection\.UNSCENTED$"):
+        renderer.gradients(*by_pixels(camera), dL_dfeatures=np.zeros((30, 36, 2)))
+    with pytest.raises(ls.ConfigError, match=r"not of Projection\.UNSCENTED$"):
+        renderer.render_features(np.zeros((3, 2)))
+    with pytest.raises(ls.ConfigError, match="one sample a pixel"):
+        ls.DifferentiableRenderer(replace(config_of(), samples=4), "cpu")
+    with pytest.raises(ls.ConfigError, match=r"or Projection\.UNSCENTED$"):
+        ls.DifferentiableRenderer(device="cpu").render(scene, VIEWS["barrel"])

@@ -1,0 +1,140 @@
+"""Training by frames that are rasterised along rays: photographs of lenses that distort, as they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.runtime.buffers import device_array
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import Picture, TrainingView
+from support.files.photograph_files import write_transforms_photographs
+from support.scenes.training_scenes import BACKGROUND, cameras, known
+
+CONFIG = ls.TrainConfig(
+    iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3, projection=ls.Projection.UNSCENTED
+)
+FRAMES = ls.RenderConfig(
+    raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED), background=BACKGROUND, lighting=False
+)
+TRACED = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=BACKGROUND, lighting=False)
+LENSES: dict[str, dict[str, Any]] = {
+    "barrel": {"distortion": (-0.3, 0.05, 0.0, 0.0, 0.005, -0.003)},
+    "fisheye": {"model": ls.CameraModel.FISHEYE, "distortion": (0.1, -0.02, 0.01, 0.0, 0.0, 0.0)},
+}
+
+
+def lenses(count: int, kind: str = "fisheye", size: int = 40) -> list[ls.Camera]:
+    """Around what is to be found, through a lens."""
+    focal = 1.4 * size
+    change = {"fx": focal, "fy": focal, **LENSES[kind]}
+    return [replace(camera, name=f"{n:02d}", **change) for n, camera in enumerate(cameras(count, size))]
+
+
+def seen(of: ls.Gaussians, some: list[ls.Camera], config: ls.RenderConfig = TRACED) -> list[np.ndarray]:
+    """Frames, by the tracer if not said otherwise."""
+    renderer = ls.create_renderer(config, "cpu")
+    return [np.array(renderer.render(ls.Scene([of]), camera).color, np.float32) for camera in some]
+
+
+def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None = None) -> Trainer:
+    """One that has made no step, with the tracer's frames of what is to be found."""
+    views = [
+        TrainingView(camera.name, camera, lambda color=color: Picture(color))
+        for camera, color in zip(some, seen(known(), some), strict=True)
+    ]
+    return Trainer(views, config, background=BACKGROUND, device="cpu", threads=threads)
+
+
+def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
+    """Of its frames on other views, against the tracer's of what is to be found."""
+    pairs = zip(seen(of.gaussians(), some, FRAMES), seen(known(), some), strict=True)
+    return float(np.mean([ls.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
+
+
+def test_what_is_compared_is_what_every_renderer_shows() -> None:
+    """Also after the Gaussians have moved, and are others."""
+    one, camera = trainer(CONFIG, lenses(4)), lenses(6)[5]
+    for _ in range(30):
+        one.step()
+    check_frame(one, camera)
+    state = one.checkpoint
+    fewer = {name: values[:50] for name, values in state.record.items()}
+    one.restore(replace(state, learnt=state.learnt.rows(np.arange(50)), record=fewer))
+    check_frame(one, camera)
+    one.step()
+    check_frame(one, camera)
+
+
+def check_frame(one: Trainer, camera: ls.Camera) -> None:
+    """The trainer's frame against that of another renderer."""
+    pixels = one._raster.draw(camera, 1, BACKGROUND)
+    expected = seen(one.gaussians(), [camera], FRAMES)[0]
+    shown = device_array(pixels.color).numpy().reshape(expected.shape)
+    assert np.abs(shown - expected).max() < 2e-6
+
+
+@pytest.mark.parametrize("kind", LENSES)
+def test_training_learns(kind: str) -> None:
+    """What it was not shown, too: 4 dB nearer after 200 small steps."""
+    one, others = trainer(CONFIG, lenses(8, kind)), lenses(40, kind)[33:36]
+    before, losses = held_out_psnr(one, others), [one.step().total for _ in range(200)]
+    assert np.mean(losses[-40:]) < 0.6 * np.mean(losses[:20])
+    assert held_out_psnr(one, others) > before + 4.0
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("kind", LENSES)
+def test_known_gaussians_are_recovered_from_the_tracers_frames(kind: str) -> None:
+    """From 32 photographs through a lens: above 40 dB on views that were held out."""
+    config = replace(CONFIG, iterations=6000, cap=400, initial=400)
+    views = lenses(40, kind, 64)
+    one = trainer(config, views[:32])
+    for _ in range(config.iterations):
+        one.step()
+    assert held_out_psnr(one, views[33:]) > 40.0
+
+
+def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:
+    """Adding up is in one order."""
+    made = [trainer(CONFIG, lenses(4), threads) for threads in (1, 2, 5)]
+    for one in made:
+        for _ in range(40):
+            one.step()
+    first = made[0].checkpoint.learnt
+    for other in made[1:]:
+        for name, values in other.checkpoint.learnt.values.items():
+            np.testing.assert_array_equal(values, first.values[name], err_msg=name)
+
+
+def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> None:
+    """A folder of them becomes a capture, measured on what was held out, through the lens."""
+    some = lenses(9)
+    folder = tmp_path / "set"
+    write_transforms_photographs(folder, some, [np.clip(frame, 0.0, 1.0) for frame in seen(known(), some)])
+    result = ls.train(folder, replace(CONFIG, iterations=40), output=tmp_path / "a.ply", device="cpu")
+    assert result.score is not None and result.is_finished
+    black = replace(FRAMES, background=(0.0, 0.0, 0.0))
+    asset = ls.load(tmp_path / "a.ply")
+    assert isinstance(asset, ls.Gaussians)
+    shown, photograph = seen(asset, some[:1], black)[0], ls.load_photographs(folder, straighten=False).held_out[0]
+    assert photograph.camera.is_distorted
+    found = ls.psnr(np.clip(shown, 0.0, 1.0), photograph.pixels())
+    assert result.score.of_views[photograph.name] == pytest.approx(found, abs=0.05)
+
+
+def test_what_does_not_go_together_is_refused() -> None:
+    """In a line."""
+    refused: list[tuple[dict[str, Any], str]] = [
+        ({"pipeline": "trace"}, r"projection is unscented, which is of Pipeline\.RASTER"),
+        ({"kernel_degree": 4}, "kernel_degree is 4, which rays alone show"),
+        ({"densification": "adaptive"}, "densification is adaptive, which looks at splats"),
+    ]
+    for settings, problem in refused:
+        with pytest.raises(ls.ConfigError, match=problem):
+            ls.TrainConfig(projection=ls.Projection.UNSCENTED, **settings)
