@@ -49,6 +49,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
 from lumisplat.training import loss_kernels, optimizer_kernels, weight_kernels
+from lumisplat.training.along_rays.training_rays import TrainingRays
+from lumisplat.training.along_rays.training_unscented import TrainingUnscented
 from lumisplat.training.checkpoint import Checkpoint
 from lumisplat.training.corrections import exposure_kernels
 from lumisplat.training.corrections.exposures import ExposedFrame, Exposures
@@ -60,8 +62,6 @@ from lumisplat.training.photo_loss import Loss, PhotoLoss
 from lumisplat.training.surfaces import surface_kernels
 from lumisplat.training.surfaces.surface_terms import SurfaceLoss
 from lumisplat.training.training_raster import TrainingRaster
-from lumisplat.training.training_rays import TrainingRays
-from lumisplat.training.training_unscented import TrainingUnscented
 from lumisplat.training.views import Lesson, TrainingView
 
 
