@@ -48,7 +48,7 @@ def test_a_lamp_over_a_dark_ground_is_found() -> None:
     assert len(found.lights) == 1
 
 
-@pytest.mark.parametrize("sun", [SUN, (-0.6, 0.5, 0.2)])
+@pytest.mark.parametrize("sun", [SUN, pytest.param((-0.6, 0.5, 0.2), marks=pytest.mark.deep)])
 def test_the_sun_is_found_within_ten_degrees(sun: Point) -> None:
     """From where surfaces that face it are brighter; no flower in its light is a lamp."""
     capture = meadow(sun)
@@ -86,7 +86,7 @@ def test_a_captured_thing_holds_no_light(data_dir: Path) -> None:
     assert ls.estimate_sun(biker, beside) is None
 
 
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.deep)])
 def test_no_sun_shines_from_below(seed: int) -> None:
     """Without a place the middle of a capture is looked from, on its ground or in it: up is known all the same."""
     capture = lit_capture("sunny", seed)

@@ -116,7 +116,7 @@ def test_ice_in_water(pipeline: ls.Pipeline, water_priority: int, ice_priority: 
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-@pytest.mark.parametrize("priority", [1, -1])
+@pytest.mark.parametrize("priority", [1, pytest.param(-1, marks=pytest.mark.deep)])
 def test_surfaces_between_media_mirror_by_both(pipeline: ls.Pipeline, priority: int) -> None:
     """Two bodies that overlap have three surfaces, each with the Fresnel reflectance of the media on its two sides.
 
