@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.scenes import gradient_scenes, lit_scene, trace_scenes
+from support.scenes import gradient_scenes, lenses, lit_scene, trace_scenes
 from support.scenes import raster_scenes as scenes
 
 pytestmark = [
@@ -85,6 +85,26 @@ def test_cuda_differentiates_rays_as_the_cpu_does(degree: int) -> None:
     poses = [one.camera_from_world for one in found]
     assert poses[0] is not None and poses[1] is not None
     np.testing.assert_allclose(poses[1], poses[0], atol=1e-3 * np.abs(poses[0]).max())
+
+
+@pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
+def test_cuda_rasterises_along_rays_as_the_cpu_does(name: str) -> None:
+    """Frames of lenses, and their derivatives, but for the order of sums."""
+    camera = lenses.LENSES[name]
+    scene = ls.Scene([scenes.random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
+    found: list[ls.SplatGradients] = []
+    frames: list[ls.Frame] = []
+    for device in ("cpu", "cuda"):
+        config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+        renderer = ls.DifferentiableRenderer(config, device)
+        frames.append(renderer.render(scene, camera))
+        found.append(renderer.gradients(*gradient_scenes.by_pixels(camera), pose=True))
+    difference = np.abs(frames[0].color - frames[1].color)
+    assert np.quantile(difference, 0.99) < 1e-4 and difference.mean() < 1e-4
+    cpu, cuda = map(gradient_scenes.vars_of, found)
+    for key, value in cpu.items():
+        error = np.abs(value - cuda[key])
+        assert np.quantile(error, 0.98) < 1e-3 * np.abs(value).mean(), key
 
 
 def test_graph_repeats_the_direct_frame() -> None:

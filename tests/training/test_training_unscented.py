@@ -11,6 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.runtime.buffers import device_array
+from lumisplat.training.initial import Surroundings, random_points
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
 from support.files.photograph_files import write_transforms_photographs
@@ -98,6 +99,24 @@ def test_known_gaussians_are_recovered_from_the_tracers_frames(kind: str) -> Non
     for _ in range(config.iterations):
         one.step()
     assert held_out_psnr(one, views[33:]) > 40.0
+
+
+def test_training_begins_where_lenses_see() -> None:
+    """With points all around a fisheye of 240 degrees, none where it stands, about as far as what it looks at."""
+    wide = [replace(camera, fx=9.0, fy=9.0, model=ls.CameraModel.FISHEYE) for camera in cameras(6)]
+    around = Surroundings.of(wide)
+    points = random_points(wide, around, 4000, np.random.default_rng(1))
+    distances = np.array([np.linalg.norm(points - camera.eye, axis=1) for camera in wide])
+    assert distances.min() > 0.05 * around.distance
+    views = [points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3] for camera in wide]
+    behind = np.all([view[:, 2] < 0.0 for view in views[:1]], axis=0)
+    assert behind.mean() > 0.1
+    pinholes = random_points(cameras(6), around, 4000, np.random.default_rng(1))
+    seen_by = [
+        (np.abs(view[:, :2] / view[:, 2:]).max(axis=1) < np.tan(0.3) + 1e-6) & (view[:, 2] > 0.0)
+        for view in (pinholes @ c.camera_from_world[:3, :3].T + c.camera_from_world[:3, 3] for c in cameras(6))
+    ]
+    assert np.any(seen_by, axis=0).all()
 
 
 def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:

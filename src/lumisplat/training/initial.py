@@ -12,6 +12,7 @@ import numpy.typing as npt
 from lumisplat.config import TrainConfig
 from lumisplat.constants import SH_C0
 from lumisplat.constants.training import INITIAL_DEPTHS, INITIAL_OPACITY, INITIAL_SCALE, INITIAL_SCALE_MIN
+from lumisplat.io.photographs.lens import is_bent
 from lumisplat.io.photographs.surroundings import camera_extent, camera_target
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera
@@ -59,11 +60,21 @@ def random_points(cameras: Sequence[Camera], around: Surroundings, count: int, r
     points = np.empty((count, 3))
     for number, camera in enumerate(cameras):
         rows = np.flatnonzero(chosen == number)
-        u = (shares[rows, 0] * camera.width - camera.cx) / camera.fx
-        v = (shares[rows, 1] * camera.height - camera.cy) / camera.fy
-        local = depths[rows, None] * np.column_stack([u, v, np.ones(rows.size)])
+        local = depths[rows, None] * _seen(camera, shares[rows] * (camera.width, camera.height))
         points[rows] = local @ camera.camera_from_world[:3, :3] + camera.eye
     return points
+
+
+def _seen(camera: Camera, pixels: Doubles) -> Doubles:
+    """What a camera sees at places of its image, at a view depth of 1, or at that distance if its lens bends; (N, 3).
+
+    Where a lens sees nothing it is on the axis.
+    """
+    if is_bent(camera):
+        columns, rows = np.minimum(pixels.astype(int), (camera.width - 1, camera.height - 1)).T
+        rays = camera.ray_directions()[rows, columns]
+        return np.where(rays.any(axis=1, keepdims=True), rays, (0.0, 0.0, 1.0))
+    return np.column_stack([(pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones(len(pixels))])
 
 
 def first_gaussians(
