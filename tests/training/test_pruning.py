@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import SH_C0
 from lumisplat.training.learnt import Learnt
 from lumisplat.training.trainer import Trainer
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
@@ -31,6 +32,24 @@ def test_largest_weights_are_those_of_frames(threads: int) -> None:
         expected = np.maximum(expected, renderer.render_features(np.eye(30)).max(axis=(0, 1)))
     np.testing.assert_allclose(found, expected, atol=2e-6)
     assert found[4] == 0.0 and found[5] < 0.02 and found.max() > 0.3
+
+
+def test_largest_weights_of_rays_are_those_of_frames() -> None:
+    """A frame in which one Gaussian is white, and all others are black, is its weights."""
+    given, learnt = views(2, 24), known_learnt().rows(np.arange(8))
+    learnt.values["means"][4] = (0.0, 50.0, 0.0)
+    config = ls.TrainConfig(cap=8, sh_degree=1, pipeline=ls.Pipeline.TRACE, kernel_degree=4)
+    one = Trainer(given, config, points=known().means[:8], device="cpu")
+    one._place(Learnt.new(learnt.values))
+    found, expected = one.largest_weights(), np.zeros(8)
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    for number in range(8):
+        sh = np.zeros((8, 1, 3))
+        sh[:, 0] = np.where(np.arange(8) == number, 0.5, -0.5)[:, None] / SH_C0
+        alone = ls.Scene([replace(one.gaussians(), sh=sh)])
+        expected[number] = max(float(renderer.render(alone, view.camera).color.max()) for view in given)
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+    assert found[4] == 0.0 and found.max() > 0.3
 
 
 def test_what_shows_too_little_is_removed_and_counted(tmp_path: Path) -> None:

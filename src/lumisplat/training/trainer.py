@@ -140,10 +140,10 @@ class Trainer:
     def largest_weights(self) -> FloatArray:
         """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,).
 
-        Of rays, and along them, nobody has looked: 1.
+        Of splats along rays, nobody has looked: 1.
         """
         raster = self._raster
-        if not isinstance(raster, TrainingRaster):
+        if isinstance(raster, TrainingUnscented):
             return np.ones(self.count, np.float32)
         largest = self._buffers.get("weights.largest", wp.float32, self.count)
         largest.zero_()

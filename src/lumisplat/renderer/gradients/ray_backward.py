@@ -43,6 +43,8 @@ class RaySums:
     """By each asset of the scene."""
     weights: DeviceArray
     """Sum of the weights with which each Gaussian of the scene is blended, instance by instance."""
+    largest: DeviceArray
+    """The largest of these weights."""
     motions: DeviceArray
     """By where the rays are that hit each of these, ``RayMotion``."""
 
@@ -107,13 +109,15 @@ class RayBackward:
 
     def begin(self, scene: DeviceScene) -> RaySums:
         """Derivatives by all Gaussians of a scene, 0 so far."""
+        get, count = self._buffers.get, scene.gaussian_count
         sums = RaySums(
             [gradient_of_asset(self._buffers, asset, number) for number, asset in enumerate(scene.assets)],
-            self._buffers.get("backward.weights", wp.float32, scene.gaussian_count),
-            self._buffers.get("backward.motions", RayMotion, scene.gaussian_count),
+            get("backward.weights", wp.float32, count),
+            get("backward.largest", wp.float32, count),
+            get("backward.motions", RayMotion, count),
         )
-        sums.weights.zero_()
-        sums.motions.zero_()
+        for array in (sums.weights, sums.largest, sums.motions):
+            array.zero_()
         for out in sums.gaussians:
             for array in (out.means, out.rotations, out.scales, out.opacities, out.sh):
                 device_array(array).zero_()
@@ -167,7 +171,19 @@ class RayBackward:
                 run(
                     kernels.gather_gaussians,
                     asset.gaussians.count,
-                    *(*placed, part.rays, part.gradient, rows, order, begins, ends, sums.weights, sums.motions, out),
+                    *(
+                        *placed,
+                        part.rays,
+                        part.gradient,
+                        rows,
+                        order,
+                        begins,
+                        ends,
+                        sums.weights,
+                        sums.largest,
+                        sums.motions,
+                        out,
+                    ),
                     bands=bands,
                 )
 

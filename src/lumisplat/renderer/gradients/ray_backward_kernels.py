@@ -118,6 +118,7 @@ def gather_gaussians(
     begins: wp.array[int],
     ends: wp.array[int],
     weights_inout: wp.array[float],
+    largest_inout: wp.array[float],
     motions_inout: wp.array[RayMotion],
     gaussians_inout: GaussianGradient,
 ):
@@ -140,6 +141,7 @@ def gather_gaussians(
         by_color = wp.vec3(0.0)
         motion = motions_inout[index]
         weights = float(weights_inout[index])
+        largest = float(largest_inout[index])
         for place in range(begins[index], ends[index]):
             row = order[place]
             number_of_ray = hits.ray[row]
@@ -152,9 +154,11 @@ def gather_gaussians(
             eye = from_eye
             by_color += hits.weight[row] * gradient.color[number_of_ray]
             weights += hits.weight[row]
+            largest = wp.max(largest, hits.weight[row])
         motion = add_color(view, instance, gaussians, i, eye, by_color, motion, gaussians_inout)
         by_rays = add_moments(gaussians, i, axes, moments, gaussians_inout)
         motion.shift += by_rays.shift
         motion.turn += by_rays.turn
         motions_inout[index] = motion
         weights_inout[index] = weights
+        largest_inout[index] = largest

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import warp as wp
 
 from lumisplat.config import RenderConfig
@@ -20,7 +23,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
@@ -78,6 +81,13 @@ class TrainingRays:
         self._sums = self._backward.begin(self._scene)
         self._backward.add(self._scene, self._hits, by_rays, self._sums)
         return self._sums.gaussians[0]
+
+    def add_largest_weights(self, largest: DeviceArray) -> None:
+        """As of `TrainingRaster`."""
+        nothing = np.zeros((0, 3), np.float32)  # the derivatives are of no interest
+        by_rays = self._backward.start_rays(self._hits.count, nothing, nothing[:, 0])
+        sums = replace(self._backward.begin(self._scene), largest=largest)
+        self._backward.add(self._scene, self._hits, by_rays, sums)
 
     def by_pose(self, camera: Camera) -> Doubles:
         """As of `TrainingRaster`."""
