@@ -63,5 +63,5 @@ def test_steps_fit_the_time_that_a_machine_is_lent() -> None:
     for step in STEPS:
         module, _, function = step.work.partition(":")
         assert callable(getattr(importlib.import_module(module), function))
-    kinds = [step.work.partition(":")[0] for step in STEPS]
-    assert kinds == sorted(kinds), "checks before times"
+    are_timed = ["times" in step.name or "gsplat" in step.name for step in STEPS]
+    assert any(are_timed) and are_timed == sorted(are_timed), "checks before times"
