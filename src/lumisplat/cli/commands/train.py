@@ -70,11 +70,11 @@ class Train(DeviceCommand):
     refine_poses: Flag = False
     """Learn the poses, too: for those that are a little off."""
     flatness: Annotated[float, arg(metavar="WEIGHT")] = 0.0
-    """For relighting: how much it counts that Gaussians are flat; try 1."""
+    """For relighting: how much it counts that Gaussians are flat; try 0.3."""
     normals: Annotated[float, arg(metavar="WEIGHT")] = 0.0
     """For relighting: how much it counts that Gaussians lie on surfaces; try 0.05. A step takes twice as long."""
     depth_spread: Annotated[float, arg(metavar="WEIGHT")] = 0.0
-    """For relighting: how much it counts that surfaces are thin; try 0.1."""
+    """For relighting: how much it counts that surfaces are thin; try 0.3."""
     prune_below: Annotated[float, arg(metavar="WEIGHT")] = 0.01
     """At the end, remove Gaussians that never show with so much weight in a pixel of a photograph, 0..1."""
     seed: Annotated[int, arg(metavar="N")] = 0
