@@ -145,7 +145,7 @@ class RenderConfig:
     samples: int | None = None
     """Samples a pixel, averaged, at least 1. None: 64 paths; else as many as random light needs, 16 for an environment
     and for soft shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted
-    raster is exact with one, and takes no more."""
+    raster is exact with one, and takes no more, but with ``UNSCENTED``, which samples antialias."""
     time_limit: float | None = None
     """Seconds that the samples of a frame take, above 0; ``samples`` is then the most of them, and None as many as
     there is time for, at least one. None: no limit."""

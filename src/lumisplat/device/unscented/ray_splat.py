@@ -69,8 +69,8 @@ def eye_at(camera: CameraData, instance: SplatInstanceData, time: float) -> wp.v
 
 
 @wp.func
-def hides_nothing(camera: CameraData, seen: WorldGaussian, view: wp.vec3, axes: wp.mat33, reach: float) -> bool:
-    """Whether all of a Gaussian is nearer than the near plane, or behind it; ``axes`` as columns in camera space."""
+def is_too_near(camera: CameraData, seen: WorldGaussian, view: wp.vec3, axes: wp.mat33, reach: float) -> bool:
+    """Whether all of a Gaussian is nearer than the near plane, or behind the eye; ``axes`` in camera space, columns."""
     if camera.model == FISHEYE:
         return wp.length(view) + reach * wp.max(seen.scale) <= camera.near
     return view[2] + reach * wp.length(wp.cw_mul(axes[2], seen.scale)) <= camera.near
@@ -93,7 +93,7 @@ def ray_splat(
     reach = wp.sqrt(wp.max(2.0 * (splat.log_opacity - LOG_ALPHA_MIN), 0.0))
     view = view_at(camera, seen.point, time)
     if camera.shutter == 0:
-        if hides_nothing(camera, seen, view, wp.transpose(camera.world_from_camera) * seen.axes, reach):
+        if is_too_near(camera, seen, view, wp.transpose(camera.world_from_camera) * seen.axes, reach):
             return splat
     splat.box = pixel_box(camera, gaussian_bounds(camera, raster.field, seen, reach))
     if splat.box.x0 >= splat.box.x1:
