@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -126,6 +127,16 @@ def test_a_smaller_scale(work):
     assert done.status == 0
     assert ls.load_image(work.path("half/v0.png")).shape == (18, 3 * 24, 3)
     assert json.loads(work.path("half/metrics.json").read_text())["scale"] == 0.5
+
+
+def test_lenses_stay_as_they_are_along_rays(work):
+    """Photographs of a fisheye are compared with frames through it, all of their pixels."""
+    lens = [replace(camera, model=ls.CameraModel.FISHEYE, distortion=(0.1, 0, 0, 0, 0, 0)) for camera in CAMERAS]
+    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+    truth = ls.render(ls.Scene([work.capture("capture.ply")]), lens[0], config, device="cpu").pixels_srgb()
+    write_transforms_photographs(work.path("fisheyes"), lens, [truth] * 6)
+    table = evaluate(work, "--hold-out", "2", "--projection", "unscented", folder="@fisheyes")
+    assert float(table["mean of 3 views"][0]) > 55.0
 
 
 def test_missing_packages_leave_their_figures_out(work, monkeypatch):

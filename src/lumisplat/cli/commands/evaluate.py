@@ -49,6 +49,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
     are."""
     pipeline: Annotated[Literal["raster", "trace"] | None, setting("{raster,trace}", "raster")] = None
     """What draws the capture: trace for those of a kernel degree other than 2."""
+    projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
+    """How Gaussians are rasterised: unscented, along the rays of lenses, whose photographs then stay as they are."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
     """Behind the capture, and behind transparent photographs: a name such as white, #rrggbb, or r,g,b in 0..1."""
 
@@ -62,9 +64,12 @@ class Evaluate(LoadingCommand, DeviceCommand):
             config = replace(config, background=self.background)  # pyright: ignore[reportArgumentType]
         if self.pipeline is not None:
             config = replace(config, pipeline=ls.Pipeline(self.pipeline))
+        if self.projection is not None:
+            config = replace(config, raster=replace(config.raster, projection=ls.Projection(self.projection)))
         if config.background is None:
             raise ls.ConfigError("--background is transparent, expected a colour over which pictures are compared")
-        views = self._views(folder, config.background)
+        straighten = config.raster.projection is ls.Projection.EWA
+        views = self._views(folder, config.background, straighten=straighten)
         if self.output is not None:
             check_writable(self.output)
         scales = _common_scales(views)
@@ -90,7 +95,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
             write_side_by_side(one.view, renderer.render(scene, one.view.camera), self.output / f"{stem}.png")
         print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the photographs")
 
-    def _views(self, folder: Path, background: tuple[float, float, float]) -> Sequence[ls.Photograph]:
+    def _views(
+        self, folder: Path, background: tuple[float, float, float], *, straighten: bool
+    ) -> Sequence[ls.Photograph]:
         """The photographs that are held out.
 
         Raises:
@@ -102,6 +109,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
             scale=self.scale,
             hold_out=self.hold_out,
             background=background,
+            straighten=straighten,
             allow_outside=self.allow_outside,
         )
         if not photographs.held_out:
