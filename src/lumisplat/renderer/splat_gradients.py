@@ -99,10 +99,11 @@ class DifferentiableRenderer(Renderer):
         """
         self._forget()
         check_camera(camera)
+        along_rays = self._traces or self._is_unscented
+        if along_rays and options.get("resume") is not None:
+            raise ConfigError("a frame that is resumed has more than one sample a pixel, and no gradients")
         if self._traces:
             check_traced(scene)
-            if options.get("resume") is not None:
-                raise ConfigError("a frame that is resumed has more than one sample a pixel, and no gradients")
             frame = super().render(scene, camera, **options)
             self._traced = TracedFrame(scene, camera, self._hits)
             return frame

@@ -185,16 +185,18 @@ def test_frames_are_those_of_every_renderer() -> None:
 
 
 def test_what_has_no_derivatives_is_refused() -> None:
-    """By features, and of more than one sample."""
+    """By features, and of more than one sample, whether asked for or resumed."""
     camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=3)])
     renderer = ls.DifferentiableRenderer(config_of(), "cpu")
     with pytest.raises(ls.ConfigError, match="render a frame first"):
         renderer.gradients(np.zeros((30, 36, 3)))
-    renderer.render(scene, camera)
+    frame = renderer.render(scene, camera)
     with pytest.raises(ls.ConfigError, match=r"not of Projection\.UNSCENTED$"):
         renderer.gradients(*by_pixels(camera), dL_dfeatures=np.zeros((30, 36, 2)))
     with pytest.raises(ls.ConfigError, match=r"not of Projection\.UNSCENTED$"):
         renderer.render_features(np.zeros((3, 2)))
+    with pytest.raises(ls.ConfigError, match=r"^a frame that is resumed has more than one sample a pixel, "):
+        renderer.render(scene, camera, resume=frame)
     with pytest.raises(ls.ConfigError, match="one sample a pixel"):
         ls.DifferentiableRenderer(replace(config_of(), samples=4), "cpu")
     with pytest.raises(ls.ConfigError, match=r"or Projection\.UNSCENTED$"):
