@@ -44,6 +44,23 @@ def test_sort_that_fails_in_silence_is_a_device_error(monkeypatch: pytest.Monkey
         assert keys.numpy()[:2].tolist() == [1, 2]
 
 
+def test_a_sort_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an allocation has failed on a GPU, CUB's next sort finds that error, says so, and has done nothing."""
+    sort, tries = wp.utils.radix_sort_pairs, []
+
+    def fail_once(*given: Any, **options: Any) -> None:
+        tries.append(1)
+        if len(tries) == 1:
+            error_message().value = b"Warp CUDA error 101: invalid device ordinal"
+        else:
+            sort(*given, **options)
+
+    monkeypatch.setattr(wp.utils, "radix_sort_pairs", fail_once)
+    keys = ints([2, 1, 0, 0])
+    sort_pairs(keys, ints([0, 1, 0, 0]), 2)
+    assert keys.numpy()[:2].tolist() == [1, 2] and len(tries) == 2
+
+
 def test_sum_that_fails_is_a_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """The library's own error is said in one line, as of any other allocation."""
 

@@ -156,6 +156,9 @@ def test_lists_in_parts_are_the_lists(monkeypatch: pytest.MonkeyPatch) -> None:
         parted = build(config=config)
         assert parted.stats.pairs == whole.stats.pairs
         np.testing.assert_array_equal(parted.transmittance(scattered(500)), whole.transmittance(scattered(500)))
+    nobody = random_gaussians(3, 20, center=(500.0, 500.0, 500.0))
+    empty = build(light=(0.0, 0.0, 10.0), config=ls.DeepShadowConfig(region_radius=1.0), receivers=nobody)
+    np.testing.assert_array_equal(empty.transmittance_of(nobody), 1.0)
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,14 @@ def sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, *, bits: int 
     Raises:
         DeviceError: The device has no room for scratch space, or has failed before.
     """
+    try:
+        _sort_pairs(keys, values, count, bits)
+    except DeviceError:
+        # The first sort after an allocation has failed, somewhere else, fails with it, before it has begun (H200).
+        _sort_pairs(keys, values, count, bits)
+
+
+def _sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, bits: int | None) -> None:
     with _checked("sort", keys):
         wp.utils.radix_sort_pairs(keys, values, count, end_bit=bits)
 

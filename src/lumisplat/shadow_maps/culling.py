@@ -91,7 +91,7 @@ class TileLists:
 
     def _narrow(self, name: str, cells: DeviceArray, footprints: DeviceArray, lists: CasterLists) -> CulledCasters:
         """Of the casters in each cell's parent list, those that may intersect the cell."""
-        parts = max(PARALLEL_PARTS // cells.shape[0], 1) if self._launcher.is_parallel else 1
+        parts = max(PARALLEL_PARTS // max(cells.shape[0], 1), 1) if self._launcher.is_parallel else 1
         count, run = cells.shape[0] * parts, self._launcher.run_banded
         bands = BANDS_PER_THREAD * self._launcher.threads
         inputs = self._atlas, footprints, cells, lists, parts

@@ -231,12 +231,12 @@ def test_rays_may_be_gone_back_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_allclose(parts.weights, whole.weights, rtol=1e-5)
 
 
-def test_ranges_are_whole_packets_that_fit() -> None:
-    """All hits are in one of them; a packet that is too large is alone."""
-    counts = np.zeros(160, np.int32)
-    counts[[3, 20, 40, 41, 100]] = 4, 5, 20, 30, 7
+def test_ranges_are_whole_warps_that_fit() -> None:
+    """All hits are in one of them; a warp that is too large is alone, and the last one may be half of one."""
+    counts = np.zeros(176, np.int32)
+    counts[[3, 20, 40, 41, 100, 170]] = 4, 5, 20, 30, 7, 2
     found = list(ray_backward.packet_ranges(counts, 12))
-    assert found == [(0, 32, 9), (32, 48, 50), (48, 160, 7)]
+    assert found == [(0, 32, 9), (32, 64, 50), (64, 176, 9)]
 
 
 @pytest.mark.parametrize("degree", [2, 3])

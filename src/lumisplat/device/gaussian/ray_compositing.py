@@ -83,12 +83,20 @@ def blend_hit(
 
 @wp.func
 def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: float, index: int, alpha: float):
-    """Writes the hit of the Gaussian ``index``, which ``pixel`` has blended last, into the profile of its ray."""
+    """Writes the hit of the Gaussian ``index``, which ``pixel`` has blended last, into the profile of its ray.
+
+    A hit for which rounding has left no room, where rays are followed in other company than they were counted in, is
+    dropped.
+    """
     row = profiles[0].first[ray] + pixel.hits - 1
-    profiles[0].t[row] = t
-    profiles[0].alpha[row] = alpha
-    profiles[0].transmittance[row] = pixel.transmittance
-    profiles[0].gaussian[row] = index
+    end = int(profiles[0].t.shape[0])
+    if ray + 1 < profiles[0].first.shape[0]:
+        end = profiles[0].first[ray + 1]
+    if row < end:
+        profiles[0].t[row] = t
+        profiles[0].alpha[row] = alpha
+        profiles[0].transmittance[row] = pixel.transmittance
+        profiles[0].gaussian[row] = index
 
 
 @wp.func

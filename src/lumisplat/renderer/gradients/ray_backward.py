@@ -199,19 +199,22 @@ class RayBackward:
 
 
 def packet_ranges(counts: IntArray, most: int) -> Iterator[tuple[int, int, int]]:
-    """Ranges of rays, whole packets, and how many hits each has: no more than ``most`` unless it is one packet.
+    """Ranges of rays, and how many hits each has: no more than ``most`` unless it is the least range.
+
+    Rays that were followed together are again: ranges are of whole packets of CPUs and of whole warps.
 
     Args:
         counts: Hits of each ray.
         most: How many hits a range is to have at most.
     """
-    before: Rows = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])[::PACKET_RAYS]
-    begin, packets = 0, len(before) - 1
-    while begin < packets:
+    edges = np.append(np.arange(0, len(counts), 2 * PACKET_RAYS), len(counts))
+    before: Rows = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])[edges]
+    begin, parts = 0, len(edges) - 1
+    while begin < parts:
         end = max(int(np.searchsorted(before, int(before[begin]) + most, side="right")) - 1, begin + 1)
         found = int(before[end] - before[begin])
         if found:
-            yield PACKET_RAYS * begin, PACKET_RAYS * end, found
+            yield int(edges[begin]), int(edges[end]), found
         begin = end
 
 

@@ -35,7 +35,7 @@ STRIDE = wp.constant(WARP_THREADS // TILE_PX)
 RowFloats = wp.types.vector(length=TILE_PX * TILE_PX // WARP_THREADS, dtype=wp.float32)
 
 
-@wp.kernel(launch_bounds=(32, 12), grid_stride=False)
+@wp.kernel(grid_stride=False)
 def backward_warps(
     camera: wp.array[CameraData],
     settings: wp.array[RasterData],

@@ -12,7 +12,7 @@ from lumisplat.constants import COUNT_SUM_THREADS, ITEMS_MAX
 from lumisplat.device.structs.raster import ChunkData, TileRect
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster import binning_kernels as kernels
-from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
@@ -221,7 +221,7 @@ class BinningParallel(Binning):
         run(kernels.emit_pairs, count, 0, tiles_x, capacity, depth_order.order, rects, offsets, tiles, items)
         sort_pairs(tiles, items, capacity, bits=tile_count.bit_length())
         run(kernels.find_tile_starts, tile_count + 1, 0, capacity, tiles, starts)
-        return TileLists(starts, items)
+        return TileLists(starts, device_array(items[:capacity]))  # the rest is scratch space of the sort
 
 
 def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:

@@ -68,10 +68,9 @@ def raster_pairs(
             z = depth_at(triangle, ray)
             pixel = y * view.width + x
             if z > view.near:
-                if is_whole or pixel_meets(triangle, ray, pixel, scene):
-                    key = (wp.int64(wp.cast(z, wp.int32)) << INDEX_BITS) | wp.int64(index)
-                    if key < nearest_inout[pixel]:
-                        wp.atomic_min(nearest_inout, pixel, key)
+                key = (wp.int64(wp.cast(z, wp.int32)) << INDEX_BITS) | wp.int64(index)
+                if key < nearest_inout[pixel] and (is_whole or pixel_meets(triangle, ray, pixel, scene)):
+                    wp.atomic_min(nearest_inout, pixel, key)
 
 
 @wp.kernel
