@@ -60,7 +60,7 @@ def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The setting is named, and all files stay as they are."""
+    """The first setting that differs is named, and all files stay as they are."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     command = ["train", str(folder), "-o", str(output), *SHORT]
     assert main(command) == 0
@@ -70,9 +70,12 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytes
     for option, problem in (
         (("--seed", "7"), "with seed 0, not 7"),
         (("--exposures",), "with exposures False, not True"),
+        (("--seed", "7", "--normals", "0.1", "--exposures"), "with normals 0.0, not 0.1"),
     ):
         assert main([*command, *option]) == 2
-        assert f"is of a training {problem}: use the settings of before, or begin anew" in told(capsys)
+        file = tmp_path / "a.training" / "checkpoint.npz"
+        advice = "use the settings of before, or begin anew"
+        assert told(capsys) == f"error: {file}: is of a training {problem}: {advice}\n"
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 

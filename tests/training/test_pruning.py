@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -67,3 +68,17 @@ def test_what_shows_too_little_is_removed_and_counted(tmp_path: Path) -> None:
     with np.load(tmp_path / "b.training" / "checkpoint.npz") as state:
         assert len(state["values.means"]) == whole.gaussians.count
     assert ls.load(tmp_path / "b.ply").count == some.gaussians.count  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_if_all_show_too_little_all_stay_and_a_line_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """And the same training, called again, may remove less, or nothing: no step depends on it."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    config = ls.TrainConfig(iterations=5, cap=100, initial=100, sh_degree=1, prune_below=0.9999)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        result = ls.train(folder, config, output=output, device="cpu")
+    assert result.pruned == 0 and result.gaussians.count == 100 and output.exists()
+    (line,) = [record.getMessage() for record in caplog.records if "prune_below" in record.getMessage()]
+    assert line.startswith("TrainConfig.prune_below is 0.9999, but no Gaussian shows with a weight above 0.")
+    assert line.endswith(": all are kept")
+    fewer = ls.train(folder, replace(config, prune_below=0.1), output=output, device="cpu")
+    assert fewer.pruned > 0 and fewer.gaussians.count == 100 - fewer.pruned

@@ -23,6 +23,8 @@ VERSION = 2
 _PARTS = ("values", "first", "second")
 _RECORD = ("motion", "frames")
 _OF_PHOTOGRAPHS = "photographs."
+_AT_THE_END = ("prune_below",)
+"""Settings on which no step depends: training goes on with others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +89,8 @@ def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[
         }
         state = Checkpoint(int(told["iteration"]), Learnt(*parts), record, of_photographs)
         return state, Curve.of(told["curve"])
+    except FormatError:  # of others
+        raise
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise FormatError(path, f"is no checkpoint of a training, or is damaged: {error}") from None
 
@@ -96,7 +100,9 @@ def check_same(path: Path, told: dict[str, Any], config: TrainConfig, photograph
     if told["version"] != VERSION:
         raise FormatError(path, f"is a checkpoint of version {told['version']}, expected {VERSION}")
     settings = plain_settings(config)
-    for name in settings.keys() | told["settings"].keys():
+    for name in dict.fromkeys([*settings, *told["settings"]]):
+        if name in _AT_THE_END:
+            continue
         before, now = told["settings"].get(name), settings.get(name)
         if before != now:
             raise FormatError(

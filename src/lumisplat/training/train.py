@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import time
 from collections.abc import Callable
@@ -27,6 +28,8 @@ from lumisplat.training.held_out import HeldOut, HeldOutScore
 from lumisplat.training.run_folder import RunFolder
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
+
+_log = logging.getLogger("lumisplat")
 
 Progress = Callable[[str, float], None]
 
@@ -210,11 +213,19 @@ class _Run:
         return TrainResult(gaussians, done, done == self._config.iterations, score, seconds, exposures, pruned, cameras)
 
     def _pruned(self) -> tuple[Gaussians, int]:
-        """What has been learnt without what shows too little, and how many these were."""
+        """What has been learnt without what shows too little, and how many these were; all of it, if all does."""
         gaussians, least = self._trainer.gaussians(), self._config.prune_below
         if least == 0.0:
             return gaussians, 0
-        shows = self._trainer.largest_weights() >= least
+        weights = self._trainer.largest_weights()
+        shows = weights >= least
+        if not shows.any():
+            _log.warning(
+                "TrainConfig.prune_below is %g, but no Gaussian shows with a weight above %.2g: all are kept",
+                least,
+                weights.max(),
+            )
+            return gaussians, 0
         return gaussians.subset(np.flatnonzero(shows)), int((~shows).sum())
 
     def _exposures(self) -> dict[str, Doubles] | None:
