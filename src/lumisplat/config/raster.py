@@ -7,7 +7,6 @@ from enum import Enum
 
 from lumisplat.config.checks import check_range, check_whole, take_enum
 from lumisplat.constants import DEPTH_ISO_TRANSMITTANCE, DILATION_PX2, SH_DEGREE_MAX, TRANSMITTANCE_MIN
-from lumisplat.errors import ConfigError
 
 
 class RasterStrategy(Enum):
@@ -92,7 +91,3 @@ class RasterConfig:
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
         check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
-        if self.projection is Projection.UNSCENTED:
-            for value, needed in ((self.strategy, RasterStrategy.SORTED), (self.surface, GaussianSurface.ISO)):
-                if value is not needed:
-                    raise ConfigError(f"{value} does not go with Projection.UNSCENTED, which has {needed} alone")

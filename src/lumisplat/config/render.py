@@ -18,7 +18,7 @@ from lumisplat.config.checks import (
 )
 from lumisplat.config.colors import display_color
 from lumisplat.config.paths import PathConfig
-from lumisplat.config.raster import Projection, RasterConfig
+from lumisplat.config.raster import RasterConfig
 from lumisplat.config.rays import ResponseConfig, ShadowConfig, TraceConfig
 from lumisplat.config.realtime import RealtimeConfig
 from lumisplat.config.renamed import refuse_renamed
@@ -184,8 +184,6 @@ class RenderConfig:
         check_kind("response", self.response, ResponseConfig)
         if self.lighting is not None:
             check_flag("lighting", self.lighting)
-        if self.raster.projection is Projection.UNSCENTED and self.pipeline is Pipeline.REALTIME:
-            raise ConfigError("Projection.UNSCENTED does not go with Pipeline.REALTIME: use Pipeline.HYBRID")
         take_enum(self, "shadows", Shadows)
         check_kind("shadow_rays", self.shadow_rays, ShadowConfig)
         take_enum(self, "tone_map", ToneMap)

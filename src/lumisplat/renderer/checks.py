@@ -7,7 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.config import PATH_AOVS, REALTIME_AOVS, Pipeline, RenderConfig, check_kind
+from lumisplat.config import (
+    PATH_AOVS,
+    REALTIME_AOVS,
+    GaussianSurface,
+    Pipeline,
+    Projection,
+    RasterStrategy,
+    RenderConfig,
+    check_kind,
+)
 from lumisplat.constants import ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
@@ -57,6 +66,18 @@ def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
     if missing:
         names = ", ".join(sorted(missing))
         raise ConfigError(f"Pipeline.{config.pipeline.name} has no {names} among its aovs: {others}")
+
+
+def check_projection(config: RenderConfig) -> None:
+    """Raises ConfigError if Gaussians are to be rasterised along rays in a way in which they are not."""
+    raster = config.raster
+    if raster.projection is not Projection.UNSCENTED:
+        return
+    for value, needed in ((raster.strategy, RasterStrategy.SORTED), (raster.surface, GaussianSurface.ISO)):
+        if value is not needed:
+            raise ConfigError(f"{value} does not go with Projection.UNSCENTED, which has {needed} alone")
+    if config.pipeline is Pipeline.REALTIME:
+        raise ConfigError("Projection.UNSCENTED does not go with Pipeline.REALTIME: use Pipeline.HYBRID")
 
 
 def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:

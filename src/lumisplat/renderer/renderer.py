@@ -20,6 +20,7 @@ from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import (
     check_aovs,
+    check_projection,
     check_resumable,
     check_resumed_scene,
     check_samples,
@@ -246,6 +247,7 @@ class Renderer:
             check_resumed_scene(resume, scene)
         check_aovs(self.config, plan)
         if plan.rasterises:
+            check_projection(self.config)
             refuse_lens(camera, self.config.pipeline, self.config.raster.projection)
             self._warnings.warn_of_degree(scene)
         if self.config.pipeline is Pipeline.HYBRID and scene.splats:

@@ -101,7 +101,7 @@ def cut_off(camera: ls.Camera, seeds: range) -> int:
         # Half of what one pixel loses where an alpha of 1/255 is cut off; rounding may do so at an outline.
         difference = np.abs(frame.alpha - (1.0 - transmittance)) > 0.5 / 255.0 * transmittance
         assert difference.sum() <= 1, (seed, np.argwhere(difference))
-        seen += np.count_nonzero(transmittance < 0.9)
+        seen += int(np.count_nonzero(transmittance < 0.9))
     return seen
 
 
@@ -206,9 +206,9 @@ def test_what_it_cannot_draw_is_refused() -> None:
         ls.render(scene, lens(40.0, aperture=0.1), unscented(), device="cpu")
     for change in ({"strategy": ls.RasterStrategy.STOCHASTIC}, {"surface": ls.GaussianSurface.MEAN}):
         with pytest.raises(ls.ConfigError, match=r"^\w+\.(STOCHASTIC|MEAN) does not go with Projection\.UNSCENTED"):
-            unscented(**change)
+            ls.render(scene, lens(40.0), unscented(**change), device="cpu")
     with pytest.raises(ls.ConfigError, match=r"^Projection\.UNSCENTED does not go with Pipeline\.REALTIME"):
-        replace(unscented(), pipeline=ls.Pipeline.REALTIME)
+        ls.render(scene, lens(40.0), replace(unscented(), pipeline=ls.Pipeline.REALTIME), device="cpu")
 
 
 def test_who_can_is_named_where_ewa_cannot() -> None:
