@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -254,18 +254,10 @@ class _Run:
         rate = (self._trainer.iteration - self._first) / max(now - self._begun, 1e-3)
         return f"training, {self._curve.psnr:.1f} dB, {self._trainer.count:,} Gaussians, {rate:.1f} steps a second"
 
-    @property
+    @cached_property
     def _mark(self) -> str:
-        """What tells these photographs, their poses, points and background from others."""
-        told = hashlib.sha256()
-        for one in self._photographs.training:
-            camera = one.camera
-            inside = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, one.background)
-            told.update(f"{one.name} {inside} {one.path.stat().st_size}".encode())
-            told.update(camera.camera_from_world.tobytes())
-        if self._photographs.points is not None:
-            told.update(self._photographs.points.tobytes())
-        return told.hexdigest()
+        """What tells these photographs, their lenses, poses, masks and points from others."""
+        return self._photographs.fingerprint
 
 
 def _say_nothing(label: str, fraction: float) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from lumisplat.config.colors import Color
+from lumisplat.errors import FormatError
 from lumisplat.io.photographs.cache import PixelCache, Pixels, Plane
 from lumisplat.io.photographs.pixels import Source, decode
 from lumisplat.math.arrays import Doubles, FloatArray
@@ -56,6 +58,20 @@ class Photograph:
         mask = self._kept().mask
         return None if mask is None else _share(mask)
 
+    @property
+    def fingerprint(self) -> str:
+        """What tells it from others without decoding it: its camera, lens and mask, and the size of its file."""
+        told = hashlib.sha256()
+        try:
+            told.update(f"{self.name} {self.background} {self.path.stat().st_size}".encode())
+            if self._source.mask is not None:
+                told.update(self._source.mask.read_bytes())
+        except OSError as error:
+            raise FormatError(error.filename or self.path, f"cannot be read: {error.strerror or error}") from None
+        told.update(_told(self.camera))
+        told.update(_told(self._source.camera))
+        return told.hexdigest()
+
     def _kept(self) -> Pixels:
         return self._cache.get(self.path, partial(decode, self._source))
 
@@ -78,6 +94,24 @@ class Photographs:
     target: Doubles
     """What the training cameras look at: the point nearest to their optical axes in the sense of least squares, shape
     (3,). Where all axes are parallel it is the mean of the positions."""
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells those to learn from, and the points, from others.
+
+        Raises:
+            FormatError: A file is no longer there.
+        """
+        told = hashlib.sha256("".join(photograph.fingerprint for photograph in self.training).encode())
+        for array in (self.points, self.point_colors):
+            told.update(b"none" if array is None else array.tobytes())
+        return told.hexdigest()
+
+
+def _told(camera: Camera) -> bytes:
+    """All that a camera is."""
+    values = (getattr(camera, one.name) for one in fields(camera))
+    return b" ".join(value.tobytes() if isinstance(value, np.ndarray) else str(value).encode() for value in values)
 
 
 def _share(plane: Plane) -> FloatArray:

@@ -1,0 +1,86 @@
+"""A training does not go on with other photographs than those with which it began."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from support.files.photograph_files import ring_cameras, write_transforms_photographs
+
+BEFORE = (-0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
+CONFIG = ls.TrainConfig(iterations=1, cap=60, initial=60, sh_degree=0)
+
+
+def changed_cameras(camera: ls.Camera) -> dict[str, Any]:
+    """Another value for each field of a camera."""
+    turned = np.diag((1.0, -1.0, -1.0, 1.0)) @ camera.camera_from_world
+    return {
+        "width": camera.width + 1,
+        "height": camera.height + 1,
+        **{name: getattr(camera, name) * 1.01 for name in ("fx", "fy", "cx", "cy", "near", "focus_distance")},
+        "camera_from_world": turned,
+        "camera_from_world_end": camera.camera_from_world,
+        "name": "another",
+        "model": ls.CameraModel.FISHEYE,
+        "aperture": 0.01,
+        "distortion": (0.0, 0.0, 0.0, 0.0, 0.0, 1e-9),
+        "exposure": 0.5,
+    }
+
+
+@pytest.mark.parametrize("lens", [{}, {"projection": ls.Projection.UNSCENTED}], ids=["straightened", "as it is"])
+def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Path) -> None:
+    """Also where its pixels are resampled, and the pinhole stays."""
+    folder = write_transforms_photographs(tmp_path / "set", ring_cameras(3, distortion=BEFORE))
+    config = replace(CONFIG, **lens)
+    ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
+    content = json.loads((folder / "transforms.json").read_text())
+    for frame in content["frames"]:
+        frame["k1"] = 0.3
+    (folder / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(ls.FormatError, match=r"npz: is of a training with other photographs: use those of before"):
+        ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
+
+
+def test_everything_that_a_camera_is_tells(tmp_path: Path) -> None:
+    """Each of its fields."""
+    folder = write_transforms_photographs(tmp_path, ring_cameras(3))
+    photographs = ls.load_photographs(folder)
+    one = photographs.training[0]
+    changes = changed_cameras(one.camera)
+    assert set(changes) == {field.name for field in fields(ls.Camera)}
+    for name, value in changes.items():
+        other = replace(one, camera=replace(one.camera, **{name: value}))
+        assert replace(photographs, training=(other, *photographs.training[1:])).fingerprint != photographs.fingerprint
+    assert ls.load_photographs(folder).fingerprint == photographs.fingerprint
+
+
+def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:
+    """Also if files have the size of before."""
+    folder = write_transforms_photographs(tmp_path, ring_cameras(3))
+    found = [ls.load_photographs(folder).fingerprint]
+    (folder / "masks").mkdir()
+    for column in (3, 9):
+        mask = np.full((30, 40), 255, np.uint8)
+        mask[:, column] = 0
+        Image.fromarray(mask).save(folder / "masks" / "view_1.png", compress_level=0)
+        found.append(ls.load_photographs(folder).fingerprint)
+    colored = replace(ls.load_photographs(folder), points=np.zeros((2, 3), np.float32))
+    for shade in (0.0, 1.0):
+        found.append(replace(colored, point_colors=np.full((2, 3), shade, np.float32)).fingerprint)
+    assert len(set(found)) == 5
+
+
+def test_a_photograph_that_is_gone_is_one_line(tmp_path: Path) -> None:
+    """It is named."""
+    photographs = ls.load_photographs(write_transforms_photographs(tmp_path, ring_cameras(3)))
+    photographs.training[1].path.unlink()
+    with pytest.raises(ls.FormatError, match=r"view_2\.png: cannot be read: No such file"):
+        _ = photographs.fingerprint
