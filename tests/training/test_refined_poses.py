@@ -14,6 +14,7 @@ from lumisplat.math.rigid import rigid_from_twist, twist_from_rigid
 from lumisplat.training.corrections.poses import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Lesson, TrainingView
+from support.files.photograph_files import change_frame, ring_cameras, write_transforms_photographs
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
 
 STILL = ls.LearningRates(
@@ -123,6 +124,32 @@ def test_corrections_are_resumed_and_written(tmp_path: Path) -> None:
     for one, camera in zip(saved, whole.cameras, strict=True):
         np.testing.assert_allclose(one.camera_from_world, camera.camera_from_world, atol=1e-9)
         assert np.abs(camera.camera_from_world - given[camera.name].camera_from_world).max() > 1e-4
+
+
+def test_lenses_of_more_than_one_model_have_a_file_each(tmp_path: Path) -> None:
+    """A fisheye between pinholes, all learnt from as they are."""
+    folder = write_transforms_photographs(tmp_path / "set", ring_cameras(4))
+    change_frame(folder / "transforms.json", 2, camera_model="OPENCV_FISHEYE")
+    config = replace(CONFIG, iterations=2, sh_degree=0, projection=ls.Projection.UNSCENTED)
+    result = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
+    files = sorted(path.name for path in (tmp_path / "a.training").glob("poses*"))
+    assert result.cameras is not None and files == ["poses-fisheye.json", "poses-pinhole.json"]
+    for name in files:
+        saved = ls.load_cameras(tmp_path / "a.training" / name)
+        expected = [camera for camera in result.cameras if f"poses-{camera.model.value}.json" == name]
+        assert [camera.name for camera in saved] == [camera.name for camera in expected]
+        assert all(one.model is camera.model for one, camera in zip(saved, expected, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [({"camera_from_world_end": np.eye(4)}, "a rolling shutter"), ({"aperture": 0.1}, "an aperture")],
+)
+def test_cameras_that_are_not_in_one_place_are_refused(change: dict[str, Any], what: str) -> None:
+    """A pose alone would not say where they have moved to."""
+    some = [replace(camera, name="left") for camera in ring_cameras(2)]
+    with pytest.raises(ls.SceneError, match=rf"^the camera of left has {what}.*: leave TrainConfig\.refine_poses off$"):
+        Poses.of([some[0], replace(some[1], **change)], 3.0)
 
 
 def test_bits_do_not_depend_on_threads() -> None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from lumisplat.config import TrainConfig
 from lumisplat.errors import FormatError
+from lumisplat.io import save_cameras
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.scene_toml.toml_text import toml_value
 from lumisplat.math.arrays import Doubles
+from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.checkpoint import plain_settings
 from lumisplat.training.curve import Curve
@@ -33,11 +36,6 @@ class RunFolder:
     def checkpoint(self) -> Path:
         """From which training goes on."""
         return self.path / "checkpoint.npz"
-
-    @property
-    def poses(self) -> Path:
-        """Cameras that have moved."""
-        return self.path / "poses.json"
 
     def preview(self, step: int) -> Path:
         """The picture of a step."""
@@ -79,6 +77,13 @@ class RunFolder:
         """Writes how photographs were exposed: three rows of four numbers each, by name."""
         told = {name: exposure.tolist() for name, exposure in exposures.items()}
         _write(self.path / "exposures.json", json.dumps(told, indent=2) + "\n")
+
+    def write_poses(self, cameras: Sequence[Camera]) -> None:
+        """Writes cameras that have moved; those of more than one model in a file each, as a file holds one model."""
+        models = {camera.model for camera in cameras}
+        for model in models:
+            name = "poses.json" if len(models) == 1 else f"poses-{model.value}.json"
+            save_cameras(self.path / name, [camera for camera in cameras if camera.model is model])
 
     def write_report(self, curve: Curve, score: HeldOutScore | None, held_out: HeldOut, gaussians: Gaussians) -> None:
         """Writes the curve, also as a picture, and figures and pictures of what was held out."""

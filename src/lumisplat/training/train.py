@@ -16,7 +16,7 @@ from lumisplat.config import TrainConfig
 from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import ConfigError
-from lumisplat.io import save, save_cameras
+from lumisplat.io import save
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.io.photographs.photographs import Photographs
 from lumisplat.math.arrays import Doubles
@@ -207,7 +207,7 @@ class _Run:
             if exposures is not None:
                 self._folder.write_exposures(exposures)
             if cameras is not None:
-                save_cameras(self._folder.poses, cameras)
+                self._folder.write_poses(cameras)
         done = self._trainer.iteration
         seconds = time.monotonic() - self._begun
         return TrainResult(gaussians, done, done == self._config.iterations, score, seconds, exposures, pruned, cameras)

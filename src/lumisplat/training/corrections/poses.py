@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.rigid import cross_matrix, rigid_from_twist, twist_from_rigid
 from lumisplat.scene.camera import Camera
@@ -31,7 +32,18 @@ class Poses:
 
     @classmethod
     def of(cls, cameras: Sequence[Camera], length: float) -> Poses:
-        """Those of cameras that have not moved yet."""
+        """Those of cameras that have not moved yet.
+
+        Raises:
+            SceneError: One has a rolling shutter or an aperture: it is not in one place.
+        """
+        for camera in cameras:
+            if camera.camera_from_world_end is not None or camera.aperture > 0.0:
+                what = "an aperture" if camera.camera_from_world_end is None else "a rolling shutter"
+                raise SceneError(
+                    f"the camera of {camera.name} has {what}, expected one that is in one place to learn where: leave "
+                    "TrainConfig.refine_poses off"
+                )
         given = np.stack([np.asarray(camera.camera_from_world, np.float64) for camera in cameras])
         return cls(given.copy(), given, AdamRows.still(len(cameras), 6), length)
 
