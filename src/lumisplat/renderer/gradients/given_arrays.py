@@ -18,7 +18,28 @@ def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
     """A caller's array as C-contiguous float32, without a copy where that is possible; those of GPUs are downloaded.
 
     Raises:
-        SceneError: It has another shape, or values that are not finite.
+        SceneError: It cannot be read, has another shape, or values that are not finite.
+    """
+    try:
+        array = _read(values)
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        problem = str(error).partition("\n")[0].rstrip(".")
+        raise SceneError(
+            f"{name} cannot be read as an array: {problem}; expected numbers, and a tensor that has gradients detached"
+        ) from None
+    if array.shape != shape:
+        raise SceneError(f"{name} has shape {array.shape}, expected {shape}")
+    bad = array.size - int(np.isfinite(array).sum())
+    if bad:
+        raise SceneError(f"{name}: {bad:,} of {array.size:,} values are not finite")
+    return array
+
+
+def _read(values: Any) -> FloatArray:
+    """As ``given_array``, of any shape.
+
+    Raises:
+        BufferError, RuntimeError, TypeError, ValueError: Its package refuses, or it is no array.
     """
     if _is_on_gpu(values):
         there = cast(Any, wp).from_dlpack(values)
@@ -26,13 +47,7 @@ def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
     has_numpy = hasattr(values, "__array_interface__") or hasattr(values, "__array__")
     if hasattr(values, "__dlpack__") and not has_numpy:
         values = np.from_dlpack(values)
-    array = np.ascontiguousarray(values, dtype=np.float32)
-    if array.shape != shape:
-        raise SceneError(f"{name} has shape {array.shape}, expected {shape}")
-    bad = array.size - int(np.isfinite(array).sum())
-    if bad:
-        raise SceneError(f"{name}: {bad:,} of {array.size:,} values are not finite")
-    return array
+    return np.ascontiguousarray(values, dtype=np.float32)
 
 
 def _is_on_gpu(values: Any) -> bool:
