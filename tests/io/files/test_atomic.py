@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 import sys
 from functools import partial
@@ -27,6 +28,30 @@ def test_success_renames(tmp_path: Path) -> None:
         assert not target.exists()
     assert target.read_text() == "done"
     assert list(target.parent.iterdir()) == [target]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="elsewhere folders have no descriptors")
+def test_the_disk_has_a_file_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the folder after: a power cut leaves the file of before, or that of now."""
+    target = tmp_path / "file.ply"
+    done: list[tuple[str, int, int]] = []
+    fsync, replace = os.fsync, os.replace
+
+    def syncing(descriptor: int) -> None:
+        told = os.fstat(descriptor)
+        done.append(("sync", told.st_ino, told.st_size if stat.S_ISREG(told.st_mode) else -1))
+        fsync(descriptor)
+
+    def replacing(source: Path, to: Path) -> None:
+        done.append(("name", os.stat(source).st_ino, 4))
+        replace(source, to)
+
+    monkeypatch.setattr(os, "fsync", syncing)
+    monkeypatch.setattr(os, "replace", replacing)
+    with atomic_write(target) as temporary:
+        temporary.write_text("done")
+    file, folder = target.stat().st_ino, tmp_path.stat().st_ino
+    assert done == [("sync", file, 4), ("name", file, 4), ("sync", folder, -1)]
 
 
 @pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt, OSError])

@@ -1,4 +1,7 @@
-"""Atomic writing: output files appear complete or not at all, and what a killed run left is removed by the next one."""
+"""Atomic writing: output files appear complete or not at all, and what a killed run left is removed by the next one.
+
+A file is on the disk before it has its name, so that this holds of power cuts, too.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,9 @@ def atomic_write(path: PathLike) -> Generator[Path]:
         _remove_leftovers(target.parent)
         with _reserved(target) as temporary:
             yield temporary
+            _sync(temporary)
             os.replace(temporary, target)
+        _sync_folder(target.parent)
     except OSError as error:
         raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
 
@@ -72,6 +77,27 @@ def _target(path: PathLike) -> Path:
     if target.exists() and not target.is_file():
         raise FormatError(path, "is a device, a pipe or a socket, expected the name of a file to write")
     return target
+
+
+def _sync(path: Path) -> None:
+    """Waits until the disk has a file."""
+    descriptor = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sync_folder(path: Path) -> None:
+    """Waits until the disk has the names of a folder, where the system can open one, and its file system has that."""
+    if os.name != "posix":
+        return
+    with suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 @contextmanager
