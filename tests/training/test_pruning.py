@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
 from lumisplat.constants import SH_C0
+from lumisplat.math.rigid import rigid_from_twist
 from lumisplat.training.learnt import Learnt
 from lumisplat.training.trainer import Trainer
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
@@ -35,15 +37,38 @@ def test_largest_weights_are_those_of_frames(threads: int) -> None:
     assert found[4] == 0.0 and found[5] < 0.02 and found.max() > 0.3
 
 
-def test_largest_weights_of_rays_are_those_of_frames() -> None:
+LENS = {"model": ls.CameraModel.FISHEYE, "distortion": (0.1, -0.02, 0.01, 0.0, 0.0, 0.0), "fx": 45.0, "fy": 40.0}
+ALONG = ls.RasterConfig(projection=ls.Projection.UNSCENTED)
+
+
+@pytest.mark.parametrize(
+    ("settings", "frames", "lens", "moves"),
+    [
+        ({"pipeline": ls.Pipeline.TRACE, "kernel_degree": 4}, {"pipeline": ls.Pipeline.TRACE}, {}, False),
+        ({"projection": ls.Projection.UNSCENTED}, {"raster": ALONG}, {}, False),
+        ({"projection": ls.Projection.UNSCENTED}, {"raster": ALONG}, LENS, True),
+    ],
+    ids=["rays", "along rays", "along rays of a lens that moves"],
+)
+def test_largest_weights_of_rays_are_those_of_frames(
+    settings: dict[str, Any], frames: dict[str, Any], lens: dict[str, Any], moves: bool
+) -> None:
     """A frame in which one Gaussian is white, and all others are black, is its weights."""
-    given, learnt = views(2, 24), known_learnt().rows(np.arange(8))
+    given = [replace(view, camera=replace(view.camera, **lens)) for view in views(2, 40)]
+    if moves:
+        shift = rigid_from_twist(np.array([0.0, 0.02, 0.0, 0.3, 0.1, 0.0]))
+        ends = [shift @ view.camera.camera_from_world for view in given]
+        given = [
+            replace(view, camera=replace(view.camera, camera_from_world_end=end))
+            for view, end in zip(given, ends, strict=True)
+        ]
+    learnt = known_learnt().rows(np.arange(8))
     learnt.values["means"][4] = (0.0, 50.0, 0.0)
-    config = ls.TrainConfig(cap=8, sh_degree=1, pipeline=ls.Pipeline.TRACE, kernel_degree=4)
-    one = Trainer(given, config, points=known().means[:8], device="cpu")
+    config = ls.TrainConfig(cap=8, sh_degree=1, **settings)
+    one = Trainer(given, config, points=known().means[:8], device="cpu", threads=2)
     one._place(Learnt.new(learnt.values))
     found, expected = one.largest_weights(), np.zeros(8)
-    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    renderer = ls.create_renderer(ls.RenderConfig(**frames, lighting=False), "cpu")
     for number in range(8):
         sh = np.zeros((8, 1, 3))
         sh[:, 0] = np.where(np.arange(8) == number, 0.5, -0.5)[:, None] / SH_C0

@@ -111,7 +111,7 @@ class TrainConfig:
     """Exponent of the distance in the response of Gaussians, 0 (linear) to 5 (quintic); others than 2 are of rays."""
     prune_below: float = 0.01
     """At the end, Gaussians that are never blended with so much weight in a pixel of a photograph are removed, 0..1;
-    those that ``UNSCENTED`` has learnt all stay."""
+    if none would be left, all stay."""
     antialiased: bool = False
     """Whether opacities are compensated for the width of pixels (Mip-Splatting)."""
     exposures: bool = False

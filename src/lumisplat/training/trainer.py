@@ -138,19 +138,13 @@ class Trainer:
         return self._learnt().gaussians(self.config)
 
     def largest_weights(self) -> FloatArray:
-        """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,).
-
-        Of splats along rays, nobody has looked: 1.
-        """
-        raster = self._raster
-        if isinstance(raster, TrainingUnscented):
-            return np.ones(self.count, np.float32)
+        """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,)."""
         largest = self._buffers.get("weights.largest", wp.float32, self.count)
         largest.zero_()
         for number, view in enumerate(self._views):
             camera = view.camera if self.poses is None else self.poses.posed(number, view.camera)
-            raster.draw(camera, self.config.sh_degree, self._background)
-            raster.add_largest_weights(largest)
+            self._raster.draw(camera, self.config.sh_degree, self._background)
+            self._raster.add_largest_weights(largest)
         return np.array(largest.numpy(), np.float32)
 
     @property

@@ -43,10 +43,7 @@ class UnscentedBackward:
             gradient: Derivatives by these.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
-        count = met.splats.count
-        counts, starts = (get(f"backward.pair_{kind}", wp.int32, count + 1) for kind in ("counts", "starts"))
-        run(splat_backward_kernels.count_pairs, count + 1, met.splats.rects, counts)
-        prefix_sum(counts, starts, inclusive=False)
+        count, starts = met.splats.count, self.pair_starts(met)
         pairs = get("backward.ray_pairs", RaySplatGradient, met.tiles.items.shape[0])
         lists = (met.splats.data, met.splats.rects, starts, met.tiles.starts, met.tiles.items)
         inputs = (scene.camera, met.settings, *lists, met.rays, met.limits, pixels, gradient, pairs)
@@ -60,6 +57,14 @@ class UnscentedBackward:
         with self._launcher.stage("backward: splats"):
             run(ray_splat_backward_kernels.add_records, count, starts, pairs, sums)
         return sums
+
+    def pair_starts(self, met: SplatsOnRays) -> DeviceArray:
+        """Where the records of the tiles of each Gaussian begin; the last element is their number."""
+        count = met.splats.count + 1
+        counts, starts = (self._buffers.get(f"backward.pair_{kind}", wp.int32, count) for kind in ("counts", "starts"))
+        self._launcher.run_banded(splat_backward_kernels.count_pairs, count, met.splats.rects, counts)
+        prefix_sum(counts, starts, inclusive=False)
+        return starts
 
     def gaussians(self, scene: DeviceScene, met: SplatsOnRays, by_splat: DeviceArray, number: int) -> GaussianGradient:
         """Derivatives by the Gaussians of an asset, 0 for those that were not met.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import warp as wp
 
 from lumisplat.config import RenderConfig
@@ -20,12 +22,12 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays, UnscentedRaster
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
-from lumisplat.training import optimizer_kernels
+from lumisplat.training import optimizer_kernels, weight_kernels
 
 
 class TrainingUnscented:
@@ -77,6 +79,15 @@ class TrainingUnscented:
         """As of `TrainingRaster`."""
         by_splat = self._backward.splats(self._scene, self._met, pixels, gradient)
         return self._backward.gaussians(self._scene, self._met, by_splat, 0)
+
+    def add_largest_weights(self, largest: DeviceArray) -> None:
+        """As of `TrainingRaster`."""
+        run, met, tiles = self._launcher.run_banded, self._met, math.prod(self._scene.tile_grid)
+        starts = self._backward.pair_starts(met)
+        pairs = self._buffers.get("weights.pairs", wp.float32, met.tiles.items.shape[0])
+        lists = (met.splats.data, met.splats.rects, starts, met.tiles.starts, met.tiles.items, met.rays, met.limits)
+        run(weight_kernels.find_largest_ray_weights, tiles, self._scene.camera, met.settings, *lists, pairs)
+        run(weight_kernels.keep_largest, met.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
         """As of `TrainingRaster`."""
