@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import lumisplat as ls
 from lumisplat.runtime.launcher import Launcher
 from support.compare.ways import WAYS, renderer_of
 from support.oracles.unscented_oracle import Parameters, Twin
-from support.scenes.lenses import LENSES, large, layers, lens
+from support.scenes.lenses import FISHEYE, LENSES, large, layers, lens, needle, rolling
 from support.scenes.raster_scenes import checker_quad, random_gaussians
 
 NAMES = list(LENSES)
@@ -89,13 +90,52 @@ def test_tiles_cut_nothing_of_many_large_gaussians(name: str) -> None:
     assert cut_off(LENSES[name], range(30, 1030)) > 30000
 
 
-def cut_off(camera: ls.Camera, seeds: range) -> int:
-    """Fails where tiles cut off parts of large Gaussians, four a seed; returns in how many pixels some were seen."""
+BACKWARD = {
+    "fisheye": lens(50.0, (320, 320), model=FISHEYE),
+    "rolling fisheye": rolling(lens(40.0, (256, 256), model=FISHEYE)),
+}
+
+
+@pytest.mark.parametrize("name", BACKWARD)
+def test_tiles_cut_nothing_of_what_is_opposite_to_the_axis(name: str) -> None:
+    """Of any size and shape, one at a time: around the image, or an arc of a circle in it."""
+    assert cut_off(BACKWARD[name], range(40), lambda seed: needle(seed, BACKWARD[name])) > 10000
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("name", BACKWARD)
+def test_tiles_cut_nothing_of_much_that_is_opposite_to_the_axis(name: str) -> None:
+    """The same of 600 of them."""
+    assert cut_off(BACKWARD[name], range(40, 640), lambda seed: needle(seed, BACKWARD[name])) > 150000
+
+
+def test_tiles_cut_nothing_at_the_edge_of_a_wide_pinhole() -> None:
+    """Where tangents grow within what is small: 176 degrees across."""
+    camera = lens(256.0 / np.tan(np.radians(88.0)), (512, 64))
+    assert cut_off(camera, range(3), lambda seed: rim(seed, camera, 88.0)) > 1000
+
+
+def rim(seed: int, camera: ls.Camera, degrees: float) -> ls.Gaussians:
+    """Gaussians of about a hundredth of a radian, within six degrees of the edge of the image."""
+    rng = np.random.default_rng(seed)
+    angle, turn = np.radians(rng.uniform(degrees - 6.0, degrees, 200)), rng.uniform(0.0, 2.0 * np.pi, 200)
+    ways = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=-1)
+    return ls.Gaussians(
+        means=3.0 * ways @ camera.world_from_camera[:3, :3].T + camera.eye,
+        rotations_wxyz=rng.normal(size=(200, 4)),
+        scales=rng.uniform(0.012, 0.018, (200, 1)) * np.exp(rng.uniform(-2.0, 0.0, (200, 3))),
+        opacities=np.full(200, 0.9),
+        sh=np.zeros((200, 1, 3)),
+    )
+
+
+def cut_off(camera: ls.Camera, seeds: range, scene_of: Callable[[int], ls.Gaussians] = large) -> int:
+    """Fails where tiles cut off parts of Gaussians; returns in how many pixels some were seen."""
     renderer = ls.create_renderer(unscented(transmittance_min=0.0, dilation=0.0), "cpu")
     twin = Twin(camera, dilation=0.0, transmittance_min=0.0)
     seen = 0
     for seed in seeds:
-        gaussians = large(seed)
+        gaussians = scene_of(seed)
         _, transmittance = twin.sums(Parameters.of(gaussians))
         frame = renderer.render(ls.Scene([gaussians]), camera)
         # Half of what one pixel loses where an alpha of 1/255 is cut off; rounding may do so at an outline.

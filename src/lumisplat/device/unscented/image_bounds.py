@@ -8,13 +8,15 @@ import math
 import warp as wp
 
 from lumisplat.constants.unscented import (
+    OUTLINE_MARGIN,
     OUTLINE_POINTS,
     OUTLINE_SLACK,
+    PLANE_SHARE,
     UNSCENTED_MARGIN,
     UNSCENTED_SINE_MAX,
     UNSCENTED_SLACK_PX,
 )
-from lumisplat.device.camera.camera import turned
+from lumisplat.device.camera.camera import FISHEYE, turned
 from lumisplat.device.camera.lens import row_time, seen_point
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import ImageBounds, PixelBox, WorldGaussian
@@ -25,6 +27,10 @@ wp.set_module_options({"enable_backward": False})
 POINTS = wp.constant(OUTLINE_POINTS)
 HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
 STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
+WIDER = wp.constant(wp.float32(1.0 / math.cos(math.pi / OUTLINE_POINTS)))
+"""The circle is within the polygon of points that are farther out by this."""
+AROUND = wp.constant(wp.float32((1.0 + OUTLINE_MARGIN) / math.cos(math.pi / OUTLINE_POINTS)))
+PLANE = wp.constant(wp.float32(PLANE_SHARE))
 SLACK = wp.constant(wp.float32(OUTLINE_SLACK))
 SINE_MAX = wp.constant(wp.float32(UNSCENTED_SINE_MAX))
 MARGIN = wp.constant(wp.float32(1.0 + UNSCENTED_MARGIN))
@@ -67,9 +73,35 @@ def across_of(vector: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def turns_far(before: wp.vec2, after: wp.vec2) -> bool:
-    """Whether two directions are more than 45 degrees apart."""
-    return wp.dot(before, after) < HALF_RIGHT * wp.length(before) * wp.length(after)
+def turn_between(before: wp.vec2, after: wp.vec2) -> float:
+    """How far the image bulges between two places around its centre, pixels; inf if they are over 45 degrees apart."""
+    lengths = wp.length(before) * wp.length(after)
+    if wp.dot(before, after) < HALF_RIGHT * lengths:
+        return wp.inf
+    return (lengths - wp.dot(before, after)) / wp.max(wp.length(after), 1.0)
+
+
+@wp.func
+def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
+    """How far a point is, from the eye, from where the projection is not smooth.
+
+    Those places are the eye; a fisheye's half-line against its axis, which is a circle in the image; and the plane of a
+    pinhole, near which tangents grow.
+    """
+    ahead = -wp.dot(point, backward)
+    if camera.model != FISHEYE:
+        return wp.min(wp.length(point), PLANE * ahead)
+    if ahead < 0.0:
+        return wp.length(wp.cross(point, backward))
+    return wp.length(point)
+
+
+@wp.func
+def is_around(eye: wp.vec3, away: wp.vec3, reach: float) -> bool:
+    """Whether a direction is within the cone of the outline's points, canonically, or nearly so."""
+    across = wp.length(wp.cross(eye, away))
+    along = -wp.dot(eye, away)
+    return across * wp.sqrt(wp.length_sq(eye) - reach * reach) <= AROUND * reach * along
 
 
 @wp.func
@@ -82,7 +114,9 @@ def outline_bounds(
     backward: wp.vec3,
     reach: float,
 ) -> ImageBounds:
-    """Of points on the outline of the ellipsoid at which a Gaussian ends: where rays touch a sphere, canonically.
+    """Of points around the outline of the ellipsoid at which a Gaussian ends: where rays touch a sphere, canonically.
+
+    They are the corners of a polygon that the outline touches from inside.
 
     Args:
         camera: The camera.
@@ -95,7 +129,7 @@ def outline_bounds(
     """
     distance2 = wp.length_sq(eye)
     middle = (reach * reach / distance2) * eye
-    radius = reach * wp.sqrt(wp.max(1.0 - reach * reach / distance2, 0.0))
+    radius = WIDER * reach * wp.sqrt(wp.max(1.0 - reach * reach / distance2, 0.0))
     right = across_of(eye)
     down = wp.normalize(wp.cross(eye, right))
     low = wp.vec2(wp.inf)
@@ -104,6 +138,7 @@ def outline_bounds(
     before = wp.vec2(0.0)
     last = wp.vec2(0.0)
     error = float(0.0)
+    turn = float(0.0)
     behind_before = float(0.0)
     for k in range(POINTS + 2):  # the first two once more, for differences all around
         angle = float(k) * STEP
@@ -112,8 +147,8 @@ def outline_bounds(
         found = seen_point(camera, field, gaussian.point + offset)
         at = wp.vec2(found[0], found[1])
         behind = wp.dot(gaussian.point + offset - time * camera.motion, backward)
-        if k > 0 and wp.min(behind, behind_before) > 0.0 and turns_far(last - camera.center, at - camera.center):
-            return everywhere()  # the outline runs around the image between the two
+        if k > 0 and wp.min(behind, behind_before) > 0.0:
+            turn = wp.max(turn, turn_between(last - camera.center, at - camera.center))
         behind_before = behind
         low = wp.min(low, at)
         high = wp.max(high, at)
@@ -123,7 +158,7 @@ def outline_bounds(
             bend = wp.max(bend, wp.vec2(wp.abs(second[0]), wp.abs(second[1])))
         before = last
         last = at
-    slack = SLACK * bend + wp.vec2(error + SLACK_PX)
+    slack = SLACK * (bend + wp.vec2(turn)) + wp.vec2(error + SLACK_PX)  # none, where the outline runs around the image
     bounds = ImageBounds()
     bounds.low = low - slack
     bounds.high = high + slack
@@ -137,15 +172,17 @@ def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, r
     if camera.shutter != 0:
         time = row_time(camera, seen_point(camera, field, gaussian.point)[1])
     point = gaussian.point - time * camera.motion
-    if reach * wp.max(gaussian.scale) <= SINE_MAX * wp.length(point):
+    backward = turned(camera.world_from_camera * wp.vec3(0.0, 0.0, -1.0), camera.turn_axis, time * camera.turn_angle)
+    room = leeway(camera, point, backward)
+    wander = wp.abs(camera.turn_angle) * wp.length(point) + wp.length(camera.motion)
+    if camera.shutter != 0 and camera.model == FISHEYE and reach * wp.max(gaussian.scale) + wander >= room:
+        return everywhere()  # the direction against the axis may come across it
+    if reach * wp.max(gaussian.scale) <= SINE_MAX * room:
         return sigma_bounds(camera, field, gaussian, reach)
     eye = -canonical(gaussian, point)
     if not wp.length(eye) - 2.0 * wp.length(canonical(gaussian, camera.motion)) > reach:
         return everywhere()  # it is inside, or so near that while it moves the outline is another one
-    backward = turned(camera.world_from_camera * wp.vec3(0.0, 0.0, -1.0), camera.turn_axis, time * camera.turn_angle)
-    away = canonical(gaussian, backward)
-    across = wp.length(wp.cross(eye, away))
-    if wp.dot(eye, away) < 0.0 and across <= reach * wp.length(away):
+    if is_around(eye, canonical(gaussian, backward), reach):
         return everywhere()  # it is all around the image
     return outline_bounds(camera, field, gaussian, time, eye, backward, reach)
 
