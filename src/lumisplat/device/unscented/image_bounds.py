@@ -73,7 +73,7 @@ def across_of(vector: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def turn_between(before: wp.vec2, after: wp.vec2) -> float:
+def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
     """How far the image bulges between two places around its centre, pixels; inf if they are over 45 degrees apart."""
     lengths = wp.length(before) * wp.length(after)
     if wp.dot(before, after) < HALF_RIGHT * lengths:
@@ -138,7 +138,7 @@ def outline_bounds(
     before = wp.vec2(0.0)
     last = wp.vec2(0.0)
     error = float(0.0)
-    turn = float(0.0)
+    bulge = float(0.0)
     behind_before = float(0.0)
     for k in range(POINTS + 2):  # the first two once more, for differences all around
         angle = float(k) * STEP
@@ -148,7 +148,7 @@ def outline_bounds(
         at = wp.vec2(found[0], found[1])
         behind = wp.dot(gaussian.point + offset - time * camera.motion, backward)
         if k > 0 and wp.min(behind, behind_before) > 0.0:
-            turn = wp.max(turn, turn_between(last - camera.center, at - camera.center))
+            bulge = wp.max(bulge, bulge_between(last - camera.center, at - camera.center))
         behind_before = behind
         low = wp.min(low, at)
         high = wp.max(high, at)
@@ -158,7 +158,7 @@ def outline_bounds(
             bend = wp.max(bend, wp.vec2(wp.abs(second[0]), wp.abs(second[1])))
         before = last
         last = at
-    slack = SLACK * (bend + wp.vec2(turn)) + wp.vec2(error + SLACK_PX)  # none, where the outline runs around the image
+    slack = SLACK * (bend + wp.vec2(bulge)) + wp.vec2(error + SLACK_PX)  # none, where the outline runs around the image
     bounds = ImageBounds()
     bounds.low = low - slack
     bounds.high = high + slack
