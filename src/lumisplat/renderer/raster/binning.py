@@ -221,7 +221,8 @@ class BinningParallel(Binning):
         run(kernels.emit_pairs, count, 0, tiles_x, capacity, depth_order.order, rects, offsets, tiles, items)
         sort_pairs(tiles, items, capacity, bits=tile_count.bit_length())
         run(kernels.find_tile_starts, tile_count + 1, 0, capacity, tiles, starts)
-        return TileLists(starts, device_array(items[:capacity]))  # the rest is scratch space of the sort
+        listed = items[:capacity] if capacity else items  # the rest is scratch space of the sort
+        return TileLists(starts, device_array(listed))
 
 
 def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:
