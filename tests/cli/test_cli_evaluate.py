@@ -137,6 +137,8 @@ def test_lenses_stay_as_they_are_along_rays(work):
     write_transforms_photographs(work.path("fisheyes"), lens, [truth] * 6)
     table = evaluate(work, "--hold-out", "2", "--projection", "unscented", folder="@fisheyes")
     assert float(table["mean of 3 views"][0]) > 55.0
+    traced = evaluate(work, "--hold-out", "2", "--pipeline", "trace", folder="@fisheyes")
+    assert float(traced["mean of 3 views"][0]) > 40.0
 
 
 def test_missing_packages_leave_their_figures_out(work, monkeypatch):

@@ -105,6 +105,9 @@ def test_cuda_rasterises_along_rays_as_the_cpu_does(name: str) -> None:
     for key, value in cpu.items():
         error = np.abs(value - cuda[key])
         assert np.quantile(error, 0.98) < 1e-3 * np.abs(value).mean(), key
+    poses = [one.camera_from_world for one in found]
+    assert poses[0] is not None and poses[1] is not None
+    assert np.abs(poses[0] - poses[1]).max() < 5e-3 * np.abs(poses[0]).max()  # pixels at a threshold pull on all of it
 
 
 def test_graph_repeats_the_direct_frame() -> None:

@@ -9,8 +9,9 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.runtime.launcher import Launcher
+from support.compare.stale_buffers import fill_with_nan
 from support.oracles.gradient_oracle import Loss, Parameters, differences
-from support.scenes.gradient_scenes import BACKGROUND, by_pixels, cloud, vars_of, view
+from support.scenes.gradient_scenes import BACKGROUND, by_pixels, check_instances, cloud, opaque, vars_of, view
 
 
 def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None) -> ls.SplatGradients:
@@ -105,6 +106,21 @@ def test_the_schedule_of_gpus_agrees(antialiased: bool, monkeypatch: pytest.Monk
     np.testing.assert_allclose(blocks.centers_absolute, tiles.centers_absolute, rtol=1e-4, atol=1e-5)
 
 
+def test_that_schedule_has_zeros_behind_opaque_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where all pixels of a tile have ended long before its list has: no record keeps what was in memory."""
+    scene, camera = ls.Scene([opaque()]), view()
+    tiles = gradients_of(scene, camera)
+    monkeypatch.setattr(
+        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+    )
+    fill_with_nan(monkeypatch, "backward.pairs")
+    blocks = gradients_of(scene, camera)
+    assert (tiles.weights == 0.0).mean() > 0.3
+    for name, value in vars_of(tiles).items():
+        assert np.abs(vars_of(blocks)[name] - value).max() < 1e-3 * np.abs(value).mean(), name
+    np.testing.assert_allclose(blocks.weights, tiles.weights, rtol=1e-3, atol=1e-4)
+
+
 def test_frames_are_those_of_every_renderer() -> None:
     """To the bit: what is differentiated is what is shown."""
     scene, camera, config = ls.Scene([cloud(count=200)]), view(150, 100), ls.RenderConfig(background=BACKGROUND)
@@ -129,11 +145,7 @@ def test_instances_add_up_and_their_places_are_undone() -> None:
     close(placed.sets[0].opacities, baked.sets[0].opacities)
     assert placed.camera_from_world is not None and baked.camera_from_world is not None
     close(placed.camera_from_world, baked.camera_from_world)
-    aside = np.eye(4)
-    aside[0, 3] = 100.0  # out of sight
-    twice = gradients_of(ls.Scene([ls.SplatInstance(turn, place), ls.SplatInstance(turn, aside)]), camera)
-    assert len(twice.sets) == 1 and len(twice.centers) == 2 * turn.count
-    close(twice.sets[0].means, placed.sets[0].means)
+    check_instances(gaussians, place, lambda scene: gradients_of(scene, camera))
 
 
 def close(value: np.ndarray, expected: np.ndarray) -> None:

@@ -11,9 +11,10 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.rigid import cross_matrix, rigid_from_twist
 from lumisplat.runtime.launcher import Launcher
+from support.compare.stale_buffers import fill_with_nan
 from support.oracles.gradient_oracle import differences
 from support.oracles.unscented_oracle import Loss, Parameters, Twin
-from support.scenes.gradient_scenes import BACKGROUND, by_pixels, cloud, vars_of, view
+from support.scenes.gradient_scenes import BACKGROUND, by_pixels, check_instances, cloud, opaque, vars_of, view
 from support.scenes.lenses import FISHEYE, LENSES, WIDE
 from support.scenes.raster_scenes import random_gaussians
 
@@ -34,7 +35,7 @@ def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None,
     """Of the pixels of ``by_pixels``."""
     renderer = ls.DifferentiableRenderer(config_of(**changes), "cpu", threads=threads)
     renderer.render(scene, camera)
-    return renderer.gradients(*by_pixels(camera))
+    return renderer.gradients(*by_pixels(camera), pose=True)
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
@@ -105,6 +106,22 @@ def test_the_schedule_of_gpus_agrees(name: str, monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(warps.weights, tiles.weights, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("name", ["pinhole", "fisheye"])
+def test_that_schedule_has_zeros_behind_opaque_tiles(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where all pixels of a tile have ended long before its list has: no record keeps what was in memory."""
+    camera, scene = VIEWS[name], ls.Scene([opaque()])
+    tiles = gradients_of(scene, camera)
+    monkeypatch.setattr(
+        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+    )
+    fill_with_nan(monkeypatch, "backward.ray_pairs")
+    warps = gradients_of(scene, camera)
+    assert (tiles.weights == 0.0).mean() > 0.3
+    for key, value in vars_of(tiles).items():
+        assert np.abs(vars_of(warps)[key] - value).max() < 1e-3 * np.abs(value).mean(), key
+    np.testing.assert_allclose(warps.weights, tiles.weights, rtol=1e-3, atol=1e-4)
+
+
 def test_instances_add_up_and_their_places_are_undone() -> None:
     """A set that is turned, scaled and moved has the derivatives of one that is so in its file, and two of one add."""
     gaussians, camera = cloud(9, degree=0), VIEWS["fisheye"]
@@ -116,14 +133,7 @@ def test_instances_add_up_and_their_places_are_undone() -> None:
     close(placed.sets[0].means, baked.sets[0].means @ place[:3, :3])
     close(placed.sets[0].scales, scale * baked.sets[0].scales)
     close(placed.sets[0].opacities, baked.sets[0].opacities)
-    aside = np.eye(4)
-    aside[2, 3] = 1e4  # too small to be seen
-    twice = gradients_of(
-        ls.Scene([ls.SplatInstance(gaussians, place), ls.SplatInstance(gaussians, aside)]), camera, dilation=0.0
-    )
-    alone = gradients_of(ls.Scene([ls.SplatInstance(gaussians, place)]), camera, dilation=0.0)
-    assert len(twice.sets) == 1
-    close(twice.sets[0].means, alone.sets[0].means)
+    check_instances(gaussians, place, lambda scene: gradients_of(scene, camera))
 
 
 @pytest.mark.parametrize("name", ["barrel", "fisheye"])

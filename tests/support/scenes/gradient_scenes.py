@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 import lumisplat as ls
@@ -40,3 +43,39 @@ def by_pixels(camera: ls.Camera, seed: int = 7) -> tuple[np.ndarray, np.ndarray]
 def vars_of(found: ls.SplatGradients | ls.RayGradients) -> dict[str, np.ndarray]:
     """The derivatives by the first set, by name."""
     return {name: getattr(found.sets[0], name) for name in ("means", "rotations_wxyz", "scales", "opacities", "sh")}
+
+
+def check_instances(gaussians: ls.Gaussians, place: np.ndarray, find: Callable[[ls.Scene], ls.SplatGradients]) -> None:
+    """Two instances of a set, both in sight, have the derivatives of two sets together, and the pose those of one set.
+
+    Args:
+        gaussians: The set.
+        place: Of the first instance.
+        find: The derivatives of a scene.
+    """
+    other = np.eye(4)
+    other[:3, :3] = 0.9 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    other[:3, 3] = -0.3, 0.25, -0.2
+    copy = ls.transform(gaussians, np.eye(4))
+    together = find(ls.Scene([ls.SplatInstance(gaussians, place), ls.SplatInstance(gaussians, other)]))
+    apart = find(ls.Scene([ls.SplatInstance(gaussians, place), ls.SplatInstance(copy, other)]))
+    baked = find(ls.Scene([ls.merge([ls.transform(gaussians, place), ls.transform(copy, other)])]))
+    assert (len(together.sets), len(apart.sets)) == (1, 2)
+    for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
+        first, second = (getattr(one, name) for one in apart.sets)
+        assert 0.2 < np.abs(first).mean() / np.abs(second).mean() < 5.0, name
+        check_close(getattr(together.sets[0], name), first + second)
+    for found in (together, apart):
+        assert found.camera_from_world is not None and baked.camera_from_world is not None
+        check_close(found.camera_from_world, baked.camera_from_world)
+
+
+def check_close(value: np.ndarray, expected: np.ndarray) -> None:
+    """Equal but for the rounding of float32."""
+    assert np.abs(value - expected).max() < 3e-4 * np.abs(expected).mean()
+
+
+def opaque(count: int = 700) -> ls.Gaussians:
+    """So many opaque ones that all pixels of a view end long before the last."""
+    base = cloud(21, count)
+    return replace(base, means=1.3 * base.means, scales=2.0 * base.scales, opacities=np.full(count, 0.98))

@@ -48,7 +48,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
     """The first photograph by name and each Nth after it are compared; of Blender's sets those of transforms_test.json
     are."""
     pipeline: Annotated[Literal["raster", "trace"] | None, setting("{raster,trace}", "raster")] = None
-    """What draws the capture: trace for those of a kernel degree other than 2."""
+    """What draws the capture: trace for a kernel degree other than 2, over photographs of lenses as they are."""
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
     """How Gaussians are rasterised: unscented, along the rays of lenses, whose photographs then stay as they are."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
@@ -68,8 +68,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
             config = replace(config, raster=replace(config.raster, projection=ls.Projection(self.projection)))
         if config.background is None:
             raise ls.ConfigError("--background is transparent, expected a colour over which pictures are compared")
-        straighten = config.raster.projection is ls.Projection.EWA
-        views = self._views(folder, config.background, straighten=straighten)
+        keeps_lenses = config.pipeline is ls.Pipeline.TRACE or config.raster.projection is ls.Projection.UNSCENTED
+        views = self._views(folder, config.background, straighten=not keeps_lenses)
         if self.output is not None:
             check_writable(self.output)
         scales = _common_scales(views)
