@@ -71,6 +71,7 @@ def test_without_a_sun_there_is_none() -> None:
         ls.estimate_sun(ls.Scene())
 
 
+@pytest.mark.deep
 def test_an_overcast_sky_is_no_sun() -> None:
     """Its top is brightest, and things stand in its soft shadows: not even so."""
     capture = lit_capture("overcast", 7)
@@ -96,6 +97,7 @@ def test_no_sun_shines_from_below(seed: int) -> None:
     assert found is not None or seed == 4
 
 
+@pytest.mark.deep
 def test_a_long_search_shows_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     """From when it takes too long to its end, always forwards; a short one shows nothing."""
     reports: list[tuple[str, float]] = []

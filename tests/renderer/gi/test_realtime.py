@@ -52,7 +52,9 @@ def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: A
     return ls.render(scene, camera, config, device="cpu")
 
 
-@pytest.mark.parametrize("of_gaussians", [False, True], ids=["meshes", "gaussians"])
+@pytest.mark.parametrize(
+    "of_gaussians", [pytest.param(False, id="meshes", marks=pytest.mark.deep), pytest.param(True, id="gaussians")]
+)
 def test_a_room_is_lit_as_by_paths(of_gaussians: bool) -> None:
     """After 64 frames: direct light within 3 % in the mean, indirect light 5 %, twice that with Gaussians."""
     scene = with_gaussians(PathRoom(ROOM, VIEW), 4000).scene if of_gaussians else ROOM

@@ -115,7 +115,7 @@ def test_ice_in_water(pipeline: ls.Pipeline, water_priority: int, ice_priority: 
     np.testing.assert_allclose(found, [0.5 ** (3.0 - in_ice), 0.25**in_ice, 1.0], rtol=rtol)
 
 
-@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, pytest.param(ls.Pipeline.PATH, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("priority", [1, pytest.param(-1, marks=pytest.mark.deep)])
 def test_surfaces_between_media_mirror_by_both(pipeline: ls.Pipeline, priority: int) -> None:
     """Two bodies that overlap have three surfaces, each with the Fresnel reflectance of the media on its two sides.
