@@ -9,6 +9,7 @@ import pytest
 
 import lumisplat as ls
 from support.files.cli_files import Workplace
+from support.kinds import expect_kind
 from support.scenes.raster_scenes import random_gaussians
 
 FISHEYE = {
@@ -37,7 +38,8 @@ def test_fisheyes_are_rasterised_along_rays(work):
     assert work.run(*shown, "--projection", "unscented").status == 0
     (camera,) = ls.load_cameras(work.folder / "fisheye.json")
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
-    frame = ls.render(ls.Scene([ls.load(work.folder / "a.ply")]), camera, config, device="cpu")
+    capture = expect_kind(ls.Gaussians, ls.load(work.folder / "a.ply"))
+    frame = ls.render(ls.Scene([capture]), camera, config, device="cpu")
     with np.load(work.folder / "a.npz") as file:
         np.testing.assert_array_equal(file["color"], frame.color)
     assert frame.alpha.max() > 0.3
