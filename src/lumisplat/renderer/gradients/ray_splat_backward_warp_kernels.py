@@ -6,8 +6,10 @@ docs/method/gradients.md#rasterisation-along-rays.
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS, TILE_PX
+from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.camera.tiles import TILE
+from lumisplat.device.camera.warp_tiles import LANES, ROWS, STRIDE, WARP_THREADS, RowFloats
 from lumisplat.device.gaussian.blend_gradient import behind_pixel, pair_slot
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.structs.camera import CameraData
@@ -23,18 +25,7 @@ from lumisplat.device.unscented.ray_splat_gradient import (
     record_of_sums,
 )
 
-WARP_THREADS = 32
-"""Threads that add up without a barrier. Of all NVIDIA GPUs."""
-
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": WARP_THREADS})
-
-TILE = wp.constant(TILE_PX)
-LANES = wp.constant(WARP_THREADS)
-ROWS = wp.constant(TILE_PX * TILE_PX // WARP_THREADS)
-"""Pixels of a thread: one in each second row of the tile."""
-STRIDE = wp.constant(WARP_THREADS // TILE_PX)
-"""Rows from one of them to the next."""
-RowFloats = wp.types.vector(length=TILE_PX * TILE_PX // WARP_THREADS, dtype=wp.float32)
 
 
 @wp.kernel(grid_stride=False)

@@ -85,11 +85,7 @@ class SplatBackward:
 
     def pair_starts(self, drawn: DrawnSplats) -> DeviceArray:
         """Where the records of the tiles of each splat begin; the last element is their number."""
-        count = drawn.splats.count + 1
-        counts, starts = (self._buffers.get(f"backward.pair_{kind}", wp.int32, count) for kind in ("counts", "starts"))
-        self._launcher.run_banded(splat_backward_kernels.count_pairs, count, drawn.splats.rects, counts)
-        prefix_sum(counts, starts, inclusive=False)
-        return starts
+        return starts_of_pairs(self._launcher, self._buffers, drawn.splats.rects, drawn.splats.count)
 
     def gaussians(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> GaussianGradient:
         """Derivatives by the Gaussians of an asset, 0 for those that were not drawn.
@@ -125,3 +121,18 @@ class SplatBackward:
         self._launcher.run_banded(projection_backward_kernels.backward_pose, chunks, *inputs)
         table = sums.numpy()
         return PoseSums(*(table[name].sum(axis=0, dtype=np.float64) for name in PoseSums.__slots__))
+
+
+def starts_of_pairs(launcher: Launcher, buffers: Buffers, rects: DeviceArray, count: int) -> DeviceArray:
+    """Where the records of the tiles of each splat begin; the last element is their number.
+
+    Args:
+        launcher: Runs the kernel.
+        buffers: Holds the arrays.
+        rects: Tiles of each splat.
+        count: Splats.
+    """
+    counts, starts = (buffers.get(f"backward.pair_{kind}", wp.int32, count + 1) for kind in ("counts", "starts"))
+    launcher.run_banded(splat_backward_kernels.count_pairs, count + 1, rects, counts)
+    prefix_sum(counts, starts, inclusive=False)
+    return starts

@@ -6,7 +6,9 @@ without atomics, and without a barrier that others would wait at. The equations 
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS, TILE_PX
+from lumisplat.constants import FUSED_FLAGS
+from lumisplat.device.camera.tiles import TILE
+from lumisplat.device.camera.warp_tiles import LANES, ROWS, STRIDE, WARP_THREADS, RowFloats
 from lumisplat.device.gaussian.aligned import load_splat
 from lumisplat.device.gaussian.blend_gradient import (
     PairFloats,
@@ -22,17 +24,7 @@ from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient, SplatGradient
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 
-WARP_THREADS = 32
-
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": WARP_THREADS})
-
-TILE = wp.constant(TILE_PX)
-LANES = wp.constant(WARP_THREADS)
-ROWS = wp.constant(TILE_PX * TILE_PX // WARP_THREADS)
-"""Pixels of a thread: one in each second row of the tile."""
-STRIDE = wp.constant(WARP_THREADS // TILE_PX)
-"""Rows from one of them to the next."""
-RowFloats = wp.types.vector(length=TILE_PX * TILE_PX // WARP_THREADS, dtype=wp.float32)
 
 
 @wp.kernel(grid_stride=False)

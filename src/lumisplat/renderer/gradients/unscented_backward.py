@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import math
 
-import warp as wp
-
 from lumisplat.constants import TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RayMotion, RaySplatGradient
 from lumisplat.renderer.gradients import (
     ray_splat_backward_kernels,
     ray_splat_backward_warp_kernels,
-    splat_backward_kernels,
 )
 from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
+from lumisplat.renderer.gradients.splat_backward import starts_of_pairs
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.runtime.primitives import prefix_sum
 
 
 class UnscentedBackward:
@@ -60,11 +57,7 @@ class UnscentedBackward:
 
     def pair_starts(self, met: SplatsOnRays) -> DeviceArray:
         """Where the records of the tiles of each Gaussian begin; the last element is their number."""
-        count = met.splats.count + 1
-        counts, starts = (self._buffers.get(f"backward.pair_{kind}", wp.int32, count) for kind in ("counts", "starts"))
-        self._launcher.run_banded(splat_backward_kernels.count_pairs, count, met.splats.rects, counts)
-        prefix_sum(counts, starts, inclusive=False)
-        return starts
+        return starts_of_pairs(self._launcher, self._buffers, met.splats.rects, met.splats.count)
 
     def gaussians(self, scene: DeviceScene, met: SplatsOnRays, by_splat: DeviceArray, number: int) -> GaussianGradient:
         """Derivatives by the Gaussians of an asset, 0 for those that were not met.
