@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import threading
 from pathlib import Path
 
 import pytest
@@ -49,3 +52,26 @@ def test_what_is_pressed_at_once_is_done_in_its_order(tmp_path: Path) -> None:
             lambda: len(session._past) == 10 and not session._future, "a drag is not one edit, or a press is lost"
         )
     viewer.close()
+
+
+@pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
+def test_viewers_close_while_pages_go_on_asking(tmp_path: Path) -> None:
+    """Without a word of Python's about what was never begun, which the suite takes for an error."""
+    for _ in range(3):
+        viewer = ls.view(scene_in(tmp_path), height=90, device="cpu")
+        viewer._loader.join()
+        with LeanPage(viewer.url) as page:
+            page.look(orbit(0.0))
+            wait_until(lambda viewer=viewer: bool(viewer._pages), "the page is not there")
+            asking = threading.Thread(target=ask_on, args=(page,))
+            asking.start()
+            viewer.close()
+            asking.join()
+        gc.collect()
+
+
+def ask_on(page: LeanPage) -> None:
+    """Presses buttons until nobody is there."""
+    with contextlib.suppress(Exception):
+        for _ in range(4000):
+            page.push("undo")

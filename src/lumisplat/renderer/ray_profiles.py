@@ -139,10 +139,8 @@ class RayProfiles:
         inputs = self._rays.upload([origins, directions, np.full(len(origins), np.inf, np.float32)])
         self._rays.load(scene, 0, len(origins), inputs, rays)
         held = self._buffers.struct("profile.rows", HitProfiles, grown_capacity(count), ("first",))
-        begins = self._buffers.get("profile.first", wp.int32, len(rays.t_max))
-        if len(origins):
-            begins[: len(origins)].assign(first[:-1].astype(np.int32))
-        held.first = begins
+        held.first = self._buffers.get("profile.first", wp.int32, len(rays.t_max) + 1)
+        device_array(held.first)[: len(first)].assign(first.astype(np.int32))
         table: DeviceArray = self._buffers.table("profile.table", HitProfiles, [held])
         self._find(scene, rays, table)
         names = ("t", "alpha", "transmittance", "gaussian")

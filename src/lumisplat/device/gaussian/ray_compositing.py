@@ -89,10 +89,7 @@ def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: 
     dropped.
     """
     row = profiles[0].first[ray] + pixel.hits - 1
-    end = int(profiles[0].t.shape[0])
-    if ray + 1 < profiles[0].first.shape[0]:
-        end = profiles[0].first[ray + 1]
-    if row < end:
+    if row < profiles[0].first[ray + 1]:
         profiles[0].t[row] = t
         profiles[0].alpha[row] = alpha
         profiles[0].transmittance[row] = pixel.transmittance

@@ -92,7 +92,7 @@ class HitProfiles:
     """
 
     first: wp.array[int]
-    """Element of the first hit of each ray; one element a ray."""
+    """Element of the first hit of each ray, and the end of the last one's; one element more than rays."""
     t: wp.array[float]
     """Distance by which hits are ordered."""
     alpha: wp.array[float]

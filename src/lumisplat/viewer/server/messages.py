@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 from lumisplat.viewer.thresholds import MESSAGE_BYTES_MAX, UPLOAD_BYTES_MAX
@@ -139,10 +139,11 @@ class FilteredConnection:
 
     Args:
         connection: The WebSocket.
+        is_heard: Whether the server still listens to pages.
     """
 
-    def __init__(self, connection: Any) -> None:
-        self._connection, self._inbox = connection, Inbox()
+    def __init__(self, connection: Any, is_heard: Callable[[], bool]) -> None:
+        self._connection, self._is_heard, self._inbox = connection, is_heard, Inbox()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._connection, name)
@@ -151,5 +152,5 @@ class FilteredConnection:
         """The next message that is accepted."""
         while True:
             raw: bytes = await self._connection.recv()
-            if self._inbox.accepts(raw):
+            if self._is_heard() and self._inbox.accepts(raw):
                 return raw

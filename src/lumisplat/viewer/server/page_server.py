@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import socket
@@ -55,8 +56,9 @@ class PageServer:
         # A page may go at any moment: what was on its way to it is no news.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         listener = listening_socket(host, port)
+        self._is_open = True
         self.guard = Guard(host, listener.getsockname()[1])
-        with _guarded(listener, self.guard) as asked, _quiet():
+        with _guarded(listener, self.guard, lambda: self._is_open) as asked, _quiet():
             self.viser: viser.ViserServer = viser.ViserServer(host=host, port=self.guard.port, verbose=False)
         if not asked:
             self.close()
@@ -75,7 +77,10 @@ class PageServer:
 
     def close(self) -> None:
         """Closes the port and all pages' connections; what they have just asked for is dropped without a word."""
-        self.viser.get_event_loop().set_exception_handler(_say_nothing)
+        loop = self.viser.get_event_loop()
+        loop.set_exception_handler(_say_nothing)
+        self._is_open = False
+        asyncio.run_coroutine_threadsafe(_drop_what_was_asked_for(), loop).result()
         with _quiet():
             self.viser.stop()
 
@@ -97,7 +102,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
 
 @contextlib.contextmanager
-def _guarded(listener: socket.socket, guard: Guard) -> Generator[list[bool]]:
+def _guarded(listener: socket.socket, guard: Guard, is_heard: Callable[[], bool]) -> Generator[list[bool]]:
     """While it lasts, what viser opens is this socket, behind the guard; the list is not empty once it has."""
     import websockets.asyncio.server as door
 
@@ -120,7 +125,7 @@ def _guarded(listener: socket.socket, guard: Guard) -> Generator[list[bool]]:
             return response
 
         async def handle(connection: Any) -> None:
-            await handler(FilteredConnection(connection))
+            await handler(FilteredConnection(connection, is_heard))
 
         return real(handle, sock=listener, process_request=check, **options)
 
@@ -148,6 +153,15 @@ def _quiet() -> Generator[None]:
 def _refuse_to_share(verbose: bool = True) -> None:
     """In place of the tunnel to a public server."""
     _log.warning("a page asked to be shared with the world, which the viewer does not do")
+
+
+async def _drop_what_was_asked_for() -> None:
+    """Ends the tasks of messages that pages have sent, also those that wait for their turn, while the loop runs."""
+    names = ("WebsockMessageHandler._handle_incoming_message", "in_turn.<locals>.callback")
+    asked = [task for task in asyncio.all_tasks() if getattr(task.get_coro(), "__qualname__", "") in names]
+    for task in asked:
+        task.cancel()
+    await asyncio.gather(*asked, return_exceptions=True)
 
 
 def _say_nothing(_: object, context: dict[str, Any]) -> None:
