@@ -1,19 +1,21 @@
 """What training costs, and how near it comes.
 
-``python -m bench.training cost CAPTURE`` prints milliseconds of processor time of each stage of a step at 640 x 360,
-of a thinned capture and of the capture itself. ``python -m bench.training fit FOLDER`` fits photographs, and prints how
-it goes, and PSNR of those that were held out.
+``python -m bench.training cost`` prints milliseconds of processor time of each stage of a step at 640 x 360, of sets
+made for it, or with ``cost CAPTURE`` of a thinned capture and the capture itself. ``python -m bench.training fit
+FOLDER`` fits photographs, and prints how it goes, and PSNR of those that were held out.
 """
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Generator, Iterable
 from pathlib import Path
 
 import numpy as np
 
 import lumisplat as ls
+from bench.presets import synthetic
 from bench.timing import parser, quiet_warp
 from lumisplat.training.learnt import Learnt
 from lumisplat.training.trainer import Trainer
@@ -21,17 +23,20 @@ from lumisplat.training.views import Picture, TrainingView
 
 SIZE = 640, 360
 COUNTS = (10_000, 50_000)
+"""Of a thinned capture."""
+MADE_COUNTS = (10_000, 100_000, 1_000_000)
 STEPS = 12
 WARM_UP = 3
 FORWARD = ("project", "sort", "bin", "composite")
-STAGES = (*FORWARD, "loss", "backward: pixels", "backward: splats", "backward: Gaussians", "optimiser")
+BACKWARD = ("backward: pixels", "backward: splats", "backward: Gaussians")
+STAGES = (*FORWARD, "loss", *BACKWARD, "optimiser")
 
 
 def main() -> None:
     """Prints a table."""
     arguments = parser("training", __doc__)
     arguments.add_argument("what", choices=("cost", "fit"))
-    arguments.add_argument("path", type=Path, help="a capture, or a folder of photographs")
+    arguments.add_argument("path", type=Path, nargs="?", help="a capture, or a folder of photographs")
     arguments.add_argument("--scale", type=float, default=0.5, help="of photographs")
     arguments.add_argument("--iterations", type=int, default=7000)
     arguments.add_argument("--cap", type=int, default=30_000)
@@ -39,24 +44,36 @@ def main() -> None:
     quiet_warp()
     print(f"load of the machine before: {os.getloadavg()[0]:.1f}\n")
     if options.what == "cost":
-        print_cost(options.path, options.device)
+        print_cost(sets_of(options.path), options.device)
+    elif options.path is None:
+        arguments.error("fit needs a folder of photographs")
     else:
         config = ls.TrainConfig(iterations=options.iterations, cap=options.cap, sh_degree=2)
         print_fit(options.path, options.scale, config, options.device)
     print(f"\nload of the machine after: {os.getloadavg()[0]:.1f}")
 
 
-def print_cost(path: Path, device: str) -> None:
-    """A row for each number of Gaussians."""
+def sets_of(path: Path | None) -> Generator[ls.Gaussians]:
+    """What is drawn."""
+    if path is None:
+        yield from map(synthetic, MADE_COUNTS)
+        return
     capture = ls.load(path)
     assert isinstance(capture, ls.Gaussians)
-    print("| Gaussians |", " | ".join(STAGES), "| backward pixels / compositing |")
-    print("| ---: |" + " ---: |" * (len(STAGES) + 1))
     for count in (*(count for count in COUNTS if count < capture.count), capture.count):
-        some = capture.subset(np.linspace(0, capture.count - 1, count).astype(int))
-        stages = stages_of(some, device)
-        ratio = stages["backward: pixels"] / stages["composite"]
-        print(f"| {count:,} |", " | ".join(f"{stages[name]:.1f}" for name in STAGES), f"| {ratio:.2f} |", flush=True)
+        yield capture.subset(np.linspace(0, capture.count - 1, count).astype(int))
+
+
+def print_cost(sets: Iterable[ls.Gaussians], device: str) -> None:
+    """A row for each set."""
+    print("| Gaussians |", " | ".join(STAGES), "| backward pixels / compositing | backward / forward |")
+    print("| ---: |" + " ---: |" * (len(STAGES) + 2))
+    for gaussians in sets:
+        stages = stages_of(gaussians, device)
+        pixels = stages["backward: pixels"] / stages["composite"]
+        whole = sum(stages[name] for name in BACKWARD) / sum(stages[name] for name in FORWARD)
+        times = " | ".join(f"{stages[name]:.1f}" for name in STAGES)
+        print(f"| {gaussians.count:,} | {times} | {pixels:.2f} | {whole:.2f} |", flush=True)
 
 
 def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:

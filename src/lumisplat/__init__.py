@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     )
     from lumisplat.io.document.entries import SceneEntry
     from lumisplat.io.document.scene_document import SceneDocument
+    from lumisplat.io.photographs.film import extract_frames
     from lumisplat.io.photographs.loading import load_photographs
     from lumisplat.io.photographs.photographs import Photograph, Photographs
     from lumisplat.io.photographs.poses import find_poses
@@ -236,6 +237,7 @@ _MODULE_OF = {
     "estimate_lights": "relighting.light_estimation",
     "estimate_sun": "relighting.sun_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
+    "extract_frames": "io.photographs.film",
     "find_poses": "io.photographs.poses",
     "flip": "metrics.images",
     "focused": "renderer.one_shot",
@@ -389,6 +391,7 @@ __all__ = [
     "estimate_lights",
     "estimate_normals",
     "estimate_sun",
+    "extract_frames",
     "find_poses",
     "flip",
     "focused",

@@ -32,7 +32,7 @@ SCENE_FILES = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```toml\n(.*?)```", page.read_text(), re.DOTALL))
 ]
-NAMES = "view|render|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate"
+NAMES = "view|render|frames|train|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate"
 COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})
 
 
@@ -45,6 +45,7 @@ def beside(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     ls.save("garden.ply", random_gaussians(1, count=100))
+    ls.save("thing.ply", random_gaussians(1, count=100))
     ls.save("avatar.ply", random_gaussians(2, count=80, extent=(0.3, 0.8, 0.3)))
     ls.save_cameras(Path("transforms.json"), [front_camera(name="0001")])
     Path("statue.obj").write_text("v 0 0 4\nv 1 0 4\nv 0 1 4\nf 1 2 3\n")
@@ -71,6 +72,8 @@ def test_python_of_the_docs_runs_with_others(package, program):
     """Every block marked runnable with a package runs where that is installed, and is Python where it is not."""
     compiled = compile(program, "docs", "exec")
     pytest.importorskip(package)
+    if package == "av":
+        ls.save_animation("walk.mp4", np.random.default_rng(0).uniform(size=(9, 32, 32, 3)), fps=20)
     exec(compiled, {})
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -101,14 +100,19 @@ def test_profiles_do_not_depend_on_how_many_hits_are_held(monkeypatch: pytest.Mo
 
 
 def test_no_more_hits_are_held_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ranges cover all rays once, each within the bound or of one ray."""
-    monkeypatch.setattr(ray_profiles, "PROFILE_ROWS", 10)
-    counts = np.random.default_rng(0).integers(0, 14, 200)
-    first = np.concatenate([[0], np.cumsum(counts)])
-    ranges = list(ray_profiles.ray_ranges(first))
-    assert ranges[0][0] == 0 and ranges[-1][1] == 200
-    assert all(end == begin for (_, end), (begin, _) in pairwise(ranges))
-    assert all(counts[begin:end].sum() <= 10 or end == begin + 1 for begin, end in ranges)
+    """Ranges cover all rays with hits once, each within the bound or of rays that are followed together."""
+    monkeypatch.setattr(ray_profiles, "PROFILE_ROWS", 400)
+    monkeypatch.setattr(ray_profiles, "RAY_BATCH", 96)
+    counts = np.random.default_rng(0).integers(0, 14, 1000, np.int32)
+    counts[64:128], counts[200:220] = 0, 100
+    ranges = list(ray_profiles.ranges(counts))
+    met = np.zeros(1000, int)
+    for begin, end in ranges:
+        met[begin:end] += 1
+        assert begin % 32 == 0 and end - begin <= 96
+        assert counts[begin:end].sum() <= 400 or end - begin == 32
+    assert (met[counts > 0] == 1).all() and met.max() == 1
+    assert list(ray_profiles.ranges(np.zeros(5, np.int32))) == [(0, 0)]
 
 
 def test_rays_without_hits_and_no_rays_have_empty_profiles() -> None:

@@ -20,6 +20,7 @@ from lumisplat.cli.commands.bench import Bench
 from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
 from lumisplat.cli.commands.evaluate import Evaluate
+from lumisplat.cli.commands.frames import Frames
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.orbit import Orbit
@@ -47,6 +48,8 @@ A picture for each camera: lumisplat render garden.ply --cameras transforms.json
 
 A capture of photographs with poses: lumisplat train fox/ -o fox.ply
 
+Photographs of a film, for this: lumisplat frames walk.mp4 -o walk
+
 Rays, with mirrors and glass: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png
 
 Lights, soft shadows: lumisplat render scene.toml --pipeline hybrid --shadows soft --samples 32 -o view.png
@@ -61,6 +64,7 @@ _Command = (
     Annotated[Render, subcommand("render")]
     | Annotated[View, subcommand("view")]
     | Annotated[Orbit, subcommand("orbit")]
+    | Annotated[Frames, subcommand("frames")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Animate, subcommand("animate")]
     | Annotated[Info, subcommand("info")]

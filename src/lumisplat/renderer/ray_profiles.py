@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,13 +17,14 @@ from lumisplat.renderer.given_rays import RAY_BATCH, GivenRays, batches
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
+from lumisplat.renderer.trace.packet_ranges import packet_ranges
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
 
 PROFILE_ROWS = 2**22
-"""Hits of a query that are on the device at once: 64 MiB, unless one ray has more."""
+"""Hits of a query that are on the device at once: 64 MiB, unless rays that are followed together have more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,11 +88,11 @@ class RayProfiles:
             directions: Likewise.
         """
         found = self._hits(scene, origins, directions)
-        counts = [device_array(hits.gaussians.hits).numpy()[:count].copy() for count, hits in found]
-        first = np.concatenate([[0], np.cumsum(np.concatenate(counts), dtype=np.int64)])
+        counts = np.concatenate([device_array(hits.gaussians.hits).numpy()[:count].copy() for count, hits in found])
+        first = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         parts = [
             self._rows(scene, origins[begin:end], directions[begin:end], first[begin : end + 1] - first[begin])
-            for begin, end in ray_ranges(first)
+            for begin, end in ranges(counts)
         ]
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         firsts = np.cumsum([0, *(instance.gaussians.count for instance in asked.splats)])
@@ -147,17 +148,14 @@ class RayProfiles:
         return {name: device_array(getattr(held, name)).numpy()[:count].copy() for name in names}
 
 
-def ray_ranges(first: Rows) -> Iterator[tuple[int, int]]:
-    """Ranges of consecutive rays that together have no more hits than the device is to hold, or are one ray.
+def ranges(counts: IntArray) -> Generator[tuple[int, int]]:
+    """Ranges of consecutive rays that together have no more hits than the device is to hold; at least an empty one.
 
     Args:
-        first: Row of each ray's first hit, and of the end.
+        counts: Hits of each ray.
     """
-    begin, count = 0, len(first) - 1
-    while begin < count or count == 0:
-        end = int(np.searchsorted(first, int(first[begin]) + PROFILE_ROWS, side="right")) - 1
-        end = min(max(end, begin + 1), begin + RAY_BATCH, count)
-        yield begin, end
-        if end == count:
-            return
-        begin = end
+    if not counts.any():
+        yield 0, 0
+    for first in range(0, len(counts), RAY_BATCH):
+        for begin, end, _ in packet_ranges(counts[first : first + RAY_BATCH], PROFILE_ROWS):
+            yield first + begin, first + end

@@ -12,6 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.rigid import cross_matrix, rigid_from_twist
 from lumisplat.renderer.gradients import ray_backward
+from lumisplat.renderer.trace.packet_ranges import packet_ranges
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.gradient_oracle import Parameters, differences
 from support.oracles.ray_gradient_oracle import RayLoss
@@ -235,7 +236,7 @@ def test_ranges_are_whole_warps_that_fit() -> None:
     """All hits are in one of them; a warp that is too large is alone, and the last one may be half of one."""
     counts = np.zeros(176, np.int32)
     counts[[3, 20, 40, 41, 100, 170]] = 4, 5, 20, 30, 7, 2
-    found = list(ray_backward.packet_ranges(counts, 12))
+    found = list(packet_ranges(counts, 12))
     assert found == [(0, 32, 9), (32, 64, 50), (64, 176, 9)]
 
 

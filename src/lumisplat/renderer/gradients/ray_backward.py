@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -10,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD
+from lumisplat.constants import RAY_BANDS_PER_THREAD
 from lumisplat.constants.training import BACKWARD_HITS
 from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.film import PixelData
@@ -22,11 +21,12 @@ from lumisplat.device.structs.gradients import (
     RayMotion,
 )
 from lumisplat.device.structs.rays import HitProfiles, RayData
-from lumisplat.math.arrays import FloatArray, IntArray, Rows
+from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.gradients import ray_backward_kernels as kernels
 from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, trace_table
+from lumisplat.renderer.trace.packet_ranges import packet_ranges
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
@@ -190,32 +190,13 @@ class RayBackward:
     def _profiles(self, scene: DeviceScene, part: _Rays) -> HitProfiles:
         """The hits of rays one by one: the rays are followed once more."""
         profiles = self._buffers.struct("backward.profiles", HitProfiles, grown_capacity(part.found), ("first",))
-        first = self._buffers.get("backward.first", wp.int32, len(part.counts))
-        prefix_sum(part.counts, first, inclusive=False)
+        first = self._buffers.get("backward.first", wp.int32, len(part.counts) + 1)
+        first[:1].zero_()
+        prefix_sum(part.counts, first[1:], inclusive=True)
         profiles.first = first
         table: DeviceArray = self._buffers.table("backward.profile_table", HitProfiles, [profiles])
         self._tracer.find(scene, part.rays, part.limits, "backward.gaussians", bounced=False, profiles=table)
         return profiles
-
-
-def packet_ranges(counts: IntArray, most: int) -> Iterator[tuple[int, int, int]]:
-    """Ranges of rays, and how many hits each has: no more than ``most`` unless it is the least range.
-
-    Rays that were followed together are again: ranges are of whole packets of CPUs and of whole warps.
-
-    Args:
-        counts: Hits of each ray.
-        most: How many hits a range is to have at most.
-    """
-    edges = np.append(np.arange(0, len(counts), 2 * PACKET_RAYS), len(counts))
-    before: Rows = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])[edges]
-    begin, parts = 0, len(edges) - 1
-    while begin < parts:
-        end = max(int(np.searchsorted(before, int(before[begin]) + most, side="right")) - 1, begin + 1)
-        found = int(before[end] - before[begin])
-        if found:
-            yield int(edges[begin]), int(edges[end]), found
-        begin = end
 
 
 def _rows_of(noun: type[Noun], arrays: Noun, rows: slice) -> Noun:
