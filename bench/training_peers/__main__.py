@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 import subprocess
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -22,11 +23,13 @@ import lumisplat as ls
 from bench.timing import parser, quiet_warp
 from bench.training_peers.task import Task
 from lumisplat.training.held_out import masked_psnr
-from lumisplat.training.initial import Surroundings, random_points
+from lumisplat.training.initial import Surroundings
 
 PEERS = {"torch autograd, gsplat's functions": "with_torch", "litesplat": "with_litesplat"}
 ROOT = Path(__file__).resolve().parents[2]
 SH_DEGREE = 1
+BALL = 0.35
+"""Radius of the ball of first points, as a share of how far cameras are."""
 
 
 def main() -> None:
@@ -60,10 +63,15 @@ def row_of(name: str, steps: int, seconds: float, psnr: float) -> str:
 
 
 def with_points(photographs: ls.Photographs, count: int) -> ls.Photographs:
-    """With random points of random colours, which all begin with."""
+    """With random points of random colours, which all begin with.
+
+    They are in a ball that no camera is in: litesplat fails at what is behind one.
+    """
     rng = np.random.default_rng(0)
-    cameras = [photograph.camera for photograph in photographs.training]
-    points = random_points(cameras, Surroundings.of(cameras), count, rng).astype(np.float32)
+    distance = Surroundings.of([photograph.camera for photograph in photographs.training]).distance
+    ways = rng.normal(size=(count, 3))
+    ways *= (rng.uniform(size=count) ** (1 / 3) / np.linalg.norm(ways, axis=1))[:, None]
+    points = (photographs.target + BALL * distance * ways).astype(np.float32)
     return replace(photographs, points=points, point_colors=rng.uniform(size=(count, 3)).astype(np.float32))
 
 
@@ -81,10 +89,12 @@ def peer(photographs: ls.Photographs, module: str, python: Path, seconds: float)
         task, found = Path(folder) / "task.npz", Path(folder) / "found.npz"
         task_of(photographs, seconds).save(task)
         command = [str(python), "-m", f"bench.training_peers.{module}", str(task), str(found)]
-        subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+        said = subprocess.run(command, check=False, cwd=ROOT, capture_output=True, text=True)
+        if said.returncode:
+            sys.exit(said.stderr)
         with np.load(found) as stored:
             views = zip(stored["frames"], photographs.held_out, strict=True)
-            scores = [masked_psnr(np.clip(frame, 0.0, 1.0), photograph) for frame, photograph in views]
+            scores = [masked_psnr(np.clip(np.nan_to_num(frame), 0.0, 1.0), photograph) for frame, photograph in views]
             return int(stored["steps"]), float(stored["seconds"]), float(np.mean(scores))
 
 
