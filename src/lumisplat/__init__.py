@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from lumisplat.baking.bake import bake
     from lumisplat.config import (
         Absorption,
         Antialiasing,
@@ -225,6 +226,7 @@ _MODULE_OF = {
     "TrainResult": "training.train",
     "Viewer": "viewer.viewer",
     "apf_y": "metrics.lighting",
+    "bake": "baking.bake",
     "bind_gaussians": "scene.animation.rigged_gaussians",
     "boundary_f": "metrics.shadows",
     "box": "scene.primitives",
@@ -379,6 +381,7 @@ __all__ = [
     "TrainResult",
     "Viewer",
     "apf_y",
+    "bake",
     "bind_gaussians",
     "boundary_f",
     "box",

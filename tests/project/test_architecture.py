@@ -66,6 +66,7 @@ LAYERS = (
     "renderer.integrators",
     "renderer",
     "relighting",
+    "baking",
     "training.corrections",
     "training.surfaces",
     "training",

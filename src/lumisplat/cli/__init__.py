@@ -16,6 +16,7 @@ from tyro.conf import FlagCreatePairsOff, subcommand
 
 import lumisplat as ls
 from lumisplat.cli.commands.animate import Animate
+from lumisplat.cli.commands.bake import Bake
 from lumisplat.cli.commands.bench import Bench
 from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
@@ -58,6 +59,8 @@ Avatars that walk through a capture: lumisplat animate scene.toml -o frames --vi
 
 An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o relit.ply
 
+A lit scene as a capture for every viewer: lumisplat bake scene.toml -o baked.ply
+
 A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 5 --decimate 25% -o middle.spz"""
 
 _Command = (
@@ -74,6 +77,7 @@ _Command = (
     | Annotated[Metrics, subcommand("metrics")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Relight, subcommand("relight")]
+    | Annotated[Bake, subcommand("bake")]
     | Annotated[ShadowMap, subcommand("shadowmap")]
 )
 

@@ -1,0 +1,1 @@
+"""Scenes as captures: what Gaussians show under lights, in their own spherical harmonics."""

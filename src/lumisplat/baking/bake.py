@@ -1,0 +1,223 @@
+"""Lit scenes as captures that every viewer shows: ``bake``."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lumisplat.baking.gaussian_views import GaussianViewer, ShownLight
+from lumisplat.baking.sh_fit import fit_sh
+from lumisplat.baking.steadying import steadied
+from lumisplat.baking.view_weights import plane_normals, random_turns, turned_directions, view_weights
+from lumisplat.config import Pipeline, RenderConfig, check_whole
+from lumisplat.constants import SAMPLES_MAX, SH_DEGREE_MAX
+from lumisplat.constants.baking import BAKE_DIRECTIONS, BAKE_DIRECTIONS_MAX, BAKE_SAMPLES, VIEWS_AT_ONCE
+from lumisplat.errors import ConfigError, SceneError
+from lumisplat.math.arrays import Doubles, FloatArray, read_only_view
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.tone_map import lit_picture
+from lumisplat.renderer.checks import check_scene, checked_config
+from lumisplat.renderer.scene.materials import emits_capture_only
+from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.recolor import scale_light_of
+from lumisplat.scene.scene import Scene, SplatInstance
+
+_log = logging.getLogger("lumisplat")
+
+
+def bake(
+    scene: Scene,
+    config: RenderConfig | None = None,
+    *,
+    degree: int = SH_DEGREE_MAX,
+    directions: int = BAKE_DIRECTIONS,
+    exposure: float = 0.0,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Scene:
+    """The splat sets of a scene as captures of how they look in its light: with shadows, bounces and highlights.
+
+    Each Gaussian is seen from directions all around it by paths of light. What it shows is tone-mapped, and fitted by
+    its spherical harmonics, so that every viewer of captures shows it. Meshes and lights do their part, and are not in
+    the result; `gaussians_from_mesh` makes Gaussians of a mesh. Sets that keep their captured light come out as they
+    are, to the bit; ``shadow_only`` ones are darkened, or brightened, by what was added to them. Source:
+    docs/method/relighting.md#baking.
+
+    Captures hold what a display shows: what is brighter than its white is white, so choose ``exposure`` and
+    ``config.tone_map`` as for a picture.
+
+    Args:
+        scene: Sets that are to be lit have a material. Something gives light.
+        config: Settings; None: paths. ``Pipeline.TRACE`` is direct light without bounces. ``samples`` are those of
+            each direction, from 2 on; None: 8. More are less noisy, and take as much longer.
+        degree: Of the harmonics, 0 to 3: how much of what changes with the direction of view is kept.
+        directions: From which each Gaussian is seen, 4 to 1024.
+        exposure: Stops by which the light is brightened, as that of a camera.
+        device: As for `create_renderer`.
+        progress: Called with a label and the fraction done, 0..1.
+
+    Returns:
+        The same instances in the same places, without materials, meshes and lights. Of sets that were lit, the
+        Gaussians keep everything but their harmonics, and lose albedo, roughness and metallic, which would be lit
+        again.
+
+    Raises:
+        ConfigError: A number is out of range, or the pipeline does not follow rays.
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: There are no splat sets, or none that light changes, or no light.
+    """
+    config = RenderConfig(pipeline=Pipeline.PATH) if config is None else checked_config(config)
+    check_scene(scene)
+    settings = _Settings(config, degree, directions, exposure)
+    lit = [not emits_capture_only(instance) for instance in scene.splats]
+    if not scene.splats:
+        raise SceneError("bake takes a scene with splat sets: gaussians_from_mesh makes one of a mesh")
+    if not any(lit):
+        raise SceneError("nothing to bake: no splat set has a material, so all show what was captured in any light")
+    viewer = GaussianViewer(config, Launcher(device), progress)
+    viewer.enter(scene, _extent(scene), progress)
+    if not viewer.is_lit:
+        raise SceneError("nothing to bake: the scene has no lights, and nothing in it shines")
+    baker = _Baker(viewer, settings, progress, scene.gaussian_count)
+    splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
+    return Scene(splats, up=scene.up)
+
+
+@dataclass(frozen=True, slots=True)
+class _Settings:
+    """How sets are baked; raises ConfigError if a value is out of range."""
+
+    config: RenderConfig
+    degree: int
+    directions: int
+    exposure: float
+
+    def __post_init__(self) -> None:
+        check_whole("degree", self.degree, 0, SH_DEGREE_MAX)
+        check_whole("directions", self.directions, 4, BAKE_DIRECTIONS_MAX)
+        if self.config.pipeline not in (Pipeline.PATH, Pipeline.TRACE):
+            raise ConfigError(f"bake takes Pipeline.PATH, or TRACE for direct light, got {self.config.pipeline}")
+        check_whole("samples", self.samples, 2, SAMPLES_MAX)
+        if not math.isfinite(self.exposure):
+            raise ConfigError(f"exposure is {self.exposure}, expected stops, such as 1.0")
+
+    @property
+    def samples(self) -> int:
+        """Of each direction."""
+        return self.config.samples or BAKE_SAMPLES
+
+
+@dataclass(slots=True)
+class _Baker:
+    """Bakes the sets of a scene, some Gaussians at a time."""
+
+    viewer: GaussianViewer
+    settings: _Settings
+    progress: Progress | None
+    total: int
+    """Gaussians of the scene."""
+
+    def baked(self, scene: Scene, number: int) -> SplatInstance:
+        """The instance of this number, as it looks in the light of the scene."""
+        instance = scene.splats[number]
+        first = sum(one.gaussians.count for one in scene.splats[:number])
+        parts, nonfinite = [], 0
+        for views in self._views(instance, first):
+            shown = self._shown(views)
+            nonfinite += shown.nonfinite
+            parts.append(views.shadow(shown) if instance.shadow_only else views.harmonics(shown, self.settings))
+        if nonfinite:
+            _log.warning("%d samples of %s were not finite and are left out", nonfinite, instance.name or "a set")
+        joined = np.concatenate(parts)
+        if instance.shadow_only:
+            return replace(scale_light_of(instance, joined), material=None, shadow_only=False)
+        baked = replace(instance.gaussians, sh=read_only_view(joined), albedo=None, roughness=None, metallic=None)
+        return replace(instance, gaussians=baked, material=None, sh_degree=SH_DEGREE_MAX)
+
+    def _views(self, instance: SplatInstance, first: int) -> Iterator[_Views]:
+        """The views of a set, of some Gaussians at a time."""
+        count = instance.gaussians.count
+        at_once = max(VIEWS_AT_ONCE // self.settings.directions, 1)
+        rotation = instance.transform[:3, :3] / instance.scale
+        turns = random_turns(count, np.random.default_rng((self.settings.config.seed, first)))
+        for begin in range(0, count, at_once):
+            rows = np.arange(begin, min(begin + at_once, count))
+            if self.progress:
+                self.progress("baking", (first + begin) / self.total)
+            turned = turned_directions(self.settings.directions, turns[rows])
+            yield _Views(instance.gaussians.subset(rows), turned, rotation, first + begin)
+
+    def _shown(self, views: _Views) -> ShownLight:
+        """What views show."""
+        count = views.directions.shape[1]
+        gaussian = np.repeat(np.arange(views.first, views.first + views.gaussians.count), count)
+        return self.viewer.show(views.first * count, gaussian, views.along, self.settings.samples)
+
+
+@dataclass(frozen=True, slots=True)
+class _Views:
+    """Gaussians of a set, and the directions from which they are seen."""
+
+    gaussians: Gaussians
+    directions: Doubles
+    """From the eye, object space, (N, D, 3)."""
+    rotation: Doubles
+    """World from object, (3, 3)."""
+    first: int
+    """Number of the first Gaussian among all of the scene's."""
+
+    @property
+    def along(self) -> FloatArray:
+        """The directions in world space, a view each, (N * D, 3)."""
+        return (self.directions.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
+
+    def harmonics(self, shown: ShownLight, settings: _Settings) -> FloatArray:
+        """Harmonics of what views show, (N, K, 3)."""
+        shape = (*self.directions.shape[:2], 3)
+        even, odd = shown.even.reshape(shape).astype(np.float64), shown.odd.reshape(shape).astype(np.float64)
+        front = self._front
+        captured, kept = shown.captured.reshape(shape), shown.captured_weight.reshape(shape[:2])
+        light = 0.5 * (even + odd) + decode_srgb(captured)
+        weights = view_weights(front, light, self._distance(shown), knows_front=self._knows_front)
+        even, odd = steadied(even, odd, weights, front)
+
+        def seen(light: Doubles) -> Doubles:
+            return lit_picture(captured, kept, light, settings.exposure, settings.config.tone_map).astype(np.float64)
+
+        noise = 0.25 * np.square(seen(even) - seen(odd)).mean(axis=2)
+        shares = weights / weights.sum(axis=1, keepdims=True)
+        colors = seen(0.5 * (even + odd))
+        return fit_sh(self.directions, colors, (shares * noise).sum(axis=1), weights, settings.degree)
+
+    def shadow(self, shown: ShownLight) -> FloatArray:
+        """Factors of the light of captured colours, (N, 3); exactly 1 where nothing has changed."""
+        shape = (*self.directions.shape[:2], 3)
+        light = decode_srgb(shown.captured.reshape(shape)).astype(np.float64)
+        weights = view_weights(self._front, light, self._distance(shown), knows_front=self._knows_front)[..., None]
+        change = (weights * shown.change.reshape(shape)).sum(axis=1)
+        received = (weights * shown.received.reshape(shape)).sum(axis=1)
+        share = np.divide(change, received, out=np.zeros_like(change), where=received > 0.0)
+        return np.maximum(1.0 + share, 0.0).astype(np.float32)
+
+    @property
+    def _front(self) -> np.ndarray:
+        normals = plane_normals(self.gaussians)
+        return (self.directions @ normals[:, :, None])[..., 0] < 0.0
+
+    @property
+    def _knows_front(self) -> bool:
+        return self.gaussians.normals is not None
+
+    def _distance(self, shown: ShownLight) -> Doubles:
+        return shown.distance.reshape(self.directions.shape[:2]).astype(np.float64)
+
+
+def _extent(scene: Scene) -> float:
+    """How far away eyes may be: the diagonal of a box around the bulk of the scene."""
+    low, high = scene.bulk_bounds()
+    return max(float(np.linalg.norm(high - low)), 1e-6)

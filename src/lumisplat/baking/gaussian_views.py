@@ -1,0 +1,139 @@
+"""Host pass: single Gaussians as they are seen from given directions, lit (docs/method/relighting.md#baking)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.baking import gaussian_views_kernels as kernels
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.constants.baking import VIEW_SPREAD
+from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, MeshHits, RayData
+from lumisplat.math.arrays import FloatArray
+from lumisplat.math.color import decode_srgb
+from lumisplat.renderer.given_rays import whole_packets
+from lumisplat.renderer.kernel_modules import frame_modules
+from lumisplat.renderer.renderer import Renderer
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.runtime.buffers import device_array, grown_capacity
+from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownLight:
+    """What V views show, means over the samples."""
+
+    even: FloatArray
+    """Linear light that does not come from captured colours, by every other sample, (V, 3)."""
+    odd: FloatArray
+    """The same by the others."""
+    captured: FloatArray
+    """Display-referred captured colour that is kept, (V, 3)."""
+    captured_weight: FloatArray
+    """1 where there is one, else 0, (V,)."""
+    change: FloatArray
+    """Of what a shadow-only surface receives, by all that was added to it, (V, 3)."""
+    received: FloatArray
+    """What it received as it was captured, in the same unit, (V, 3); 0: it is no such surface."""
+    distance: FloatArray
+    """To what hides the Gaussian from eyes that are farther away, scene units, (V,)."""
+    nonfinite: int
+    """Samples that were left out."""
+
+
+class GaussianViewer(Renderer):
+    """Shows single Gaussians of a scene, each alone, as rays that meet it see it.
+
+    Args:
+        config: Settings, with ``Pipeline.PATH`` or ``Pipeline.TRACE``.
+        launcher: The device to run on.
+        progress: As for ``create_renderer``.
+    """
+
+    def __init__(self, config: RenderConfig, launcher: Launcher, progress: Progress | None = None) -> None:
+        super().__init__(config, launcher, progress)
+        self._plan: FramePlan
+        self._far = 0.0
+
+    def enter(self, scene: Scene, far: float, progress: Progress | None = None) -> None:
+        """Uploads the scene; eyes are at most ``far`` scene units away from what they see."""
+        plan = self._sync_rays(scene)
+        # Rays of queries do not find what shadow-only sets receive; views do.
+        receives = FramePlan.of(self.config, scene).has_receivers
+        self._plan, self._far = replace(plan, has_receivers=receives), far
+        self._load([*frame_modules(self._plan, self._launcher, self.config), kernels], progress)
+
+    @property
+    def is_lit(self) -> bool:
+        """Whether anything in the scene gives light."""
+        return self._plan.is_lit
+
+    def show(self, first: int, gaussian: npt.NDArray[np.integer], direction: FloatArray, samples: int) -> ShownLight:
+        """What views show.
+
+        Args:
+            first: Number of the first view, by which random numbers are chosen.
+            gaussian: Among all of the scene's, shape (V,).
+            direction: From the eye to the Gaussian, world space, unit, shape (V, 3).
+            samples: A view, at least 2.
+        """
+        scene, buffers, run = self._scene, self._buffers, self._launcher.run_banded
+        count = len(gaussian)
+        room = whole_packets(grown_capacity(count))
+        views = buffers.struct("bake.views", kernels.GaussianViews, room)
+        device_array(views.gaussian)[:count].assign(gaussian.astype(np.int32))
+        device_array(views.direction)[:count].assign(direction)
+        rays, outward = (buffers.struct(f"bake.{name}", RayData, room) for name in ("rays", "outward"))
+        meshes = buffers.struct("bake.meshes", MeshHits, room)
+        met = buffers.struct("bake.met", GaussianHits, room, EXTRA_FIELDS)
+        sums = buffers.struct("bake.sums", kernels.ViewSums, room)
+        hits = PrimaryHits(rays, meshes, met)
+        degree = self.config.trace.sh_degree
+        for sample in range(samples):
+            scene.begin_sample(sample)
+            run(
+                kernels.meet_gaussians,
+                room,
+                *(first, count, degree, VIEW_SPREAD, scene.shading, scene.gaussians, views),
+                *(rays, meshes, met, outward),
+            )
+            hidden = self._tracer.find_hits(scene, outward, "bake.hidden", bounced=True)
+            wave = self._integrators.of(self._plan).shade(scene, self._plan, hits, sample)
+            run(kernels.add_views, room, sample, self._far, wave.data, hidden.meshes, hidden.gaussians, sums)
+        return self._means(sums, count, samples)
+
+    def _means(self, sums: kernels.ViewSums, count: int, samples: int) -> ShownLight:
+        """The means of sums over samples."""
+
+        def read(array: Any) -> npt.NDArray[Any]:
+            return device_array(array).numpy()[:count].copy()
+
+        found = read(sums.count)
+        halves = (samples + 1) // 2, samples // 2
+        # Samples that are not finite are few, and not told apart: both halves are scaled for them alike.
+        scale = samples / np.maximum(found, 1).astype(np.float32)[:, None]
+        captured, weight = read(sums.captured), read(sums.captured_weight)
+        change = received = np.zeros_like(captured)
+        if self._plan.has_receivers:
+            sent, arrived = (read(array) * (scale / samples) for array in (sums.sent, sums.arrived))
+            change = arrived - sent
+            # No surface reflects more than it receives (docs/method/paths.md#shadow-only-captures).
+            received = np.maximum(sent, np.float32(np.pi) * decode_srgb(captured))
+        elif self._plan.has_shadow_only:
+            change = read(sums.factor) * (scale / samples) - 1.0
+            received = np.ones_like(captured)
+        return ShownLight(
+            even=read(sums.even) * scale / halves[0],
+            odd=read(sums.odd) * scale / halves[1],
+            captured=captured,
+            captured_weight=weight,
+            change=change,
+            received=received,
+            distance=read(sums.distance) / samples,
+            nonfinite=samples * count - int(found.sum(dtype=np.int64)),
+        )

@@ -1,0 +1,250 @@
+"""Views of single Gaussians: each is seen alone from a direction, as if a ray had met it. One item is one view.
+
+The hits that ``meet_gaussians`` writes are those that a ray has which meets the Gaussian, and integrators shade them as
+any others. Rays the other way tell how far away an eye may be that sees it. The equations are in
+docs/method/relighting.md#baking.
+"""
+
+import warp as wp
+
+from lumisplat.device.gaussian.compositing import instance_of
+from lumisplat.device.gaussian.particle import canonical_from_object, gaussian_color, gaussian_facing, reach_squared
+from lumisplat.device.gaussian.projection import towards
+from lumisplat.device.math.directions import TWO_PI
+from lumisplat.device.math.random import branch_key, pixel_key_of, sample_key_of, sobol_2d
+from lumisplat.device.structs.camera import SampleData
+from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+wp.set_module_options({"enable_backward": False})
+
+# Branches of a view's keys that no integrator has.
+POINT_BRANCH = wp.constant((1 << 20) + 8)
+"""Where within the Gaussian it is seen: two of three coordinates."""
+THIRD_BRANCH = wp.constant((1 << 20) + 9)
+"""The third."""
+
+
+@struct
+class GaussianViews:
+    """Which Gaussians are seen, and from where; one element a view."""
+
+    gaussian: wp.array[int]
+    """Among all of the scene's."""
+    direction: wp.array[wp.vec3]
+    """From the eye to the Gaussian, world space, unit."""
+
+
+@struct
+class ViewSums:
+    """What views have shown so far, summed over samples; the light of even and of odd samples apart."""
+
+    even: wp.array[wp.vec3]
+    """Linear light that does not come from captured colours."""
+    odd: wp.array[wp.vec3]
+    count: wp.array[int]
+    """Samples; those that are not finite are left out."""
+    captured: wp.array[wp.vec3]
+    """Display-referred captured colour that is kept, the same in each sample."""
+    captured_weight: wp.array[float]
+    """1 where there is one, else 0."""
+    factor: wp.array[wp.vec3]
+    """Share of captured colours that shadows leave, of frames without paths."""
+    sent: wp.array[wp.vec3]
+    """Irradiance of shadow-only surfaces as they were captured, of paths."""
+    arrived: wp.array[wp.vec3]
+    """The same with all that was added."""
+    distance: wp.array[float]
+    """From the Gaussian to what hides it from eyes farther away, scene units."""
+
+
+@wp.func
+def normal_point(key: wp.uint32, sample: int, reach: float) -> wp.vec3:
+    """A point of the standard normal distribution in three dimensions, no farther out than ``reach``."""
+    u = sobol_2d(branch_key(key, POINT_BRANCH), sample)
+    v = sobol_2d(branch_key(key, THIRD_BRANCH), sample)
+    radius = wp.sqrt(-2.0 * wp.log(1.0 - u[0]))
+    height = wp.sqrt(-2.0 * wp.log(1.0 - v[0])) * wp.cos(TWO_PI * v[1])
+    point = wp.vec3(radius * wp.cos(TWO_PI * u[1]), radius * wp.sin(TWO_PI * u[1]), height)
+    return point * wp.min(1.0, reach / wp.max(wp.length(point), 1.0e-12))
+
+
+@wp.func
+def store_hit(
+    i: int,
+    sh_degree: int,
+    instance: SplatInstanceData,
+    gaussians: GaussianData,
+    k: int,
+    direction: wp.vec3,
+    hits: GaussianHits,
+):
+    """The hit of a ray that meets Gaussian ``k`` of an instance alone, where the ray begins.
+
+    Args:
+        i: The ray.
+        sh_degree: Highest that is evaluated.
+        instance: The instance.
+        gaussians: Its set.
+        k: The Gaussian.
+        direction: Of the ray, object space, unit.
+        hits: Receives it.
+    """
+    eye = gaussians.means[k] - direction
+    color = wp.vec3(0.0)
+    if instance.own_colors != 0:
+        color = gaussians.albedo[k]
+    else:
+        color = gaussian_color(gaussians, k, eye, wp.min(sh_degree, instance.sh_degree))
+    normal = gaussian_facing(gaussians, k, eye)
+    if instance.own_normals != 0:
+        normal = towards(gaussians.normals[k], -direction)
+    hits.color[i] = color
+    hits.normal[i] = instance.world_from_object * normal
+    hits.transmittance[i] = 0.0
+    hits.depth[i] = 0.0
+    hits.gaussian[i] = instance.first + k
+    hits.hits[i] = 1
+
+
+@wp.func
+def start_ray(
+    i: int, number: int, origin: wp.vec3, direction: wp.vec3, t_min: float, sample: SampleData, rays: RayData
+):
+    """A ray without width; ``number`` is that of its random numbers."""
+    rays.is_active[i] = True
+    rays.origin[i] = origin
+    rays.direction[i] = direction
+    rays.t_min[i] = t_min
+    rays.t_max[i] = wp.inf
+    rays.path_length[i] = 0.0
+    rays.spread[i] = 0.0
+    rays.sample_key[i] = sample_key_of(number, sample.index, sample.seed)
+    rays.pixel_key[i] = pixel_key_of(number, sample.seed)
+    rays.sample[i] = sample.index
+
+
+@wp.kernel
+def meet_gaussians(
+    start: int,
+    first: int,
+    count: int,
+    sh_degree: int,
+    spread: float,
+    scene: wp.array[ShadingScene],
+    assets: wp.array[GaussianData],
+    views: GaussianViews,
+    rays_out: RayData,
+    meshes_out: MeshHits,
+    hits_out: GaussianHits,
+    outward_out: RayData,
+):
+    """The rays of views, each with the hit of its Gaussian, and those from there to the eye.
+
+    Args:
+        start: First item: a view.
+        first: Number of the first view, of all that a set has.
+        count: Views; further elements are inactive.
+        sh_degree: Highest that is evaluated.
+        spread: Within how much of a Gaussian it is seen: a standard deviation, in its own.
+        scene: The scene.
+        assets: Its distinct Gaussian sets.
+        views: The views.
+        rays_out: Rays that end where they begin.
+        meshes_out: Without a hit.
+        hits_out: Their Gaussians.
+        outward_out: From there to the eye, past Gaussians of the same layer.
+    """
+    i = start + wp.tid()
+    rays_out.is_active[i] = False
+    outward_out.is_active[i] = False
+    meshes_out.t[i] = wp.inf
+    meshes_out.face[i] = -1
+    meshes_out.instance[i] = -1
+    meshes_out.weights[i] = wp.vec2(0.0)
+    if i >= count:
+        return
+    sample = scene[0].sample[0]
+    settings = scene[0].settings[0]
+    instance = scene[0].splats[instance_of(scene[0].splats, views.gaussian[i])]
+    gaussians = assets[instance.asset]
+    k = views.gaussian[i] - instance.first
+    scales = gaussians.scales[k]
+    along = wp.normalize(instance.object_from_world * views.direction[i])
+
+    # The peak of the response on the ray through a random point: in one step, as the point is known in canonical space.
+    reach = wp.sqrt(wp.max(reach_squared(instance.kernel, gaussians.opacities[k]), 0.0))
+    point = spread * normal_point(pixel_key_of(first + i, sample.seed), sample.index, reach)
+    slope = canonical_from_object(gaussians.rotations[k], scales) * along
+    peak = point - (wp.dot(point, slope) / wp.dot(slope, slope)) * slope
+    place = gaussians.means[k] + wp.quat_rotate(gaussians.rotations[k], wp.cw_mul(scales, peak))
+    origin = instance.scale * (instance.world_from_object * (place - instance.object_from_world_offset))
+
+    store_hit(i, sh_degree, instance, gaussians, k, along, hits_out)
+    start_ray(i, first + i, origin, views.direction[i], 0.0, sample, rays_out)
+    offset = settings.shadow_offset * instance.scale * wp.max(scales) + settings.shadow_offset_absolute
+    start_ray(i, first + i, origin, -views.direction[i], offset, sample, outward_out)
+
+
+@wp.func
+def is_finite(color: wp.vec3) -> bool:
+    """No NaN or infinity in any channel."""
+    return wp.isfinite(color[0] + color[1] + color[2])
+
+
+@wp.kernel
+def add_views(
+    start: int,
+    sample: int,
+    far: float,
+    wave: wp.array[WaveData],
+    ends: MeshHits,
+    hidden: GaussianHits,
+    sums_inout: ViewSums,
+):
+    """Adds what a sample of the views has shown.
+
+    Args:
+        start: First item: a view.
+        sample: Number of the sample; the first one begins the sums.
+        far: Farthest distance of an eye, scene units.
+        wave: The shaded views.
+        ends: Meshes on the rays to the eye.
+        hidden: Gaussians on these.
+        sums_inout: Of the views.
+    """
+    i = start + wp.tid()
+    if sample == 0:
+        sums_inout.even[i] = wp.vec3(0.0)
+        sums_inout.odd[i] = wp.vec3(0.0)
+        sums_inout.count[i] = 0
+        sums_inout.captured[i] = wp.vec3(0.0)
+        sums_inout.captured_weight[i] = 0.0
+        sums_inout.factor[i] = wp.vec3(0.0)
+        sums_inout.sent[i] = wp.vec3(0.0)
+        sums_inout.arrived[i] = wp.vec3(0.0)
+        sums_inout.distance[i] = 0.0
+    if not wave[0].rays.is_active[i]:
+        return
+    sums_inout.distance[i] += wp.min(wp.min(ends.t[i], hidden.depth[i]), far)
+    light = wave[0].radiance.light[i]
+    sent = wp.vec3(0.0)
+    arrived = wp.vec3(0.0)
+    if wave[0].radiance.sent:
+        sent = wave[0].radiance.sent[i]
+        arrived = wave[0].radiance.arrived[i]
+    if not (is_finite(light) and is_finite(sent) and is_finite(arrived)):
+        return
+    sums_inout.count[i] += 1
+    if sample % 2 == 0:
+        sums_inout.even[i] += light
+    else:
+        sums_inout.odd[i] += light
+    sums_inout.captured[i] = wave[0].radiance.captured[i]
+    sums_inout.captured_weight[i] = wave[0].radiance.captured_weight[i]
+    sums_inout.sent[i] += sent
+    sums_inout.arrived[i] += arrived
+    if wave[0].radiance.capture_factor:
+        sums_inout.factor[i] += wave[0].radiance.capture_factor[i]

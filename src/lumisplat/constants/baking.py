@@ -1,0 +1,29 @@
+"""Constants of baking: lit Gaussians as captures."""
+
+BAKE_DIRECTIONS = 32
+"""From which each Gaussian is looked at: twice as many as the harmonics of degree 3, as half of them see its back."""
+
+BAKE_SAMPLES = 8
+"""Paths a direction; even, so that both halves tell the noise."""
+
+VIEWS_AT_ONCE = 2**17
+"""Views that are on the device at once: some 60 MiB."""
+
+VIEW_SPREAD = 1.0
+"""Within how much of a Gaussian it is seen, standard deviations of its own: what is seen of it in frames."""
+
+BACK_SHARE = 0.02
+"""How much views of the back of Gaussians count whose normals are known, relative to those of their front."""
+
+DARK_SIDE_MIN = 1e-3
+"""Least factor of views of a side that is dark, where the other one is lit: it is the inside of something closed."""
+
+RIDGE = 3e-4
+"""Penalty of (l (l + 1))^2 times the square of a coefficient of degree l, where an even view counts 1: what nobody sees
+stays smooth. Of degree 3, it takes 4 % of what is seen from everywhere."""
+
+SIGNAL_MIN = 1e-8
+"""Variance of colours over directions below which they are taken to be one, display-referred: 0.03 of 255."""
+
+BAKE_DIRECTIONS_MAX = 1024
+"""More directions of a Gaussian are a typing error: harmonics of degree 3 have 16 coefficients."""

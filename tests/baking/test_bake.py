@@ -1,0 +1,208 @@
+"""Scenes baked into captures: against light that is known, frames of paths, and what must not change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.baking import bake as bake_module
+from lumisplat.math.color import encode_srgb
+from lumisplat.math.sh import sh_basis
+from support.scenes.path_scenes import ball, diffuse
+from support.scenes.raster_scenes import similarity
+
+SKY = ls.LightEnvironment(color=(0.5, 0.4, 0.3), visible=False)
+SUN = ls.LightDirectional((0.3, -1.0, 0.2), color=(1.0, 0.9, 0.8), intensity=2.0)
+PATH, TRACE = ls.RenderConfig(pipeline=ls.Pipeline.PATH), ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
+
+
+def splats_of(mesh: ls.Mesh, count: int) -> ls.SplatInstance:
+    """A mesh as Gaussians of its material."""
+    return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=mesh.material)
+
+
+def baked(scene: ls.Scene, config: ls.RenderConfig = PATH, **options: Any) -> ls.Scene:
+    """On the CPU."""
+    return ls.bake(scene, config, device="cpu", **options)
+
+
+def seen_from_outside(gaussians: ls.Gaussians) -> np.ndarray:
+    """Colours along the normals, shape (N, 3)."""
+    assert gaussians.normals is not None
+    basis = sh_basis(-gaussians.normals.astype(np.float64), gaussians.sh_degree)
+    return np.maximum(np.einsum("nk,nkc->nc", basis, gaussians.sh) + 0.5, 0.0)
+
+
+def floor(count: int = 200) -> ls.SplatInstance:
+    """A level square of Gaussians, albedo 0.6, that faces up."""
+    return splats_of(ls.plane(2.0, 2.0, material=diffuse(0.6)), count)
+
+
+def test_a_white_ball_in_an_even_sky_has_its_color() -> None:
+    """The furnace: whatever bounces, a white body is as bright as its surroundings."""
+    scene = ls.Scene([splats_of(ball(1.0, diffuse(1.0)), 300)], lights=[SKY])
+    (shown,) = baked(scene).splats
+    expected = encode_srgb(np.array(SKY.color))
+    colors = seen_from_outside(shown.gaussians)
+    np.testing.assert_allclose(colors.mean(axis=0), expected, atol=0.004)
+    assert np.abs(colors - expected).max() < 0.05
+
+
+def test_a_plane_in_the_sun_is_lamberts() -> None:
+    """Albedo over pi times the irradiance and the cosine, from all directions above, at any exposure."""
+    scene = ls.Scene([floor()], lights=[SUN])
+    travel = np.array(SUN.direction) / np.linalg.norm(SUN.direction)
+    for exposure in (0.0, 1.0):
+        (shown,) = baked(scene, TRACE, exposure=exposure).splats
+        light = 2.0**exposure * 0.6 / np.pi * SUN.intensity * np.array(SUN.color) * -travel[1]
+        expected = np.minimum(encode_srgb(light), 1.0)
+        for away in ((0.0, 1.0, 0.0), (0.6, 0.8, 0.0), (0.0, 0.4, -0.9165)):
+            basis = sh_basis(-np.array(away), 3)
+            colors = 0.5 + np.einsum("k,nkc->nc", basis, shown.gaussians.sh)
+            np.testing.assert_allclose(colors, np.broadcast_to(expected, colors.shape), atol=0.01)
+
+
+def test_a_closed_ball_has_all_the_light_that_bounces() -> None:
+    """An integrating sphere around a small lamp: E = E0 / (1 - albedo (1 - r^2 / R^2))."""
+    radius, albedo, shines = 0.2, 0.5, 20.0
+    lamp = ball(radius, diffuse(0.0, shines), rows=16)
+    walls = splats_of(ball(1.0, diffuse(albedo), hollow=True), 1500)
+    (shown,) = baked(ls.Scene([walls], [lamp], lights=[])).splats
+    direct = np.pi * shines * radius**2
+    light = albedo / np.pi * direct / (1.0 - albedo * (1.0 - radius**2))
+    colors = seen_from_outside(shown.gaussians)
+    np.testing.assert_allclose(colors.mean(axis=0), encode_srgb(np.full(3, light)), rtol=0.02)
+    assert colors.std() < 0.05
+
+
+def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:
+    """Around the origin."""
+    eyes = [(0.0, 0.3, -1.0), (0.9, 0.4, 0.2), (-0.5, -0.2, 0.9), (-0.9, 0.6, -0.4)]
+    return [ls.Camera.look_at(away * np.array(eye), (0, 0, 0), (0, 1, 0), width=48, height=48, fov_y=0.6) for eye in eyes]
+
+
+def squared_error(shown: ls.Scene, scene: ls.Scene, config: ls.RenderConfig) -> float:
+    """Of unlit frames of a capture to lit ones of the scene, display-referred, where both are opaque."""
+    errors: list[np.ndarray] = []
+    for camera in views_of(scene):
+        unlit = ls.render(shown, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
+        lit = ls.render(scene, camera, config, device="cpu")
+        inside = unlit.alpha > 0.98
+        errors.append((unlit.color - np.clip(encode_srgb(lit.color), 0.0, 1.0))[inside])
+    return float(np.square(np.concatenate(errors)).mean())
+
+
+def test_frames_of_paths_are_met_and_highlights_by_higher_degrees() -> None:
+    """A glossy ball between a red and a blue lamp: a highlight moves with the eye, and degree 3 follows it best."""
+    lamps = [
+        ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
+        ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
+    ]
+    shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)), 1500)
+    scene = ls.Scene([shiny], lights=lamps)
+    lit = replace(TRACE, samples=4)
+    errors = [squared_error(baked(scene, TRACE, degree=degree), scene, lit) for degree in (0, 1, 2, 3)]
+    assert errors[3] < errors[2] < errors[1] < errors[0]
+    assert errors[3] < 0.25 * errors[0]
+    assert errors[3] < 4e-4  # 34 dB
+
+
+def test_a_placed_set_looks_as_one_that_is_not() -> None:
+    """Turned, scaled and moved with its light, a set is baked into the same harmonics, of its own space."""
+    shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=1.0, roughness=0.5)), 100)
+    lamp = ls.LightPoint((2.0, 2.0, -2.0), intensity=12.0)
+    place = similarity((0.3, 1.0, -0.5), 1.1, scale=0.5, offset=(3.0, -1.0, 2.0))
+    moved = replace(lamp, position=tuple(place[:3, :3] @ lamp.position + place[:3, 3]), intensity=3.0)
+    here = baked(ls.Scene([shiny], lights=[lamp]), TRACE).splats[0]
+    there = baked(ls.Scene([replace(shiny, world_from_object=place)], lights=[moved]), TRACE).splats[0]
+    np.testing.assert_array_equal(there.transform, place)
+    np.testing.assert_allclose(there.gaussians.sh, here.gaussians.sh, atol=2e-3)
+    assert np.abs(here.gaussians.sh[:, 1:]).max() > 0.1
+
+
+def test_what_is_kept_stays_as_it_is() -> None:
+    """A set without a material is the same object; a lit one keeps its shapes and normals, and nothing to light."""
+    kept = ls.SplatInstance(ls.gaussians_from_mesh(ball(0.5, diffuse(0.4)), 50), name="kept")
+    lit = replace(floor(), name="lit")
+    result = baked(ls.Scene([kept, lit], lights=[SUN], up="y-up"), TRACE)
+    assert result.splats[0] is kept
+    assert result.up == (0.0, 1.0, 0.0) and not result.lights and not result.meshes
+    shown = result.splats[1]
+    assert shown.name == "lit" and shown.material is None
+    for name in ("means", "rotations_wxyz", "scales", "opacities", "normals"):
+        assert getattr(shown.gaussians, name) is getattr(lit.gaussians, name)
+    assert shown.gaussians.albedo is shown.gaussians.roughness is shown.gaussians.metallic is None
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
+def test_a_shadow_falls_on_a_shadow_only_capture(pipeline: ls.Pipeline) -> None:
+    """Where a mesh blocks the sun its colours are darker; where it does not, they are the same to the bit."""
+    capture = replace(floor(400), material=None, shadow_only=True)
+    roof = ls.MeshInstance(ls.box((0.8, 0.02, 0.8), material=diffuse(0.0)), position=(-0.5, 0.5, 0.0))
+    down = ls.LightDirectional((0.0, -1.0, 0.0), intensity=2.0)
+    config = ls.RenderConfig(pipeline=pipeline, samples=8, max_bounces=0)
+    (shown,) = baked(ls.Scene([capture], [roof], [down]), config).splats
+    assert not shown.shadow_only and shown.material is None
+    means, before, after = capture.gaussians.means, capture.gaussians.sh, shown.gaussians.sh
+    size = capture.gaussians.scales.max()
+    below = (np.abs(means[:, 0] + 0.5) < 0.4 - 3 * size) & (np.abs(means[:, 2]) < 0.4 - 3 * size)
+    apart = means[:, 0] > 0.0 + 4 * size
+    assert below.sum() > 10 and apart.sum() > 50
+    assert (after[below, 0] < before[below, 0] - 0.2).all()
+    if pipeline is ls.Pipeline.TRACE:  # a path may hit the roof from anywhere
+        np.testing.assert_array_equal(after[apart], before[apart])
+
+
+def test_the_same_seed_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many views are on the device at once; another seed gives others."""
+    scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5)), 60)], lights=[SKY, SUN])
+    first = baked(scene).splats[0].gaussians.sh
+    monkeypatch.setattr(bake_module, "VIEWS_AT_ONCE", 32 * 7)
+    np.testing.assert_array_equal(baked(scene).splats[0].gaussians.sh, first)
+    assert not np.array_equal(baked(scene, replace(PATH, seed=1)).splats[0].gaussians.sh, first)
+
+
+def test_what_nobody_sees_is_finite() -> None:
+    """Gaussians within a closed body have the little light that there is; nothing is NaN, or out of range."""
+    hidden = replace(splats_of(ball(0.4, diffuse(0.5)), 40))
+    scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5)), 300), hidden], lights=[SKY])
+    for instance in baked(scene).splats:
+        assert np.isfinite(instance.gaussians.sh).all()
+        assert np.abs(instance.gaussians.sh).max() < 4.0
+
+
+def test_progress_goes_from_start_to_end() -> None:
+    """Fractions rise."""
+    told: list[float] = []
+
+    def tell(label: str, fraction: float) -> None:
+        if label == "baking":
+            told.append(fraction)
+
+    baked(ls.Scene([floor(60), floor(60)], lights=[SUN]), TRACE, progress=tell)
+    assert told == sorted(told) and told[0] == 0.0 and told[-1] >= 0.5
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "error", "message"),
+    [
+        (ls.Scene(), {}, ls.SceneError, "takes a scene with splat sets"),
+        (ls.Scene([floor(20)]), {}, ls.SceneError, "no lights"),
+        (ls.Scene([replace(floor(20), material=None)], lights=[SUN]), {}, ls.SceneError, "no splat set has a material"),
+        (ls.Scene([floor(20)], lights=[SUN]), {"degree": 4}, ls.ConfigError, "degree is 4"),
+        (ls.Scene([floor(20)], lights=[SUN]), {"directions": 3}, ls.ConfigError, "directions is 3"),
+        (ls.Scene([floor(20)], lights=[SUN]), {"exposure": float("nan")}, ls.ConfigError, "exposure is nan"),
+        (ls.Scene([floor(20)], lights=[SUN]), {"config": replace(PATH, samples=1)}, ls.ConfigError, "samples is 1"),
+        (ls.Scene([floor(20)], lights=[SUN]), {"config": ls.RenderConfig()}, ls.ConfigError, "Pipeline.PATH"),
+        (floor(20), {}, ls.SceneError, "expected a Scene"),
+    ],
+)
+def test_mistakes_are_named(scene: Any, options: dict[str, Any], error: type[Exception], message: str) -> None:
+    """In one line, before anything slow."""
+    with pytest.raises(error, match=message) as raised:
+        ls.bake(scene, device="cpu", **options)
+    assert "\n" not in str(raised.value)

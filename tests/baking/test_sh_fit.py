@@ -1,0 +1,94 @@
+"""Harmonics of what is seen: exact where they can be, smooth where nobody looks, steady in noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lumisplat.baking.sh_fit import fit_sh
+from lumisplat.baking.steadying import steadied
+from lumisplat.baking.view_weights import even_directions, random_turns, turned_directions, view_weights
+from lumisplat.math.sh import sh_basis
+
+N, D = 50, 32
+
+
+def directions(count: int = D) -> np.ndarray:
+    """Of N Gaussians."""
+    return turned_directions(count, random_turns(N, np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_harmonics_are_found_again(degree: int) -> None:
+    """Colours of some degree that are seen from everywhere without noise are fitted by it, but for a small penalty."""
+    along = directions(64)
+    truth = np.random.default_rng(1).normal(size=(N, (degree + 1) ** 2, 3))
+    colors = 0.5 + sh_basis(along, degree) @ truth
+    found = fit_sh(along, colors, np.zeros(N), np.ones((N, 64)), degree)
+    assert found.shape == truth.shape
+    np.testing.assert_allclose(found, truth, atol=0.12 * np.abs(truth).max())
+    np.testing.assert_allclose(found[:, 0], truth[:, 0], atol=0.03)
+
+
+def test_what_nobody_sees_stays_in_range() -> None:
+    """One side is seen: its colours are met, and the other side's do not run away."""
+    along = directions()
+    front = along[..., 2] < 0.0
+    colors = np.where(front[..., None], 0.5 + 0.3 * along, 100.0)
+    sh = fit_sh(along, colors, np.zeros(N), front.astype(float), 3)
+    shown = 0.5 + sh_basis(along, 3) @ sh
+    assert np.abs(shown - colors)[front].max() < 0.02
+    assert 0.0 < shown.min() and shown.max() < 1.0
+
+
+def test_noise_does_not_become_view_dependence() -> None:
+    """Of one colour and noise, what is left is the colour, with the noise of a mean over all directions."""
+    rng = np.random.default_rng(2)
+    along = directions()
+    noisy = 0.5 + 0.1 * rng.normal(size=(N, D, 3))
+    weights = np.ones((N, D))
+    shown = 0.5 + sh_basis(along, 3) @ fit_sh(along, noisy, np.full(N, 0.01), weights, 3)
+    trusted = 0.5 + sh_basis(along, 3) @ fit_sh(along, noisy, np.zeros(N), weights, 3)
+    assert (shown - 0.5).std() < 0.035  # 0.1 / sqrt(32) is 0.018
+    assert (trusted - 0.5).std() > 0.06
+
+
+def test_steady_light_is_even_and_unbiased() -> None:
+    """Noise on an even side is drawn to its mean; light that does change with the direction stays as it is."""
+    rng = np.random.default_rng(3)
+    front = directions()[..., 2] < 0.0
+    weights = np.ones((N, D))
+    even, odd = (np.where(front, 2.0, 0.5)[..., None] + 0.2 * rng.normal(size=(N, D, 3)) for _ in range(2))
+    a, b = steadied(even, odd, weights, front)
+    mean = 0.5 * (a + b)
+    assert mean[front].std() < 0.6 * (0.5 * (even + odd))[front].std()
+    assert abs(mean[front].mean() - 2.0) < 0.01 and abs(mean[~front].mean() - 0.5) < 0.01
+    bright = np.where((np.arange(D) % 4 == 0)[None, :, None], 5.0, 0.0) + np.zeros((N, D, 3))
+    a, b = steadied(bright, bright, weights, front)
+    np.testing.assert_allclose(a, bright, atol=1e-12)
+    np.testing.assert_allclose(b, bright, atol=1e-12)
+
+
+def test_directions_are_even() -> None:
+    """All of them sum to next to nothing, and harmonics up to degree 3 are orthonormal over them."""
+    for count in (32, 64):
+        basis = sh_basis(even_directions(count), 3)
+        np.testing.assert_allclose(4.0 * np.pi / count * basis.T @ basis, np.eye(16), atol=0.06)
+
+
+def test_the_side_counts_that_is_seen() -> None:
+    """In proportion to how far away eyes can be; not a dark side, unless both are; fronts of known normals more."""
+    front = np.tile([True, True, False, False], (3, 1))
+    light = np.ones((3, 4, 3))
+    light[1, 2:] = 0.0
+    light[2, :2] = 0.0
+    distance = np.tile([2.0, 1.0, 1.0, 2.0], (3, 1))
+    unknown = view_weights(front, light, distance, knows_front=False)
+    np.testing.assert_allclose(unknown[0], distance[0])
+    assert unknown[1, 2:].max() < 0.01 * unknown[1, :2].min()
+    assert unknown[2, :2].max() < 0.01 * unknown[2, 2:].min()
+    known = view_weights(front, light, distance, knows_front=True)
+    assert known[0, 2:].max() < 0.1 * known[0, :2].min()
+    assert known[2, :2].max() < 0.1 * known[2, 2:].min()  # a front that is black in the light is a wall's outside
+    dark = view_weights(front, 0.0 * light, 0.0 * distance, knows_front=True)
+    assert (dark > 0.0).all()
