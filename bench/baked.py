@@ -165,7 +165,7 @@ def view_of(scene: ls.Scene, camera: ls.Camera, number: int, options: Any) -> Vi
     assert profile is not None
     firsts = np.cumsum([0, *(one.gaussians.count for one in scene.splats)])
     rows = np.repeat(np.arange(len(profile)), np.diff(profile.first))
-    weights = profile.transmittance * profile.alpha
+    weights = profile.transmittance * profile.alpha / (1.0 - profile.alpha)
     blend = csr_array(
         (weights.astype(np.float64), (rows, profile.gaussian_index + firsts[profile.instance_index])),
         shape=(len(profile), int(firsts[-1])),
@@ -230,7 +230,9 @@ def statue() -> Case:
     floor = parallelogram(corner, (0.0, 0.0, 2.0 * size), (2.0 * size, 0.0, 0.0), matte(0.6))
     sun = ls.LightDirectional((-0.5, -1.0, -0.4), intensity=1.5, angle=0.02)
     glossy = as_splats(replace(mesh, material=replace(mesh.material, roughness=0.4)), 20_000)
-    scene = ls.Scene([glossy, as_splats(floor, 10_000)], lights=[sun, replace(sky_light(), intensity=0.5, visible=False)])
+    scene = ls.Scene(
+        [glossy, as_splats(floor, 10_000)], lights=[sun, replace(sky_light(), intensity=0.5, visible=False)]
+    )
     cameras: list[ls.Camera] = []
     for k in range(VIEWS):
         angle, height = 2.0 * np.pi * k / VIEWS, (0.3, 0.7, 1.1)[k % 3]

@@ -17,7 +17,7 @@ from lumisplat.config import Pipeline, RenderConfig, check_whole
 from lumisplat.constants import SAMPLES_MAX, SH_DEGREE_MAX
 from lumisplat.constants.baking import BAKE_DIRECTIONS, BAKE_DIRECTIONS_MAX, BAKE_SAMPLES, VIEWS_AT_ONCE
 from lumisplat.errors import ConfigError, SceneError
-from lumisplat.math.arrays import Doubles, FloatArray, read_only_view
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.tone_map import lit_picture
 from lumisplat.renderer.checks import check_scene, checked_config
@@ -126,7 +126,8 @@ class _Baker:
         """The instance of this number, as it looks in the light of the scene."""
         instance = scene.splats[number]
         first = sum(one.gaussians.count for one in scene.splats[:number])
-        parts, nonfinite = [], 0
+        parts: list[FloatArray] = []
+        nonfinite = 0
         for views in self._views(instance, first):
             shown = self._shown(views)
             nonfinite += shown.nonfinite
@@ -179,10 +180,10 @@ class _Views:
     def harmonics(self, shown: ShownLight, settings: _Settings) -> FloatArray:
         """Harmonics of what views show, (N, K, 3)."""
         shape = (*self.directions.shape[:2], 3)
-        even, odd = shown.even.reshape(shape).astype(np.float64), shown.odd.reshape(shape).astype(np.float64)
+        even, odd = shown.even.reshape(shape), shown.odd.reshape(shape)
         front = self._front
         captured, kept = shown.captured.reshape(shape), shown.captured_weight.reshape(shape[:2])
-        light = 0.5 * (even + odd) + decode_srgb(captured)
+        light: Doubles = 0.5 * (even + odd) + decode_srgb(captured)
         weights = view_weights(front, light, self._distance(shown), knows_front=self._knows_front)
         even, odd = steadied(even, odd, weights, front)
 
@@ -205,7 +206,7 @@ class _Views:
         return np.maximum(1.0 + share, 0.0).astype(np.float32)
 
     @property
-    def _front(self) -> np.ndarray:
+    def _front(self) -> Flags:
         normals = plane_normals(self.gaussians)
         return (self.directions @ normals[:, :, None])[..., 0] < 0.0
 
@@ -214,7 +215,7 @@ class _Views:
         return self.gaussians.normals is not None
 
     def _distance(self, shown: ShownLight) -> Doubles:
-        return shown.distance.reshape(self.directions.shape[:2]).astype(np.float64)
+        return shown.distance.reshape(self.directions.shape[:2])
 
 
 def _extent(scene: Scene) -> float:

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.baking import gaussian_views_kernels as kernels
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import RenderConfig
 from lumisplat.constants.baking import VIEW_SPREAD
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, MeshHits, RayData
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.given_rays import whole_packets
 from lumisplat.renderer.kernel_modules import frame_modules
@@ -28,19 +28,19 @@ from lumisplat.scene.scene import Scene
 class ShownLight:
     """What V views show, means over the samples."""
 
-    even: FloatArray
+    even: Doubles
     """Linear light that does not come from captured colours, by every other sample, (V, 3)."""
-    odd: FloatArray
+    odd: Doubles
     """The same by the others."""
-    captured: FloatArray
+    captured: Doubles
     """Display-referred captured colour that is kept, (V, 3)."""
-    captured_weight: FloatArray
+    captured_weight: Doubles
     """1 where there is one, else 0, (V,)."""
-    change: FloatArray
+    change: Doubles
     """Of what a shadow-only surface receives, by all that was added to it, (V, 3)."""
-    received: FloatArray
+    received: Doubles
     """What it received as it was captured, in the same unit, (V, 3); 0: it is no such surface."""
-    distance: FloatArray
+    distance: Doubles
     """To what hides the Gaussian from eyes that are farther away, scene units, (V,)."""
     nonfinite: int
     """Samples that were left out."""
@@ -110,30 +110,31 @@ class GaussianViewer(Renderer):
     def _means(self, sums: kernels.ViewSums, count: int, samples: int) -> ShownLight:
         """The means of sums over samples."""
 
-        def read(array: Any) -> npt.NDArray[Any]:
-            return device_array(array).numpy()[:count].copy()
+        def read(array: Any) -> Doubles:
+            return device_array(array).numpy()[:count].astype(np.float64)
 
         found = read(sums.count)
         halves = (samples + 1) // 2, samples // 2
         # Samples that are not finite are few, and not told apart: both halves are scaled for them alike.
-        scale = samples / np.maximum(found, 1).astype(np.float32)[:, None]
+        scale = (samples / np.maximum(found, 1.0))[:, None]
         captured, weight = read(sums.captured), read(sums.captured_weight)
-        change = received = np.zeros_like(captured)
+        change: Doubles = np.zeros_like(captured)
+        received: Doubles = change
         if self._plan.has_receivers:
             sent, arrived = (read(array) * (scale / samples) for array in (sums.sent, sums.arrived))
             change = arrived - sent
             # No surface reflects more than it receives (docs/method/paths.md#shadow-only-captures).
-            received = np.maximum(sent, np.float32(np.pi) * decode_srgb(captured))
+            received = np.maximum(sent, np.pi * decode_srgb(captured).astype(np.float64))
         elif self._plan.has_shadow_only:
             change = read(sums.factor) * (scale / samples) - 1.0
             received = np.ones_like(captured)
         return ShownLight(
-            even=read(sums.even) * scale / halves[0],
-            odd=read(sums.odd) * scale / halves[1],
+            even=read(sums.even) * (scale / halves[0]),
+            odd=read(sums.odd) * (scale / halves[1]),
             captured=captured,
             captured_weight=weight,
             change=change,
             received=received,
             distance=read(sums.distance) / samples,
-            nonfinite=samples * count - int(found.sum(dtype=np.int64)),
+            nonfinite=samples * count - int(found.sum(dtype=np.float64)),
         )

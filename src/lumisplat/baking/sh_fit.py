@@ -5,10 +5,10 @@ The equations are in docs/method/relighting.md#baking.
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
+from typing import cast
 
-from lumisplat.constants import SH_C0
+import numpy as np
+
 from lumisplat.constants.baking import RIDGE, SIGNAL_MIN
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.sh import sh_basis
@@ -33,14 +33,8 @@ def fit_sh(directions: Doubles, colors: Doubles, noise: Doubles, weights: Double
     matrix = 4.0 * np.pi * np.swapaxes(weighted, 1, 2) @ basis
     right = 4.0 * np.pi * np.swapaxes(weighted, 1, 2) @ (colors - 0.5)
     matrix += _penalties(colors, noise, shares, degree)[:, :, None] * np.eye(basis.shape[2])
-    return np.linalg.solve(matrix, right).astype(np.float32)
-
-
-def constant_sh(colors: npt.NDArray[np.floating], degree: int) -> FloatArray:
-    """The harmonics of colours that are the same from everywhere, shape (N, 3) to (N, K, 3)."""
-    sh = np.zeros((len(colors), (degree + 1) ** 2, 3), np.float32)
-    sh[:, 0] = (colors - 0.5) / SH_C0
-    return sh
+    sh = cast("Doubles", np.linalg.solve(matrix, right))
+    return sh.astype(np.float32)
 
 
 def _penalties(colors: Doubles, noise: Doubles, shares: Doubles, degree: int) -> Doubles:
@@ -49,10 +43,10 @@ def _penalties(colors: Doubles, noise: Doubles, shares: Doubles, degree: int) ->
     As much as the noise of a coefficient is of the variance that is to be expected of it (Wiener): what colours vary
     with the direction but for noise, shared among the degrees as 1 / l^2. And a little, so that all is determined.
     """
-    mean = np.einsum("nd,ndc->nc", shares, colors)
-    spread = np.einsum("nd,ndc->n", shares, np.square(colors - mean[:, None])) / 3.0
+    mean = (shares[..., None] * colors).sum(axis=1, keepdims=True)
+    spread = (shares * np.square(colors - mean).mean(axis=2)).sum(axis=1)
     signal = np.maximum(spread - noise, SIGNAL_MIN)
     ratio = noise * np.square(shares).sum(axis=1) / signal
     level = np.floor(np.sqrt(np.arange((degree + 1) ** 2) + 0.5))
-    even = sum((2 * l + 1) / l**2 for l in range(1, degree + 1))
+    even = sum((2 * one + 1) / one**2 for one in range(1, degree + 1))
     return ratio[:, None] * (even * level**2) + RIDGE * np.square(level * (level + 1.0))

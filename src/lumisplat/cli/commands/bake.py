@@ -14,7 +14,7 @@ from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.settings import changed_config, setting, without_none
 from lumisplat.cli.options.up import UpOption, upright
-from lumisplat.cli.output.console import byte_size, progress_bars
+from lumisplat.cli.output.console import byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
@@ -90,7 +90,7 @@ class Bake(LoadingCommand, DeviceCommand):
         size = byte_size(self.output.stat().st_size)
         print(f"{self.output}: {joined.count:,} Gaussians, SH degree {joined.sh_degree}, {size}")
         if scene.meshes:
-            print(f"{len(scene.meshes):,} of the things in the scene are meshes: they gave shadows and light, and are not in it")
+            print(f"{counted(len(scene.meshes), 'mesh instance')} cast shadows and light, and are not in the result")
 
     def _config(self) -> ls.RenderConfig:
         """The settings: those of a scene.toml, and the options."""

@@ -1,0 +1,86 @@
+"""``lumisplat bake``: a scene file to a capture, and its mistakes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.scenes.path_scenes import ball, diffuse
+from support.scenes.raster_scenes import one_gaussian
+
+LIGHT = '[[lights]]\ntype = "directional"\ndirection = [0, -1, 0]\nintensity = 2.0\n'
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A ball with albedo, a capture without, a mesh, and scenes of these."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    ls.save(place.path("ball.ply"), ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 150))
+    ls.save(place.path("plain.ply"), one_gaussian())
+    place.path("flag.obj").write_text("v 0 2 0\nv 1 2 0\nv 0 2 1\nf 1 2 3\n")
+    placed = '[[splats]]\npath = "ball.ply"\nposition = [1, 2, 3]\nscale = 2.0\n[splats.material]\ntype = "pbr"\n'
+    plain = '[[splats]]\npath = "plain.ply"\n'
+    place.path("both.toml").write_text(placed + plain + '[[meshes]]\npath = "flag.obj"\n' + LIGHT)
+    place.path("dark.toml").write_text(placed)
+    place.path("plain.toml").write_text(plain + LIGHT)
+    return place
+
+
+@pytest.mark.parametrize("name", ["baked.ply", "baked.compressed.ply", "baked.spz"])
+def test_a_scene_becomes_one_capture(work, name):
+    """Lit from above, placed, joined with what is kept; what is printed says so, and that meshes are not in it."""
+    done = work.run("bake", "@both.toml", "-o", f"@{name}", "--direct", "--samples", "2", "--device", "cpu")
+    assert (done.status, done.err) == (0, "")
+    assert "151 Gaussians" in done.out and "mesh" in done.out
+    loaded = ls.load(work.path(name))
+    assert isinstance(loaded, ls.Gaussians)
+    assert loaded.albedo is None and loaded.sh_degree == 3
+    middle = np.array([1.0, 2.0, 3.0])
+    of_ball = np.linalg.norm(loaded.means - middle, axis=1) < 1.2
+    assert of_ball.sum() == 150
+    colors = loaded.sh[:, 0] * 0.28209479 + 0.5
+    above, below = of_ball & (loaded.means[:, 1] > 2.5), of_ball & (loaded.means[:, 1] < 1.5)
+    assert colors[above].mean() > colors[below].mean() + 0.3
+    np.testing.assert_allclose(colors[~of_ball][0], (0.9, 0.5, 0.1), atol=0.02)
+
+
+def test_albedo_of_a_capture_is_lit_by_an_environment(work):
+    """A bare capture with albedo needs no scene file: as bright as what surrounds it, times the albedo or more."""
+    from lumisplat.io.images.exr import write_exr
+
+    write_exr(work.path("sky.exr"), dict.fromkeys("RGB", np.full((2, 4), 0.5, np.float32)))
+    options = ("--environment", "@sky.exr", "--degree", "0", "--samples", "2", "--exposure", "1", "--device", "cpu")
+    assert work.run("bake", "@ball.ply", "-o", "@b.ply", *options).status == 0
+    loaded = ls.load(work.path("b.ply"))
+    assert isinstance(loaded, ls.Gaussians) and loaded.sh_degree == 0
+    # 0.6 of a sky of 0.5, twice as bright.
+    np.testing.assert_allclose(
+        np.median(loaded.sh[:, 0] * 0.28209479 + 0.5), 1.055 * 0.6 ** (1 / 2.4) - 0.055, atol=0.02
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("@none.toml", "-o", "@b.ply"), "none.toml"),
+        (("-o", "@b.ply"), "no scene given"),
+        (("@both.toml", "-o", "@b.obj"), "b.obj: unknown extension, expected .ply"),
+        (("@both.toml", "-o", "@ball.ply/b.ply"), "ball.ply"),
+        (("@flag.obj", "-o", "@b.ply"), "takes a scene with splat sets"),
+        (("@dark.toml", "-o", "@b.ply"), "no lights"),
+        (("@plain.toml", "-o", "@b.ply"), "no splat set has a material"),
+        (("@both.toml", "-o", "@b.ply", "--degree", "4"), "degree is 4"),
+        (("@both.toml", "-o", "@b.ply", "--samples", "0"), "samples is 0"),
+        (("@both.toml", "-o", "@b.ply", "--exposure", "nan"), "exposure is nan"),
+    ],
+)
+def test_mistakes_are_one_line(work, arguments, message):
+    """Status 2, the line says what is wrong, and nothing is written."""
+    done = work.run("bake", *arguments, "--device", "cpu")
+    assert done.status == 2
+    assert message in done.err and done.err.count("\n") == 1 and "Traceback" not in done.err
+    assert not work.path("b.ply").exists()
