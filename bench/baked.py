@@ -194,7 +194,7 @@ def view_of(scene: ls.Scene, camera: ls.Camera, number: int, options: Any) -> Vi
         truth=(frames[0], frames[1]),
         fitted=0.5 * (frames[2] + frames[3]),
         blend=blend[np.flatnonzero(shown)],
-        basis=sh_basis(towards, 3),
+        basis=sh_basis(towards, 3).astype(np.float64),
         shown=shown.reshape(camera.height, camera.width),
     )
 

@@ -126,7 +126,7 @@ class GaussianViewer(Renderer):
             # No surface reflects more than it receives (docs/method/paths.md#shadow-only-captures).
             received = np.maximum(sent, np.pi * decode_srgb(captured).astype(np.float64))
         elif self._plan.has_shadow_only:
-            change = read(sums.factor) * (scale / samples) - 1.0
+            change = read(sums.factor) * scale / samples - 1.0  # exactly 0 where nothing is shadowed
             received = np.ones_like(captured)
         return ShownLight(
             even=read(sums.even) * (scale / halves[0]),
