@@ -84,6 +84,8 @@ if TYPE_CHECKING:
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
     from lumisplat.relighting.avatar_lighter import AvatarLighter
     from lumisplat.relighting.captured_shadow import shadowed
+    from lumisplat.relighting.fitting.fit_lights import fit_lights
+    from lumisplat.relighting.fitting.results import FittedView, LightFit
     from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
     from lumisplat.relighting.probe import EnvironmentProbe
     from lumisplat.relighting.probe_transfer import relight
@@ -168,6 +170,7 @@ _MODULE_OF = {
     "LightEnvironment": "scene.lights",
     "LightEstimate": "relighting.light_estimation",
     "LightEstimationConfig": "config",
+    "LightFit": "relighting.fitting.results",
     "LightPoint": "scene.lights",
     "LightRect": "scene.lights",
     "LightSphere": "scene.lights",
@@ -183,6 +186,7 @@ _MODULE_OF = {
     "NormalEstimate": "config",
     "NormalMethod": "config",
     "FilterConfig": "config",
+    "FittedView": "relighting.fitting.results",
     "ProbeConfig": "config",
     "Projection": "config",
     "RadianceCacheConfig": "config",
@@ -241,6 +245,7 @@ _MODULE_OF = {
     "estimate_normals": "scene.ops.estimate_normals",
     "extract_frames": "io.photographs.film",
     "find_poses": "io.photographs.poses",
+    "fit_lights": "relighting.fitting.fit_lights",
     "flip": "metrics.images",
     "focused": "renderer.one_shot",
     "frame_camera": "scene.ops.framing",
@@ -311,6 +316,7 @@ __all__ = [
     "DivergedError",
     "EnvironmentProbe",
     "FilterConfig",
+    "FittedView",
     "FormatError",
     "Frame",
     "GaussianSequence",
@@ -324,6 +330,7 @@ __all__ = [
     "LightEnvironment",
     "LightEstimate",
     "LightEstimationConfig",
+    "LightFit",
     "LightPoint",
     "LightRect",
     "LightSphere",
@@ -396,6 +403,7 @@ __all__ = [
     "estimate_sun",
     "extract_frames",
     "find_poses",
+    "fit_lights",
     "flip",
     "focused",
     "frame_camera",

@@ -66,6 +66,7 @@ LAYERS = (
     "renderer.integrators",
     "renderer",
     "relighting",
+    "relighting.fitting",
     "baking",
     "training.corrections",
     "training.surfaces",

@@ -21,6 +21,7 @@ from lumisplat.cli.commands.bench import Bench
 from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
 from lumisplat.cli.commands.evaluate import Evaluate
+from lumisplat.cli.commands.fit import Fit
 from lumisplat.cli.commands.frames import Frames
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.metrics import Metrics
@@ -61,6 +62,8 @@ An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o 
 
 A lit scene as a capture for every viewer: lumisplat bake scene.toml -o baked.ply
 
+The lights of a room from a photograph: lumisplat fit room.toml photo.jpg --camera door -o fitted.toml
+
 A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 5 --decimate 25% -o middle.spz"""
 
 _Command = (
@@ -76,6 +79,7 @@ _Command = (
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Metrics, subcommand("metrics")]
     | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[Fit, subcommand("fit")]
     | Annotated[Relight, subcommand("relight")]
     | Annotated[Bake, subcommand("bake")]
     | Annotated[ShadowMap, subcommand("shadowmap")]

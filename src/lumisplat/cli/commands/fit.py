@@ -1,0 +1,201 @@
+"""``lumisplat fit``: from a scene and photographs of it to the scene in the photographs' light."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+import lumisplat as ls
+from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
+from lumisplat.cli.options.rays import PipelineName
+from lumisplat.cli.options.settings import setting
+from lumisplat.cli.output.console import print_columns, progress_bars
+from lumisplat.cli.output.fit.fit_report import light_rows, write_report
+from lumisplat.cli.output.fit.fitted_scene import fitted_document
+from lumisplat.cli.output.pictures import check_writable
+
+_log = logging.getLogger("lumisplat")
+
+_PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit(LoadingCommand, DeviceCommand):
+    """Find the lights of a scene from photographs of it.
+
+    What is put into the scene then has the photograph's light: lumisplat fit room.toml photo.jpg --camera door
+    -o fitted.toml
+
+    Surfaces are known, and so are the lights' places unless --positions is given. Light bounces, as in reality.
+    """
+
+    files: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE PHOTO...", help_behavior_hint="")]] = ()
+    """A scene.toml with lamps where they may be, or captures and meshes, and photographs: .png, .jpg or .webp, or
+    linear .exr or .hdr."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """The scene file to write, .toml, with the lights that were found; an environment is beside it."""
+    overwrite: Flag = False
+    """Whether OUT, which may be SCENE itself, may replace a file that is there; comments in it are lost."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """The cameras of the photographs, as of render; without: those of the scene.toml."""
+    camera: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
+    """Camera of the first photograph, again for the next; without: the one with the photograph's name, or the only
+    one."""
+    mask: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
+    """Picture, white where the first photograph counts, again for the next."""
+    report: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="")] = None
+    """Write photograph, picture and difference (four times as strong) side by side, and the figures as report.json."""
+    environment_degree: Annotated[Literal["auto", "none", "0", "1", "2", "3", "4"], arg(metavar="auto|none|0-4")] = (
+        "auto"
+    )
+    """Harmonics of an environment; auto: 2, unless the scene has one with an image, which keeps it."""
+    no_intensities: Flag = False
+    """Keep the lights' intensities and colours."""
+    keep_hues: Flag = False
+    """Keep the lights' colours, and find their intensities."""
+    positions: Flag = False
+    """Find the places of lamps, and where spots and suns shine."""
+    radii: Flag = False
+    """Find the radii of lamps that have one."""
+    angles: Flag = False
+    """Find the cones of spots."""
+    base_colors: Annotated[str | None, arg(metavar="all|NAMES", help_behavior_hint="")] = None
+    """Find the base colours of all materials of meshes, or of these (names with commas), the others being known."""
+    exposure: Annotated[str | None, setting("STOPS|fit", "that of the cameras")] = None
+    """Of the photographs; fit: it is unknown."""
+    tone_map: Literal["none", "neutral", "agx"] = "none"
+    """What the photographs went through, besides sRGB."""
+    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path}", "path")] = None
+    """How light behaves: path in reality; else that which has rendered the picture."""
+    samples: Annotated[int | None, setting("N", "64 of paths")] = None
+    """Samples a pixel, for each light."""
+    shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("{off,hard,soft}", "hard")] = None
+    """Of pipelines but path."""
+    size: Annotated[int, arg(metavar="PX")] = 128
+    """Longer side of the pictures that are compared."""
+
+    def run(self) -> None:
+        """Fits, writes, prints."""
+        scenes = [file for file in self.files if file.suffix.lower() not in _PHOTOGRAPHS]
+        photographs = [file for file in self.files if file.suffix.lower() in _PHOTOGRAPHS]
+        if not scenes or not photographs:
+            missing = "scene" if not scenes else "photograph"
+            raise ls.ConfigError(f"no {missing} given: lumisplat fit room.toml photo.jpg -o fitted.toml")
+        self._check_output()
+        file = scene_file(scenes)
+        cameras = self._cameras(file, photographs)
+        config = self._config(scene_settings(file))
+        with progress_bars() as report:
+            self.start_warp()
+            document = ls.SceneDocument.open(scenes, lambda path: self.load_asset(path, report))
+            if document.problems:
+                raise ls.SceneError(document.problems[0])
+            fit = ls.fit_lights(
+                document.scene(),
+                cameras,
+                photographs,
+                masks=list(self.mask) or None,
+                environment_degree=self._degree(),
+                intensities=not self.no_intensities,
+                keep_hues=self.keep_hues,
+                positions=self.positions,
+                radii=self.radii,
+                angles=self.angles,
+                base_colors=self._base_colors(),
+                exposure=self._exposure(),
+                tone_map=self.tone_map,
+                size=self.size,
+                config=config,
+                device=self.device,
+                progress=report,
+            )
+            fitted, remarks = fitted_document(document, fit, self.output)
+            fitted.save(self.output, overwrite=self.overwrite)
+            if self.report is not None:
+                renderer = ls.create_renderer(replace(config, tone_map=ls.ToneMap(self.tone_map)), self.device)
+                write_report(self.report, fit, cameras, photographs, renderer)
+        for line in (*fit.remarks, *remarks):
+            _log.warning("%s", line)
+        print_columns(*light_rows(fit))
+        residuals = ", ".join(f"{view.residual:.4f}" for view in fit.views)
+        print(f"{self.output}: residual {residuals} (1 is white)")
+
+    def _check_output(self) -> None:
+        """Refuses what cannot be written, before anything slow is done."""
+        if self.output.suffix.lower() != ".toml":
+            raise ls.FormatError(self.output, "is no .toml: the scene in the light that is found is saved as one")
+        if self.output.exists() and not self.overwrite:
+            raise ls.FormatError(self.output, "is there already: choose another name, or give --overwrite")
+        check_writable(self.output.parent)
+        if self.report is not None:
+            check_writable(self.report)
+
+    def _cameras(self, file: Path | None, photographs: list[Path]) -> list[ls.Camera]:
+        """The camera of each photograph.
+
+        Raises:
+            ConfigError: There are none, or it is not clear which.
+        """
+        path = self.cameras or file
+        if path is None:
+            raise ls.ConfigError("no cameras given: --cameras FILE, or a scene.toml with cameras")
+        known = ls.load_cameras(path)
+        if not known:
+            raise ls.FormatError(
+                path, "has no cameras: say by [[cameras]], or by --cameras FILE, who took the photographs"
+            )
+        if self.camera and len(self.camera) != len(photographs):
+            raise ls.ConfigError(
+                f"--camera names {len(self.camera)} and there are {len(photographs)} photographs: name one for each"
+            )
+        if self.camera:
+            return [_named(path, known, name) for name in self.camera]
+        if len(known) == len(photographs) == 1:
+            return known
+        return [_named(path, known, photograph.stem) for photograph in photographs]
+
+    def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
+        """How light behaves: by paths, unless another pipeline is given."""
+        config = replace(base, pipeline=ls.Pipeline(self.pipeline or "path"), samples=self.samples, tone_map="none")
+        return config if self.shadows is None else replace(config, shadows=ls.Shadows(self.shadows))
+
+    def _degree(self) -> int | Literal["auto"] | None:
+        if self.environment_degree == "auto":
+            return "auto"
+        return None if self.environment_degree == "none" else int(self.environment_degree)
+
+    def _base_colors(self) -> bool | list[str]:
+        if self.base_colors is None or self.base_colors == "all":
+            return self.base_colors is not None
+        return [name.strip() for name in self.base_colors.split(",") if name.strip()]
+
+    def _exposure(self) -> float | Literal["fit"] | None:
+        """The exposure that was given.
+
+        Raises:
+            ConfigError: It is neither stops nor "fit".
+        """
+        if self.exposure is None or self.exposure == "fit":
+            return "fit" if self.exposure else None
+        try:
+            return float(self.exposure)
+        except ValueError:
+            raise ls.ConfigError(f"--exposure is '{self.exposure}', expected stops, or fit") from None
+
+
+def _named(path: Path, cameras: list[ls.Camera], name: str) -> ls.Camera:
+    """The camera of a name, or of an image of that name.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    for camera in cameras:
+        if name in (camera.name, Path(camera.name).stem):
+            return camera
+    listed = ", ".join(camera.name for camera in cameras[:8]) + (", ..." if len(cameras) > 8 else "")
+    raise ls.ConfigError(f"{path} has no camera '{name}', only {listed}: give --camera NAME for each photograph")

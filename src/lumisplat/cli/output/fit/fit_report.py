@@ -1,0 +1,108 @@
+"""What a fit of lights has found: a table, figures as JSON, and photographs beside what explains them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import lumisplat as ls
+from lumisplat.cli.output.pictures import file_stems, make_folder
+
+_GAIN = 4.0
+"""By how much differences are shown stronger than they are."""
+_WIDTH = 480
+"""Of each picture, pixels, at most."""
+
+
+def light_rows(fit: ls.LightFit) -> tuple[list[str], list[list[str]]]:
+    """The table of the lights: power, its standard error, place, and share of the light."""
+    header = ["light", "red", "green", "blue", "+-", "position", "+-", "share"]
+    rows: list[list[str]] = []
+    for number, light in enumerate(fit.lights):
+        is_sky = fit.environment is not None and number == len(fit.lights) - 1
+        power = [channel * light.intensity for channel in light.color]
+        if is_sky and fit.environment is not None:
+            power = [float(x) / (2.0 * math.sqrt(math.pi)) for x in fit.environment.coefficients[0]]
+        place = getattr(light, "position", None)
+        error = float(fit.position_errors[number].max())
+        rows.append(
+            [
+                light.name or f"light{number}",
+                *(f"{x:.4g}" for x in power),
+                f"{float(fit.standard_errors[number].max()):.2g}",
+                "" if place is None else ", ".join(f"{x:z.4g}" for x in place),
+                "" if math.isnan(error) else f"{error:.2g}",
+                f"{fit.shares[number]:.1%}",
+            ]
+        )
+    return header, rows
+
+
+def write_report(
+    folder: Path,
+    fit: ls.LightFit,
+    cameras: Sequence[ls.Camera],
+    photographs: Sequence[Path],
+    renderer: ls.Renderer,
+) -> None:
+    """Writes report.json and a picture for each photograph: it, the scene in the light that was found, the difference.
+
+    Raises:
+        FormatError: A file cannot be written.
+    """
+    make_folder(folder)
+    _write_json(folder / "report.json", _figures(fit, photographs))
+    stems = file_stems([photograph.stem for photograph in photographs])
+    for view, camera, photograph, stem in zip(fit.views, cameras, photographs, stems, strict=True):
+        width = min(camera.width, _WIDTH)
+        shown = replace(camera.scaled(width), exposure=view.camera.exposure)
+        frame = renderer.render(fit.scene, shown)
+        _write_beside(folder / f"{stem}.png", ls.load_image(photograph), frame)
+
+
+def _figures(fit: ls.LightFit, photographs: Sequence[Path]) -> dict[str, Any]:
+    header, rows = light_rows(fit)
+    lights = [dict(zip(("light", "red", "green", "blue"), row, strict=False)) for row in rows]
+    for number, light in enumerate(lights):
+        light |= {
+            "standard_error": fit.standard_errors[number].tolist(),
+            "share": float(fit.shares[number]),
+        }
+    assert header[0] == "light"
+    views = [
+        {
+            "photograph": str(path),
+            "residual": view.residual,
+            "exposure": float(stops),
+            "clipped": view.clipped,
+            "masked": view.masked,
+        }
+        for path, view, stops in zip(photographs, fit.views, fit.exposures, strict=True)
+    ]
+    return {"lights": lights, "base_colors": fit.base_colors, "views": views, "remarks": list(fit.remarks)}
+
+
+def _write_beside(path: Path, photograph: Any, frame: ls.Frame) -> None:
+    import numpy as np
+    from PIL import Image
+
+    picture = frame.pixels_srgb()[..., :3]
+    height, width = picture.shape[:2]
+    whole = Image.fromarray((255.0 * photograph + 0.5).astype(np.uint8)).resize((width, height), Image.Resampling.BOX)
+    own = np.asarray(whole, np.float32) / 255.0
+    beside = np.concatenate([own, picture, np.clip(_GAIN * np.abs(picture - own), 0.0, 1.0)], axis=1)
+    try:
+        Image.fromarray((255.0 * beside + 0.5).astype(np.uint8)).save(path)
+    except OSError as error:
+        raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    try:
+        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None

@@ -1,0 +1,80 @@
+"""A scene file with the lights and base colours that a fit has found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import lumisplat as ls
+from lumisplat.cli.output.pictures import make_folder
+
+
+def fitted_document(document: ls.SceneDocument, fit: ls.LightFit, output: Path) -> tuple[ls.SceneDocument, list[str]]:
+    """The document in the light that was found, and a line for each base colour that it cannot hold.
+
+    An environment of harmonics is written as ``NAME.assets/environment.exr``.
+
+    Args:
+        document: Of the scene that was fitted.
+        fit: What was found.
+        output: The scene file that is to be written.
+
+    Raises:
+        FormatError: The image of the environment cannot be written.
+    """
+    document, remarks = _with_colors(document, fit)
+    image = {}
+    for entry in document.entries:
+        if entry.kind in ("lights", "environment") and entry.table.get("enabled", True):
+            image = {"path": entry.table["path"]} if "path" in entry.table else image
+            document = document.removed(entry.id)
+        elif entry.lights and entry.kind == "meshes":
+            document = document.changed(entry.id, lights=False)
+    lamps = [light for light in fit.lights if not isinstance(light, ls.LightEnvironment)]
+    for light in ls.SceneDocument.of(ls.Scene(lights=lamps)).entries:
+        document, _ = document.added("lights", light.table)
+    for light in fit.lights:
+        if isinstance(light, ls.LightEnvironment):
+            table: dict[str, Any] = _sky_table(light)
+            if fit.environment is not None:
+                image = {"path": str(_written(fit, output))}
+            document, _ = document.added("environment", table | (image if light.image is not None else {}))
+    return document, remarks
+
+
+def _sky_table(light: ls.LightEnvironment) -> dict[str, Any]:
+    """The table of an environment, but for its image."""
+    (entry,) = ls.SceneDocument.of(ls.Scene(lights=[light])).entries
+    return {key: value for key, value in entry.table.items() if key != "path"}
+
+
+def _written(fit: ls.LightFit, output: Path) -> Path:
+    """The file of the harmonics' image."""
+    assert fit.environment is not None
+    folder = output.with_name(f"{output.stem}.assets")
+    make_folder(folder)
+    path = (folder / "environment.exr").absolute()
+    fit.environment.save(path, rotation_wxyz=fit.scene.upright_wxyz, height=32)
+    return path
+
+
+def _with_colors(document: ls.SceneDocument, fit: ls.LightFit) -> tuple[ls.SceneDocument, list[str]]:
+    """The document with the base colours."""
+    before, after = document.scene(), fit.scene
+    owned: dict[int, list[int]] = {}
+    for number in range(len(before.meshes)):
+        entry = document.owner(len(before.splats) + number)
+        owned.setdefault(entry.id, []).append(number)
+    remarks: list[str] = []
+    for entry_id, numbers in owned.items():
+        old = {before.meshes[number].mesh.material.base_color for number in numbers}
+        new = {after.meshes[number].mesh.material.base_color for number in numbers}
+        if old == new:
+            continue
+        entry = document.entry(entry_id)
+        if len(new) > 1 or entry.kind != "meshes":
+            remarks.append(f"{entry.name} has several materials, and one entry holds one: its base colours stay")
+            continue
+        material = dict(document.material(entry_id)) | {"base_color": list(next(iter(new)))}
+        document = document.changed(entry_id, material=material)
+    return document, remarks

@@ -1,0 +1,1 @@
+"""Lights and materials of a known scene, fitted to photographs of it."""

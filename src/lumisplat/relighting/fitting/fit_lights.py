@@ -1,0 +1,166 @@
+"""Lights of a known scene, and its base colours, from photographs of it: ``lumisplat.fit_lights``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config import RenderConfig, ToneMap, check_whole
+from lumisplat.config.checks import check_kind, enum_member
+from lumisplat.constants.light_fit import COARSE_SIZE, FIT_SIZE, PLACES_A_SIDE
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles
+from lumisplat.relighting.fitting.columns import huber_cost
+from lumisplat.relighting.fitting.guess import Guesser
+from lumisplat.relighting.fitting.layers import LightLayers
+from lumisplat.relighting.fitting.photographs import read_photographs
+from lumisplat.relighting.fitting.places import elsewhere
+from lumisplat.relighting.fitting.results import LightFit, result_of
+from lumisplat.relighting.fitting.search import search
+from lumisplat.relighting.fitting.task import Exposure, FitOptions, FitTask
+from lumisplat.relighting.fitting.told_apart import certainty_of
+from lumisplat.renderer.checks import check_scene
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import Scene
+
+Progress = Callable[[str, float], None]
+Picture = npt.NDArray[np.floating] | npt.NDArray[np.unsignedinteger] | str | os.PathLike[str]
+
+_LABEL = "fitting lights"
+_SURE = 0.9
+"""A lamp that was found elsewhere has to leave less than this share of the cost of one found near where it was."""
+
+
+def fit_lights(
+    scene: Scene,
+    cameras: Camera | Sequence[Camera],
+    photographs: Picture | Sequence[Picture],
+    *,
+    masks: Picture | Sequence[Picture | None] | None = None,
+    environment_degree: int | Literal["auto"] | None = "auto",
+    intensities: bool = True,
+    keep_hues: bool = False,
+    positions: bool = False,
+    radii: bool = False,
+    angles: bool = False,
+    base_colors: bool | Sequence[str] = False,
+    exposure: Exposure = None,
+    linear: bool | None = None,
+    tone_map: ToneMap | str = ToneMap.NONE,
+    size: int = FIT_SIZE,
+    config: RenderConfig | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> LightFit:
+    """Finds the lights of a scene, whose surfaces are known, from photographs of it.
+
+    A photograph is taken for ``gain (own + sum_l power_l picture_l)``: what shines by itself, and pictures of lights,
+    rendered one by one. Powers, at least 0, follow by least squares, robust against what the scene lacks;
+    positions and what else pictures are not proportional to by Gauss-Newton, from where the scene has the lights and
+    from a lattice of other places. Source: docs/method/relighting.md#lights-of-a-photograph.
+
+    Only products are seen of a light's strength and a surface's colour, and of both and the exposure. So base colours
+    are known unless they are asked for; if those of all materials are, their product over the materials stays, by
+    channel, as the scene has it. Exposures are known unless they are asked for; if nothing in the scene shines by
+    itself, that of the first photograph stays.
+
+    Args:
+        scene: Meshes, and captures with materials; its lights, where they are thought to be. Those that are not enabled
+            stay so.
+        cameras: One, or one a photograph, of the same aspect ratio.
+        photographs: Files or arrays (H, W, 3), uint8 or 0..1: one, or several in a list. Display-referred sRGB; .exr
+            and .hdr are linear.
+        masks: One a photograph, files or arrays (H, W): what is at least half white counts. None, also in place of one:
+            all does.
+        environment_degree: Of an environment in spherical harmonics in place of the scene's own, 0 to 4 (1 to 25
+            coefficients); None: none, and the scene's own keeps its image. ``"auto"``: 2, unless the scene's own has an
+            image, or intensities are not asked for.
+        intensities: Whether to find the lights' intensities and colours; else they are as the scene has them.
+        keep_hues: Whether each light keeps its colour, so that only its intensity is found.
+        positions: Whether to find positions of lights, and directions of spots and suns.
+        radii: Whether to find radii of points, spots and spheres that have one.
+        angles: Whether to find cones of spots.
+        base_colors: Whether to find the base colours of meshes' materials: all, or those of these names (of a material,
+            else of its instance or mesh), the others being known.
+        exposure: Of the photographs, stops: one, or one for each, or ``"fit"``; None: those of the cameras.
+        linear: Whether arrays hold linear light; None: they do not.
+        tone_map: What display-referred photographs went through.
+        size: Pixels along the longer side of the pictures that are compared, 16 to 4096.
+        config: How light behaves. None: paths, 64 samples for each light, as in reality. A photograph that was rendered
+            by another pipeline is explained by the same one. Shadows of lights with a size are soft if it says so.
+        device: As for ``create_renderer``.
+        progress: Called with what is being done and the fraction done, 0..1.
+
+    Raises:
+        ConfigError: A setting is out of its range, or nothing is asked for.
+        DeviceError: There is no such device, or it is out of memory.
+        FormatError: A photograph or a mask cannot be read.
+        SceneError: The scene has no lights, cameras and photographs do not match, values are not finite, a photograph
+            is black, or no pixel counts; the message says which.
+    """
+    check_scene(scene)
+    check_whole("size", size, 16, 4096)
+    if config is not None:
+        check_kind("config", config, RenderConfig)
+    options = FitOptions(
+        environment_degree=environment_degree,
+        intensities=intensities,
+        keep_hues=keep_hues,
+        positions=positions,
+        radii=radii,
+        angles=angles,
+        base_colors=base_colors,
+        exposure=exposure,
+    )
+    curve = enum_member("tone_map", tone_map, ToneMap)
+    views = read_photographs(cameras, photographs, masks, linear=linear, tone_map=curve)
+    report = progress or _say_nothing
+    report(_LABEL, 0.0)
+    layers = LightLayers(config, device)
+    small = [view.scaled(size) for view in views]
+    exposures = [view.camera.exposure for view in views]
+    task = FitTask.of(scene, options, exposures, shines=lambda: bool(layers.picture(scene, (), small).any()))
+    start, gains = task.scene, task.gains
+    if any(move.kind == "position" for move in task.moves):
+        coarse = Guesser(
+            task, [view.scaled(min(size, COARSE_SIZE)) for view in views], LightLayers(config, device, 0.25)
+        )
+        start, gains = _looked_for(coarse, lambda share: report(_LABEL, 0.1 + 0.5 * share))
+    guesser = Guesser(task, small, layers)
+    if not guesser.observed.counts.any():
+        raise SceneError(
+            "the photographs show nothing that the lights light, but what is clipped or masked: captures "
+            "without a material keep their look, whatever the light; give them one"
+        )
+    found = search(guesser, guesser.begin(start, gains), lambda share: report(_LABEL, 0.6 + 0.4 * share))
+    found = guesser.settled(found)
+    result = result_of(scene, options, guesser, found, certainty_of(guesser, found))
+    report(_LABEL, 1.0)
+    return result
+
+
+def _looked_for(guesser: Guesser, report: Callable[[float], None]) -> tuple[Scene, Doubles]:
+    """Where lamps are about, by small pictures, and exposures: the best of searches from several places.
+
+    Args:
+        guesser: Of small pictures.
+        report: Called with the fraction done, 0..1.
+    """
+    best = search(guesser, guesser.begin(guesser.task.scene, guesser.task.gains))
+    for row, side in enumerate(PLACES_A_SIDE):
+        report((1 + row) / (1 + len(PLACES_A_SIDE)))
+        scene = elsewhere(guesser, best, side)
+        if scene is best.scene:
+            continue
+        other = search(guesser, guesser.moved(best, scene, best.gains))
+        costs = [huber_cost(guesser.observed, one.solution.model, best.solution.deviation) for one in (best, other)]
+        best = other if costs[1] < _SURE * costs[0] else best
+    return best.scene, best.gains
+
+
+def _say_nothing(label: str, share: float) -> None:
+    """Reports to nobody."""

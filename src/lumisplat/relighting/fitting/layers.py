@@ -1,0 +1,146 @@
+"""What each light gives to the photographs' pixels: pictures of it alone, rendered twice where light is random.
+
+The two have noise of their own, so that products of one with the other are right on average: with the square of one
+picture, lights would come out too weak (docs/method/relighting.md#lights-of-a-photograph).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lumisplat.config import Pipeline, RasterStrategy, RenderConfig
+from lumisplat.constants.light_fit import FIT_SAMPLES_OF_PATHS
+from lumisplat.errors import ConfigError
+from lumisplat.frame.frame import Frame
+from lumisplat.math.arrays import Doubles, Flags
+from lumisplat.relighting.fitting.photographs import FitPhotograph
+from lumisplat.relighting.fitting.smooth_light import SmoothLight
+from lumisplat.renderer.renderer import Renderer, create_renderer
+from lumisplat.scene.lights import Light, LightPoint
+from lumisplat.scene.scene import MeshInstance, Scene
+
+Layer = Callable[[Scene, Frame], Doubles]
+"""What is taken of a frame, shape (H, W, 3)."""
+_PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
+_NOTHING = LightPoint((0.0, 0.0, 0.0), enabled=False)
+"""Keeps the headlight away from scenes without lights."""
+_KEPT = 1e-3
+"""Share of captures that keep their look, and of nothing at all, up to which a pixel tells of lights."""
+
+
+class LightLayers:
+    """Renders lights one by one, in all photographs.
+
+    Args:
+        config: How light behaves; None: as paths.
+        device: As of ``create_renderer``.
+        share: Of the samples that are taken.
+    """
+
+    def __init__(self, config: RenderConfig | None, device: str, share: float = 1.0) -> None:
+        base = RenderConfig(pipeline=Pipeline.PATH) if config is None else config
+        if base.pipeline is Pipeline.REALTIME:
+            raise ConfigError("Pipeline.REALTIME finds light over many frames: fit by Pipeline.PATH, whose light it is")
+        self.is_path = base.pipeline is Pipeline.PATH
+        samples = base.samples or (FIT_SAMPLES_OF_PATHS if self.is_path else None)
+        half = None if samples is None else max(1, round(0.5 * share * samples))
+        settled = {"background": (0.0, 0.0, 0.0), "lighting": True, "samples": half, "adaptive": False}
+        without = {"time_limit": None, "noise": None, "aovs": _PATH_AOVS if self.is_path else ()}
+        self.config = replace(base, **settled, **without)
+        self._device = device
+        self._renderers: list[Renderer] = []
+        self._smooth: dict[tuple[object, ...], tuple[tuple[MeshInstance, ...], SmoothLight]] = {}
+        """By view: the meshes of the last scene, and which pixels are on one surface."""
+        self._is_random = self.is_path or base.raster.strategy is RasterStrategy.STOCHASTIC
+
+    def shown(self, scene: Scene, photographs: Sequence[FitPhotograph]) -> Flags:
+        """Which pixels show what lights light, shape (N,)."""
+        frames = self._frames(0, _with_lights(scene, ()), photographs)
+        weights = [np.asarray(frame.captured_weight).ravel() for frame in frames]
+        return np.concatenate(weights) < _KEPT
+
+    def picture(self, scene: Scene, lights: Sequence[Light], photographs: Sequence[FitPhotograph]) -> Doubles:
+        """Linear light of a scene under these lights alone, what shines by itself included, shape (2, N, 3)."""
+        return self._both(_with_lights(scene, lights), photographs, self._whole)
+
+    def alone(self, scene: Scene, light: Light, photographs: Sequence[FitPhotograph], fixed: Doubles) -> Doubles:
+        """Linear light that one light adds.
+
+        Args:
+            scene: The scene.
+            light: The light.
+            photographs: Say which pixels.
+            fixed: The picture without lights.
+
+        Returns:
+            Shape (2, N, 3).
+        """
+        lit = _with_lights(scene, (light,))
+        if self.is_path:  # its own layer: what else shines would only bring noise
+            return self._both(lit, photographs, self._own)
+        return self._both(lit, photographs, self._whole) - fixed
+
+    def _both(self, scene: Scene, photographs: Sequence[FitPhotograph], layer: Layer) -> Doubles:
+        """A layer rendered with two seeds; a single time, if it is not random."""
+        first = self._frames(0, scene, photographs)
+        rows = self._rows(scene, first, layer)
+        if not self._is_random and all(frame.samples <= 1 for frame in first):
+            return np.stack([rows, rows])
+        return np.stack([rows, self._rows(scene, self._frames(1, scene, photographs), layer)])
+
+    def _rows(self, scene: Scene, frames: Sequence[Frame], layer: Layer) -> Doubles:
+        return np.concatenate([layer(scene, frame).reshape(-1, 3) for frame in frames])
+
+    def _frames(self, half: int, scene: Scene, photographs: Sequence[FitPhotograph]) -> list[Frame]:
+        while len(self._renderers) <= half:
+            seed = (self.config.seed + 7919 * len(self._renderers)) % 2**32
+            self._renderers.append(create_renderer(replace(self.config, seed=seed), self._device))
+        return [self._renderers[half].render(scene, replace(one.camera, exposure=0.0)) for one in photographs]
+
+    def _whole(self, scene: Scene, frame: Frame) -> Doubles:
+        """All light, what has bounced averaged."""
+        light = np.asarray(frame.light, np.float64)
+        if not self.is_path:
+            return light
+        first = sum(
+            np.asarray(part, np.float64) for part in (frame.direct_diffuse, frame.direct_glossy, frame.emission)
+        )
+        return first + self._averaged(scene, frame, light - first)
+
+    def _own(self, scene: Scene, frame: Frame) -> Doubles:
+        """The light of the only light, what has bounced averaged."""
+        assert frame.light_total is not None and frame.light_direct is not None and frame.light_shadow is not None
+        first = np.asarray(frame.light_direct[0] * frame.light_shadow[0], np.float64)
+        return first + self._averaged(scene, frame, frame.light_total[0] - first)
+
+    def _averaged(self, scene: Scene, frame: Frame, bounced: Doubles) -> Doubles:
+        key = (frame.camera.width, frame.camera.height, frame.camera.camera_from_world.tobytes())
+        held = self._smooth.get(key)
+        if held is None or held[0] != scene.meshes:
+            held = self._smooth[key] = scene.meshes, SmoothLight.of(scene, frame)
+        return held[1].averaged(bounced)
+
+
+def unit(light: Light) -> Light:
+    """The light with a power of 1 in each channel."""
+    return replace(light, color=(1.0, 1.0, 1.0), intensity=1.0)
+
+
+def power_of(light: Light) -> Doubles:
+    """Colour times intensity, shape (3,)."""
+    return np.array(light.color, np.float64) * light.intensity
+
+
+def with_power(light: Light, power: Doubles) -> Light:
+    """The light with this power: its brightest channel becomes the intensity; one without any keeps its colour."""
+    brightest = float(power.max())
+    if brightest <= 0.0:
+        return replace(light, intensity=0.0)
+    return replace(light, color=tuple(power / brightest), intensity=brightest)
+
+
+def _with_lights(scene: Scene, lights: Sequence[Light]) -> Scene:
+    return replace(scene, lights=tuple(lights) or (_NOTHING,))

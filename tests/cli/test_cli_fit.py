@@ -1,0 +1,199 @@
+"""``lumisplat fit``: a scene and its photographs to the scene in their light."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import warp as wp
+from PIL import Image
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+
+ROOM = """
+[render]
+background = "#203040"
+
+[[cameras]]
+name = "door"
+eye = [0.0, 1.6, 4.0]
+target = [0.0, 0.8, 0.0]
+width = 64
+height = 48
+
+[[cameras]]
+name = "window.png"
+eye = [3.0, 1.8, 2.5]
+target = [0.0, 0.5, 0.0]
+width = 64
+height = 48
+
+# A floor, a wall and a box.
+[[meshes]]
+path = "floor.obj"
+material = {{ base_color = [0.7, 0.6, 0.5], roughness = 1.0, specular = 0.0 }}
+
+[[meshes]]
+path = "box.obj"
+name = "box"
+material = {{ base_color = {box}, roughness = 1.0, specular = 0.0 }}
+
+[[lights]]
+type = "point"
+name = "left"
+position = [-1.5, 2.0, 1.0]
+color = {left}
+intensity = {strength}
+
+[[lights]]
+type = "point"
+name = "right"
+position = [1.6, 1.7, 1.2]
+intensity = {strength}
+
+[[lights]]
+type = "point"
+name = "switched off"
+position = [0.0, 1.0, 0.0]
+enabled = false
+"""
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A room as it was thought to be, and photographs of it as it is, rendered by rasterising."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    place.path("floor.obj").write_text(
+        "v -4 0 -3\nv 4 0 -3\nv 4 0 5\nv -4 0 5\nv -4 4 -3\nv 4 4 -3\nf 4 3 2 1\nf 1 2 6 5\n"
+    )
+    corners = [(x, y, z) for x in (-0.5, 0.5) for y in (0.0, 1.0) for z in (-0.5, 0.5)]
+    sides = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f " + " ".join(map(str, side)) for side in sides]
+    place.path("box.obj").write_text("\n".join(lines) + "\n")
+    place.path("truth.toml").write_text(ROOM.format(box=[0.2, 0.4, 0.7], left=[1.0, 0.5, 0.25], strength=4.0))
+    place.path("room.toml").write_text(ROOM.format(box=[0.2, 0.4, 0.7], left=[1.0, 1.0, 1.0], strength=1.0))
+    place.path("grey.toml").write_text(ROOM.format(box=[0.4, 0.4, 0.4], left=[1.0, 0.5, 0.25], strength=4.0))
+    for camera in ls.load_cameras(place.path("truth.toml")):
+        name = camera.name.removesuffix(".png")
+        scene = ls.load(place.path("truth.toml"))
+        assert isinstance(scene, ls.Scene)
+        ls.render(scene, camera, device="cpu").save(place.path(f"{name}.png"))
+    return place
+
+
+FIT = ("--pipeline", "raster", "--samples", "1", "--environment-degree", "none", "--device", "cpu")
+
+
+def lights_of(place: Workplace, name: str) -> dict[str, np.ndarray]:
+    """Powers of the lights of a scene file, by name."""
+    scene = ls.load(place.path(name))
+    assert isinstance(scene, ls.Scene)
+    return {light.name: np.array(light.color) * light.intensity for light in scene.lights}
+
+
+def test_lights_of_a_photograph_go_into_a_scene_file(work):
+    """The written scene has the lights that were found, everything else as it was; the old file is untouched."""
+    before = work.path("room.toml").read_text()
+    done = work.run("fit", "@room.toml", "@door.png", "-o", "@fitted.toml", *FIT)
+    assert (done.status, done.err) == (0, "")
+    assert "left" in done.out and "right" in done.out and "residual" in done.out
+    assert work.path("room.toml").read_text() == before
+    found = lights_of(work, "fitted.toml")
+    np.testing.assert_allclose(found["left"], (4.0, 2.0, 1.0), rtol=0.02)
+    np.testing.assert_allclose(found["right"], (4.0, 4.0, 4.0), rtol=0.02)
+    scene = ls.load(work.path("fitted.toml"))
+    assert isinstance(scene, ls.Scene) and len(scene.meshes) == 2 and len(scene.lights) == 3
+    assert [camera.name for camera in ls.load_cameras(work.path("fitted.toml"))] == ["door", "window.png"]
+    # An image of the fitted scene is the photograph.
+    camera = ls.load_cameras(work.path("fitted.toml"))[0]
+    picture = ls.render(scene, camera, device="cpu").pixels_srgb()
+    assert ls.psnr(picture, ls.load_image(work.path("door.png"))) > 40.0
+
+
+def test_an_environment_lies_beside_the_scene_file(work):
+    """Harmonics become an image that the file names by a relative path, and that is read again."""
+    done = work.run(
+        "fit",
+        "@room.toml",
+        "@door.png",
+        "--environment-degree",
+        "1",
+        "--size",
+        "16",
+        "--pipeline",
+        "raster",
+        "--samples",
+        "2",
+        "--device",
+        "cpu",
+        "-o",
+        "@f.toml",
+    )
+    assert done.status == 0, done.err
+    assert work.path("f.assets/environment.exr").exists()
+    assert 'path = "f.assets/environment.exr"' in work.path("f.toml").read_text()
+    assert "environment" in lights_of(work, "f.toml")
+
+
+def test_several_photographs_and_a_report(work):
+    """Cameras by names, or by the photographs' own; side by side in a folder, with the figures."""
+    done = work.run("fit", "@room.toml", "@door.png", "@window.png", "-o", "@a.toml", "--report", "@report", *FIT)
+    assert done.status == 0, done.err
+    with Image.open(work.path("report/door.png")) as picture:
+        assert picture.size == (3 * 64, 48)
+    report = json.loads(work.path("report/report.json").read_text())
+    assert [view["residual"] < 0.02 for view in report["views"]] == [True, True]
+    assert [light["light"] for light in report["lights"]] == ["left", "right"]
+    swapped = work.run("fit", "@room.toml", "@window.png", "--camera", "window.png", "-o", "@b.toml", *FIT)
+    assert swapped.status == 0
+    np.testing.assert_allclose(lights_of(work, "b.toml")["right"], (4.0, 4.0, 4.0), rtol=0.03)
+
+
+def test_base_colours_go_into_the_scene_file(work):
+    """The box's, the lights being known."""
+    done = work.run("fit", "@grey.toml", "@door.png", "-o", "@a.toml", "--base-colors", "box", "--no-intensities", *FIT)
+    assert done.status == 0, done.err
+    scene = ls.load(work.path("a.toml"))
+    assert isinstance(scene, ls.Scene)
+    np.testing.assert_allclose(scene.meshes[1].mesh.material.base_color, (0.2, 0.4, 0.7), atol=0.01)
+
+
+def test_nothing_is_overwritten_unless_asked_for(work):
+    """Neither the scene itself nor another file."""
+    refused = work.run("fit", "@room.toml", "@door.png", "-o", "@room.toml", *FIT)
+    assert refused.status == 2 and "is there already" in refused.err and "--overwrite" in refused.err
+    allowed = work.run("fit", "@room.toml", "@door.png", "-o", "@room.toml", "--overwrite", *FIT)
+    assert allowed.status == 0, allowed.err
+    np.testing.assert_allclose(lights_of(work, "room.toml")["left"], (4.0, 2.0, 1.0), rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("@room.toml", "-o", "@a.toml"), "no photograph given"),
+        (("@door.png", "-o", "@a.toml"), "no scene given"),
+        (("@room.toml", "@door.png", "-o", "@a.ply"), "is no .toml"),
+        (
+            ("@room.toml", "@door.png", "-o", "@a.toml", "--camera", "roof"),
+            "has no camera 'roof', only door, window.png",
+        ),
+        (
+            ("@room.toml", "@door.png", "-o", "@a.toml", "--camera", "door", "--camera", "door"),
+            "names 2 and there are 1",
+        ),
+        (("@room.toml", "@other.png", "-o", "@a.toml"), "has no camera 'other'"),
+        (("@box.obj", "@door.png", "-o", "@a.toml"), "no cameras given"),
+        (("@room.toml", "@door.png", "-o", "@a.toml", "--exposure", "bright"), "--exposure is 'bright'"),
+        (("@room.toml", "@wide.png", "-o", "@a.toml", "--camera", "door"), "of another shape"),
+    ],
+)
+def test_mistakes_are_said_in_a_line(work, arguments, message):
+    """Status 2, one line, no file."""
+    Image.new("RGB", (80, 40), (90, 90, 90)).save(work.path("wide.png"))
+    done = work.run("fit", *arguments, *FIT)
+    assert done.status == 2 and done.out == ""
+    assert message in done.err and done.err.count("\n") == 1
+    assert not work.path("a.toml").exists()

@@ -1,0 +1,302 @@
+"""Intensities, colours and skies from photographs that were rendered, so that the truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.panorama import panorama_directions
+from lumisplat.relighting.probe import EnvironmentProbe
+from support.scenes.fit_rooms import (
+    DIRECT,
+    assert_powers,
+    closed,
+    noisy,
+    open_above,
+    other_view,
+    power,
+    taken,
+    three_lamps,
+    unknown,
+    view,
+    with_strangers,
+)
+from support.scenes.light_scenes import matte
+
+
+def fitted(scene: ls.Scene, photographs, cameras=None, **options) -> ls.LightFit:
+    """A fit in light that does not bounce, at the photographs' own size."""
+    options = {"config": DIRECT, "environment_degree": None, "device": "cpu"} | options
+    return ls.fit_lights(scene, cameras or view(), photographs, **options)
+
+
+def test_three_lamps_of_a_perfect_photograph():
+    """Intensities and colours are exact, and nothing is left."""
+    lamps = three_lamps()
+    found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), view()))
+    assert_powers(found.lights, lamps, 1e-3)
+    assert found.scene.lights == found.lights
+    assert found.views[0].residual < 1e-3
+    assert found.shares.sum() == pytest.approx(1.0, abs=1e-6) and (found.shares > 0.1).all()
+    assert not found.remarks
+
+
+def test_three_lamps_with_noise_and_eight_bits():
+    """Within 5 %; the standard errors say how far off they are."""
+    lamps = three_lamps()
+    found = fitted(closed(*unknown(*lamps)), noisy(taken(closed(*lamps), view())))
+    assert_powers(found.lights, lamps, 0.05)
+    off = np.array([np.abs(power(one) - power(lamp)) for one, lamp in zip(found.lights, lamps, strict=True)])
+    assert (found.standard_errors > 0.0).all() and (found.standard_errors < 0.1).all()
+    assert (off < 5.0 * found.standard_errors).all()
+
+
+def test_a_lamp_that_is_off_is_off():
+    """No light is negative, nor taken for another's."""
+    lamps = three_lamps()
+    dark = replace(lamps[1], intensity=0.0)
+    found = fitted(closed(*unknown(*lamps)), noisy(taken(closed(lamps[0], dark, lamps[2]), view())))
+    assert power(found.lights[1]).max() < 0.02 * power(lamps[0]).max()
+    exact = fitted(closed(*unknown(*lamps)), taken(closed(lamps[0], dark, lamps[2]), view()))
+    assert power(exact.lights[1]).max() < 1e-6
+    assert exact.remarks == ("warm: it is off",)
+
+
+def test_hues_are_kept_if_asked_for():
+    """One unknown a light: a blue lamp stays blue, and is about as strong as the white one that it stands for."""
+    lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 1.0, 1.0), 3.0)
+    tinted = replace(lamp, color=(0.5, 0.5, 1.0), intensity=0.1)
+    found = fitted(closed(tinted), taken(closed(lamp), view()), keep_hues=True)
+    (light,) = found.lights
+    assert isinstance(light, ls.LightPoint) and light.color == (0.5, 0.5, 1.0)
+    assert 3.0 < light.intensity < 6.0
+    exact = fitted(closed(tinted), taken(closed(replace(tinted, intensity=4.0)), view()), keep_hues=True)
+    assert exact.lights[0].intensity == pytest.approx(4.0, rel=1e-3)
+
+
+def test_two_photographs_know_more_than_one():
+    """A lamp behind the box is seen by the second camera alone."""
+    lamps = three_lamps()
+    cameras = [view(), other_view()]
+    photographs = [taken(closed(*lamps), camera) for camera in cameras]
+    found = fitted(closed(*unknown(*lamps)), photographs, cameras)
+    assert_powers(found.lights, lamps, 1e-3)
+    assert len(found.views) == 2
+    grainy = [noisy(one, seed=number) for number, one in enumerate(photographs)]
+    both = fitted(closed(*unknown(*lamps)), grainy, cameras)
+    one = fitted(closed(*unknown(*lamps)), grainy[0], cameras[0])
+    assert both.standard_errors.sum() < one.standard_errors.sum()
+
+
+def test_what_the_scene_lacks_does_not_disturb_it():
+    """A black ball and a lit picture on the wall, which hide a sixth of the photograph: within 5 %."""
+    lamps = three_lamps()
+    room = closed(*lamps)
+    photograph = noisy(taken(with_strangers(room), view()))
+    clean = noisy(taken(room, view()))
+    assert (np.abs(photograph.astype(int) - clean) > 12).any(axis=2).mean() > 0.1
+    found = fitted(closed(*unknown(*lamps)), photograph)
+    assert_powers(found.lights, lamps, 0.05)
+    # Where it is hidden, nothing counts.
+    changed = (np.abs(photograph.astype(int) - clean) > 60).any(axis=2)
+    assert np.median(found.views[0].weights.min(axis=2)[changed]) < 0.05
+
+
+def test_clipped_pixels_are_left_out_and_counted():
+    """A photograph of three stops more light is white in places: the lamps are what they are."""
+    lamps = [replace(lamp, intensity=6.0 * lamp.intensity) for lamp in three_lamps()]
+    photograph = taken(closed(*lamps), view())
+    white = (photograph >= 0.995).any(axis=2)
+    assert 0.1 < white.mean() < 0.7
+    found = fitted(closed(*unknown(*lamps)), photograph)
+    assert_powers(found.lights, tuple(lamps), 1e-3)
+    assert found.views[0].clipped == np.count_nonzero(white | (photograph <= 0.0).any(axis=2))
+    assert (found.views[0].weights[photograph >= 0.995] == 0.0).all()
+    if white.mean() > 0.2:
+        assert "clipped" in found.remarks[0]
+
+
+def test_a_mask_leaves_out_what_it_hides():
+    """Half of the photograph is painted over, and masked."""
+    lamps = three_lamps()
+    photograph = taken(closed(*lamps), view())
+    mask = np.ones(photograph.shape[:2])
+    photograph[:, :30] = (0.9, 0.1, 0.9)
+    mask[:, :30] = 0.0
+    found = fitted(closed(*unknown(*lamps)), photograph, masks=mask)
+    assert_powers(found.lights, lamps, 1e-3)
+    assert found.views[0].masked == 30 * photograph.shape[0]
+
+
+def test_exposure_of_a_camera_is_known():
+    """A camera that says two stops less took the same lamps."""
+    lamps = three_lamps()
+    darker = replace(view(), exposure=-2.0)
+    found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), darker), darker)
+    assert_powers(found.lights, lamps, 2e-3)
+    given = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), darker), view(), exposure=-2.0)
+    assert_powers(given.lights, lamps, 2e-3)
+
+
+def test_exposures_are_found_against_the_first():
+    """Nothing shines by itself: the first photograph's exposure is held, which is said, the second's is found."""
+    lamps = three_lamps()
+    cameras = [view(), replace(other_view(), exposure=-1.3)]
+    photographs = [taken(closed(*lamps), camera) for camera in cameras]
+    found = fitted(closed(*unknown(*lamps)), photographs, [view(), other_view()], exposure="fit")
+    np.testing.assert_allclose(found.exposures, [0.0, -1.3], atol=5e-3)
+    assert_powers(found.lights, lamps, 5e-3)
+    assert "the exposure of photograph 0 stays 0 stops" in found.remarks[0]
+
+
+def test_exposure_is_found_by_what_shines():
+    """A sign of known radiance says how the photograph was exposed."""
+    lamps = three_lamps()
+    shining = replace(matte(0.0), emissive=(0.5, 0.4, 0.3))
+    sign = ls.Mesh(
+        [[0.6, 0.8, 0.02], [2.0, 0.8, 0.02], [2.0, 2.0, 0.02], [0.6, 2.0, 0.02]],
+        [[0, 1, 2], [0, 2, 3]],
+        material=shining,
+    )
+
+    def with_sign(scene: ls.Scene) -> ls.Scene:
+        return replace(scene, meshes=(*scene.meshes, ls.MeshInstance(sign)))
+
+    photograph = taken(with_sign(closed(*lamps)), replace(view(), exposure=-0.8))
+    found = fitted(with_sign(closed(*unknown(*lamps))), photograph, exposure="fit")
+    np.testing.assert_allclose(found.exposures, [-0.8], atol=5e-3)
+    assert_powers(found.lights, lamps, 5e-3)
+
+
+@pytest.mark.parametrize("tone_map", ["neutral", "agx"])
+def test_tone_maps_are_undone(tone_map):
+    """The photograph went through one; without saying so, lamps come out wrong."""
+    lamps = three_lamps()
+    photograph = taken(closed(*lamps), view(), replace(DIRECT, tone_map=tone_map))
+    found = fitted(closed(*unknown(*lamps)), photograph, tone_map=tone_map)
+    assert_powers(found.lights, lamps, 0.01)
+    wrong = fitted(closed(*unknown(*lamps)), photograph)
+    with pytest.raises(AssertionError):
+        assert_powers(wrong.lights, lamps, 0.01)
+
+
+def test_linear_files_are_linear(tmp_path):
+    """An EXR of the renderer is a photograph of linear light, to any brightness; a PNG is not."""
+    lamps = [replace(lamp, intensity=6.0 * lamp.intensity) for lamp in three_lamps()]
+    frame = ls.render(closed(*lamps), view(), DIRECT, device="cpu")
+    frame.save(tmp_path / "photo.exr")
+    found = fitted(closed(*unknown(*lamps)), tmp_path / "photo.exr")
+    assert_powers(found.lights, tuple(lamps), 1e-4)
+    assert found.views[0].clipped == 0
+    array = fitted(closed(*unknown(*lamps)), frame.color, linear=True)
+    assert_powers(array.lights, tuple(lamps), 1e-4)
+
+
+def sky(degree: int = 2) -> EnvironmentProbe:
+    """A sky of harmonics: bright on one side above, dark below, nowhere negative."""
+    coefficients = np.zeros((9, 3))
+    coefficients[0] = (1.4, 1.5, 1.8)
+    coefficients[1:4] = np.array([[-0.5], [0.2], [0.2]]) * (1.0, 1.0, 1.1)
+    coefficients[4:9] = np.array([[0.08], [0.12], [-0.1], [0.08], [0.08]]) * (1.0, 0.8, 0.6)
+    coefficients = coefficients[: (degree + 1) ** 2]
+    directions = panorama_directions(32, 64).reshape(-1, 3)
+    assert (EnvironmentProbe(coefficients).radiance(directions) > 0.0).all()
+    return EnvironmentProbe(coefficients)
+
+
+@pytest.mark.parametrize(
+    ("degree", "samples", "error"),
+    [pytest.param(1, 48, 0.06, id="daily"), pytest.param(2, 128, 0.04, id="deep", marks=pytest.mark.deep)],
+)
+def test_a_sky_and_a_lamp(degree, samples, error):
+    """What harmonics give to surfaces, beside a lamp's light: within 4 % of the mean, and with few samples 6 %."""
+    lamp = ls.LightPoint((3.0, 2.0, 3.2), (1.0, 0.7, 0.4), 1.5, name="lamp")
+    truth, camera = sky(degree), view(48, 36)
+    photograph = taken(open_above(lamp, truth.light()), camera, ls.RenderConfig(samples=256))
+    found = fitted(
+        open_above(*unknown(lamp)),
+        photograph,
+        camera,
+        config=ls.RenderConfig(samples=samples, seed=77),
+        environment_degree=degree,
+    )
+    assert found.environment is not None and isinstance(found.lights[-1], ls.LightEnvironment)
+    assert_powers(found.lights[:1], (lamp,), 0.03)
+    normals = np.array([(0, 1, 0), (0, 0, 1), (1, 0, 0), (-1, 0, 0)])  # of the floor and of the three sides
+    expected = truth.irradiance(normals)
+    np.testing.assert_allclose(found.environment.irradiance(normals), expected, atol=error * float(expected.mean()))
+    directions = panorama_directions(16, 32).reshape(-1, 3)
+    assert (found.environment.radiance(directions) > -0.02).all()
+
+
+def test_an_environment_with_an_image_keeps_it():
+    """It is one light, whose strength and colour are found; without harmonics unless they are asked for."""
+    image = sky().image(16)
+    truth = ls.LightEnvironment(image, (1.0, 0.8, 0.6), 1.4, visible=False, name="sky")
+    many = ls.RenderConfig(samples=64)
+    photograph = taken(open_above(truth), view(48, 36), many)
+    found = ls.fit_lights(
+        open_above(replace(truth, color=(1, 1, 1), intensity=1.0)), view(48, 36), photograph, config=many, device="cpu"
+    )
+    (light,) = found.lights
+    assert found.environment is None and isinstance(light, ls.LightEnvironment) and light.image is truth.image
+    assert_powers((light,), (truth,), 0.01)
+
+
+def test_lamps_at_one_place_are_flagged():
+    """Two lamps that give the same picture: one line says so, and together they are right."""
+    lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
+    twin = replace(lamp, name="right")
+    found = fitted(closed(*unknown(lamp, twin)), taken(closed(lamp), view()))
+    assert found.remarks == ("left and right cannot be told apart in the photographs: only their sum is known",)
+    np.testing.assert_allclose(power(found.lights[0]) + power(found.lights[1]), power(lamp), rtol=1e-3)
+
+
+def test_a_lamp_that_is_not_seen_stays_as_it_was():
+    """One that shines into a box, and one that is not enabled."""
+    lamps = three_lamps()
+    hidden = ls.LightPoint((2.75, 0.85, 1.3), (1.0, 0.2, 0.1), 9.0, name="hidden")
+    switched = replace(hidden, enabled=False, name="switched off")
+    found = fitted(closed(*unknown(*lamps), hidden, switched), taken(closed(*lamps), view()))
+    assert found.scene.lights[3].intensity == 9.0 and found.scene.lights[3].color == hidden.color
+    assert found.scene.lights[4] is switched and len(found.lights) == 4
+    assert found.remarks == ("hidden: none of its light is in the photographs, it stays as it was",)
+
+
+def test_base_colours_of_two_materials():
+    """The lights being known, the ball's and the box's colours are found; those of the walls are known."""
+    lamps = three_lamps()
+    photograph = taken(closed(*lamps), view())
+    room = closed(*lamps)
+    grey = [
+        replace(instance, name=name, mesh=replace(instance.mesh, material=matte(0.4)))
+        for name, instance in zip(("ball", "box"), room.meshes[-2:], strict=True)
+    ]
+    scene = replace(room, meshes=(*room.meshes[:-2], *grey))
+    found = fitted(scene, photograph, intensities=False, base_colors=["ball", "box"])
+    np.testing.assert_allclose(found.base_colors["ball"], (0.8, 0.5, 0.2), atol=2e-3)
+    np.testing.assert_allclose(found.base_colors["box"], (0.2, 0.5, 0.8), atol=2e-3)
+    assert [power(light).tolist() for light in found.lights] == [power(lamp).tolist() for lamp in lamps]
+    both = fitted(replace(scene, lights=unknown(*lamps)), photograph, base_colors=["ball", "box"])
+    np.testing.assert_allclose(both.base_colors["box"], (0.2, 0.5, 0.8), atol=4e-3)
+    assert_powers(both.lights, lamps, 5e-3)
+
+
+def test_all_base_colours_keep_their_product():
+    """Lights and surfaces are known up to a factor, which is held, and said."""
+    lamps = three_lamps()
+    room, camera = closed(*lamps), view(40, 30)
+    photograph = taken(room, camera)
+    grey = [replace(one, mesh=replace(one.mesh, material=matte(0.5))) for one in room.meshes]
+    found = fitted(replace(room, meshes=grey, lights=unknown(*lamps)), photograph, camera, base_colors=True)
+    assert any("up to a factor" in line for line in found.remarks)
+    assert found.views[0].residual < 0.01
+    colors = np.array(list(found.base_colors.values()))
+    np.testing.assert_allclose(np.log(colors).mean(axis=0), np.log(0.5), atol=0.1)
+    truth = np.array([one.mesh.material.base_color for one in room.meshes])
+    seen = [0, 1, 2, 3, 6, 7]
+    ratios = np.log(colors[seen] / truth[seen])
+    assert (ratios.max(axis=0) - ratios.min(axis=0) < 0.05).all()

@@ -1,0 +1,144 @@
+"""Positions, radii and cones of lamps that stand elsewhere than the scene has them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.relighting.fitting.guess import Guesser
+from lumisplat.relighting.fitting.layers import LightLayers
+from lumisplat.relighting.fitting.photographs import read_photographs
+from lumisplat.relighting.fitting.search import slopes_of
+from lumisplat.relighting.fitting.task import FitOptions, FitTask
+from support.kinds import expect_kind
+from support.scenes.fit_rooms import (
+    DIRECT,
+    ROOM,
+    assert_powers,
+    closed,
+    moved,
+    noisy,
+    open_above,
+    other_view,
+    taken,
+    three_lamps,
+    view,
+)
+
+SOFT = ls.RenderConfig(shadows=ls.Shadows.SOFT, samples=16)
+
+
+def fitted(scene: ls.Scene, cameras, photographs, **options) -> ls.LightFit:
+    """A fit in light that does not bounce, without an environment."""
+    return ls.fit_lights(
+        scene, cameras, photographs, **({"config": DIRECT, "environment_degree": None, "device": "cpu"} | options)
+    )
+
+
+def assert_places(found: tuple[object, ...], lamps: tuple[ls.LightPoint, ...], share: float) -> None:
+    """Each lamp is where it was, to a share of the room's length."""
+    for light, lamp in zip(found, lamps, strict=True):
+        assert isinstance(light, ls.LightPoint)
+        off = np.linalg.norm(np.subtract(light.position, lamp.position))
+        assert off < share * ROOM, (light.name, off)
+
+
+def test_a_lamp_is_found_again():
+    """From 0.3 of the room away, with noise and 8 bits: within 2 % of the room, and 5 % of its light."""
+    lamp = three_lamps()[1]
+    start = replace(lamp, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
+    assert math.dist(start.position, lamp.position) > 0.28 * ROOM
+    found = fitted(closed(start), view(), noisy(taken(closed(lamp), view())), positions=True, size=48)
+    assert_places(found.lights, (lamp,), 0.02)
+    assert_powers(found.lights, (lamp,), 0.05)
+    assert (found.position_errors < 0.02 * ROOM).all()
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("count", [1, 2])
+def test_three_lamps_are_found_again(count):
+    """All of them moved by 0.3 of the room, by one photograph and by two, with noise and 8 bits; names may change."""
+    lamps = three_lamps()
+    cameras = [view(), other_view()][:count]
+    photographs = [noisy(taken(closed(*lamps), camera), 0.01, number) for number, camera in enumerate(cameras)]
+    found = fitted(closed(*moved(lamps, 0.3)), cameras, photographs, positions=True, size=64)
+    places = np.array([expect_kind(ls.LightPoint, light).position for light in found.lights])
+    order = [int(np.linalg.norm(places - lamp.position, axis=1).argmin()) for lamp in lamps]
+    assert sorted(order) == [0, 1, 2]
+    lights = tuple(found.lights[row] for row in order)
+    assert_places(lights, lamps, 0.02)
+    assert_powers(lights, lamps, 0.05)
+
+
+@pytest.mark.deep
+def test_a_lamp_with_a_soft_shadow_is_found_again():
+    """As the first, with a penumbra and its noise."""
+    lamp = replace(three_lamps()[1], radius=0.1)
+    start = replace(lamp, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
+    photograph = noisy(taken(closed(lamp), view(), SOFT))
+    found = fitted(closed(start), view(), photograph, positions=True, config=SOFT, size=64)
+    assert_places(found.lights, (lamp,), 0.02)
+    assert_powers(found.lights, (lamp,), 0.05)
+
+
+def test_a_radius_is_found_by_its_penumbra():
+    """A ball of light that is thought to be a third as large: within a seventh, and its light within 3 %."""
+    lamp = ls.LightSphere((2.6, 2.2, 3.4), 0.35, (1.0, 0.9, 0.8), 12.0, name="ball")
+    small = view(48, 36)
+    photograph = taken(closed(lamp), small, replace(SOFT, samples=64))
+    found = fitted(closed(replace(lamp, radius=0.12, intensity=50.0)), small, photograph, radii=True, config=SOFT)
+    (light,) = found.lights
+    assert isinstance(light, ls.LightSphere)
+    assert light.radius == pytest.approx(0.35, abs=0.05)
+    power = math.pi * light.radius**2 * light.intensity
+    assert power == pytest.approx(math.pi * 0.35**2 * 12.0, rel=0.03)
+
+
+def test_a_spot_turns_and_narrows():
+    """Where it shines, and into which cone: the edge of its light says it."""
+    spot = ls.LightSpot((2.0, 2.8, 2.6), (0.2, -1.0, -0.3), (1.0, 0.9, 0.7), 8.0, inner_angle=0.35, outer_angle=0.6)
+    start = replace(spot, direction=(0.05, -1.0, -0.1), inner_angle=0.25, outer_angle=0.75, intensity=3.0)
+    photograph = taken(closed(spot), view())
+    found = fitted(closed(start), view(), photograph, positions=True, angles=True)
+    (light,) = found.lights
+    assert isinstance(light, ls.LightSpot)
+    assert math.degrees(math.acos(min(1.0, float(np.dot(light.direction, spot.direction))))) < 1.0
+    assert light.inner_angle == pytest.approx(0.35, abs=0.03) and light.outer_angle == pytest.approx(0.6, abs=0.02)
+    assert math.dist(light.position, spot.position) < 0.02 * ROOM
+
+
+def test_a_sun_turns():
+    """Parallel light whose direction is found, with what it casts."""
+    sun = ls.LightDirectional((0.5, -1.0, -0.35), (1.0, 0.95, 0.8), 2.0)
+    start = replace(sun, direction=(0.2, -1.0, 0.1), intensity=1.0)
+    photograph = taken(open_above(sun), view())
+    found = fitted(open_above(start), view(), photograph, positions=True)
+    (light,) = found.lights
+    assert isinstance(light, ls.LightDirectional)
+    assert math.degrees(math.acos(min(1.0, float(np.dot(light.direction, sun.direction))))) < 0.5
+    assert_powers((light,), (sun,), 0.02)
+
+
+def test_slopes_are_those_of_finer_differences():
+    """The derivative of each pixel by each coordinate: away from edges of shadows, half the step gives the same."""
+    lamp = replace(three_lamps()[0], intensity=1.0)
+    scene, photographs = closed(lamp), read_photographs(view(), taken(closed(lamp), view()))
+    task = FitTask.of(scene, FitOptions(positions=True, environment_degree=None), [0.0], shines=lambda: False)
+    guesser = Guesser(task, photographs, LightLayers(DIRECT, "cpu"))
+    guess = guesser.begin(task.scene, task.gains)
+    coarse = slopes_of(guesser, guess).pictures[0]
+    fine_task = replace(task, moves=tuple(replace(move, step=0.25 * move.step) for move in task.moves))
+    guesser.task = fine_task
+    fine = slopes_of(guesser, guess).pictures[0]
+    assert coarse.shape == (3, 96 * 72, 3)
+    scale = np.abs(fine).mean(axis=(1, 2), keepdims=True)
+    smooth = (np.abs(coarse) < 20.0 * scale) & (np.abs(fine) < 20.0 * scale)
+    off = np.abs(coarse - fine) / scale
+    assert smooth.mean() > 0.9
+    assert np.quantile(off[smooth], 0.9) < 0.03
+    # Of a point on the floor: by hand, d/dp of cos / r^2 is what it should be in sign.
+    assert (fine[1].sum() < 0.0) != (coarse[1].sum() > 0.0)

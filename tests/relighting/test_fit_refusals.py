@@ -1,0 +1,89 @@
+"""What cannot be fitted is refused in one line that says what, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.fit_rooms import DIRECT, closed, three_lamps, view
+
+GREY = np.full((72, 96, 3), 0.5)
+
+
+def refusal(*photographs, scene: ls.Scene | None = None, cameras=None, **options) -> str:
+    """The message, which is one line."""
+    options = {"config": DIRECT, "device": "cpu", "environment_degree": None} | options
+    given = list(photographs) if len(photographs) != 1 else photographs[0]
+    with pytest.raises((ls.ConfigError, ls.SceneError)) as caught:
+        ls.fit_lights(scene or closed(*three_lamps()), cameras or view(), given, **options)
+    message = str(caught.value)
+    assert "\n" not in message and len(message) < 300
+    return message
+
+
+def test_photographs_that_do_not_fit_their_cameras():
+    """Of another shape, of another number."""
+    assert "the photograph is 96 x 96, and its camera" in refusal(np.full((96, 96, 3), 0.5))
+    assert "1 cameras and 2 photographs" in refusal(GREY, GREY)
+    assert "2 cameras and 1 photographs" in refusal(GREY, cameras=[view(), view()])
+    assert "expected (H, W, 3)" in refusal(np.full((72, 96), 0.5))
+    assert "expected (H, W, 3)" in refusal(np.full((72, 96, 4), 0.5))
+
+
+def test_the_same_shape_at_another_size_is_fine():
+    """A large photograph of a small camera, and the other way round."""
+    for width in (48, 192):
+        fit = ls.fit_lights(
+            closed(*three_lamps()),
+            view(width, width * 3 // 4),
+            GREY,
+            config=DIRECT,
+            device="cpu",
+            environment_degree=None,
+        )
+        assert fit.views[0].photograph.shape == (72, 96, 3)
+
+
+def test_photographs_without_light():
+    """Black, white all over, masked, or not a number."""
+    assert "is black" in refusal(np.zeros((72, 96, 3)))
+    assert "every pixel is clipped" in refusal(np.ones((72, 96, 3)))
+    assert "clipped or masked" in refusal(GREY, masks=np.zeros((72, 96)))
+    assert "the mask of the photograph has shape (10, 10)" in refusal(GREY, masks=np.ones((10, 10)))
+    holes = GREY.copy()
+    holes[3, 4:7] = np.nan
+    assert "has 3 pixels that are NaN" in refusal(holes)
+
+
+def test_scenes_without_anything_to_fit():
+    """No lights, none enabled, nothing seen, nothing asked for."""
+    assert "no lights to fit" in refusal(GREY, scene=closed())
+    off = [replace(lamp, enabled=False) for lamp in three_lamps()]
+    assert "no lights to fit" in refusal(GREY, scene=closed(*off))
+    assert "nothing else is asked for" in refusal(GREY, intensities=False)
+    away = ls.Camera.look_at((2, 1.5, -9), (2, 1.5, -20), width=96, height=72)
+    assert "show nothing that the lights light" in refusal(GREY, cameras=away)
+    assert "empty" in refusal(GREY, scene=ls.Scene(lights=three_lamps()))
+
+
+def test_settings_out_of_range():
+    """Each is named."""
+    assert "environment_degree" in refusal(GREY, environment_degree=5)
+    assert "positions is 1" in refusal(GREY, positions=1)
+    assert "exposure is 'bright'" in refusal(GREY, exposure="bright")
+    assert "exposure is [0, 1]" in refusal(GREY, exposure=[0, 1])
+    assert "tone_map is 'film'" in refusal(GREY, tone_map="film")
+    assert "size is 8" in refusal(GREY, size=8)
+    assert "REALTIME" in refusal(GREY, config=ls.RenderConfig(pipeline=ls.Pipeline.REALTIME))
+    assert "base_colors names the material 'wood'" in refusal(GREY, base_colors=["wood"])
+    assert "base_colors is 'wood'" in refusal(GREY, base_colors="wood")
+
+
+def test_files_that_are_no_photographs(tmp_path):
+    """They are named."""
+    assert "photo.png" in refusal(tmp_path / "photo.png")
+    (tmp_path / "text.png").write_text("no picture")
+    assert "text.png" in refusal(tmp_path / "text.png")
