@@ -1,4 +1,4 @@
-"""Finds the light of a photograph of a known scene, and puts an object into it."""
+"""Finds the light of a photograph of a known room, and puts an object into it."""
 
 from __future__ import annotations
 
@@ -11,30 +11,53 @@ from PIL import Image
 import lumisplat as ls
 
 
+def matt(*color: float) -> ls.MaterialPbr:
+    """A matt material."""
+    return ls.MaterialPbr(base_color=color, roughness=0.9)
+
+
+def room() -> list[ls.MeshInstance]:
+    """A floor, three walls and a ceiling, open to the front, with a ball and a box."""
+    white, red, green = matt(0.75, 0.73, 0.7), matt(0.6, 0.14, 0.1), matt(0.15, 0.5, 0.2)
+    floor, side = ls.plane(4.0, 4.0, material=matt(0.6, 0.5, 0.4)), ls.plane(2.6, 4.0, material=white)
+    return [
+        ls.MeshInstance(floor),
+        ls.MeshInstance(replace(floor, material=white), position=(0, 2.6, 0), rotation_degrees=(180, 0, 0)),
+        ls.MeshInstance(ls.plane(4.0, 2.6, material=white), position=(0, 1.3, -2), rotation_degrees=(90, 0, 0)),
+        ls.MeshInstance(replace(side, material=red), position=(-2, 1.3, 0), rotation_degrees=(0, 0, -90)),
+        ls.MeshInstance(replace(side, material=green), position=(2, 1.3, 0), rotation_degrees=(0, 0, 90)),
+        ls.MeshInstance(ls.sphere(0.55, material=matt(0.75, 0.5, 0.25)), position=(-0.9, 0.55, -0.7)),
+        ls.MeshInstance(ls.box((0.8, 1.5, 0.8), material=matt(0.3, 0.45, 0.7)), position=(0.9, 0.75, -0.9)),
+    ]
+
+
 def taken(scene: ls.Scene, camera: ls.Camera, samples: int) -> np.ndarray:
     """A picture of light that bounces, as bytes."""
     frame = ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples))
     return np.asarray(frame, np.uint8)
 
 
-def main(width: int = 320, samples: int = 64, size: int = 96, degree: int = 2) -> None:
+def main(width: int = 240, samples: int = 64, size: int = 64) -> None:
     """Writes out/lights_of_a_photograph.png: photograph, scene as it was thought to be, as fitted, with an object."""
-    truth = ls.demo_scene_lit(ls.demo_scene())
-    camera = ls.demo_cameras(width, round(0.5625 * width), 1)[0]
+    lamps = [
+        ls.LightPoint((-1.3, 2.2, 0.6), (1.0, 0.62, 0.3), 2.6, radius=0.06, name="warm"),
+        ls.LightPoint((1.4, 1.2, 0.9), (0.35, 0.55, 1.0), 1.1, radius=0.06, name="cool"),
+    ]
+    sky = ls.LightEnvironment(color=(0.5, 0.6, 0.8), intensity=0.25, visible=False)
+    truth = ls.Scene(meshes=room(), lights=[*lamps, sky])
+    camera = ls.Camera.look_at((0.2, 1.5, 4.6), (0, 1.15, 0), width=width, height=round(0.7 * width), fov_y=0.72)
     grain = np.random.default_rng(0).normal(0.0, 2.0, (camera.height, camera.width, 3))
     photograph = np.clip(taken(truth, camera, samples) + grain, 0, 255).astype(np.uint8)
 
-    # Where the lamps stand is known, how bright they are and what sky is outside is not.
-    lamps = [replace(light, color=(1, 1, 1), intensity=2.0) for light in truth.lights[:2]]
-    thought = replace(truth, lights=lamps)
+    # Where the lamps stand is known. How bright they are, and that there is a sky, is not.
+    thought = replace(truth, lights=[replace(lamp, color=(1, 1, 1), intensity=1.0) for lamp in lamps])
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples)
-    fit = ls.fit_lights(thought, camera, photograph, environment_degree=degree, size=size, config=config)
+    fit = ls.fit_lights(thought, camera, photograph, environment_degree=1, size=size, config=config)
     for light, error in zip(fit.lights, fit.standard_errors, strict=True):
         print(light.name, np.round(np.multiply(light.color, light.intensity), 3), "+-", np.round(error, 3))
     print(*fit.remarks, sep="\n")
 
-    clay = ls.MaterialPbr(base_color=(0.85, 0.82, 0.78), roughness=0.6)
-    ball = ls.MeshInstance(ls.sphere(0.17, material=clay), position=(-0.28, 0.17, 0.55))
+    ball = ls.MeshInstance(ls.sphere(0.35, material=matt(0.85, 0.85, 0.85)), position=(0.1, 0.35, 0.5))
     scenes = (thought, fit.scene, replace(fit.scene, meshes=(*fit.scene.meshes, ball)))
     pictures = [photograph, *(taken(scene, camera, samples) for scene in scenes)]
     sheet = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])

@@ -22,7 +22,7 @@ LONG = {
     "realtime_room": {"width": 48, "frames": 2, "warm_up": 1},
     "drop_in_capture": {"width": 48, "samples": 1},
     "mirror_and_glass": {"width": 48, "samples": 1},
-    "lights_of_a_photograph": {"width": 48, "samples": 2, "size": 32, "degree": 0},
+    "lights_of_a_photograph": {"width": 48, "samples": 2, "size": 32},
     "relight_a_figure": {"width": 48, "count": 2000},
 }
 """Examples that take long, and what makes their pictures small."""

@@ -178,7 +178,8 @@ def _blurred(image: Doubles) -> Doubles:
     height, width = image.shape[:2]
     padded = np.pad(image, ((NOISE_BLUR, NOISE_BLUR), (NOISE_BLUR, NOISE_BLUR), (0, 0)), mode="edge")
     reach = range(2 * NOISE_BLUR + 1)
-    return np.mean([padded[y : y + height, x : x + width] for y in reach for x in reach], axis=0, dtype=np.float64)
+    shifted = np.array([padded[y : y + height, x : x + width] for y in reach for x in reach])
+    return np.asarray(shifted.mean(axis=0), np.float64)
 
 
 def _encoding_slope(light: Doubles) -> Doubles:
