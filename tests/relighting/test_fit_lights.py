@@ -229,8 +229,10 @@ def test_a_sky_and_a_lamp():
 
 
 def check_sky(found: ls.LightFit, truth: EnvironmentProbe) -> None:
-    """The floor and the end of the room have the light that they had, to 5 % of the mean; so have, to 10 %, the sides,
-    which are red and green, and show little of the other channels."""
+    """The floor and the end of the room have the light that they had, to 5 % of the mean; the sides, to 10 %.
+
+    They are red and green, and show little of the other channels.
+    """
     assert found.environment is not None and isinstance(found.lights[-1], ls.LightEnvironment)
     pale, colored = np.array([(0, 1, 0), (0, 0, 1)]), np.array([(1, 0, 0), (-1, 0, 0)])
     for normals, error in ((pale, 0.05), (colored, 0.10)):
