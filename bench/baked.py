@@ -3,10 +3,10 @@
 ``python -m bench.baked [--scenes room object metal] [--degrees 0 3]`` prints a JSON object a row, and writes frames of
 paths, baked and best ones to /tmp/baked. Frames are those of one ray a pixel through its centre, by rays that blend
 what they meet in order. What such a frame shows is linear in the harmonics before they are clamped: the best ones are
-the least-squares solution over the 16 views themselves, which no bake knows, by conjugate gradients.
+the least-squares solution over 48 other views, by conjugate gradients, so that they know as much of the 16 as a bake.
 
-Each view has four frames of paths: the best harmonics are fitted to two, and all errors are the mean of the product of
-those to the other two, in which their noise cancels. Meshes, such as the lamp, are left out.
+Each of the 16 views has two frames of paths: errors are the mean of the product of those to both, in which their noise
+cancels. Pixels that show meshes, such as the lamp, are left out.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from lumisplat.scene.ops.pixel_rays import world_rays  # noqa: E402
 from support.scenes.light_scenes import matte, metal, parallelogram  # noqa: E402
 from support.scenes.path_rooms import BOUNCES, closed_room, faceted_ball, sky_light, turned_box  # noqa: E402
 
-WIDTH, HEIGHT = 96, 72
+WIDTH, HEIGHT = 48, 36
 VIEWS = 16
 OUT = Path("/tmp/baked")
 ITERATIONS = 60
-RIDGE = 1e-4
+RIDGE = 1e-3
 Doubles = npt.NDArray[np.float64]
 
 
@@ -48,7 +48,8 @@ class Case:
     """A scene, and the views of it."""
 
     scene: ls.Scene
-    cameras: list[ls.Camera]
+    camera: Callable[[np.random.Generator], ls.Camera]
+    """One at random."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,6 @@ class View:
 
     truth: tuple[Doubles, Doubles]
     """Display-referred, two independent frames, (P, 3) each."""
-    fitted: Doubles
-    """The same of two others, to which the best harmonics are fitted."""
     blend: Any
     """Weights with which Gaussians are blended, sparse, (P, N)."""
     basis: Doubles
@@ -79,15 +78,24 @@ def main() -> None:
     """Bakes, fits, compares."""
     arguments = parser("baked", __doc__)
     arguments.add_argument("--scenes", nargs="+", default=["room", "object", "metal"])
-    arguments.add_argument("--degrees", nargs="+", type=int, default=[0, 1, 2, 3])
+    arguments.add_argument("--degrees", nargs="+", type=int, default=[0, 3])
     arguments.add_argument("--samples", type=int, default=8, help="of bakes, each direction")
     arguments.add_argument("--directions", type=int, default=32)
-    arguments.add_argument("--paths", type=int, default=128, help="a pixel, of each of four frames")
+    arguments.add_argument("--paths", type=int, default=48, help="a pixel, of each of two frames")
+    arguments.add_argument("--learnt", type=int, default=48, help="views that the best harmonics are fitted to")
+    arguments.add_argument("--count", type=int, default=500, help="Gaussians of a wall, a third of those of a ball")
     options = arguments.parse_args()
     OUT.mkdir(exist_ok=True)
     for name in options.scenes:
-        case = cases()[name]()
-        views = [view_of(case.scene, camera, number, options) for number, camera in enumerate(case.cameras)]
+        case = cases(options.count)[name]()
+        rng = np.random.default_rng(0)
+        learnt, views = (
+            [
+                view_of(case.scene, case.camera(rng), 10**5 + 2 * number, paths, options.device)
+                for number in range(count)
+            ]
+            for count, paths in ((options.learnt, max(options.paths // 4, 2)), (VIEWS, options.paths))
+        )
         for degree in options.degrees:
             started = time.process_time()
             baked = ls.bake(
@@ -99,7 +107,7 @@ def main() -> None:
             )
             seconds = time.process_time() - started
             sh = np.concatenate([one.gaussians.sh for one in baked.splats]).astype(np.float64)
-            best = best_harmonics(views, degree)
+            best = best_harmonics(learnt, degree)
             row = {
                 "scene": name,
                 "gaussians": len(sh),
@@ -142,7 +150,9 @@ def best_harmonics(views: list[View], degree: int) -> Doubles:
         return total
 
     sh = np.zeros((gaussians, count, 3))
-    residual = back([view.fitted - view.blend @ np.full((gaussians, 3), 0.5) for view in views])
+    residual = back(
+        [0.5 * (view.truth[0] + view.truth[1]) - view.blend @ np.full((gaussians, 3), 0.5) for view in views]
+    )
     along, before = residual.copy(), np.square(residual).sum(axis=(0, 1))
     for _ in range(ITERATIONS):
         product = back([view.blend @ view.colors(along) for view in views]) + RIDGE * along
@@ -154,13 +164,13 @@ def best_harmonics(views: list[View], degree: int) -> Doubles:
     return sh
 
 
-def view_of(scene: ls.Scene, camera: ls.Camera, number: int, options: Any) -> View:
-    """A view: four frames of paths, and how its pixels blend Gaussians."""
+def view_of(scene: ls.Scene, camera: ls.Camera, seed: int, paths: int, device: str) -> View:
+    """A view: two frames of paths, of this seed and the next, and how its pixels blend Gaussians."""
     from scipy.sparse import csr_array
 
     origins, directions = (rays.reshape(-1, 3) for rays in world_rays(camera))
     unlit = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False)
-    hits = ls.trace_rays(scene, origins, directions, unlit, profile=True, device=options.device)
+    hits = ls.trace_rays(scene, origins, directions, unlit, profile=True, device=device)
     profile = hits.profile
     assert profile is not None
     firsts = np.cumsum([0, *(one.gaussians.count for one in scene.splats)])
@@ -170,55 +180,61 @@ def view_of(scene: ls.Scene, camera: ls.Camera, number: int, options: Any) -> Vi
         (weights.astype(np.float64), (rows, profile.gaussian_index + firsts[profile.instance_index])),
         shape=(len(profile), int(firsts[-1])),
     )
+    alpha = np.asarray(blend.sum(axis=1)).ravel()
     # A mesh lets nothing through: what it adds to what Gaussians cover is what the pixel shows of it.
-    shown = 1.0 - hits.transmittance - np.asarray(blend.sum(axis=1)).ravel() < 0.02
+    shown = 1.0 - hits.transmittance - alpha < 0.02
+    # Behind pixels that are not covered is nothing, and pictures are laid over it as displays show them.
+    share = np.maximum(alpha[shown, None], 1e-6)
     frames = [
-        apply_tone_map(
-            ls.trace_rays(
-                scene,
-                origins[shown],
-                directions[shown],
-                ls.RenderConfig(
-                    pipeline=ls.Pipeline.PATH, samples=options.paths, max_bounces=BOUNCES, seed=100 + 4 * number + part
-                ),
-                device=options.device,
-            ).radiance,
-            ls.ToneMap.NONE,
-        ).astype(np.float64)
-        for part in range(4)
+        share * apply_tone_map(paths_of(scene, rays, paths, seed + half, device) / share, ls.ToneMap.NONE)
+        for half in (0, 1)
+        for rays in [(origins[shown], directions[shown])]
     ]
     means = np.concatenate([one.world_means for one in scene.splats])
     towards = means - camera.eye
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     return View(
         truth=(frames[0], frames[1]),
-        fitted=0.5 * (frames[2] + frames[3]),
         blend=blend[np.flatnonzero(shown)],
         basis=sh_basis(towards, 3).astype(np.float64),
         shown=shown.reshape(camera.height, camera.width),
     )
 
 
-def cases() -> dict[str, Callable[[], Case]]:
-    """By name, and made when they are asked for."""
-    return {"room": lambda: room(matte(0.8, 0.5, 0.2)), "object": statue, "metal": lambda: room(metal(0.4))}
+def paths_of(scene: ls.Scene, rays: tuple[Doubles, Doubles], paths: int, seed: int, device: str) -> Doubles:
+    """Linear radiance of rays, (P, 3)."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=paths, max_bounces=BOUNCES, seed=seed)
+    return ls.trace_rays(scene, *rays, config, device=device).radiance.astype(np.float64)
 
 
-def room(ball: ls.MaterialPbr) -> Case:
+def cases(count: int) -> dict[str, Callable[[], Case]]:
+    """By name, and made when they are asked for; with so many Gaussians a wall."""
+    return {
+        "room": lambda: room(matte(0.8, 0.5, 0.2), count),
+        "object": lambda: statue(count),
+        "metal": lambda: room(metal(0.6), count),
+    }
+
+
+def room(ball: ls.MaterialPbr, count: int) -> Case:
     """A closed room with a ball and a box: all Gaussians, but for the lamp in the ceiling."""
     meshes = [*closed_room(), faceted_ball(0.0, ball), turned_box(matte(0.2, 0.5, 0.8))]
     lamps = [mesh for mesh in meshes if mesh.material.is_emissive]
-    splats = [as_splats(mesh, 3000) for mesh in meshes if not mesh.material.is_emissive]
-    eyes = [(x, y, z) for x in (0.5, 3.5) for y in (0.8, 2.2) for z in (0.7, 2.0, 3.2, 4.5)]
-    targets = [(4.0 - x, 0.8 if y > 1.5 else 1.6, 5.0 - z + 0.3) for x, y, z in eyes]
-    cameras = [
-        ls.Camera.look_at(eye, target, (0.1, 1.0, 0.0), width=WIDTH, height=HEIGHT, fov_y=0.9)
-        for eye, target in zip(eyes, targets, strict=True)
+    splats = [
+        as_splats(mesh, 3 * count if mesh is meshes[-2] else count) for mesh in meshes if not mesh.material.is_emissive
     ]
-    return Case(ls.Scene(splats, lamps), cameras)
+    things = np.array([(1.15, 0.7, 2.1), (2.75, 0.85, 1.3)])
+
+    def camera(rng: np.random.Generator) -> ls.Camera:
+        while True:
+            eye, target = rng.uniform((0.4, 0.4, 0.4), (3.6, 2.6, 4.6), (2, 3))
+            if np.linalg.norm(things - eye, axis=1).min() > 1.2 and np.linalg.norm(target - eye) > 1.5:
+                return ls.Camera.look_at(eye, target, (0.1, 1.0, 0.0), width=WIDTH, height=HEIGHT, fov_y=0.9)
+
+    return Case(ls.Scene(splats, lamps), camera)
 
 
-def statue() -> Case:
+def statue(count: int) -> Case:
     """A glossy statue on a floor under a sun and a sky."""
     mesh = ls.load(DATA / "meshes" / "statue.glb")
     mesh = mesh.meshes[0].mesh if isinstance(mesh, ls.Scene) else mesh
@@ -226,19 +242,20 @@ def statue() -> Case:
     low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
     size = float((high - low).max())
     middle = 0.5 * (low + high)
-    corner = np.array([middle[0] - size, low[1], middle[2] - size])
-    floor = parallelogram(corner, (0.0, 0.0, 2.0 * size), (2.0 * size, 0.0, 0.0), matte(0.6))
+    corner = np.array([middle[0] - 0.6 * size, low[1], middle[2] - 0.6 * size])
+    floor = parallelogram(corner, (0.0, 0.0, 1.2 * size), (1.2 * size, 0.0, 0.0), matte(0.6))
     sun = ls.LightDirectional((-0.5, -1.0, -0.4), intensity=1.5, angle=0.02)
-    glossy = as_splats(replace(mesh, material=replace(mesh.material, roughness=0.4)), 20_000)
+    glossy = as_splats(replace(mesh, material=replace(mesh.material, roughness=0.4)), 5 * count)
     scene = ls.Scene(
-        [glossy, as_splats(floor, 10_000)], lights=[sun, replace(sky_light(), intensity=0.5, visible=False)]
+        [glossy, as_splats(floor, 4 * count)], lights=[sun, replace(sky_light(), intensity=0.5, visible=False)]
     )
-    cameras: list[ls.Camera] = []
-    for k in range(VIEWS):
-        angle, height = 2.0 * np.pi * k / VIEWS, (0.3, 0.7, 1.1)[k % 3]
-        eye = middle + 1.6 * size * np.array([np.cos(angle), height, np.sin(angle)])
-        cameras.append(ls.Camera.look_at(eye, middle, (0, 1, 0), width=WIDTH, height=HEIGHT, fov_y=0.7))
-    return Case(scene, cameras)
+
+    def camera(rng: np.random.Generator) -> ls.Camera:
+        angle, height = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.25, 1.2)
+        eye = middle + 1.3 * size * np.array([np.cos(angle), height, np.sin(angle)])
+        return ls.Camera.look_at(eye, middle, (0, 1, 0), width=WIDTH, height=HEIGHT, fov_y=0.7)
+
+    return Case(scene, camera)
 
 
 def as_splats(mesh: ls.Mesh, count: int) -> ls.SplatInstance:

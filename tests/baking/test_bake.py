@@ -44,7 +44,7 @@ def floor(count: int = 200) -> ls.SplatInstance:
 
 def test_a_white_ball_in_an_even_sky_has_its_color() -> None:
     """The furnace: whatever bounces, a white body is as bright as its surroundings."""
-    scene = ls.Scene([splats_of(ball(1.0, diffuse(1.0)), 300)], lights=[SKY])
+    scene = ls.Scene([splats_of(ball(1.0, diffuse(1.0), rows=16), 150)], lights=[SKY])
     (shown,) = baked(scene).splats
     expected = encode_srgb(np.array(SKY.color))
     colors = seen_from_outside(shown.gaussians)
@@ -71,12 +71,12 @@ def test_a_closed_ball_has_all_the_light_that_bounces() -> None:
     radius, albedo, shines = 0.2, 0.5, 20.0
     lamp = ball(radius, diffuse(0.0, shines), rows=16)
     walls = splats_of(ball(1.0, diffuse(albedo), hollow=True), 1500)
-    (shown,) = baked(ls.Scene([walls], [lamp], lights=[])).splats
+    (shown,) = baked(ls.Scene([walls], [lamp], lights=[]), replace(PATH, samples=2)).splats
     direct = np.pi * shines * radius**2
     light = albedo / np.pi * direct / (1.0 - albedo * (1.0 - radius**2))
     colors = seen_from_outside(shown.gaussians)
     np.testing.assert_allclose(colors.mean(axis=0), encode_srgb(np.full(3, light)), rtol=0.02)
-    assert colors.std() < 0.05
+    assert colors.std() < 0.08  # of 64 paths a Gaussian
 
 
 def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:
@@ -106,10 +106,9 @@ def test_frames_of_paths_are_met_and_highlights_by_higher_degrees() -> None:
     ]
     shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)), 1500)
     scene = ls.Scene([shiny], lights=lamps)
-    lit = replace(TRACE, samples=4)
-    errors = [squared_error(baked(scene, TRACE, degree=degree), scene, lit) for degree in (0, 1, 2, 3)]
-    assert errors[3] < errors[2] < errors[1] < errors[0]
-    assert errors[3] < 0.3 * errors[0]
+    lit = replace(TRACE, samples=2)
+    errors = [squared_error(baked(scene, TRACE, degree=degree), scene, lit) for degree in (0, 3)]
+    assert errors[1] < 0.3 * errors[0]
 
 
 def test_a_placed_set_looks_as_one_that_is_not() -> None:
@@ -142,11 +141,11 @@ def test_what_is_kept_stays_as_it_is() -> None:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
 def test_a_shadow_falls_on_a_shadow_only_capture(pipeline: ls.Pipeline) -> None:
     """Where a mesh blocks the sun its colours are darker; where it does not, they are the same to the bit."""
-    capture = replace(floor(2500), material=None, shadow_only=True)
+    capture = replace(floor(1200), material=None, shadow_only=True)
     roof = ls.MeshInstance(ls.box((0.8, 0.02, 0.8), material=diffuse(0.0)), position=(-0.5, 0.5, 0.0))
     down = ls.LightDirectional((0.0, -1.0, 0.0), intensity=2.0)
-    config = ls.RenderConfig(pipeline=pipeline, samples=8, max_bounces=0)
-    (shown,) = baked(ls.Scene([capture], [roof], [down]), config).splats
+    config = ls.RenderConfig(pipeline=pipeline, samples=2, max_bounces=0)
+    (shown,) = baked(ls.Scene([capture], [roof], [down]), config, directions=8).splats
     assert not shown.shadow_only and shown.material is None
     means, before, after = capture.gaussians.means, capture.gaussians.sh, shown.gaussians.sh
     size = float(np.median(capture.gaussians.scales.max(axis=1)))
@@ -160,7 +159,7 @@ def test_a_shadow_falls_on_a_shadow_only_capture(pipeline: ls.Pipeline) -> None:
 
 def test_the_same_seed_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many views are on the device at once; another seed gives others."""
-    scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5)), 60)], lights=[SKY, SUN])
+    scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 60)], lights=[SKY, SUN])
     first = baked(scene).splats[0].gaussians.sh
     monkeypatch.setattr(bake_module, "VIEWS_AT_ONCE", 32 * 7)
     np.testing.assert_array_equal(baked(scene).splats[0].gaussians.sh, first)
@@ -170,8 +169,8 @@ def test_the_same_seed_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> N
 def test_what_nobody_sees_is_finite() -> None:
     """Gaussians within a closed body have the little light that there is; nothing is NaN, or out of range."""
     hidden = replace(splats_of(ball(0.4, diffuse(0.5)), 40))
-    scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5)), 300), hidden], lights=[SKY])
-    for instance in baked(scene).splats:
+    scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 150), hidden], lights=[SKY])
+    for instance in baked(scene, replace(PATH, samples=2)).splats:
         assert np.isfinite(instance.gaussians.sh).all()
         assert np.abs(instance.gaussians.sh).max() < 4.0
 

@@ -7,7 +7,7 @@ import pytest
 
 from lumisplat.baking.sh_fit import fit_sh
 from lumisplat.baking.steadying import steadied
-from lumisplat.baking.view_weights import even_directions, random_turns, turned_directions, view_weights
+from lumisplat.baking.view_weights import even_directions, on_seen_sides, random_turns, turned_directions, view_weights
 from lumisplat.math.sh import sh_basis
 
 N, D = 50, 32
@@ -92,3 +92,16 @@ def test_the_side_counts_that_is_seen() -> None:
     assert known[2, :2].max() < 0.2 * known[2, 2:].min()  # a front that is black in the light is a wall's outside
     dark = view_weights(front, 0.0 * light, 0.0 * distance, knows_front=True)
     assert (dark > 0.0).all()
+
+
+def test_directions_go_where_anything_is_seen() -> None:
+    """Those on a side that counts for nothing are mirrored at the plane; where both sides count, they stay."""
+    along = directions()
+    normals = np.tile([0.0, 0.0, 1.0], (N, 1))
+    front = along[..., 2] < 0.0
+    only_front = on_seen_sides(along, normals, front.astype(float), front)
+    assert (only_front[..., 2] < 0.0).all()
+    np.testing.assert_array_equal(only_front[front], along[front])
+    np.testing.assert_allclose(only_front[~front], along[~front] * (1.0, 1.0, -1.0))
+    assert (on_seen_sides(along, normals, (~front).astype(float), front)[..., 2] > 0.0).all()
+    np.testing.assert_array_equal(on_seen_sides(along, normals, np.ones((N, D)), front), along)

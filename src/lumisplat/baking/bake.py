@@ -12,10 +12,16 @@ import numpy as np
 from lumisplat.baking.gaussian_views import GaussianViewer, ShownLight
 from lumisplat.baking.sh_fit import fit_sh
 from lumisplat.baking.steadying import steadied
-from lumisplat.baking.view_weights import plane_normals, random_turns, turned_directions, view_weights
+from lumisplat.baking.view_weights import on_seen_sides, plane_normals, random_turns, turned_directions, view_weights
 from lumisplat.config import Pipeline, RenderConfig, check_whole
 from lumisplat.constants import SAMPLES_MAX, SH_DEGREE_MAX
-from lumisplat.constants.baking import BAKE_DIRECTIONS, BAKE_DIRECTIONS_MAX, BAKE_SAMPLES, VIEWS_AT_ONCE
+from lumisplat.constants.baking import (
+    BAKE_DIRECTIONS,
+    BAKE_DIRECTIONS_MAX,
+    BAKE_SAMPLES,
+    PILOT_DIRECTIONS,
+    VIEWS_AT_ONCE,
+)
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.color import decode_srgb
@@ -129,7 +135,7 @@ class _Baker:
         parts: list[FloatArray] = []
         nonfinite = 0
         for views in self._views(instance, first):
-            shown = self._shown(views)
+            shown = self._shown(views, self.settings.samples)
             nonfinite += shown.nonfinite
             parts.append(views.shadow(shown) if instance.shadow_only else views.harmonics(shown, self.settings))
         if nonfinite:
@@ -150,14 +156,16 @@ class _Baker:
             rows = np.arange(begin, min(begin + at_once, count))
             if self.progress:
                 self.progress("baking", (first + begin) / self.total)
+            some = instance.gaussians.subset(rows)
             turned = turned_directions(self.settings.directions, turns[rows])
-            yield _Views(instance.gaussians.subset(rows), turned, rotation, first + begin)
+            pilot = _Views(some, turned_directions(PILOT_DIRECTIONS, turns[rows]), rotation, first + begin)
+            yield replace(pilot, directions=pilot.on_seen_sides(self._shown(pilot, 2), turned))
 
-    def _shown(self, views: _Views) -> ShownLight:
+    def _shown(self, views: _Views, samples: int) -> ShownLight:
         """What views show."""
         count = views.directions.shape[1]
         gaussian = np.repeat(np.arange(views.first, views.first + views.gaussians.count), count)
-        return self.viewer.show(views.first * count, gaussian, views.along, self.settings.samples)
+        return self.viewer.show(views.first * count, gaussian, views.along, samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,14 +185,18 @@ class _Views:
         """The directions in world space, a view each, (N * D, 3)."""
         return (self.directions.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
 
+    def on_seen_sides(self, shown: ShownLight, directions: Doubles) -> Doubles:
+        """Other directions of these Gaussians, on the sides that count by what these views show."""
+        weights = self._weights(shown)
+        return on_seen_sides(directions, plane_normals(self.gaussians), weights, self._front)
+
     def harmonics(self, shown: ShownLight, settings: _Settings) -> FloatArray:
         """Harmonics of what views show, (N, K, 3)."""
         shape = (*self.directions.shape[:2], 3)
         even, odd = shown.even.reshape(shape), shown.odd.reshape(shape)
         front = self._front
         captured, kept = shown.captured.reshape(shape), shown.captured_weight.reshape(shape[:2])
-        light: Doubles = 0.5 * (even + odd) + decode_srgb(captured)
-        weights = view_weights(front, light, self._distance(shown), knows_front=self._knows_front)
+        weights = self._weights(shown)
         even, odd = steadied(even, odd, weights, front)
 
         def seen(light: Doubles) -> Doubles:
@@ -198,8 +210,7 @@ class _Views:
     def shadow(self, shown: ShownLight) -> FloatArray:
         """Factors of the light of captured colours, (N, 3); exactly 1 where nothing has changed."""
         shape = (*self.directions.shape[:2], 3)
-        light = decode_srgb(shown.captured.reshape(shape)).astype(np.float64)
-        weights = view_weights(self._front, light, self._distance(shown), knows_front=self._knows_front)[..., None]
+        weights = self._weights(shown)[..., None]
         change = (weights * shown.change.reshape(shape)).sum(axis=1)
         received = (weights * shown.received.reshape(shape)).sum(axis=1)
         share = np.divide(change, received, out=np.zeros_like(change), where=received > 0.0)
@@ -210,12 +221,12 @@ class _Views:
         normals = plane_normals(self.gaussians)
         return (self.directions @ normals[:, :, None])[..., 0] < 0.0
 
-    @property
-    def _knows_front(self) -> bool:
-        return self.gaussians.normals is not None
-
-    def _distance(self, shown: ShownLight) -> Doubles:
-        return shown.distance.reshape(self.directions.shape[:2])
+    def _weights(self, shown: ShownLight) -> Doubles:
+        """How much views count, (N, D)."""
+        shape = self.directions.shape[:2]
+        light = (0.5 * (shown.even + shown.odd) + decode_srgb(shown.captured)).reshape(*shape, 3)
+        knows_front = self.gaussians.normals is not None
+        return view_weights(self._front, light, shown.distance.reshape(shape), knows_front=knows_front)
 
 
 def _extent(scene: Scene) -> float:

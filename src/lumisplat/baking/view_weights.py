@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.constants import LUMINANCE
-from lumisplat.constants.baking import BACK_SHARE, DARK_SIDE_MIN
+from lumisplat.constants.baking import BACK_SHARE, DARK_SIDE_MIN, SIDE_MIN
 from lumisplat.math.arrays import Doubles, Flags
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.scene.gaussians import Gaussians
@@ -37,6 +37,22 @@ def plane_normals(gaussians: Gaussians) -> Doubles:
         return gaussians.normals.astype(np.float64)
     axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64))
     return np.take_along_axis(axes, gaussians.scales.argmin(axis=1)[:, None, None], axis=2)[..., 0]
+
+
+def on_seen_sides(directions: Doubles, normals: Doubles, weights: Doubles, front: Flags) -> Doubles:
+    """Directions, mirrored at the planes of the Gaussians onto the side that alone counts, where one does.
+
+    Args:
+        directions: To be looked along, shape (N, D, 3).
+        normals: Of the planes, shape (N, 3).
+        weights: Of views that have been looked at already, shape (N, E).
+        front: Which of those show the front, shape (N, E).
+    """
+    share = side_means(weights, front.astype(np.float64))[:, None]
+    across = (directions * normals[:, None]).sum(axis=2)
+    unseen = ((share < SIDE_MIN) & (across < 0.0)) | ((share > 1.0 - SIDE_MIN) & (across > 0.0))
+    mirrored = directions - 2.0 * across[..., None] * normals[:, None]
+    return np.where(unseen[..., None], mirrored, directions)
 
 
 def view_weights(front: Flags, light: Doubles, distance: Doubles, *, knows_front: bool) -> Doubles:

@@ -9,8 +9,16 @@ BAKE_SAMPLES = 8
 VIEWS_AT_ONCE = 2**17
 """Views that are on the device at once: some 60 MiB."""
 
-VIEW_SPREAD = 1.0
-"""Within how much of a Gaussian it is seen, standard deviations of its own: what is seen of it in frames."""
+VIEW_SPREAD = 0.5
+"""Within how much of a Gaussian it is seen, standard deviations of its own. Frames blur once more what they blend of
+neighbours: at 1, edges are blurred twice, and Gaussians see around corners (1.1 dB in a room); at 0, the edge of a
+shadow is jagged."""
+
+PILOT_DIRECTIONS = 8
+"""From which each Gaussian is seen first, to know on which side it is seen; with two paths each."""
+
+SIDE_MIN = 0.05
+"""Share of what counts below which a side is not looked at any further: the other one gets all directions."""
 
 BACK_SHARE = 0.02
 """How much views of the back of Gaussians count whose normals are known, relative to those of their front."""
