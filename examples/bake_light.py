@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 import lumisplat as ls
 
 FLOOR = ls.MaterialPbr(base_color=(0.7, 0.68, 0.62), roughness=1.0, specular=0.0)
 WALL = ls.MaterialPbr(base_color=(0.65, 0.12, 0.08), roughness=1.0, specular=0.0)
-BRASS = ls.MaterialPbr(base_color=(0.9, 0.7, 0.35), metallic=1.0, roughness=0.45)
+GLAZE = ls.MaterialPbr(base_color=(0.15, 0.4, 0.35), roughness=0.45)
 
 
 def main(width: int = 240, count: int = 4000, samples: int = 8) -> None:
@@ -17,22 +19,22 @@ def main(width: int = 240, count: int = 4000, samples: int = 8) -> None:
     low, high = knot.positions.min(axis=0), knot.positions.max(axis=0)
     size = float((high - low).max())
     middle = 0.5 * (low + high)
-    floor, wall = ls.plane(3.0 * size, 3.0 * size, material=FLOOR), ls.plane(3.0 * size, 1.5 * size, material=WALL)
-    at_floor, at_wall = (middle[0], low[1], middle[2]), (middle[0], low[1] + 0.75 * size, middle[2] - 1.5 * size)
+    floor, wall = ls.plane(2.4 * size, 2.4 * size, material=FLOOR), ls.plane(2.4 * size, 1.2 * size, material=WALL)
+    at_floor, at_wall = (middle[0], low[1], middle[2]), (middle[0], low[1] + 0.6 * size, middle[2] - 1.2 * size)
 
     # What is to be in the capture is Gaussians; their albedo and roughness say how they reflect.
     things = [
-        ls.SplatInstance(ls.gaussians_from_mesh(replace(knot, colors=None, material=BRASS), count), material=BRASS),
-        ls.SplatInstance(ls.gaussians_from_mesh(floor, count // 2), position=at_floor, material=FLOOR),
+        ls.SplatInstance(ls.gaussians_from_mesh(replace(knot, colors=None, material=GLAZE), count), material=GLAZE),
+        ls.SplatInstance(ls.gaussians_from_mesh(floor, 2 * count), position=at_floor, material=FLOOR),
         ls.SplatInstance(
-            ls.gaussians_from_mesh(wall, count // 4),
+            ls.gaussians_from_mesh(wall, count // 2),
             position=at_wall,
-            rotation_wxyz=(0.7071, 0.7071, 0.0, 0.0),
+            rotation_degrees=(90.0, 0.0, 0.0),
             material=WALL,
         ),
     ]
     lamp = ls.LightPoint(
-        tuple(middle + size * (1.1, 1.6, 0.9)), (1.0, 0.9, 0.75), intensity=9.0 * size**2, radius=0.1 * size
+        middle + size * np.array((1.1, 1.6, 0.9)), (1.0, 0.9, 0.75), intensity=9.0 * size**2, radius=0.1 * size
     )
     sky = ls.LightEnvironment(color=(0.25, 0.35, 0.5), intensity=0.5, visible=False)
     scene = ls.Scene(splats=things, lights=[lamp, sky])
@@ -42,8 +44,10 @@ def main(width: int = 240, count: int = 4000, samples: int = 8) -> None:
     placed = [ls.transform(one.gaussians, one.transform) for one in baked.splats]
     ls.save("out/bake_light/baked.spz", ls.merge(placed))
     for number, side in enumerate(((0.9, 0.7, 1.7), (-1.5, 0.9, 1.2))):
-        camera = ls.Camera.look_at(middle + size * side, middle, (0, 1, 0), width=width, height=width, fov_y=0.8)
-        ls.render(scene, camera, replace(paths, samples=4 * samples)).save(f"out/bake_light/lit_{number}.png")
+        camera = ls.Camera.look_at(
+            middle + size * np.array(side), middle, (0, 1, 0), width=width, height=width, fov_y=0.8
+        )
+        ls.render(scene, camera, replace(paths, samples=8 * samples)).save(f"out/bake_light/lit_{number}.png")
         ls.render(baked, camera).save(f"out/bake_light/baked_{number}.png")
 
 

@@ -165,7 +165,8 @@ class _Baker:
         """What views show."""
         count = views.directions.shape[1]
         gaussian = np.repeat(np.arange(views.first, views.first + views.gaussians.count), count)
-        return self.viewer.show(views.first * count, gaussian, views.along, samples)
+        number = views.first * count % 2**30  # of random numbers: 32 bits on the device
+        return self.viewer.show(number, gaussian, views.along, samples)
 
 
 @dataclass(frozen=True, slots=True)
