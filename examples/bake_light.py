@@ -13,7 +13,7 @@ WALL = ls.MaterialPbr(base_color=(0.65, 0.12, 0.08), roughness=1.0, specular=0.0
 GLAZE = ls.MaterialPbr(base_color=(0.15, 0.4, 0.35), roughness=0.45)
 
 
-def main(width: int = 240, count: int = 4000, samples: int = 8) -> None:
+def main(width: int = 200, count: int = 3000, samples: int = 4) -> None:
     """Writes out/bake_light: lit_0.png, baked_0.png and so on from two sides, and baked.spz."""
     knot = next(one.mesh for one in ls.demo_scene().meshes if one.name == "brass")
     low, high = knot.positions.min(axis=0), knot.positions.max(axis=0)
