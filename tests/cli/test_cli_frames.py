@@ -19,7 +19,10 @@ def test_a_film_becomes_photographs(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert len(list((folder / "images").glob("*.jpg"))) == 3
     told = capsys.readouterr().out
     assert told.startswith(f"{folder / 'images'}: 3 photographs of 64 x 48\n")
-    assert f"next: lumisplat train {folder} -o walk.ply --poses colmap-film" in told
+    assert f"next: lumisplat train {folder} -o walk.ply --poses colmap-film --stop-after 5m" in told
+    ls.save_animation(film, np.zeros((2, 640, 400, 3)), fps=4)
+    assert main(["frames", str(film), "-o", str(tmp_path / "tall")]) == 0
+    assert "--poses colmap-film --scale 0.5 --stop-after 5m" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,10 @@ SSIM_C2 = 0.03**2
 
 # --- How Gaussians come and go ---
 
+POINTS_SHARE_MIN = 0.05
+"""Known points, as a share of those that training begins with where none are known, below which random ones are added:
+MCMC adds a twentieth of what there is, and never gets far from next to nothing."""
+
 DENSIFY_AFTER = 500
 """Steps before the first change of the number of Gaussians, but for short trainings: a sixtieth of these."""
 

@@ -298,6 +298,9 @@ def splat_gradients(
         gradients = ls.splat_gradients(scene, camera, 2.0 * (frame.color - photograph))
         gradients.sets[0].means  # of the first Gaussian set, shape (N, 3)
 
+    Where a Gaussian's alpha falls below 1/255 it is not drawn: that edge has no derivative here, as in gsplat, but
+    finite differences see it move with opacities and scales, some percent of their derivatives.
+
     Args:
         scene: What was drawn.
         camera: From where.

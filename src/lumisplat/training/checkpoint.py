@@ -106,10 +106,14 @@ def check_same(path: Path, told: dict[str, Any], config: TrainConfig, photograph
         before, now = told["settings"].get(name), settings.get(name)
         if before != now:
             raise FormatError(
-                path, f"is of a training with {name} {before}, not {now}: use the settings of before, or begin anew"
+                path, f"is of a training with {name} {before}, not {now}: use the settings of before, or overwrite it"
             )
     if told["photographs"] != photographs:
-        raise FormatError(path, "is of a training with other photographs: use those of before, or begin anew")
+        raise FormatError(
+            path,
+            "is of a training with other photographs, others held out or another background: use those of before, or "
+            "overwrite it",
+        )
 
 
 def plain_settings(config: TrainConfig) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
@@ -11,12 +12,20 @@ import numpy.typing as npt
 
 from lumisplat.config import TrainConfig
 from lumisplat.constants import SH_C0
-from lumisplat.constants.training import INITIAL_DEPTHS, INITIAL_OPACITY, INITIAL_SCALE, INITIAL_SCALE_MIN
+from lumisplat.constants.training import (
+    INITIAL_DEPTHS,
+    INITIAL_OPACITY,
+    INITIAL_SCALE,
+    INITIAL_SCALE_MIN,
+    POINTS_SHARE_MIN,
+)
 from lumisplat.io.photographs.lens import is_bent
 from lumisplat.io.photographs.surroundings import camera_extent, camera_target
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera
 from lumisplat.training.learnt import Learnt
+
+_log = logging.getLogger("lumisplat")
 
 NEIGHBOURS = 3
 BLOCK = 512
@@ -63,6 +72,28 @@ def random_points(cameras: Sequence[Camera], around: Surroundings, count: int, r
         local = depths[rows, None] * _seen(camera, shares[rows] * (camera.width, camera.height))
         points[rows] = local @ camera.camera_from_world[:3, :3] + camera.eye
     return points
+
+
+def enough_points(
+    points: FloatArray | None, colors: FloatArray | None, cameras: Sequence[Camera], config: TrainConfig
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Known points and their colours, with random ones if they are hardly any; None, if none are known.
+
+    Args:
+        points: World space, shape (N, 3); None: none are known.
+        colors: Display-referred sRGB, 0..1, shape (N, 3); None: not known.
+        cameras: Those that see them.
+        config: Settings.
+    """
+    wanted = min(config.initial, config.cap)
+    if points is None or len(points) >= POINTS_SHARE_MIN * wanted:
+        return points, colors
+    rng = np.random.default_rng([config.seed, 4])
+    added = random_points(cameras, Surroundings.of(cameras), wanted - len(points), rng)
+    _log.warning("only %d points of the scene are known: %d at random are added", len(points), len(added))
+    known = np.full(points.shape, 0.5) if colors is None else colors
+    both = np.concatenate([known, rng.uniform(size=added.shape)])
+    return np.concatenate([points, added]).astype(np.float32), both.astype(np.float32)
 
 
 def _seen(camera: Camera, pixels: Doubles) -> Doubles:

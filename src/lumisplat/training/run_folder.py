@@ -20,6 +20,9 @@ from lumisplat.training.checkpoint import plain_settings
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore
 
+_LEFT = ("checkpoint.npz", "curve.*", "metrics.json", "exposures.json", "poses*.json", "held out", "previews")
+"""What a training leaves, beside its settings."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunFolder:
@@ -36,6 +39,11 @@ class RunFolder:
     def checkpoint(self) -> Path:
         """From which training goes on."""
         return self.path / "checkpoint.npz"
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether there is a training that can go on."""
+        return self.checkpoint.exists() or (self.path / "settings.toml").exists()
 
     def preview(self, step: int) -> Path:
         """The picture of a step."""
@@ -55,12 +63,11 @@ class RunFolder:
             raise FormatError(self.path, f"cannot be made: {error.strerror or error}") from None
 
     def _empty(self) -> None:
-        """Removes what an earlier training has left; last of all what tells that it has."""
+        """Removes what an earlier training has left, and nothing else; last of all what tells that it has."""
         told = self.path / "settings.toml"
-        left = [path for path in self.path.iterdir() if path != told]
-        if left and not told.exists():
+        if any(self.path.iterdir()) and not told.exists():
             raise FormatError(self.path, "is no folder of a training: it is not removed")
-        for path in left:
+        for path in (found for pattern in _LEFT for found in self.path.glob(pattern)):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         told.unlink(missing_ok=True)
 

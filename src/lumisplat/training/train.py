@@ -15,16 +15,18 @@ import numpy as np
 from lumisplat.config import TrainConfig
 from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.constants import KERNEL_DEGREE
-from lumisplat.errors import ConfigError
+from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io import save
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.io.photographs.photographs import Photographs
 from lumisplat.math.arrays import Doubles
+from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.checkpoint import read_checkpoint, write_checkpoint
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore
+from lumisplat.training.initial import enough_points
 from lumisplat.training.run_folder import RunFolder
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
@@ -82,7 +84,8 @@ def train(
 
     With ``output``, everything that is needed to go on is kept beside it, in a folder of its name with ``.training``: a
     checkpoint each minute, settings, a curve, pictures and figures of what was held out. The same call again goes on
-    from the checkpoint: the result has the same bits as if it had never ended.
+    from the checkpoint: the result has the same bits as if it had never ended. Ctrl C ends a training after its step,
+    with a checkpoint; pressed once more, at once.
 
     Args:
         photographs: A folder, or what `lumisplat.load_photographs` has read; then ``scale``, ``hold_out`` and
@@ -105,7 +108,8 @@ def train(
         ConfigError: A setting is out of its range.
         DeviceError: There is no such device, or it is out of memory.
         DivergedError: The loss is no longer finite: the last checkpoint stays.
-        FormatError: Photographs cannot be read, a file cannot be written, or a checkpoint is of another training.
+        FormatError: Photographs cannot be read, a file cannot be written, a checkpoint is of another training, or the
+            output is there already and of none.
     """
     config = config or TrainConfig()
     check_kind("config", config, TrainConfig)
@@ -123,6 +127,10 @@ def train(
             photographs, scale=scale, hold_out=hold_out, background=background, straighten=straighten
         )
     folder = None if output is None else RunFolder.of(Path(output))
+    if folder is not None and output is not None and Path(output).exists() and not (overwrite or folder.is_begun):
+        raise FormatError(
+            output, "is there already, and of no training that could go on: overwrite it, or name another"
+        )
     run = _Run(photographs, config, folder, device=device, threads=threads, progress=progress or _say_nothing)
     run.start(overwrite=overwrite)
     run.work(stop_after, preview)
@@ -144,12 +152,14 @@ class _Run:
     ) -> None:
         self._photographs, self._config, self._folder, self._progress = photographs, config, folder, progress
         views = [TrainingView.of(photograph) for photograph in photographs.training]
+        cameras = [view.camera for view in views]
+        points, colors = enough_points(photographs.points, photographs.point_colors, cameras, config)
         self._trainer = Trainer(
             views,
             config,
             background=photographs.training[0].background or (0.0, 0.0, 0.0),
-            points=photographs.points,
-            colors=photographs.point_colors,
+            points=points,
+            colors=colors,
             device=device,
             threads=threads,
             progress=progress,
@@ -175,24 +185,27 @@ class _Run:
         """Makes the steps that are left, or those for which there is time."""
         trainer, total = self._trainer, self._config.iterations
         saved = told = self._begun = time.monotonic()
-        while trainer.iteration < total:
-            loss = trainer.step()
-            self._curve.add(trainer.iteration, loss)
-            now = time.monotonic()
-            if now - told >= TELL_EVERY_S:
-                told = now
-                self._progress(self._line(now), trainer.iteration / total)
-            if trainer.iteration % MEASURE_EVERY == 0 and trainer.iteration < total:
-                self._curve.measure(trainer.iteration, self._held_out.psnr(trainer.gaussians()))
-            if preview is not None and self._folder is not None and trainer.iteration % preview == 0:
-                self._held_out.preview(trainer.gaussians(), self._folder.preview(trainer.iteration))
-            if now - saved >= CHECKPOINT_EVERY_S:
-                saved = now
-                self._save()
-            if stop_after is not None and now - self._begun >= stop_after:
-                break
-        self._progress("training", 1.0)
-        self._save()
+        with interrupts_held() as is_interrupted:
+            while trainer.iteration < total and not is_interrupted():
+                loss = trainer.step()
+                self._curve.add(trainer.iteration, loss)
+                now = time.monotonic()
+                if now - told >= TELL_EVERY_S:
+                    told = now
+                    self._progress(self._line(now), trainer.iteration / total)
+                if trainer.iteration % MEASURE_EVERY == 0 and trainer.iteration < total:
+                    self._curve.measure(trainer.iteration, self._held_out.psnr(trainer.gaussians()))
+                if preview is not None and self._folder is not None and trainer.iteration % preview == 0:
+                    self._held_out.preview(trainer.gaussians(), self._folder.preview(trainer.iteration))
+                if now - saved >= CHECKPOINT_EVERY_S:
+                    saved = now
+                    self._save()
+                if stop_after is not None and now - self._begun >= stop_after:
+                    break
+            self._progress("training", 1.0)
+            self._save()
+        if is_interrupted():
+            raise KeyboardInterrupt
 
     def finish(self, output: Path | None) -> TrainResult:
         """Writes the capture, and measures it."""

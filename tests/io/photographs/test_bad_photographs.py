@@ -54,7 +54,7 @@ def test_folders_without_photographs(tmp_path):
     """What is expected, and what to do."""
     assert refusal(tmp_path).endswith(
         ": has no photographs with poses: expected transforms.json (nerfstudio), transforms_train.json (Blender) or a "
-        "sparse model of COLMAP in sparse/0; for photographs without poses, find_poses makes one"
+        "sparse model of COLMAP in sparse/0; for photographs without poses, find_poses (--poses colmap) makes one"
     )
     with pytest.raises(ls.MissingFileError, match="nowhere: no such folder"):
         ls.load_photographs(tmp_path / "nowhere")

@@ -13,6 +13,9 @@ import lumisplat as ls
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.output.console import counted, progress_bars
 
+_FIRST_SIZE = 320
+"""Longer side of photographs that a first training is quick with, pixels."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Frames(Command):
@@ -38,4 +41,8 @@ class Frames(Command):
         with Image.open(files[0]) as first:
             width, height = first.size
         print(f"{files[0].parent}: {counted(len(files), 'photograph')} of {width} x {height}")
-        print(f"next: lumisplat train {self.output} -o {self.output.name}.ply --poses colmap-film")
+        scale = min(max(round(_FIRST_SIZE / max(width, height), 1), 0.1), 1.0)
+        first = "" if scale == 1.0 else f" --scale {scale}"
+        print(
+            f"next: lumisplat train {self.output} -o {self.output.name}.ply --poses colmap-film{first} --stop-after 5m"
+        )

@@ -83,6 +83,8 @@ class Train(DeviceCommand):
     """End after such a time, as 90s, 10m or 1.5h; the same command then goes on."""
     preview: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
     """Write a picture of the first view that is held out every so many steps."""
+    allow_outside: Flag = False
+    """Let a transforms.json that you trust name photographs outside of its own folder."""
     overwrite: Flag = False
     """Begin anew, and remove what an earlier training has left."""
 
@@ -97,13 +99,18 @@ class Train(DeviceCommand):
             if self.poses is not None and not any((self.folder / name).exists() for name in _POSES):
                 ls.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
             try:
-                result = ls.train(
+                photographs = ls.load_photographs(
                     self.folder,
-                    config,
-                    output=self.output,
                     scale=self.scale,
                     hold_out=self.hold_out,
                     background="black" if self._is_random else self.background,
+                    straighten=not config.keeps_lenses,
+                    allow_outside=self.allow_outside,
+                )
+                result = ls.train(
+                    photographs,
+                    config,
+                    output=self.output,
                     stop_after=stop_after,
                     overwrite=self.overwrite,
                     preview=self.preview,
@@ -111,7 +118,7 @@ class Train(DeviceCommand):
                     progress=report,
                 )
             except KeyboardInterrupt:
-                raise KeyboardInterrupt(f"{self._again} goes on from the last checkpoint, if there is one") from None
+                raise KeyboardInterrupt(f"{self._again} goes on; with --stop-after 1s, it writes the capture") from None
         self._tell(result)
 
     def _config(self) -> ls.TrainConfig:

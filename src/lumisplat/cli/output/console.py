@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
 
     import lumisplat as ls
 
+LINE_EVERY_S = 60.0
+"""Between two lines where there is no terminal, seconds."""
+
 Report = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0..1."""
 
@@ -21,8 +25,8 @@ Report = Callable[[str, float], None]
 def progress_bars() -> Generator[Report]:
     """Shows a bar for each label from its first report until its fraction is 1, and again if it is reported again.
 
-    What stands after a comma in a label may change from report to report: it is shown, and the bar stays. Only on a
-    terminal, with the time that is left at the pace so far; bars vanish at the end.
+    What stands after a comma in a label may change from report to report: it is shown, and the bar stays. On a
+    terminal, with the time that is left at the pace so far; bars vanish at the end. Elsewhere, a line a minute.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -34,7 +38,13 @@ def progress_bars() -> Generator[Report]:
         tasks: dict[str, tuple[TaskID, float, float]] = {}
         """With when they were reported first, and the fraction that was done by then."""
 
+        told = 0.0 if console.is_terminal else time.monotonic()
+
         def report(label: str, fraction: float) -> None:
+            nonlocal told
+            if not console.is_terminal and fraction < 1.0 and time.monotonic() - told > LINE_EVERY_S:
+                told = time.monotonic()
+                print(f"{label}: {fraction:.0%}", file=sys.stderr, flush=True)
             name = label.partition(", ")[0]
             if fraction >= 1.0:
                 if name in tasks:

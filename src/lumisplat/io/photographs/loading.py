@@ -152,7 +152,7 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
         raise FormatError(
             folder,
             f"has no photographs with poses: expected {_EXPECTED} in sparse/0; for photographs without poses, "
-            "find_poses makes one",
+            "find_poses (--poses colmap) makes one",
         )
     return _Found(model, colmap_photographs(model, folder), points=read_colmap_points(model))
 

@@ -1,0 +1,85 @@
+"""What a training begins with and leaves alone; what Ctrl C leaves."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.training.initial import enough_points
+from support.scenes.training_scenes import cameras, folder_of
+
+SHORT = ls.TrainConfig(iterations=60, cap=80, sh_degree=1, prune_below=0.0)
+
+
+def test_a_capture_of_something_else_is_not_replaced(tmp_path: Path) -> None:
+    """Unless that is asked for."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    output.write_text("precious")
+    with pytest.raises(ls.FormatError, match="is there already, and of no training that could go on"):
+        ls.train(folder, SHORT, output=output, device="cpu")
+    assert output.read_text() == "precious" and not (tmp_path / "a.training").exists()
+    ls.train(folder, SHORT, output=output, overwrite=True, device="cpu", stop_after=0.01)
+    ls.train(folder, SHORT, output=output, device="cpu")
+    assert isinstance(ls.load(output), ls.Gaussians)
+
+
+def test_overwriting_removes_what_a_training_has_left_and_nothing_else(tmp_path: Path) -> None:
+    """Notes beside it stay."""
+    folder, output, left = folder_of(tmp_path / "set"), tmp_path / "a.ply", tmp_path / "a.training"
+    ls.train(folder, SHORT, output=output, device="cpu", preview=20)
+    (left / "notes.txt").write_text("mine")
+    before = {path.name for path in left.iterdir()}
+    assert {"checkpoint.npz", "curve.png", "held out", "previews", "settings.toml"} < before
+    ls.train(folder, SHORT, output=output, overwrite=True, device="cpu", stop_after=0.01)
+    assert (left / "notes.txt").read_text() == "mine" and not (left / "previews").exists()
+
+
+def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFixture) -> None:
+    """Random ones are added, and that is said; where there are enough, or none at all, nothing is."""
+    config, seen = ls.TrainConfig(cap=1000, initial=400), cameras(5)
+    few, many = np.zeros((19, 3), np.float32), np.zeros((20, 3), np.float32)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        points, colors = enough_points(few, None, seen, config)
+        assert points is not None and colors is not None and points.shape == colors.shape == (400, 3)
+        assert (points[:19] == 0.0).all() and (colors[:19] == 0.5).all() and np.ptp(points[19:], axis=0).min() > 0.1
+        assert "only 19 points of the scene are known: 381 at random are added" in caplog.text
+        caplog.clear()
+        assert enough_points(many, None, seen, config) == (many, None)
+        assert enough_points(None, None, seen, config) == (None, None)
+    assert not caplog.text
+
+
+def test_ctrl_c_ends_a_training_between_two_steps(tmp_path: Path) -> None:
+    """With a checkpoint, from which it goes on to the same bits."""
+    folder, whole, ended = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "ended.ply"
+    config = ls.TrainConfig(iterations=300, cap=80, sh_degree=1)
+    ls.train(folder, config, output=whole, device="cpu")
+    pressed = threading.Event()
+
+    def press(label: str, fraction: float) -> None:
+        if label.startswith("training, ") and fraction > 0.0 and not pressed.is_set():
+            pressed.set()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        ls.train(folder, config, output=ended, device="cpu", progress=press)
+    assert not ended.exists() and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    result = ls.train(folder, config, output=ended, device="cpu")
+    assert result.is_finished and ended.read_bytes() == whole.read_bytes()
+
+
+def test_trainings_in_threads_leave_ctrl_c_alone(tmp_path: Path) -> None:
+    """Only the main thread may say what it does."""
+    folder, found = folder_of(tmp_path / "set"), list[Any]()
+    thread = threading.Thread(target=lambda: found.append(ls.train(folder, SHORT, device="cpu")))
+    thread.start()
+    thread.join()
+    assert found[0].is_finished
