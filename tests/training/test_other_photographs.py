@@ -45,7 +45,10 @@ def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Pat
     for frame in content["frames"]:
         frame["k1"] = 0.3
     (folder / "transforms.json").write_text(json.dumps(content))
-    with pytest.raises(ls.FormatError, match=r"npz: is of a training with other photographs, others held out or another background: use"):
+    with pytest.raises(
+        ls.FormatError,
+        match=r"npz: is of a training with other photographs, others held out or another background: use",
+    ):
         ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
 
 
