@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from PIL import Image
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
@@ -36,6 +35,8 @@ class Frames(Command):
 
     def run(self) -> None:
         """Writes the photographs."""
+        from PIL import Image
+
         with progress_bars() as report:
             files = ls.extract_frames(self.film, self.output, every=self.every, size=self.size, progress=report)
         with Image.open(files[0]) as first:
