@@ -7,8 +7,8 @@ import pytest
 
 from lumisplat.baking.sh_fit import fit_sh
 from lumisplat.baking.steadying import steadied
-from lumisplat.baking.view_weights import even_directions, on_seen_sides, random_turns, turned_directions, view_weights
-from lumisplat.math.sh import sh_basis
+from lumisplat.baking.view_weights import on_seen_sides, random_turns, turned_directions, view_weights
+from lumisplat.math.sh import even_directions, sh_basis
 
 N, D = 50, 32
 

@@ -11,9 +11,10 @@ from bench.lit_captures import lit_capture
 
 import lumisplat as ls
 from lumisplat.constants import LAMP_SIGNIFICANCE
+from lumisplat.math.sh import even_directions
 from lumisplat.relighting import sun_estimation
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, SolidCells
-from lumisplat.relighting.light_traces import Shading, even_directions
+from lumisplat.relighting.light_traces import Shading
 from support.kinds import expect_kind
 from support.scenes.lit_places import Point, meadow, room
 

@@ -8,16 +8,8 @@ from lumisplat.constants import LUMINANCE
 from lumisplat.constants.baking import BACK_SHARE, DARK_SIDE_MIN, SIDE_MIN
 from lumisplat.math.arrays import Doubles, Flags
 from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.sh import even_directions
 from lumisplat.scene.gaussians import Gaussians
-
-
-def even_directions(count: int) -> Doubles:
-    """Directions spread evenly over the sphere, on a spiral, shape (count, 3)."""
-    turns = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * turns / count
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * turns
-    around = np.sqrt(1.0 - z * z)
-    return np.column_stack([around * np.cos(angle), around * np.sin(angle), z])
 
 
 def random_turns(count: int, rng: np.random.Generator) -> Doubles:

@@ -38,6 +38,14 @@ def sh_basis(directions: npt.ArrayLike, degree: int, dtype: type[np.floating] = 
     return np.moveaxis(np.array(functions), 0, -1)
 
 
+def even_directions(count: int) -> npt.NDArray[np.float64]:
+    """Directions spread evenly over the sphere, on a spiral (Fibonacci lattice), unit, shape (count, 3)."""
+    turns = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * turns / count
+    angle, ring = np.pi * (1.0 + np.sqrt(5.0)) * turns, np.sqrt(1.0 - z * z)
+    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
+
+
 def sh_rotation(rotation: npt.NDArray[np.floating], degree: int) -> npt.NDArray[np.float64]:
     """The matrix that turns harmonics: the turned coefficients are this times the old ones.
 
@@ -53,10 +61,7 @@ def sh_rotation(rotation: npt.NDArray[np.floating], degree: int) -> npt.NDArray[
     """
     count = (degree + 1) ** 2
     turned = np.zeros((count, count))
-    turns = np.arange(4 * count) + 0.5  # directions spread evenly, on a spiral
-    z = 1.0 - turns / (2 * count)
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * turns
-    directions = np.column_stack([np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z])
+    directions = even_directions(4 * count)
     before, after = sh_basis(directions, degree), sh_basis(directions @ np.asarray(rotation, np.float64).T, degree)
     for level in range(degree + 1):
         band = slice(level**2, (level + 1) ** 2)

@@ -11,13 +11,15 @@ from lumisplat.constants import (
     LAMP_ELSEWHERE,
     LAMP_SIGNIFICANCE,
     TRACE_CASING,
+    TRACE_DIRECTIONS,
     TRACE_GROUND_MIN,
     TRACE_NEAREST,
     TRACE_SURFACES_MIN,
 )
 from lumisplat.math.arrays import Doubles, Flags, Rows
+from lumisplat.math.sh import even_directions
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces
-from lumisplat.relighting.light_traces import Shading, Trace, even_directions, ground_direction
+from lumisplat.relighting.light_traces import Shading, Trace, ground_direction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +59,7 @@ def lamps_among(
         count: Lamps wanted.
         evidence: Least share of what nothing else explains.
     """
-    directions = even_directions()
+    directions = even_directions(TRACE_DIRECTIONS)
     if not len(places) or surfaces.luminance.size < TRACE_SURFACES_MIN:
         return Lamps(np.zeros(0, np.int64), np.zeros(0))
     cosines = np.stack([surfaces.cosines(direction) for direction in directions], axis=1)

@@ -19,7 +19,7 @@ from lumisplat.constants import (
     TRACE_STEPS,
 )
 from lumisplat.math.arrays import Doubles, Flags
-from lumisplat.math.sh import sh_basis
+from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces
 
 _EVEN = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -91,20 +91,12 @@ class Shading:
         return [Trace(*map(float, row)) for row in zip(significances, shares, factors, strict=True)]
 
 
-def even_directions(count: int = TRACE_DIRECTIONS) -> Doubles:
-    """Directions evenly spread over the sphere (Fibonacci lattice), shape (count, 3)."""
-    k = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * k / count
-    around, ring = k * (np.pi * (1.0 + 5.0**0.5)), np.sqrt(1.0 - z * z)
-    return np.stack([ring * np.cos(around), ring * np.sin(around), z], axis=1)
-
-
 def ground_direction(surfaces: CapturedSurfaces, center: Doubles) -> Doubles:
     """Where a place is blocked more than elsewhere: the ground, outdoors; shape (3,).
 
     Its length is 1 over an endless ground under an open sky, and 0 in a closed room or in the air.
     """
-    directions = even_directions()
+    directions = even_directions(TRACE_DIRECTIONS)
     open_ways = surfaces.cells.is_free(np.broadcast_to(center, directions.shape), directions)
     # The mean of a half space of unit vectors has length 1/4.
     return -4.0 * np.mean(open_ways[:, None] * directions, axis=0)

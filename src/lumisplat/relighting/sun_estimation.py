@@ -20,13 +20,15 @@ from lumisplat.constants import (
     SUN_SIGNIFICANCE,
     SUN_SIGNIFICANCE_BEYOND,
     SURFACE_REACH,
+    TRACE_DIRECTIONS,
     TRACE_GROUND_MIN,
     TRACE_SURFACES_MIN,
 )
 from lumisplat.math.arrays import Doubles, Flags, three_numbers
+from lumisplat.math.sh import even_directions
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, captured_surfaces
 from lumisplat.relighting.light_estimation import capture_extent, splats_of
-from lumisplat.relighting.light_traces import Shading, Trace, even_directions, ground_direction
+from lumisplat.relighting.light_traces import Shading, Trace, ground_direction
 from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightDirectional
@@ -116,7 +118,7 @@ def _cosines(surfaces: CapturedSurfaces, directions: Doubles, begun: float, prog
 
 def _open_place(surfaces: CapturedSurfaces, place: Doubles) -> Doubles:
     """A place, or if it is within something, such as the ground, one above it: on the side where things stand."""
-    ways = even_directions()
+    ways = even_directions(TRACE_DIRECTIONS)
     if surfaces.cells.is_free(np.broadcast_to(place, ways.shape), ways).mean() >= SUN_LIT:
         return place
     offsets = surfaces.positions - place

@@ -10,23 +10,24 @@ from contextlib import contextmanager
 
 @contextmanager
 def interrupts_held() -> Generator[Callable[[], bool]]:
-    """Ctrl C, the first time, ends nothing that is being done, but is told by the function that it yields."""
+    """The first Ctrl C ends nothing: the function that is yielded says that it was pressed. The second one interrupts.
+
+    Other threads than the main one, and programs with a handler of their own, keep theirs.
+    """
     pressed = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield pressed.is_set
-        return
 
     def hold(number: int, frame: object) -> None:
         if pressed.is_set():
             raise KeyboardInterrupt
         pressed.set()
 
-    before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler:  # somebody else has plans for it
-        yield pressed.is_set
-        return
-    signal.signal(signal.SIGINT, hold)
+    is_main = threading.current_thread() is threading.main_thread()
+    # Others may have plans for it, and only the main thread may change them.
+    holds = is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if holds:
+        signal.signal(signal.SIGINT, hold)
     try:
         yield pressed.is_set
     finally:
-        signal.signal(signal.SIGINT, before)
+        if holds:
+            signal.signal(signal.SIGINT, signal.default_int_handler)

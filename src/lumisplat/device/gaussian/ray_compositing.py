@@ -85,8 +85,8 @@ def blend_hit(
 def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: float, index: int, alpha: float):
     """Writes the hit of the Gaussian ``index``, which ``pixel`` has blended last, into the profile of its ray.
 
-    A hit for which rounding has left no room, where rays are followed in other company than they were counted in, is
-    dropped.
+    A ray never writes beyond its own rows, also if it were followed in other company than it was counted in, with
+    which rounding differs.
     """
     row = profiles[0].first[ray] + pixel.hits - 1
     if row < profiles[0].first[ray + 1]:

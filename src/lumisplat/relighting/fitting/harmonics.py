@@ -14,7 +14,7 @@ import numpy as np
 from lumisplat.constants.light_fit import SKY_DIRECTIONS, SKY_ROWS
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.panorama import panorama_directions
-from lumisplat.math.sh import sh_basis
+from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
@@ -50,12 +50,7 @@ def harmonic_pictures(degree: int, alone: Callable[[Light], Doubles]) -> Doubles
 @cache
 def radiance_rows(degree: int) -> Doubles:
     """Radiance in directions all around, of coefficients, shape (D, K): none of them may be negative."""
-    turns = np.arange(SKY_DIRECTIONS) + 0.5
-    z = 1.0 - 2.0 * turns / SKY_DIRECTIONS
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * turns
-    around = np.sqrt(1.0 - z * z)
-    directions = np.column_stack([around * np.cos(angle), around * np.sin(angle), z])
-    return np.asarray(sh_basis(directions, degree), np.float64)
+    return np.asarray(sh_basis(even_directions(SKY_DIRECTIONS), degree), np.float64)
 
 
 def environment_of(coefficients: Doubles, scene: Scene) -> LightEnvironment:
