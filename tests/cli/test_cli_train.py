@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli import main
-from lumisplat.cli.commands.train import seconds_of
+from lumisplat.cli.commands.photographs.train import seconds_of
 from support.scenes.training_scenes import folder_of
 
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--prune-below", "0", "--device", "cpu")

@@ -14,7 +14,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.commands.animate import Animate
-from lumisplat.cli.commands.relight import Relight
+from lumisplat.cli.commands.lighting.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
 from lumisplat.cli.input.numbers import frame_numbers, joined_numbers, vector

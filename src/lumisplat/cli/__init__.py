@@ -16,20 +16,20 @@ from tyro.conf import FlagCreatePairsOff, subcommand
 
 import lumisplat as ls
 from lumisplat.cli.commands.animate import Animate
-from lumisplat.cli.commands.bake import Bake
 from lumisplat.cli.commands.bench import Bench
 from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
-from lumisplat.cli.commands.evaluate import Evaluate
-from lumisplat.cli.commands.fit import Fit
-from lumisplat.cli.commands.frames import Frames
 from lumisplat.cli.commands.info import Info
+from lumisplat.cli.commands.lighting.bake import Bake
+from lumisplat.cli.commands.lighting.fit import Fit
+from lumisplat.cli.commands.lighting.relight import Relight
 from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.orbit import Orbit
-from lumisplat.cli.commands.relight import Relight
+from lumisplat.cli.commands.photographs.evaluate import Evaluate
+from lumisplat.cli.commands.photographs.frames import Frames
+from lumisplat.cli.commands.photographs.train import Train
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
-from lumisplat.cli.commands.train import Train
 from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.options.command import Command

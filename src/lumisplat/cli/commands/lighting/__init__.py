@@ -1,0 +1,1 @@
+"""Commands that find, change and bake the light of captures."""

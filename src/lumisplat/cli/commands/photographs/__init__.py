@@ -1,0 +1,1 @@
+"""Commands that lead from photographs to a capture and measure it against them."""
