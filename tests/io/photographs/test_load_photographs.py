@@ -282,6 +282,27 @@ def test_files_may_name_photographs_outside_if_trusted(tmp_path):
     assert len(ls.load_photographs(folder, allow_outside=True, hold_out=0).training) == 2
 
 
+@pytest.mark.parametrize("extension", [".png", ".jpg"])
+def test_cameras_that_were_saved_find_photographs_in_images(tmp_path, extension):
+    """Beside the folder ``images``, what ``save_cameras`` writes is a training set, with its masks."""
+    cameras = ring_cameras(4, 8, 6)
+    (tmp_path / "images").mkdir()
+    (tmp_path / "masks").mkdir()
+    for camera in cameras:
+        write_png(tmp_path / "images" / f"{camera.name}.png", photograph(camera))
+        if extension != ".png":
+            (tmp_path / "images" / f"{camera.name}.png").rename(tmp_path / "images" / f"{camera.name}{extension}")
+        Image.new("L", (8, 6), 255).save(tmp_path / "masks" / f"{camera.name}.png")
+    ls.save_cameras(tmp_path / "transforms.json", cameras)
+    views = ls.load_photographs(tmp_path, hold_out=0).training
+    assert [(view.name, view.path) for view in views] == [
+        (camera.name, tmp_path / "images" / f"{camera.name}{extension}") for camera in cameras
+    ]
+    for view, camera in zip(views, cameras, strict=True):
+        assert same_view(view.camera, camera) and view.mask() is not None
+        np.testing.assert_allclose(view.pixels(), photograph(camera), atol=BYTE)
+
+
 @pytest.mark.data
 def test_the_fox(data_dir):
     """50 photographs of a phone: 7 held out, as others split them; straightened, with few pixels missing."""

@@ -61,7 +61,7 @@ def transforms_photographs(path: Path) -> list[Listed]:
             assert image is not None
             mask = _listed_mask(path, values.get("mask_path")) or _mask_beside(path.parent, image)
             found.append(Listed(camera, image, mask, str(PurePosixPath(name))))
-        _report_missing(path, missing, len(frames), path.parent)
+        _report_missing(path, missing, len(frames), f"{path.parent} or its images")
         return found
 
 
@@ -86,7 +86,7 @@ def colmap_photographs(model: Path, folder: Path) -> list[Listed]:
             found.append(Listed(camera, image, _mask_beside(folder, image)))
         else:
             missing.append(name)
-    _report_missing(model, missing, len(listed), images)
+    _report_missing(model, missing, len(listed), str(images))
     return found
 
 
@@ -112,7 +112,7 @@ def _mask_beside(folder: Path, image: Path) -> Path | None:
     return next((path for path in candidates if os.path.isfile(path)), None)
 
 
-def _report_missing(path: Path, missing: Sequence[str], count: int, folder: Path) -> None:
+def _report_missing(path: Path, missing: Sequence[str], count: int, place: str) -> None:
     """Logs which images are missing.
 
     Raises:
@@ -122,8 +122,8 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, folder: Path
         return
     names = some_names(missing)
     if len(missing) == count:
-        raise FormatError(path, f"none of its {count:,} photographs is there ({names}): expected them in {folder}")
-    _log.warning("%s: %d of %d photographs are not in %s (%s): left out", path, len(missing), count, folder, names)
+        raise FormatError(path, f"none of its {count:,} photographs is there ({names}): expected them in {place}")
+    _log.warning("%s: %d of %d photographs are not in %s (%s): left out", path, len(missing), count, place, names)
 
 
 def some_names(names: Sequence[str]) -> str:
