@@ -91,7 +91,9 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
 def frame_image(folder: Path, values: Entry) -> Path | None:
     """The image of a frame in a folder, else in its ``images``; its extension may be left off. None: there is none."""
     stem = str(values.get("file_path", ""))
-    candidates = (place / (stem + extension) for place in (folder, folder / "images") for extension in _IMAGE_EXTENSIONS)
+    candidates = (
+        place / (stem + extension) for place in (folder, folder / "images") for extension in _IMAGE_EXTENSIONS
+    )
     return next((path for path in candidates if os.path.isfile(path)), None)
 
 

@@ -18,6 +18,7 @@ from lumisplat.io.cameras.names import unique_names
 from lumisplat.io.files.references import references_outside
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.images.texture import image_size
+from lumisplat.io.images.undamaged import check_undamaged
 from lumisplat.io.photographs.cache import PixelCache
 from lumisplat.io.photographs.lens import is_bent, pinhole_of
 from lumisplat.io.photographs.listing import Listed, colmap_photographs, transforms_photographs
@@ -186,6 +187,7 @@ def _check(file: Path, photograph: Listed) -> None:
             f"has {size[0]} x {size[1]} pixels, its camera in {file} {camera.width} x {camera.height}: expected the "
             "photographs that the cameras were made for (scale makes them smaller)",
         )
+    check_undamaged(photograph.image)
     if photograph.mask is None:
         return
     if (mask_size := image_size(photograph.mask)) != size:
