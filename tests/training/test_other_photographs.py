@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,23 @@ def test_everything_that_a_camera_is_tells(tmp_path: Path) -> None:
         other = replace(one, camera=replace(one.camera, **{name: value}))
         assert replace(photographs, training=(other, *photographs.training[1:])).fingerprint != photographs.fingerprint
     assert ls.load_photographs(folder).fingerprint == photographs.fingerprint
+
+
+def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> None:
+    """A training does not go on with them, whenever they were written; with those of before it does."""
+    folder, output = write_transforms_photographs(tmp_path / "set", ring_cameras(3)), tmp_path / "a.ply"
+    image = folder / "images" / "view_1.png"
+    Image.fromarray(np.full((30, 40, 3), 90, np.uint8)).save(image, compress_level=0)
+    ls.train(folder, CONFIG, output=output, device="cpu")
+    before, status = image.read_bytes(), image.stat()
+    Image.fromarray(np.full((30, 40, 3), 91, np.uint8)).save(image, compress_level=0)
+    os.utime(image, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert image.stat().st_size == len(before)
+    with pytest.raises(ls.FormatError, match=r"npz: is of a training with other photographs"):
+        ls.train(folder, CONFIG, output=output, device="cpu")
+    image.write_bytes(before)
+    os.utime(image, ns=(0, 0))
+    ls.train(folder, CONFIG, output=output, device="cpu")
 
 
 def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.training.curve import Curve
 from lumisplat.training.learnt import NAMES, Learnt
 
-VERSION = 3
+VERSION = 4
 _PARTS = ("values", "first", "second")
 _RECORD = ("motion", "frames")
 _OF_PHOTOGRAPHS = "photographs."

@@ -175,8 +175,9 @@ class _Run:
         if self._folder is None:
             return
         self._folder.prepare(overwrite=overwrite)
+        mark = self._mark  # of the photographs as they are now, not after the first minute
         if self._folder.checkpoint.exists():
-            checkpoint, self._curve = read_checkpoint(self._folder.checkpoint, self._config, self._mark)
+            checkpoint, self._curve = read_checkpoint(self._folder.checkpoint, self._config, mark)
             self._trainer.restore(checkpoint)
         self._folder.write_settings(self._config)  # not before: those of another training stay
         self._first = self._trainer.iteration
@@ -269,7 +270,7 @@ class _Run:
 
     @cached_property
     def _mark(self) -> str:
-        """What tells these photographs, their lenses, poses, masks and points from others."""
+        """What tells these photographs, their bytes, lenses, poses, masks and points from others."""
         return self._photographs.fingerprint
 
 

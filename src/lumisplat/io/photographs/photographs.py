@@ -60,12 +60,11 @@ class Photograph:
 
     @property
     def fingerprint(self) -> str:
-        """What tells it from others without decoding it: its camera, lens and mask, and the size of its file."""
-        told = hashlib.sha256()
+        """What tells it from others without decoding it: its camera and lens, and the bytes of its image and mask."""
+        told = hashlib.sha256(f"{self.name} {self.background}".encode())
         try:
-            told.update(f"{self.name} {self.background} {self.path.stat().st_size}".encode())
-            if self._source.mask is not None:
-                told.update(self._source.mask.read_bytes())
+            for file in (self.path, self._source.mask):
+                told.update(b"none" if file is None else hashlib.sha256(file.read_bytes()).digest())
         except OSError as error:
             raise FormatError(error.filename or self.path, f"cannot be read: {error.strerror or error}") from None
         told.update(_told(self.camera))
