@@ -113,6 +113,13 @@ def test_training_that_is_stopped_goes_on_to_the_same_bits(kind: ls.Densificatio
     assert ls.load_image(tmp_path / "b.training" / "held out" / "00.png").shape == (40, 80, 3)
 
 
+def flipped(data: bytes, rng: np.random.Generator) -> bytes:
+    """With other bits in one of its bytes."""
+    changed = bytearray(data)
+    changed[rng.integers(len(data))] ^= int(rng.integers(1, 256))
+    return bytes(changed)
+
+
 def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
     """Other settings, other photographs, damage: one line each, and nothing is lost."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
@@ -128,9 +135,20 @@ def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
     with pytest.raises(ls.FormatError, match="with other photographs"):
         ls.train(folder, config, output=output, background="white", device="cpu")
     assert file.read_bytes() == held and (tmp_path / "a.training" / "settings.toml").read_bytes() == settings
-    file.write_bytes(held[: len(held) // 2])
-    with pytest.raises(ls.FormatError, match="is no checkpoint of a training, or is damaged"):
-        ls.train(folder, config, output=output, device="cpu")
+    rng = np.random.default_rng(0)
+    for damaged in (
+        *(held[: int(cut)] for cut in rng.integers(0, len(held), 9)),
+        *(flipped(held, rng) for _ in range(40)),
+    ):
+        file.write_bytes(damaged)
+        try:
+            ls.train(folder, config, output=output, device="cpu")
+        except ls.FormatError as error:
+            told = f"{file}: is damaged, or no checkpoint of a training: remove it, or overwrite it (--overwrite, "
+            assert str(error) == told + "overwrite=True), to begin anew"
+        else:
+            assert len(damaged) == len(held), "bytes that say nothing: a date, say"
+            file.write_bytes(held)
     again = ls.train(folder, config, output=output, overwrite=True, device="cpu")
     assert again.iterations == 20 and file.read_bytes() == held
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -25,6 +24,7 @@ _RECORD = ("motion", "frames")
 _OF_PHOTOGRAPHS = "photographs."
 _AT_THE_END = ("prune_below",)
 """Settings on which no step depends: training goes on with others."""
+BEGIN_ANEW = "remove it, or overwrite it (--overwrite, overwrite=True), to begin anew"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,14 +91,16 @@ def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[
         return state, Curve.of(told["curve"])
     except FormatError:  # of others
         raise
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-        raise FormatError(path, f"is no checkpoint of a training, or is damaged: {error}") from None
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+    except Exception:  # bytes that are any may fail in any way in zipfile, NumPy or json
+        raise FormatError(path, f"is damaged, or no checkpoint of a training: {BEGIN_ANEW}") from None
 
 
 def check_same(path: Path, told: dict[str, Any], config: TrainConfig, photographs: str) -> None:
     """Raises a FormatError unless a checkpoint is of these settings and photographs."""
     if told["version"] != VERSION:
-        raise FormatError(path, f"is a checkpoint of version {told['version']}, expected {VERSION}")
+        raise FormatError(path, f"is a checkpoint of version {told['version']}, expected {VERSION}: {BEGIN_ANEW}")
     settings = plain_settings(config)
     for name in dict.fromkeys([*settings, *told["settings"]]):
         if name in _AT_THE_END:
