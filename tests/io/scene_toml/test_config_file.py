@@ -152,6 +152,15 @@ def test_settings_of_a_scene_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("written", "value"), [('"on"', True), ('"off"', False), ("true", True), ("false", False), ('"auto"', None)]
+)
+def test_what_may_be_auto_is_on_or_off_as_in_the_shell(tmp_path: Path, written: str, value: bool | None) -> None:
+    """``--lighting off`` is a word of files, too, beside ``shadows = "off"``; flags that cannot be None stay flags."""
+    text = f"[render]\nlighting = {written}\nadaptive = {written}\n"
+    assert ls.load_config(write_scene(tmp_path, text)) == ls.RenderConfig(lighting=value, adaptive=value)
+
+
+@pytest.mark.parametrize(
     ("text", "problem"),
     [
         ("sampels = 4", "line 2, render: unknown 'sampels', did you mean 'samples'?"),
@@ -163,7 +172,11 @@ def test_settings_of_a_scene_file(tmp_path: Path) -> None:
         ("pipeline = 'rastr'", "line 2, render: pipeline is 'rastr', did you mean 'raster'?"),
         ("pipeline = 'gpu'", "line 2, render: pipeline is 'gpu', expected raster, trace, hybrid"),
         ("shadows = false", "line 2, render: shadows is false, expected off, hard, soft"),
-        ("lighting = 'none'", "line 2, render: lighting is 'none', expected true or false or \"auto\""),
+        (
+            "lighting = 'none'",
+            'line 2, render: lighting is \'none\', expected true or false, as words "on" or "off", or "auto"',
+        ),
+        ("jitter = 'off'", "line 2, render: jitter is 'off', expected true or false"),
         ("background = 'auto'", "line 2, render: background is 'auto', expected three numbers"),
         ("background = [1, 2, 3]", "line 2, render: background is (1, 2, 3), expected three numbers in 0..1"),
         ("aovs = 'color'", "line 2, render: aovs has 'color', which every frame has"),

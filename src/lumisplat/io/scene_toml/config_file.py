@@ -2,7 +2,7 @@
 
 [render]
 pipeline = "hybrid"             # an enum by its value
-lighting = "auto"               # None by a word: "auto", of the background "none"
+lighting = "auto"               # None by a word: "auto", of the background "none"; else true, false, "on" or "off"
 samples = 16
 
 [render.shadow_rays]
@@ -33,6 +33,9 @@ _Config = TypeVar("_Config")
 
 _WORD_FOR_NONE = {"background": "none"}
 """How None is written, by setting; "auto" for all others."""
+
+_SWITCH = {"on": True, "off": False}
+"""Words for a flag that may be None, as the shell has them: ``--lighting off``."""
 
 _TABLE_OF = {"RenderConfig": "render", "AvatarLightingConfig": "animation.lighting"}
 """The table of a scene file that holds the fields of a class."""
@@ -101,8 +104,10 @@ def _setting(table: TomlTable, key: str, hint: object) -> object:
         if not TABLE.accepts(value):
             raise table.wrong(key, TABLE.expected)
         return read_settings(table.table(key), hint)
+    if hint is bool and none and isinstance(value, str):
+        value = _SWITCH.get(value, value)
     if hint is bool and not FLAG.accepts(value):
-        raise table.wrong(key, FLAG.expected + (none and f' or "{none}"'))
+        raise table.wrong(key, FLAG.expected + (none and f', as words "on" or "off", or "{none}"'))
     if isinstance(hint, type) and issubclass(hint, Enum):
         return _member(table, key, hint)
     return tuple(cast(list[object], value)) if get_origin(hint) is tuple and isinstance(value, list) else value
