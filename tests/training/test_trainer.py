@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -111,6 +113,29 @@ def test_training_that_is_stopped_goes_on_to_the_same_bits(kind: ls.Densificatio
     pictures = {"held out/00.png", "held out/08.png", *previews}
     assert left == {f"b.training/{name}" for name in names | pictures}
     assert ls.load_image(tmp_path / "b.training" / "held out" / "00.png").shape == (40, 80, 3)
+
+
+def test_what_is_written_makes_the_same_training_again(tmp_path: Path) -> None:
+    """From the settings of its folder alone, the same bits."""
+    folder, outputs = folder_of(tmp_path / "set"), (tmp_path / "a.ply", tmp_path / "b.ply")
+    config = replace(CONFIG, iterations=6, seed=3, rates=ls.LearningRates(sh=0.004))
+    first = ls.load_photographs(
+        os.path.relpath(folder), scale=0.5, hold_out=4, background="#1a334d", allow_outside=True
+    )
+    ls.train(first, config, output=outputs[0], device="cpu")
+    told = tomllib.loads((tmp_path / "a.training" / "settings.toml").read_text())
+    assert list(told) == ["photographs", "train"] and told["photographs"]["folder"] == str(folder)
+    again = ls.load_photographs(**told["photographs"])
+    rates = ls.LearningRates(**told["train"].pop("rates"))
+    ls.train(again, ls.TrainConfig(**told["train"], rates=rates), output=outputs[1], device="cpu")
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    assert again.read_from == first.read_from and len(again.held_out) == 3
+    see_through = ls.load_photographs(folder)
+    assert ls.load_photographs(folder, background="transparent").read_from == see_through.read_from
+    ls.train(see_through, config, output=tmp_path / "c.ply", device="cpu")
+    assert 'background = "transparent"' in (tmp_path / "c.training" / "settings.toml").read_text()
+    ls.train(replace(first, read_from=None), config, output=tmp_path / "d.ply", device="cpu")
+    assert list(tomllib.loads((tmp_path / "d.training" / "settings.toml").read_text())) == ["train"]
 
 
 def flipped(data: bytes, rng: np.random.Generator) -> bytes:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from lumisplat.config import TrainConfig
 from lumisplat.errors import FormatError
 from lumisplat.io import save_cameras
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.scene_toml.toml_text import toml_value
+from lumisplat.io.photographs.photographs import ReadFrom
+from lumisplat.io.scene_toml.toml_text import plain_value, toml_text
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.training.checkpoint import plain_settings
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore
 
@@ -71,10 +71,13 @@ class RunFolder:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         told.unlink(missing_ok=True)
 
-    def write_settings(self, config: TrainConfig) -> None:
-        """Writes all settings."""
-        lines = [f"{name} = {toml_value(value)}" for name, value in plain_settings(config).items()]
-        _write(self.path / "settings.toml", "\n".join(["[train]", *lines]) + "\n")
+    def write_settings(self, config: TrainConfig, read_from: ReadFrom | None) -> None:
+        """Writes all that makes the same training again: from where photographs were read, and how, and settings."""
+        tables = {"train": asdict(config)}
+        if read_from is not None:
+            background = read_from.background or "transparent"
+            tables = {"photographs": asdict(read_from) | {"background": background}} | tables
+        _write(self.path / "settings.toml", toml_text(plain_value(tables)))
 
     def write_curve(self, curve: Curve) -> None:
         """Writes the numbers of a curve."""

@@ -179,7 +179,9 @@ class _Run:
         if self._folder.checkpoint.exists():
             checkpoint, self._curve = read_checkpoint(self._folder.checkpoint, self._config, mark)
             self._trainer.restore(checkpoint)
-        self._folder.write_settings(self._config)  # not before: those of another training stay
+        self._folder.write_settings(
+            self._config, self._photographs.read_from
+        )  # not before: those of another training stay
         self._first = self._trainer.iteration
 
     def work(self, stop_after: float | None, preview: int | None) -> None:

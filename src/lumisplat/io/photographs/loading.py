@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,7 +24,7 @@ from lumisplat.io.photographs.cache import PixelCache
 from lumisplat.io.photographs.lens import is_bent, pinhole_of
 from lumisplat.io.photographs.listing import Listed, colmap_photographs, transforms_photographs
 from lumisplat.io.photographs.nerfstudio import Splits, nerfstudio_points
-from lumisplat.io.photographs.photographs import Photograph, Photographs
+from lumisplat.io.photographs.photographs import Photograph, Photographs, ReadFrom
 from lumisplat.io.photographs.pixels import Source, read_mask
 from lumisplat.io.photographs.surroundings import camera_extent, camera_target
 from lumisplat.math.arrays import FloatArray
@@ -129,6 +130,7 @@ def load_photographs(
         point_colors=colors,
         extent=camera_extent(cameras),
         target=camera_target(cameras),
+        read_from=ReadFrom(Path(os.path.abspath(folder)), scale, hold_out, color, straighten, allow_outside),
     )
 
 

@@ -75,6 +75,19 @@ class Photograph:
         return self._cache.get(self.path, partial(decode, self._source))
 
 
+@dataclass(frozen=True, slots=True)
+class ReadFrom:
+    """From where photographs were read, and how: the arguments of `load_photographs` that make the same ones again."""
+
+    folder: Path
+    """Its absolute path."""
+    scale: float
+    hold_out: int
+    background: Color | None
+    straighten: bool
+    allow_outside: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Photographs:
     """Photographs of a scene with poses, as `load_photographs` reads them."""
@@ -93,6 +106,8 @@ class Photographs:
     target: Doubles
     """What the training cameras look at: the point nearest to their optical axes in the sense of least squares, shape
     (3,). Where all axes are parallel it is the mean of the positions."""
+    read_from: ReadFrom | None = None
+    """From where, and how; None: a program has put them together."""
 
     @property
     def fingerprint(self) -> str:
