@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -18,12 +19,14 @@ from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.training.curve import Curve
 from lumisplat.training.learnt import NAMES, Learnt
 
+_log = logging.getLogger("lumisplat")
+
 VERSION = 4
 _PARTS = ("values", "first", "second")
 _RECORD = ("motion", "frames")
 _OF_PHOTOGRAPHS = "photographs."
-_AT_THE_END = ("prune_below",)
-"""Settings on which no step depends: training goes on with others."""
+_MAY_CHANGE = ("iterations", "prune_below")
+"""Settings with others of which training goes on: what is done stays, and what comes goes by the new ones."""
 BEGIN_ANEW = "remove it, or overwrite it (--overwrite, overwrite=True), to begin anew"
 
 
@@ -103,7 +106,7 @@ def check_same(path: Path, told: dict[str, Any], config: TrainConfig, photograph
         raise FormatError(path, f"is a checkpoint of version {told['version']}, expected {VERSION}: {BEGIN_ANEW}")
     settings = plain_settings(config)
     for name in dict.fromkeys([*settings, *told["settings"]]):
-        if name in _AT_THE_END:
+        if name in _MAY_CHANGE:
             continue
         before, now = told["settings"].get(name), settings.get(name)
         if before != now:
@@ -115,6 +118,23 @@ def check_same(path: Path, told: dict[str, Any], config: TrainConfig, photograph
             path,
             "is of a training with other photographs, others held out or another background: use those of before, or "
             "overwrite it",
+        )
+    _check_steps(path, int(told["iteration"]), int(told["settings"]["iterations"]), config.iterations)
+
+
+def _check_steps(path: Path, done: int, before: int, now: int) -> None:
+    """Raises a FormatError if more steps are done than are asked for; logs how training goes on if others were."""
+    if done > now:
+        raise FormatError(
+            path,
+            f"has {done:,} steps already, TrainConfig.iterations is {now:,}: ask for as many or more, or overwrite it",
+        )
+    if before != now:
+        _log.warning(
+            "%s: goes on from step %s of %s to step %s: rates and what depends on the share of steps that are done "
+            "go by the new number, so that the result is not that of %s steps in one go",
+            path,
+            *(f"{steps:,}" for steps in (done, before, now, now)),
         )
 
 

@@ -1,0 +1,73 @@
+"""Trainings that are asked for another number of steps than before."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli import main
+from lumisplat.training.checkpoint import read_checkpoint
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import TrainingView
+from support.scenes.training_scenes import folder_of
+
+SHORT = ls.TrainConfig(iterations=120, cap=120, initial=80, sh_degree=1, prune_below=0.0)
+LONG = replace(SHORT, iterations=200)
+
+
+def checkpoint_of(output: Path) -> Path:
+    """Of a capture."""
+    return output.with_suffix(".training") / "checkpoint.npz"
+
+
+def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """From its checkpoint, by the rates of the new number; one line says so, and it leaves what it should."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    photographs = ls.load_photographs(folder, background="black")
+    ls.train(photographs, SHORT, output=output, device="cpu")
+    state, _ = read_checkpoint(checkpoint_of(output), SHORT, photographs.fingerprint)
+    by_hand = Trainer([TrainingView.of(one) for one in photographs.training], LONG, device="cpu")
+    by_hand.restore(state)
+    while by_hand.iteration < LONG.iterations:
+        by_hand.step()
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        result = ls.train(photographs, LONG, output=output, device="cpu")
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert "checkpoint.npz: goes on from step 120 of 120 to step 200: rates" in line
+    assert result.is_finished and result.iterations == 200
+    np.testing.assert_array_equal(result.gaussians.means, by_hand.gaussians().means)
+    assert "iterations = 200" in (tmp_path / "a.training" / "settings.toml").read_text()
+    caplog.clear()
+    ls.train(photographs, LONG, output=output, device="cpu")
+    assert not caplog.records, "from now on, that is its number"
+
+
+def test_a_prolonged_training_that_is_stopped_leaves_the_same_bits(tmp_path: Path) -> None:
+    """The same command again goes on, wherever it was stopped."""
+    folder, whole, parts = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "parts.ply"
+    for output in (whole, parts):
+        ls.train(folder, SHORT, output=output, device="cpu")
+    ls.train(folder, LONG, output=whole, device="cpu")
+    calls = 0
+    while not ls.train(folder, LONG, output=parts, stop_after=0.1, device="cpu").is_finished:
+        calls += 1
+        assert calls < 200
+    assert calls > 1 and whole.read_bytes() == parts.read_bytes()
+
+
+def test_fewer_steps_than_are_done_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In one line; nothing is lost."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    command = ["train", str(folder), "-o", str(output), "--cap", "80", "--sh-degree", "1", "--device", "cpu"]
+    assert main([*command, "--iterations", "30"]) == 0
+    held = checkpoint_of(output).read_bytes()
+    capsys.readouterr()
+    assert main([*command, "--iterations", "20"]) == 2
+    problem = "has 30 steps already, --iterations is 20: ask for as many or more, or overwrite it"
+    assert capsys.readouterr().err == f"error: {checkpoint_of(output)}: {problem}\n"
+    assert checkpoint_of(output).read_bytes() == held
