@@ -57,7 +57,11 @@ def test_rays_learn_kernels_of_other_degrees(tmp_path: Path, capsys: pytest.Capt
         (("-o", "a.ply", "--stop-after", "soon"), "--stop-after is 'soon', expected a time such as 90s, 10m or 1.5h"),
         (("-o", "a.ply", "--cap", "0"), "cap is 0, expected"),
         (("-o", "a.ply", "--preview", "0"), "preview is 0, expected"),
-        (("-o", "a.ply", "--background", "mauvish"), "mauvish"),
+        (
+            ("-o", "a.ply", "--background", "mauvish"),
+            "--background is 'mauvish', expected three numbers in 0..1, '#ff8800', a name such as 'white', or "
+            "'transparent', or random: another one in each step",
+        ),
     ],
 )
 def test_mistakes_are_one_line(

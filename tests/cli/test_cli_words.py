@@ -7,12 +7,13 @@ import re
 from dataclasses import fields
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import warp as wp
 
 import lumisplat as ls
+from lumisplat.cli import _Command, main
 from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.lighting.relight import Relight
 from lumisplat.cli.commands.render import Render
@@ -33,6 +34,14 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     """A folder to run commands in; what they do to Warp's log level is undone."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
+
+
+@pytest.mark.parametrize("command", [kind.__metadata__[0].name for kind in get_args(_Command)])
+def test_help_has_no_none_of_python(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An option that may be left out lists what may be given."""
+    assert main([command, "--help"]) == 0
+    told = capsys.readouterr().out
+    assert f"lumisplat {command}" in told and not re.search(r"\bNone\b", told)
 
 
 def messages() -> list[str]:

@@ -45,7 +45,9 @@ class Train(DeviceCommand):
     """Each so many photographs, one is not learnt from, but measured with; 0: none."""
     scale: Annotated[float, arg(metavar="SHARE")] = 1.0
     """Size of the photographs, as a share of that of the files, above 0, at most 1."""
-    poses: Annotated[Literal["colmap", "colmap-film"] | None, arg(help_behavior_hint="")] = None
+    poses: Annotated[
+        Literal["colmap", "colmap-film"] | None, arg(metavar="{colmap,colmap-film}", help_behavior_hint="")
+    ] = None
     """Find poses first, if the folder has none: of photographs that see each other in any order, or of the frames of a
     film (pip install 'lumisplat[poses]')."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
@@ -94,6 +96,7 @@ class Train(DeviceCommand):
         if self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
         config, stop_after = self._config(), None if self.stop_after is None else seconds_of(self.stop_after)
+        background = self._checked_background()
         self.start_warp()
         with progress_bars() as report:
             if self.poses is not None and not any((self.folder / name).exists() for name in _POSES):
@@ -103,7 +106,7 @@ class Train(DeviceCommand):
                     self.folder,
                     scale=self.scale,
                     hold_out=self.hold_out,
-                    background="black" if self._is_random else self.background,
+                    background=background,
                     straighten=not config.keeps_lenses,
                     allow_outside=self.allow_outside,
                 )
@@ -145,6 +148,20 @@ class Train(DeviceCommand):
     def _is_random(self) -> bool:
         """Whether the background is another one in each step."""
         return self.background.strip().lower() == "random"
+
+    def _checked_background(self) -> str:
+        """What is behind photographs that are transparent, as they are read.
+
+        Raises:
+            ConfigError: It is no colour, nor random.
+        """
+        if self._is_random:
+            return "black"
+        try:
+            ls.RenderConfig(background=self.background)  # pyright: ignore[reportArgumentType]
+        except ls.ConfigError as error:
+            raise ls.ConfigError(f"{error}, or random: another one in each step") from None
+        return self.background
 
     def _tell(self, result: ls.TrainResult) -> None:
         """Says what came of it."""
