@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +15,8 @@ EVERY = 50
 """Steps that a point of the curve is the mean of."""
 SIZE = (960, 480)
 MARGIN = 50
+DOT = 3
+"""Radius of a point of what was held out, pixels."""
 _TRAINING, _HELD_OUT, _LINES = (70, 120, 200), (210, 120, 30), (225, 225, 225)
 
 
@@ -67,26 +70,62 @@ class Curve:
         """The curve: blue what was learnt from, orange what was held out."""
         image = Image.new("RGB", SIZE, "white")
         draw = ImageDraw.Draw(image)
-        lines = ([(float(s), decibels(e)) for s, e in zip(self.steps, self.squared, strict=True)], self.measured)
-        values = [value for line in lines for _, value in line if math.isfinite(value)]
-        if not values:
+        learnt = [(float(step), decibels(error)) for step, error in zip(self.steps, self.squared, strict=True)]
+        lines = [[point for point in line if math.isfinite(point[1])] for line in (learnt, self.measured)]
+        points = [point for line in lines for point in line]
+        if not points:
             return image
-        low, high = math.floor(min(values)), math.ceil(max(values)) + 1
-        last = max(step for line in lines for step, _ in line)
-
-        def place(step: float, value: float) -> tuple[float, float]:
-            across = (SIZE[0] - 2 * MARGIN) * step / last
-            return MARGIN + across, SIZE[1] - MARGIN - (SIZE[1] - 2 * MARGIN) * (value - low) / (high - low)
-
-        for tick in map(float, range(low, high + 1, max((high - low) // 8, 1))):
-            draw.line([place(0, tick), place(last, tick)], fill=_LINES)
-            draw.text((8, place(0, tick)[1] - 6), f"{tick:.0f} dB", fill="black")
-        draw.text((SIZE[0] - 3 * MARGIN, SIZE[1] - MARGIN + 12), f"{last:,.0f} steps", fill="black")
+        axes = _Axes.around(points)
+        axes.draw(draw)
         for line, color in zip(lines, (_TRAINING, _HELD_OUT), strict=True):
-            draw.line([place(step, value) for step, value in line if math.isfinite(value)], fill=color, width=2)
-        draw.text((MARGIN, 16), "learnt from", fill=_TRAINING)
-        draw.text((MARGIN + 90, 16), "held out", fill=_HELD_OUT)
+            draw.line([axes.place(*point) for point in line], fill=color, width=2)
+        for x, y in (axes.place(*point) for point in lines[1]):
+            draw.ellipse([x - DOT, y - DOT, x + DOT, y + DOT], fill=_HELD_OUT)
+        draw.text((MARGIN + 120, 16), "learnt from", fill=_TRAINING)
+        draw.text((MARGIN + 210, 16), "held out", fill=_HELD_OUT)
         return image
+
+
+@dataclass(frozen=True, slots=True)
+class _Axes:
+    """Steps to the right, PSNR upwards."""
+
+    last: float
+    """The last step."""
+    low: int
+    """PSNR at the bottom, dB."""
+    high: int
+    """At the top."""
+
+    @classmethod
+    def around(cls, points: Sequence[tuple[float, float]]) -> _Axes:
+        """That hold all of the points."""
+        values = [value for _, value in points]
+        return cls(max(step for step, _ in points), math.floor(min(values)), math.ceil(max(values)) + 1)
+
+    def place(self, step: float, value: float) -> tuple[float, float]:
+        """The pixel of a point."""
+        across, up = step / self.last, (value - self.low) / (self.high - self.low)
+        return MARGIN + (SIZE[0] - 2 * MARGIN) * across, SIZE[1] - MARGIN - (SIZE[1] - 2 * MARGIN) * up
+
+    def draw(self, draw: ImageDraw.ImageDraw) -> None:
+        """Lines at round numbers, with these numbers, and what they are of."""
+        draw.text((8, 16), "PSNR, dB", fill="black")
+        for tick in range(self.low, self.high + 1, max((self.high - self.low) // 8, 1)):
+            draw.line([self.place(0.0, tick), self.place(self.last, tick)], fill=_LINES)
+            draw.text((MARGIN - 8, self.place(0.0, tick)[1]), str(tick), fill="black", anchor="rm")
+        for tick in range(0, int(self.last) + 1, round_step(self.last / 8)):
+            x, y = self.place(tick, self.low)
+            draw.line([(x, y), (x, y + 5)], fill="black")
+            draw.text((x, y + 8), f"{tick:,}", fill="black", anchor="mt")
+        draw.line([self.place(0.0, self.low), self.place(self.last, self.low)], fill="black")
+        draw.text((SIZE[0] / 2, SIZE[1] - 18), "steps", fill="black", anchor="mt")
+
+
+def round_step(least: float) -> int:
+    """The smallest of 1, 2, 5, 10, 20, 50, ... that is not below a number."""
+    power = 10 ** max(math.floor(math.log10(max(least, 1.0))), 0)
+    return next(power * factor for factor in (1, 2, 5, 10) if power * factor >= least)
 
 
 def decibels(squared: float) -> float:

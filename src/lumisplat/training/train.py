@@ -39,8 +39,10 @@ CAPTURES = (".ply", ".spz")
 CHECKPOINT_EVERY_S = 60.0
 """Seconds between two checkpoints."""
 TELL_EVERY_S = 0.5
+MEASURE_AT = (100, 200, 500)
+"""Steps after which what is held out is measured, too: whether poses are right shows early."""
 MEASURE_EVERY = 1000
-"""Steps between two points of the curve of what is held out."""
+"""Steps between two further points of the curve of what is held out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,7 +198,7 @@ class _Run:
                 if now - told >= TELL_EVERY_S:
                     told = now
                     self._progress(self._line(now), trainer.iteration / total)
-                if trainer.iteration % MEASURE_EVERY == 0 and trainer.iteration < total:
+                if is_measured(trainer.iteration) and trainer.iteration < total:
                     self._curve.measure(trainer.iteration, self._held_out.psnr(trainer.gaussians()))
                 if preview is not None and self._folder is not None and trainer.iteration % preview == 0:
                     self._held_out.preview(trainer.gaussians(), self._folder.preview(trainer.iteration))
@@ -274,6 +276,11 @@ class _Run:
     def _mark(self) -> str:
         """What tells these photographs, their bytes, lenses, poses, masks and points from others."""
         return self._photographs.fingerprint
+
+
+def is_measured(step: int) -> bool:
+    """Whether what is held out is measured after a step that is not the last."""
+    return step in MEASURE_AT or step % MEASURE_EVERY == 0
 
 
 def _say_nothing(label: str, fraction: float) -> None:

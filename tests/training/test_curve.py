@@ -1,0 +1,58 @@
+"""How a training went, as numbers and as a picture that can be read."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.training.curve import MARGIN, SIZE, Curve, round_step
+from support.scenes.training_scenes import folder_of
+
+WIDTH, HEIGHT = SIZE
+
+
+def dark(part: np.ndarray) -> int:
+    """Pixels of a picture that are written in black."""
+    return int((part.max(axis=-1) < 100).sum())
+
+
+def colored(part: np.ndarray) -> int:
+    """Pixels that are orange."""
+    red, _, blue = np.moveaxis(part.astype(int), -1, 0)
+    return int((red - blue > 120).sum())
+
+
+def test_both_axes_have_numbers_and_names() -> None:
+    """Left of it and below it, along the whole of each; and what was held out once shows, too."""
+    curve = Curve(steps=[50, 700], squared=[0.1, 0.001], measured=[(700, 28.0)])
+    pixels = np.asarray(curve.picture())
+    left, below = pixels[:, : MARGIN - 2], pixels[HEIGHT - MARGIN + 2 :]
+    assert dark(left[: MARGIN - 15]) and dark(below[:, WIDTH // 2 - 30 : WIDTH // 2 + 30][-25:]), "names"
+    assert all(dark(part) for part in np.array_split(left[MARGIN:-MARGIN], 4)), "decibels"
+    assert all(dark(part[:28]) for part in np.array_split(below[:, MARGIN:-MARGIN], 4, axis=1)), "steps"
+    assert colored(pixels[MARGIN:, WIDTH - MARGIN - 10 :]) > 20
+
+
+def test_steps_of_the_axis_are_round() -> None:
+    """One, two or five of a power of ten, and no more than nine numbers."""
+    assert [round_step(least) for least in (0.1, 1.0, 1.5, 3.75, 6, 62.5, 875)] == [1, 1, 2, 5, 10, 100, 1000]
+    for last in range(1, 20_000, 37):
+        assert math.floor(last / round_step(last / 8)) <= 8
+
+
+def test_nothing_learnt_is_an_empty_picture() -> None:
+    """And what is exact has no place on it."""
+    for curve in (Curve(), Curve(steps=[50], squared=[0.0])):
+        assert (np.asarray(curve.picture()) == 255).all()
+
+
+def test_what_is_held_out_is_measured_early(tmp_path: Path) -> None:
+    """After 100 and 200 steps, and at the end."""
+    config = ls.TrainConfig(iterations=210, cap=80, initial=60, sh_degree=0)
+    ls.train(folder_of(tmp_path / "set"), config, output=tmp_path / "a.ply", device="cpu")
+    told = json.loads((tmp_path / "a.training" / "curve.json").read_text())
+    assert [step for step, _ in told["measured"]] == [100, 200, 210]
