@@ -13,6 +13,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.constants.training import SSIM_C1, SSIM_C2
+from lumisplat.device.film.counted import counted, share_of
 from lumisplat.device.structs.training import LossGrid, LossMaps, LossWeights, Photograph
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler_flags": FUSED_FLAGS})
@@ -40,20 +41,6 @@ def mirrored(x: int, size: int) -> int:
 def slope(x: float) -> float:
     """Derivative of the magnitude; 0 at 0, where Warp's sign is 1."""
     return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))
-
-
-@wp.func
-def share_of(photograph: Photograph, i: int) -> float:
-    """How much a pixel counts, 0..1."""
-    if photograph.weight.shape[0] > 0:
-        return photograph.weight[i]
-    return 1.0
-
-
-@wp.func
-def counted(shown: wp.vec3, photograph: Photograph, i: int) -> wp.vec3:
-    """What a frame shows where it counts, the photograph elsewhere."""
-    return wp.lerp(photograph.color[i], shown, share_of(photograph, i))
 
 
 @wp.func

@@ -9,6 +9,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_VARIANCE_MIN
+from lumisplat.device.film.counted import share_of
 from lumisplat.device.gaussian.splat_coverage import is_listed
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient
@@ -93,14 +94,6 @@ def has_normal(view: CameraData, alpha: wp.array[float], x: int, y: int) -> bool
     return wp.min(least, alpha[i]) > OPAQUE
 
 
-@wp.func
-def counted_share(photograph: Photograph, i: int) -> float:
-    """How much a pixel counts, 0..1."""
-    if photograph.weight.shape[0] > 0:
-        return photograph.weight[i]
-    return 1.0
-
-
 @wp.kernel
 def compare(
     start: int,
@@ -117,7 +110,7 @@ def compare(
     view = camera[0]
     x = i % view.width
     y = i // view.width
-    share = counted_share(photograph, i)
+    share = share_of(photograph, i)
     a = alpha[i]
     by_depth = float(0.0)
     by_square = float(0.0)
