@@ -167,10 +167,10 @@ def test_missing_packages_leave_their_figures_out(work, monkeypatch):
         (("@capture.ply", "@photos", "-o", "@capture.ply"), "capture.ply: is a file, expected a folder"),
     ],
 )
-def test_mistakes_are_one_line(work, args, problem):
-    """Status 2, what is wrong, nothing written."""
+def test_mistakes_are_one_line(work, args, problem, caplog):
+    """Status 2, what is wrong, nothing written, and nothing told of what is not going to be done."""
     before = work.files()
     done = work.run("evaluate", *args, "--device", "cpu") if args else work.run("evaluate")
     assert done.status == 2 and done.err.startswith("error: ") and done.err.count("\n") == 1
-    assert problem in done.err
+    assert problem in done.err and not caplog.messages
     assert work.files() == before

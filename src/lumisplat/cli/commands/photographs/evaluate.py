@@ -69,13 +69,13 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if config.background is None:
             raise ls.ConfigError("--background is transparent, expected a colour over which pictures are compared")
         keeps_lenses = config.pipeline is ls.Pipeline.TRACE or config.raster.projection is ls.Projection.UNSCENTED
-        views = self._views(folder, config.background, straighten=not keeps_lenses)
         if self.output is not None:
             check_writable(self.output)
-        scales = _common_scales(views)
         with progress_bars() as report:
-            renderer = self.start_renderer(report, config)
             scene = self.load_scene(scene_files, report)
+            views = self._views(folder, config.background, straighten=not keeps_lenses)
+            scales = _common_scales(views)
+            renderer = self.start_renderer(report, config)
             compared: list[Comparison] = []
             for index, view in enumerate(views):
                 report("comparing", index / len(views))
