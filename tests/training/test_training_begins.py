@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.io.photographs.surroundings import count_places, count_poses
 from lumisplat.training.initial import enough_points
+from support.files.photograph_files import write_transforms_photographs
 from support.scenes.training_scenes import cameras, folder_of
 
 SHORT = ls.TrainConfig(iterations=60, cap=80, sh_degree=1, prune_below=0.0)
@@ -55,6 +58,42 @@ def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFi
         assert enough_points(many, None, seen, config) == (many, None)
         assert enough_points(None, None, seen, config) == (None, None)
     assert not caplog.text
+
+
+@pytest.mark.parametrize(
+    ("numbers", "problem"),
+    [
+        ([0, 1], "1 photograph to learn from, taken from one place: where surfaces are shows between places only"),
+        ([0, 1, 1, 1], "3 photographs to learn from, taken from one place: "),
+        ([0, 1, 2, 2, 1], "4 photographs to learn from, taken from 2 places: "),
+        ([0, 1, 2, 3, 3, 2, 4], "2 of 6 photographs to learn from have the pose of another one: "),
+        ([0, 1, 2, 3], None),
+    ],
+)
+def test_few_and_equal_photographs_are_told(
+    numbers: list[int], problem: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In one line, with what to do; of as many as there should be, nothing is said."""
+    seen = cameras(max(numbers) + 1, 16)
+    listed = [replace(seen[number], name=f"v{index}") for index, number in enumerate(numbers)]
+    folder = write_transforms_photographs(tmp_path / "set", listed)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        ls.train(folder, replace(SHORT, iterations=1), device="cpu")
+    assert [line.startswith(problem) for line in caplog.messages if problem] == ([True] if problem else [])
+    assert problem or not caplog.messages
+
+
+def test_places_and_poses_are_told_apart() -> None:
+    """A camera that turns is in one place, and shows something else; the unit of length does not matter."""
+    for scale in (1e-3, 1.0, 1e4):
+        eyes = scale * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        ahead = [ls.Camera.look_at(eye, eye + np.array((0.0, 0.0, scale))) for eye in eyes]
+        aside = [ls.Camera.look_at(eye, eye + np.array((0.3 * scale, 0.0, scale))) for eye in eyes]
+        assert (count_places([*ahead, *aside]), count_poses([*ahead, *aside])) == (3, 6)
+        again = [*ahead, *aside, *ahead]
+        assert (count_places(again), count_poses(again)) == (3, 6)
+        assert (count_places([ahead[0]] * 4), count_poses([ahead[0]] * 4)) == (1, 1)
+        assert (count_places([ahead[1], aside[1]]), count_poses([ahead[1], aside[1]])) == (1, 2)
 
 
 def test_ctrl_c_ends_a_training_between_two_steps(tmp_path: Path) -> None:

@@ -9,3 +9,14 @@ CAMERA_MARGIN = 1.1
 
 HOLD_OUT = 8
 """One photograph of so many is not trained with, as Mip-NeRF 360 and those after it do."""
+
+SAME_PLACE = 1e-3
+"""Distance of two cameras, as a share of the extent of all, up to which they stand in one place: between them, hardly
+anything moves in the picture."""
+
+SAME_TURN = 1e-3
+"""Angle between two cameras, radians, up to which they are turned alike: a pixel or two."""
+
+PLACES_MIN = 3
+"""Places from which photographs are taken, below which a line says that this is few: two say nothing of what only one
+of them sees."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from lumisplat.config import TrainConfig
 from lumisplat.constants import SH_C0
+from lumisplat.constants.photographs import PLACES_MIN
 from lumisplat.constants.training import (
     INITIAL_DEPTHS,
     INITIAL_OPACITY,
@@ -20,7 +21,7 @@ from lumisplat.constants.training import (
     POINTS_SHARE_MIN,
 )
 from lumisplat.io.photographs.lens import is_bent
-from lumisplat.io.photographs.surroundings import camera_extent, camera_target
+from lumisplat.io.photographs.surroundings import camera_extent, camera_target, count_places, count_poses
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera
 from lumisplat.training.learnt import Learnt
@@ -94,6 +95,25 @@ def enough_points(
     known = np.full(points.shape, 0.5) if colors is None else colors
     both = np.concatenate([known, rng.uniform(size=added.shape)])
     return np.concatenate([points, added]).astype(np.float32), both.astype(np.float32)
+
+
+def say_if_few(cameras: Sequence[Camera]) -> None:
+    """Logs a line if photographs to learn from are too few, or some of them the same."""
+    count, places, poses = len(cameras), count_places(cameras), count_poses(cameras)
+    if places < PLACES_MIN:
+        _log.warning(
+            "%s to learn from, taken from %s: where surfaces are shows between places only, and other views will be "
+            "poor: take some twenty or more from all around",
+            "1 photograph" if count == 1 else f"{count} photographs",
+            "one place" if places == 1 else f"{places} places",
+        )
+    elif poses < count:
+        _log.warning(
+            "%d of %d photographs to learn from have the pose of another one: they show nothing new, leave them out "
+            "if they are copies",
+            count - poses,
+            count,
+        )
 
 
 def _seen(camera: Camera, pixels: Doubles) -> Doubles:

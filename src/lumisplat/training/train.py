@@ -26,7 +26,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.checkpoint import read_checkpoint, write_checkpoint
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore
-from lumisplat.training.initial import enough_points
+from lumisplat.training.initial import enough_points, say_if_few
 from lumisplat.training.run_folder import RunFolder
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
@@ -155,6 +155,7 @@ class _Run:
         self._photographs, self._config, self._folder, self._progress = photographs, config, folder, progress
         views = [TrainingView.of(photograph) for photograph in photographs.training]
         cameras = [view.camera for view in views]
+        say_if_few(cameras)
         points, colors = enough_points(photographs.points, photographs.point_colors, cameras, config)
         self._trainer = Trainer(
             views,
