@@ -48,31 +48,46 @@ def main() -> None:
     mi = load_mitsuba()
     scene = ls.load(given.mesh)
     assert isinstance(scene, ls.Scene)
-    sky = ls.LightEnvironment(ls.load_radiance(given.environment))
-    cameras = around(scene, given.size)
-    parts = describe(mi, scene, sky)
-    number = {"train": 0, "test": 0}
-    frames: dict[str, list[dict]] = {"train": [], "test": []}
-    for i, camera in enumerate(cameras):
-        split = "test" if i % (len(cameras) // HELD_OUT) == 2 and number["test"] < HELD_OUT else "train"
+    bitmap = mi.Bitmap(np.array(ls.load_radiance(given.environment), np.float32))
+    views = views_around(scene, given.size, VIEWS, HELD_OUT, digits=2)
+    shapes = [mesh_of(mi, instance, principled(mi, instance.mesh.material)) for instance in scene.meshes]
+    parts = describe(shapes, {"type": "envmap", "bitmap": bitmap})
+    for i, (name, camera) in enumerate(views.items()):
         film = mi.load_dict(parts | {"sensor": with_alpha(sensor_of(mi, camera, given.samples))})
-        name = f"{split}/r_{number[split]:02}"
-        number[split] += 1
         write(given.out / f"{name}.png", mi.render(film, seed=mi.UInt32(i)).numpy())
-        matrix = camera.world_from_camera @ CAMERA_TO_GL
-        frames[split].append({"file_path": f"./{name}", "transform_matrix": matrix.tolist()})
-        print(f"{i + 1} of {len(cameras)}", end="\r", flush=True)
-    for split, rows in frames.items():
+        print(f"{i + 1} of {len(views)}", end="\r", flush=True)
+    write_transforms(given.out, views)
+    print(f"{given.out}: {VIEWS} views, {HELD_OUT} held out")
+
+
+def views_around(scene: ls.Scene, size: int, learnt: int, held_out: int, digits: int = 3) -> dict[str, ls.Camera]:
+    """Cameras around it by name, ``train/r_000`` and ``test/r_000``: those held out lie evenly between the others."""
+    cameras, every = around(scene, size, learnt + held_out), (learnt + held_out) // held_out
+    number = {"train": 0, "test": 0}
+    views: dict[str, ls.Camera] = {}
+    for i, camera in enumerate(cameras):
+        split = "test" if i % every == every // 2 and number["test"] < held_out else "train"
+        views[f"{split}/r_{number[split]:0{digits}}"] = camera
+        number[split] += 1
+    return views
+
+
+def write_transforms(out: Path, views: dict[str, ls.Camera]) -> None:
+    """Writes transforms_train.json and transforms_test.json."""
+    for split in ("train", "test"):
+        rows = [
+            {"file_path": f"./{name}", "transform_matrix": (camera.world_from_camera @ CAMERA_TO_GL).tolist()}
+            for name, camera in views.items()
+            if name.startswith(split)
+        ]
         text = json.dumps({"camera_angle_x": FOV, "frames": rows}, indent=1)
-        (given.out / f"transforms_{split}.json").write_text(text + "\n")
-    print(f"{given.out}: {len(frames['train'])} views, {len(frames['test'])} held out")
+        (out / f"transforms_{split}.json").write_text(text + "\n")
 
 
-def around(scene: ls.Scene, size: int) -> list[ls.Camera]:
+def around(scene: ls.Scene, size: int, count: int) -> list[ls.Camera]:
     """Views from evenly spread directions, as far away as shows all of it."""
     low, high = bounds(scene)
     center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-    count = VIEWS + HELD_OUT
     sines = LOWEST + (HIGHEST - LOWEST) * (np.arange(count) + 0.5) / count
     turns = GOLDEN * np.arange(count)
     across = np.sqrt(1.0 - sines**2)
@@ -95,31 +110,33 @@ def placed(instance: ls.MeshInstance) -> tuple[np.ndarray, np.ndarray]:
     return mesh.positions @ matrix[:3, :3].T + matrix[:3, 3], normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def describe(mi: Any, scene: ls.Scene, sky: ls.LightEnvironment) -> dict:
+def describe(shapes: list[Any], sky: dict) -> dict:
     """Mitsuba's scene dictionary without a sensor; the environment lights, and is not seen behind."""
-    assert sky.image is not None
-    bitmap = mi.Bitmap(np.array(sky.image, np.float32))
     integrator = {"type": "path", "max_depth": 6, "hide_emitters": True}
-    parts: dict = {"type": "scene", "integrator": integrator, "sky": {"type": "envmap", "bitmap": bitmap}}
-    return parts | {f"mesh{i}": mesh_of(mi, instance) for i, instance in enumerate(scene.meshes)}
+    return {"type": "scene", "integrator": integrator, "sky": sky} | {f"mesh{i}": one for i, one in enumerate(shapes)}
 
 
-def mesh_of(mi: Any, instance: ls.MeshInstance) -> Any:
-    """A textured mesh where it stands; bumps that only its normal map has are left out."""
-    mesh = instance.mesh
-    material: Any = mesh.material
-    assert mesh.uvs is not None and material.base_color_texture is not None
+def principled(mi: Any, material: Any) -> dict:
+    """A textured material; bumps that only its normal map has are left out."""
+    assert material.base_color_texture is not None
     color = {"type": "bitmap", "bitmap": mi.Bitmap(np.array(material.base_color_texture))}
-    bsdf = {"type": "principled", "base_color": color, "roughness": material.roughness, "metallic": material.metallic}
+    return {"type": "principled", "base_color": color, "roughness": material.roughness, "metallic": material.metallic}
+
+
+def mesh_of(mi: Any, instance: ls.MeshInstance, bsdf: dict) -> Any:
+    """A mesh where it stands, of a material."""
+    mesh = instance.mesh
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": bsdf})
     counts = mesh.name, mesh.vertex_count, mesh.face_count
-    made = mi.Mesh(*counts, props=properties, has_vertex_normals=True, has_vertex_texcoords=True)
+    textured = mesh.uvs is not None
+    made = mi.Mesh(*counts, props=properties, has_vertex_normals=True, has_vertex_texcoords=textured)
     values = mi.traverse(made)
     positions, normals = placed(instance)
     values["vertex_positions"] = positions.astype(np.float32).ravel()
     values["vertex_normals"] = normals.astype(np.float32).ravel()
-    values["vertex_texcoords"] = mesh.uvs.astype(np.float32).ravel()
+    if mesh.uvs is not None:
+        values["vertex_texcoords"] = mesh.uvs.astype(np.float32).ravel()
     values["faces"] = mesh.indices.ravel().astype(np.uint32)
     values.update()
     return made
