@@ -164,7 +164,7 @@ def test_roughness_is_that_of_the_place(tool, made, balls) -> None:
         roughness, inside = layer(folder, "roughness", index, "Y")
         points = ls.Mesh(frame.position[inside], [[0, 1, 2]], frame.normal[inside])
         expected = tool.roughness_of(ls.MeshInstance(points), scene)
-        assert np.quantile(np.abs(roughness[inside][:, 0] - expected), 0.95) < 0.02
+        assert np.median(np.abs(roughness[inside][:, 0] - expected)) < 0.005  # of a pixel, and in its middle
         assert np.ptp(roughness[inside]) > 0.3
         pair = [ls.load_image(one / "relit" / "studio" / f"r_{index:03}.png") for one in (folder, matt)]
         assert ls.psnr(*pair, region=inside) < 35.0
