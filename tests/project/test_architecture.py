@@ -71,6 +71,7 @@ LAYERS = (
     "training.corrections",
     "training.surfaces",
     "training",
+    "training.materials",
     "public",
     "viewer.thresholds",
     "viewer.colors",

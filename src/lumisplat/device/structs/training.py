@@ -140,3 +140,44 @@ class LossWeights:
     l1: float
     ssim: float
     alpha: float
+
+
+@struct
+class GaussianMaterials:
+    """What Gaussians are made of, none of it metal; an element a Gaussian."""
+
+    means: wp.array[wp.vec3]
+    normals: wp.array[wp.vec3]
+    """Unit, towards the side that is lit and seen."""
+    albedo: wp.array[wp.vec3]
+    """Base colour, linear, 0..1."""
+    roughness: wp.array[float]
+    """Perceptual, above 0, at most 1."""
+
+
+@struct
+class DirectionalLight:
+    """Light on N Gaussians from K directions that stand for the sphere, each with its share of it."""
+
+    directions: wp.array[wp.vec3]
+    """Unit, towards the light, shape (K,)."""
+    solid_angle: float
+    """Of each, steradians."""
+    sky: wp.array[wp.vec3]
+    """Radiance of the surroundings around each direction, linear, shape (K,)."""
+    open: wp.array2d[float]
+    """Share of the sky that reaches a Gaussian, 0..1, shape (N, K)."""
+    seen: wp.array2d[wp.vec3]
+    """Radiance of what blocks the rest, linear, shape (N, K)."""
+    spread: float
+    """What adds to the squared alpha of highlights, so that they are wider than directions are apart."""
+
+
+@struct
+class MaterialGradient:
+    """Derivatives of a loss by materials; an element a Gaussian."""
+
+    albedo: wp.array[wp.vec3]
+    roughness: wp.array[float]
+    normals: wp.array[wp.vec3]
+    """As of a vector of any length."""

@@ -1,0 +1,1 @@
+"""Materials and light from photographs, of a capture whose geometry stays."""

@@ -1,0 +1,48 @@
+"""Derivatives of what Gaussians show by what they are made of.
+
+Nothing else is in this module, for Warp finds derivatives (``wp.grad``) of functions within functions only where no
+other kernel of the module has called them: they would be 0.
+"""
+
+import warp as wp
+
+from lumisplat.device.material.rough_dielectric import light_on, lit_view, reflected_dot
+from lumisplat.device.structs.training import DirectionalLight, GaussianMaterials, MaterialGradient
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def differentiate(
+    start: int,
+    eye: wp.vec3,
+    materials: GaussianMaterials,
+    light: DirectionalLight,
+    by_radiance: wp.array[wp.vec3],
+    gradient_out: MaterialGradient,
+):
+    """Item = Gaussian: derivatives by what it is made of; the view stays on its side of the surface."""
+    i = start + wp.tid()
+    by_albedo = wp.vec3(0.0)
+    by_roughness = float(0.0)
+    by_normal = wp.vec3(0.0)
+    given = by_radiance[i]
+    if wp.dot(given, given) > 0.0:
+        normal = materials.normals[i]
+        albedo = materials.albedo[i]
+        view = lit_view(normal, eye - materials.means[i])
+        for k in range(light.directions.shape[0]):
+            way = light.directions[k]
+            if wp.dot(normal, way) > 0.0:
+                weighted = light.solid_angle * wp.cw_mul(given, light_on(light, i, k))
+                by_diffuse = wp.dot(albedo, weighted)
+                by_highlight = weighted[0] + weighted[1] + weighted[2]
+                normal_part, roughness_part, _view, _way, _spread, diffuse, _highlight = wp.grad(reflected_dot)(
+                    normal, materials.roughness[i], view, way, light.spread, by_diffuse, by_highlight
+                )
+                by_albedo += diffuse * weighted
+                by_normal += normal_part
+                by_roughness += roughness_part
+    gradient_out.albedo[i] = by_albedo
+    gradient_out.roughness[i] = by_roughness
+    gradient_out.normals[i] = by_normal

@@ -1,0 +1,122 @@
+"""Gaussians that reflect light each by itself, and the derivatives of what they show.
+
+The equations are in docs/method/relightable.md.
+"""
+
+import warp as wp
+
+from lumisplat.constants import SH_C0
+from lumisplat.constants.materials import SKY_CHUNK
+from lumisplat.device.gaussian.splat_coverage import is_listed
+from lumisplat.device.material.rough_dielectric import diffuse_factor, highlight_factor, light_on, lit_view
+from lumisplat.device.math.color import encode_srgb
+from lumisplat.device.structs.gradients import SplatGradient
+from lumisplat.device.structs.raster import TileRect
+from lumisplat.device.structs.training import DirectionalLight, GaussianMaterials
+
+wp.set_module_options({"enable_backward": False})
+
+CHUNK = wp.constant(SKY_CHUNK)
+HARMONIC = wp.constant(wp.float32(SH_C0))
+
+
+@wp.func
+def alpha_of(roughness: float, spread: float) -> float:
+    """Of a highlight that is as wide as directions are apart."""
+    alpha = roughness * roughness
+    return wp.sqrt(alpha * alpha + spread)
+
+
+@wp.func
+def slope_of_encoding(linear: float) -> float:
+    """Derivative of the sRGB encoding."""
+    if linear <= 0.0031308:
+        return 12.92
+    return (1.055 / 2.4) * wp.pow(linear, 1.0 / 2.4 - 1.0)
+
+
+@wp.kernel
+def shade(
+    start: int,
+    eye: wp.vec3,
+    materials: GaussianMaterials,
+    light: DirectionalLight,
+    radiance_out: wp.array[wp.vec3],
+    sh_out: wp.array[wp.vec3],
+):
+    """Item = Gaussian: what it shows to an eye, linear; and that, display-referred, as its constant harmonic."""
+    i = start + wp.tid()
+    normal = materials.normals[i]
+    roughness = materials.roughness[i]
+    view = lit_view(normal, eye - materials.means[i])
+    cos_view = wp.dot(normal, view)
+    wide = alpha_of(roughness, light.spread)
+    diffuse = wp.vec3(0.0)
+    highlight = wp.vec3(0.0)
+    for k in range(light.directions.shape[0]):
+        way = light.directions[k]
+        cosine = wp.dot(normal, way)
+        if cosine > 0.0:
+            arriving = (cosine * light.solid_angle) * light_on(light, i, k)
+            diffuse += diffuse_factor(cos_view, cosine, roughness * roughness) * arriving
+            highlight += highlight_factor(normal, view, way, wide) * arriving
+    radiance = wp.cw_mul(materials.albedo[i], diffuse) + highlight
+    radiance_out[i] = radiance
+    shown = wp.vec3(
+        encode_srgb(wp.min(radiance[0], 1.0)),
+        encode_srgb(wp.min(radiance[1], 1.0)),
+        encode_srgb(wp.min(radiance[2], 1.0)),
+    )
+    sh_out[i] = (shown - wp.vec3(0.5)) / HARMONIC
+
+
+@wp.kernel
+def decode_gradients(
+    start: int,
+    rects: wp.array[TileRect],
+    by_splats: wp.array[SplatGradient],
+    radiance: wp.array[wp.vec3],
+    by_radiance_out: wp.array[wp.vec3],
+):
+    """Item = Gaussian: derivatives by its radiance. One above white only hears that it should be darker."""
+    i = start + wp.tid()
+    by_radiance = wp.vec3(0.0)
+    if is_listed(rects[i]):
+        by_color = by_splats[i].color
+        for c in range(3):
+            if radiance[i][c] < 1.0 or by_color[c] > 0.0:
+                by_radiance[c] = by_color[c] * slope_of_encoding(radiance[i][c])
+    by_radiance_out[i] = by_radiance
+
+
+@wp.kernel
+def differentiate_sky(
+    start: int,
+    eye: wp.vec3,
+    materials: GaussianMaterials,
+    light: DirectionalLight,
+    by_radiance: wp.array[wp.vec3],
+    by_sky_out: wp.array2d[wp.vec3],
+):
+    """Item = chunk of Gaussians: derivatives by the sky's radiance, of these alone, a row each."""
+    chunk = start + wp.tid()
+    directions = light.directions.shape[0]
+    for k in range(directions):
+        by_sky_out[chunk, k] = wp.vec3(0.0)
+    for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, by_radiance.shape[0])):
+        given = by_radiance[i]
+        if wp.dot(given, given) > 0.0:
+            normal = materials.normals[i]
+            roughness = materials.roughness[i]
+            view = lit_view(normal, eye - materials.means[i])
+            cos_view = wp.dot(normal, view)
+            wide = alpha_of(roughness, light.spread)
+            by_diffuse = wp.cw_mul(given, materials.albedo[i])
+            for k in range(directions):
+                way = light.directions[k]
+                cosine = wp.dot(normal, way)
+                if cosine > 0.0:
+                    share = cosine * light.solid_angle * light.open[i, k]
+                    by_sky = diffuse_factor(cos_view, cosine, roughness * roughness) * by_diffuse
+                    by_sky += highlight_factor(normal, view, way, wide) * given
+                    by_sky_out[chunk, k] = by_sky_out[chunk, k] + share * by_sky

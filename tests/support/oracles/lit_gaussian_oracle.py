@@ -1,0 +1,56 @@
+"""What Gaussians show that reflect light each by itself, float64 (docs/method/relightable.md#shading)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lumisplat.constants.materials import VIEW_COSINE_MIN
+from support.oracles.bsdf_oracle import pbr_diffuse, pbr_specular
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Lit:
+    """N Gaussians, and light from K directions."""
+
+    means: Array
+    normals: Array
+    albedo: Array
+    roughness: Array
+    directions: Array
+    sky: Array
+    open: Array
+    seen: Array
+    spread: float
+
+
+def radiance(lit: Lit, eye: Array) -> Array:
+    """What an eye sees of each, linear, shape (N, 3)."""
+    return np.array([_of_one(lit, i, lit_view(lit.normals[i], eye - lit.means[i])) for i in range(len(lit.means))])
+
+
+def lit_view(normal: Array, way: Array) -> Array:
+    """The direction of a view, no flatter than the least cosine, in the plane of the normal and the view."""
+    view = way / np.linalg.norm(way)
+    if view @ normal >= VIEW_COSINE_MIN:
+        return view
+    tangent = view - (view @ normal) * normal
+    tangent /= np.linalg.norm(tangent)
+    return VIEW_COSINE_MIN * normal + np.sqrt(1.0 - VIEW_COSINE_MIN**2) * tangent
+
+
+def _of_one(lit: Lit, i: int, view: Array) -> Array:
+    normal, alpha = lit.normals[i], lit.roughness[i] ** 2
+    cosines = lit.directions @ normal
+    above = cosines > 0.0
+    light = (lit.open[i][:, None] * lit.sky + lit.seen[i])[above]
+    weights = (cosines[above] * 4.0 * np.pi / len(lit.directions))[:, None]
+    matte = {"diffuse": lit.albedo[i], "dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": alpha}
+    shine = {"specular": [0.04] * 3, "grazing": 1.0, "alpha": np.sqrt(alpha**2 + lit.spread)}
+    ways = lit.directions[above]
+    views, normals = np.broadcast_to(view, ways.shape), np.broadcast_to(normal, ways.shape)
+    reflected = pbr_diffuse(matte, normals, views, ways) + pbr_specular(shine, normals, views, ways)
+    return (weights * reflected * light).sum(axis=0)
