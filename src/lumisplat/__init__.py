@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         HitDistance,
         LearningRates,
         LightEstimationConfig,
+        MaterialsConfig,
         NormalEstimate,
         NormalMethod,
         PathConfig,
@@ -129,6 +130,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.textures import TextureWrap
     from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
     from lumisplat.training.held_out import HeldOutScore
+    from lumisplat.training.materials.find_materials import FoundMaterials, find_materials
     from lumisplat.training.train import TrainResult, train
     from lumisplat.training.trainer import DivergedError
     from lumisplat.viewer.view import view
@@ -158,6 +160,7 @@ _MODULE_OF = {
     "DivergedError": "training.trainer",
     "EnvironmentProbe": "relighting.probe",
     "FormatError": "errors",
+    "FoundMaterials": "training.materials.find_materials",
     "Frame": "frame.frame",
     "GaussianSequence": "scene.animation.sequence",
     "GaussianSurface": "config",
@@ -178,6 +181,7 @@ _MODULE_OF = {
     "LitPoints": "metrics.lit_points",
     "LumisplatError": "errors",
     "MaterialPbr": "scene.materials",
+    "MaterialsConfig": "config",
     "MaterialSimple": "scene.materials",
     "Mesh": "scene.mesh",
     "MeshInstance": "scene.scene",
@@ -244,6 +248,7 @@ _MODULE_OF = {
     "estimate_sun": "relighting.sun_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
     "extract_frames": "io.photographs.film",
+    "find_materials": "training.materials.find_materials",
     "find_poses": "io.photographs.poses",
     "fit_lights": "relighting.fitting.fit_lights",
     "flip": "metrics.images",
@@ -318,6 +323,7 @@ __all__ = [
     "FilterConfig",
     "FittedView",
     "FormatError",
+    "FoundMaterials",
     "Frame",
     "GaussianSequence",
     "GaussianSurface",
@@ -339,6 +345,7 @@ __all__ = [
     "LumisplatError",
     "MaterialPbr",
     "MaterialSimple",
+    "MaterialsConfig",
     "Mesh",
     "MeshInstance",
     "MissingExtraError",
@@ -402,6 +409,7 @@ __all__ = [
     "estimate_normals",
     "estimate_sun",
     "extract_frames",
+    "find_materials",
     "find_poses",
     "fit_lights",
     "flip",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
 from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
+from lumisplat.config.materials import MaterialsConfig
 from lumisplat.config.paths import PathConfig, PathPrimary
 from lumisplat.config.probes import ProbeConfig
 from lumisplat.config.raster import Antialiasing, GaussianSurface, Projection, RasterConfig, RasterStrategy
@@ -49,6 +50,7 @@ __all__ = [
     "HitDistance",
     "LearningRates",
     "LightEstimationConfig",
+    "MaterialsConfig",
     "NormalEstimate",
     "NormalMethod",
     "PathConfig",

@@ -102,12 +102,22 @@ class TrainingRaster:
             gradient: Derivatives by these.
             surfaces: What was compared of its surfaces, if anything.
         """
-        self.by_splat = self._backward.splats(self._scene, self.drawn, pixels, gradient)
+        self.by_splats(pixels, gradient)
         by_features = None if surfaces is None else surfaces.backward(self._scene, self.drawn, self.by_splat)
         by_gaussians = self._backward.gaussians(self._scene, self.drawn, self.by_splat, 0)
         if surfaces is not None and by_features is not None:
             surfaces.add_by_features(self._scene, by_features, by_gaussians)
         return by_gaussians
+
+    def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
+        """Derivatives by the splats of the last frame, ``SplatGradient``, alone; undefined where none was drawn.
+
+        Args:
+            pixels: Of the last frame.
+            gradient: Derivatives by these.
+        """
+        self.by_splat = self._backward.splats(self._scene, self.drawn, pixels, gradient)
+        return self.by_splat
 
     def flatten(self, weight: float, gradient: GaussianGradient) -> None:
         """Adds the derivatives of the mean least scale of what was drawn, times a weight."""

@@ -11,7 +11,8 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, Flag
-from lumisplat.cli.output.console import counted, print_columns, progress_bars, spoken_time
+from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars, spoken_time
+from lumisplat.cli.output.materials.materials_report import write_materials
 from lumisplat.cli.output.standard_output import refuse_standard_output
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
@@ -21,6 +22,10 @@ _POSES = ("transforms.json", "transforms_train.json", "sparse", "cameras.bin", "
 """Files that have poses, of which one is in a folder that needs none to be found."""
 _WORST = 5
 """Views that are listed."""
+_RELIGHTABLE = (0.3, 0.05, 0.3)
+"""Weights of flatness, normals and depth spread for --relightable."""
+_TOO_LIGHT = 0.02
+"""Share of what is seen, above which it is said that its albedo was clipped."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +76,12 @@ class Train(DeviceCommand):
     """Learn how each photograph was exposed, too: for cameras that chose by themselves."""
     refine_poses: Flag = False
     """Learn the poses, too: for those that are a little off."""
+    relightable: Flag = False
+    """Then find albedo, roughness and normals of the Gaussians, and the sky, which is written as
+    NAME.environment.exr (docs/guide/relightable.md). Unless they are given, --flatness is 0.3, --normals 0.05 and
+    --depth-spread 0.3."""
+    material_steps: Annotated[int, arg(metavar="N")] = 300
+    """Steps of --relightable that refine materials by a photograph each."""
     flatness: Annotated[float, arg(metavar="WEIGHT")] = 0.0
     """For relighting: how much it counts that Gaussians are flat; try 0.3."""
     normals: Annotated[float, arg(metavar="WEIGHT")] = 0.0
@@ -95,7 +106,12 @@ class Train(DeviceCommand):
         refuse_standard_output(self.output)
         if self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
+        if self.relightable and self.output.suffix.lower() != ".ply":
+            raise ls.ConfigError(f"-o is {self.output}, expected a .ply: others have no columns for --relightable")
+        if self.relightable and (self.pipeline, self.projection) != ("raster", "ewa"):
+            raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
         config, stop_after = self._config(), None if self.stop_after is None else seconds_of(self.stop_after)
+        materials = ls.MaterialsConfig(iterations=self.material_steps, seed=self.seed)
         background = self._checked_background()
         self.start_warp()
         with progress_bars() as report:
@@ -120,11 +136,38 @@ class Train(DeviceCommand):
                     device=self.device,
                     progress=report,
                 )
+                found = self._materials(result, photographs, materials, report)
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(f"{self._again} goes on; with --stop-after 1s, it writes the capture") from None
         self._tell(result)
+        if found is not None:
+            self._tell_materials(found)
+
+    def _materials(
+        self, result: ls.TrainResult, photographs: ls.Photographs, config: ls.MaterialsConfig, report: Report
+    ) -> ls.FoundMaterials | None:
+        """Finds and writes materials, once training has come to its end."""
+        if not self.relightable or not result.is_finished:
+            return None
+        found = ls.find_materials(
+            result.gaussians, photographs, config, output=self.output, device=self.device, progress=report
+        )
+        write_materials(self.output.with_suffix(".training") / "materials", found, photographs, self.device)
+        return found
+
+    def _tell_materials(self, found: ls.FoundMaterials) -> None:
+        """Says what is beside the capture, and what is doubtful."""
+        sky = self.output.with_name(self.output.stem + ".environment.exr")
+        print(f"{sky}: the sky; {self.output.with_suffix('.training')}/materials has pictures of both")
+        if found.too_light > _TOO_LIGHT:
+            print(
+                f"{found.too_light:.0%} of what is seen is lighter than the sky that was found can make it: "
+                "highlights, light that no photograph shows, or photographs of changing exposure"
+            )
 
     def _config(self) -> ls.TrainConfig:
+        terms = (self.flatness, self.normals, self.depth_spread)
+        flatness, normals, depth_spread = _RELIGHTABLE if self.relightable and not any(terms) else terms
         return ls.TrainConfig(
             iterations=self.iterations,
             cap=self.cap,
@@ -137,9 +180,9 @@ class Train(DeviceCommand):
             exposures=self.exposures,
             refine_poses=self.refine_poses,
             random_background=self._is_random,
-            flatness=self.flatness,
-            normals=self.normals,
-            depth_spread=self.depth_spread,
+            flatness=flatness,
+            normals=normals,
+            depth_spread=depth_spread,
             prune_below=self.prune_below,
             seed=self.seed,
         )

@@ -1,0 +1,1 @@
+"""What `lumisplat train --relightable` writes beside the capture and its sky."""

@@ -1,0 +1,204 @@
+"""What a capture is made of, and the light that it was photographed in: ``lumisplat.find_materials``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig
+from lumisplat.config.checks import check_kind
+from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.io import save
+from lumisplat.io.images.exr import write_exr
+from lumisplat.io.photographs.lens import is_bent
+from lumisplat.io.photographs.loading import load_photographs
+from lumisplat.io.photographs.photographs import Photographs
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.sh import even_directions
+from lumisplat.renderer.renderer import create_renderer
+from lumisplat.renderer.splat_gradients import DifferentiableRenderer
+from lumisplat.runtime.interrupts import interrupts_held
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.lights import LightEnvironment
+from lumisplat.training.materials.incident import Incident, traced_incident
+from lumisplat.training.materials.lit_gaussians import Materials
+from lumisplat.training.materials.material_fit import MaterialFit
+from lumisplat.training.materials.normals import seen_normals
+from lumisplat.training.materials.outgoing import mean_outgoing
+from lumisplat.training.materials.sky_fit import WhiteLight, fitted_sky
+from lumisplat.training.materials.sky_image import sky_image
+from lumisplat.training.views import TrainingView
+
+Progress = Callable[[str, float], None]
+ENVIRONMENT = ".environment.exr"
+"""What the file of the sky ends in."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundMaterials:
+    """A capture that can be relit, and the light that it was in."""
+
+    gaussians: Gaussians
+    """The same Gaussians in the same order, with ``albedo``, ``roughness`` and ``normals``; colours as they were."""
+    environment: LightEnvironment
+    """The sky around the capture, 16 x 32, in world space, in units of display white."""
+    error: float
+    """Mean difference between photographs and what materials and sky show, display-referred, of the last round of
+    photographs; of no step, NaN."""
+    too_light: float
+    """Share of Gaussians, by how much of the photographs they are, whose albedo would have been above 1: they are
+    highlights, or the light that reaches them was underestimated."""
+
+
+def find_materials(
+    gaussians: Gaussians,
+    photographs: Photographs | str | os.PathLike[str],
+    config: MaterialsConfig | None = None,
+    *,
+    output: str | os.PathLike[str] | None = None,
+    device: str = "auto",
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> FoundMaterials:
+    """Finds albedo, roughness and normals of a capture, and the sky around it, from the photographs it was made of.
+
+    The second stage of Relightable 3D Gaussians (Gao et al. 2024), with light that is traced in place of light that is
+    learnt: the geometry stays. Where other Gaussians block the sky, what they show in the capture shines on a Gaussian;
+    only the sky is unknown. The product of light and albedo alone is seen: the brightness and the tint of the sky are
+    conventions (lightest surfaces reflect 0.8).
+
+    Args:
+        gaussians: A capture whose Gaussians lie on surfaces, as of `lumisplat.train` with terms on them.
+        photographs: Of it, a folder or what `lumisplat.load_photographs` has read; those of pinholes.
+        config: Settings; None: the defaults.
+        output: The capture with materials, .ply, beside which the sky is written as ``NAME.environment.exr``; None:
+            nothing is written.
+        device: As of `lumisplat.create_renderer`.
+        threads: As of `lumisplat.create_renderer`.
+        progress: Called with what is being done and the fraction done, 0..1.
+
+    Raises:
+        ConfigError: The output is no .ply, or a lens bends.
+        FormatError: Photographs cannot be read, or a file cannot be written.
+        SceneError: No photograph shows a surface of the capture.
+    """
+    config = config or MaterialsConfig()
+    check_kind("config", config, MaterialsConfig)
+    if output is not None and Path(output).suffix.lower() != ".ply":
+        raise ConfigError(f"output is {output}, expected a .ply: other captures have no columns for materials")
+    if not isinstance(photographs, Photographs):
+        photographs = load_photographs(photographs)
+    views = [TrainingView.of(photograph) for photograph in photographs.training]
+    for view in views:
+        if is_bent(view.camera):
+            raise ConfigError(f"photograph {view.name} is of a lens that bends: load photographs straightened")
+    found = _Search(gaussians, views, config, device=device, threads=threads, progress=progress or _say_nothing).found()
+    if output is not None:
+        _write(Path(output), found)
+    return found
+
+
+class _Search:
+    """One call of ``find_materials``."""
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        views: list[TrainingView],
+        config: MaterialsConfig,
+        *,
+        device: str,
+        threads: int | None,
+        progress: Progress,
+    ) -> None:
+        self._gaussians, self._views, self._config = gaussians, views, config
+        self._device, self._threads, self._progress = device, threads, progress
+
+    def found(self) -> FoundMaterials:
+        """All of it."""
+        config, gaussians = self._config, self._gaussians
+        normals, weights = self._normals()
+        directions = even_directions(config.directions)
+        incident = self._incident(normals, directions)
+        white, outgoing = WhiteLight.of(incident, normals), mean_outgoing(gaussians, normals)
+        rng = np.random.default_rng([config.seed, 8])
+        sky = fitted_sky(outgoing, white, weights, directions, steps=config.sky_steps, rng=rng, report=self._progress)
+        albedo = outgoing / white.under(sky)
+        too_light = float(np.average(albedo.max(axis=1) > 1.0, weights=weights))
+        roughness = np.full(gaussians.count, config.roughness)
+        start = Materials(np.clip(albedo, 0.0, 1.0), roughness, normals, sky)
+        materials, error = self._refined(incident, start)
+        relightable = replace(
+            gaussians,
+            normals=normals.astype(np.float32),
+            albedo=materials.albedo.astype(np.float32),
+            roughness=materials.roughness.astype(np.float32),
+        )
+        environment = LightEnvironment(sky_image(directions, materials.sky))
+        return FoundMaterials(relightable, environment, error, too_light)
+
+    def _normals(self) -> tuple[Doubles, Doubles]:
+        """Of Gaussians, and how much of the photographs these are."""
+        settings = RenderConfig(pipeline=Pipeline.RASTER, lighting=False)
+        renderer = DifferentiableRenderer(settings, self._device, threads=self._threads, progress=self._progress)
+        cameras = [view.camera for view in self._views]
+        normals, weights = seen_normals(self._gaussians, cameras, renderer, self._progress)
+        if not weights.any():
+            raise SceneError("no photograph shows anything of the capture: they are of something else, or elsewhere")
+        return normals, weights
+
+    def _incident(self, normals: Doubles, directions: Doubles) -> Incident:
+        settings = RenderConfig(pipeline=Pipeline.TRACE, lighting=False)
+        renderer = create_renderer(settings, self._device, threads=self._threads, progress=self._progress)
+        return traced_incident(
+            self._gaussians, normals, directions, renderer, seed=self._config.seed, report=self._progress
+        )
+
+    def _refined(self, incident: Incident, start: Materials) -> tuple[Materials, float]:
+        """Materials and sky after all steps, and their last errors; Ctrl C ends after a step."""
+        total = self._config.iterations
+        if total == 0:
+            return start, float("nan")
+        fit = MaterialFit(
+            self._gaussians,
+            self._views,
+            incident,
+            start,
+            self._config,
+            device=self._device,
+            threads=self._threads,
+            progress=self._progress,
+        )
+        errors: list[float] = []
+        with interrupts_held() as is_interrupted:
+            while fit.iteration < total and not is_interrupted():
+                self._progress("finding materials", fit.iteration / total)
+                errors.append(fit.step().l1)
+        if is_interrupted():
+            raise KeyboardInterrupt
+        self._progress("finding materials", 1.0)
+        return fit.materials, float(np.mean(errors[-len(self._views) :]))
+
+
+def environment_path(output: Path) -> Path:
+    """The file of the sky beside a capture."""
+    return output.with_name(output.stem + ENVIRONMENT)
+
+
+def _write(output: Path, found: FoundMaterials) -> None:
+    """The sky first: a capture that has materials has its sky, too."""
+    image: FloatArray | None = found.environment.image
+    assert image is not None
+    try:
+        write_exr(environment_path(output), dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)))
+    except OSError as error:
+        raise FormatError(environment_path(output), f"cannot be written: {error.strerror or error}") from None
+    save(output, found.gaussians)
+
+
+def _say_nothing(label: str, fraction: float) -> None:
+    """Progress that nobody asked for."""

@@ -1,0 +1,162 @@
+"""Steps that refine materials and sky: Gaussians are lit, drawn and compared with a photograph; what they are moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from lumisplat.config import MaterialsConfig, TrainConfig
+from lumisplat.constants.materials import (
+    ALBEDO_RATE,
+    ALBEDO_SMOOTHNESS,
+    DARKEST,
+    PHOTO_SSIM,
+    ROUGHNESS_MIN,
+    ROUGHNESS_RATE,
+    ROUGHNESS_SMOOTHNESS,
+    SKY_FINE_RATE,
+)
+from lumisplat.math.arrays import Doubles
+from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.runtime.buffers import Buffers, device_array
+from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import Scene
+from lumisplat.training import loss_kernels, optimizer_kernels
+from lumisplat.training.learnt import Learnt, LearntOnDevice
+from lumisplat.training.materials import material_gradient_kernels, material_kernels
+from lumisplat.training.materials.adam import Adam
+from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.lit_gaussians import LitGaussians, Materials
+from lumisplat.training.materials.neighbours import near_pairs
+from lumisplat.training.materials.sky_fit import nearest_directions, smoothness_gradient
+from lumisplat.training.photo_loss import Loss, PhotoLoss
+from lumisplat.training.trainer import frame_settings
+from lumisplat.training.training_raster import TrainingRaster
+from lumisplat.training.views import TrainingView
+
+_ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
+_LOGIT_MAX = 7.0
+
+
+class MaterialFit:
+    """Materials of Gaussians whose geometry stays.
+
+    Args:
+        gaussians: The capture.
+        views: The photographs.
+        incident: What was traced.
+        start: Where materials and sky begin.
+        config: Settings.
+        device: As of `lumisplat.create_renderer`.
+        threads: As of `lumisplat.create_renderer`.
+        progress: As of `lumisplat.create_renderer`.
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        views: Sequence[TrainingView],
+        incident: Incident,
+        start: Materials,
+        config: MaterialsConfig,
+        *,
+        device: str,
+        threads: int | None,
+        progress: Progress | None,
+    ) -> None:
+        self._views, self._config = views, config
+        launcher = Launcher(device, threads)
+        buffers = Buffers(launcher.device)
+        flat = TrainConfig(sh_degree=0, antialiased=gaussians.antialiased, cap=gaussians.count)
+        settings = frame_settings(flat, views[0].background)
+        own = (optimizer_kernels, loss_kernels, material_kernels, material_gradient_kernels)
+        frames = frame_modules(FramePlan.of(settings, Scene()), launcher, settings)
+        launcher.load([*frames, *gradient_modules(launcher), *own], progress)
+        self._raster = TrainingRaster(launcher, buffers, settings)
+        self._loss = PhotoLoss(launcher, buffers, ssim=PHOTO_SSIM, alpha=0.0)
+        self._drawn = LearntOnDevice(buffers)
+        learnt = _unlit(gaussians)
+        self._drawn.upload(learnt)
+        self._raster.place(learnt.gaussians(flat), self._drawn.values)
+        self._lit = LitGaussians(launcher, buffers, gaussians.means, incident)
+        self._near, self._ring = near_pairs(gaussians.means), nearest_directions(incident.directions)
+        self._normals = start.normals
+        self._albedo: Doubles = _logits(start.albedo)
+        self._roughness: Doubles = _logits((start.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE)
+        self._sky: Doubles = np.log(np.maximum(start.sky, DARKEST))
+        self._first = np.log(_sigmoid(self._albedo))
+        self._moments = [Adam.still(array.shape) for array in (self._albedo, self._roughness, self._sky)]
+        self.iteration = 0
+        """Steps that were made."""
+
+    @property
+    def materials(self) -> Materials:
+        """What has been found so far."""
+        roughness = ROUGHNESS_MIN + _ROUGHNESS_RANGE * _sigmoid(self._roughness)
+        return Materials(_sigmoid(self._albedo), roughness, self._normals, np.exp(self._sky))
+
+    def step(self) -> Loss:
+        """Makes a step with the next photograph: all in turn, in another order each time."""
+        epoch, place = divmod(self.iteration, len(self._views))
+        order = np.random.default_rng([self._config.seed, 7, epoch]).permutation(len(self._views))
+        loss, gradient = self.differentiate(self._views[int(order[place])])
+        self._move(gradient)
+        self.iteration += 1
+        return loss
+
+    def differentiate(self, view: TrainingView) -> tuple[Loss, Materials]:
+        """How far what the Gaussians show is from a photograph, and the derivatives by what they are made of."""
+        picture, camera = view.read(), view.camera
+        photograph = self._loss.load(picture.color, picture.weight, None)
+        self._lit.shade(self.materials, camera.eye, device_array(self._drawn.values.sh))
+        pixels = self._raster.draw(camera, 0, view.background)
+        loss, by_pixels = self._loss.differentiate((camera.width, camera.height), pixels, photograph)
+        by_splats = self._raster.by_splats(pixels, by_pixels)
+        self._lit.decode(self._raster.drawn.splats.rects, by_splats)
+        return loss, self._lit.differentiate()
+
+    def _move(self, gradient: Materials) -> None:
+        """The chain rule to logits and logarithms, what neighbours say, and a step."""
+        now = self.materials
+        share = (now.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE
+        changes = np.log(now.albedo) - self._first
+        by_change = np.stack([self._near.square_term(changes[:, c])[1] for c in range(3)], axis=1)
+        by_albedo = gradient.albedo * now.albedo + ALBEDO_SMOOTHNESS * by_change
+        by_roughness = gradient.roughness + ROUGHNESS_SMOOTHNESS * self._near.square_term(now.roughness)[1]
+        by_sky = gradient.sky * now.sky + smoothness_gradient(self._sky, self._ring)
+        fall = 0.1 ** max(2.0 * self.iteration / self._config.iterations - 1.0, 0.0)
+        albedo, roughness, sky = self._moments
+        self._albedo += albedo.step(by_albedo * (1.0 - now.albedo), fall * ALBEDO_RATE)
+        self._roughness += roughness.step(
+            by_roughness * _ROUGHNESS_RANGE * share * (1.0 - share), fall * ROUGHNESS_RATE
+        )
+        self._sky += sky.step(by_sky, fall * SKY_FINE_RATE)
+        for logits in (self._albedo, self._roughness):
+            np.clip(logits, -_LOGIT_MAX, _LOGIT_MAX, out=logits)
+
+
+def _unlit(gaussians: Gaussians) -> Learnt:
+    """The Gaussians as training has them, with one colour each."""
+    return Learnt.new(
+        {
+            "means": gaussians.means,
+            "rotations": gaussians.rotations_wxyz,
+            "log_scales": np.log(gaussians.scales),
+            "logits": _logits(gaussians.opacities.astype(np.float64), limit=16.0).astype(np.float32),
+            "sh": np.zeros((gaussians.count, 1, 3), np.float32),
+        }
+    )
+
+
+def _sigmoid(logits: Doubles) -> Doubles:
+    return 1.0 / (1.0 + np.exp(-logits))
+
+
+def _logits(shares: Doubles, limit: float = _LOGIT_MAX) -> Doubles:
+    least = 1.0 / (1.0 + math.exp(limit))
+    inside = np.clip(shares, least, 1.0 - least)
+    return np.log(inside / (1.0 - inside))

@@ -1,0 +1,139 @@
+"""The sky of which the albedos of a capture are as alike as can be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lumisplat.constants.materials import (
+    ALBEDO_HIGH,
+    ALBEDO_ROUNDS,
+    DARKEST,
+    SKY_NEIGHBOURS,
+    SKY_PAIRS,
+    SKY_PRIOR,
+    SKY_RATE,
+    SKY_SEEN,
+    SKY_SMOOTHNESS,
+)
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.training.materials.adam import Adam
+from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.pairs import Pairs
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhiteLight:
+    """Radiance of white, matte Gaussians: what shines on them, by cosines, over pi."""
+
+    sky: FloatArray
+    """Of a sky that has radiance 1 in one of K directions, shape (N, K)."""
+    seen: Doubles
+    """Of what blocks the rest, shape (N, 3)."""
+
+    @classmethod
+    def of(cls, incident: Incident, normals: Doubles) -> WhiteLight:
+        """That of Gaussians with these normals, shape (N, 3)."""
+        cosines = np.maximum(normals @ incident.directions.T, 0.0).astype(np.float32)
+        shares = cosines * np.float32(incident.solid_angle / np.pi)
+        return cls(shares * incident.open, np.einsum("nk,nkc->nc", shares, incident.seen).astype(np.float64))
+
+    def under(self, sky: Doubles) -> Doubles:
+        """Under a sky of radiances, shape (K, 3): shape (N, 3)."""
+        return np.maximum(self.sky @ sky.astype(np.float32) + self.seen, DARKEST)
+
+    @property
+    def sees_sky(self) -> bool:
+        """Whether there is a sky to be found."""
+        return float(np.median(self.sky.sum(axis=1))) > SKY_SEEN
+
+
+def even_sky(outgoing: Doubles, white: WhiteLight, weights: Doubles) -> float:
+    """Radiance of an even, grey sky under which the lightest Gaussians have a usual albedo.
+
+    Args:
+        outgoing: Radiance of Gaussians, shape (N, 3).
+        white: What shines on them.
+        weights: How much they count, shape (N,).
+    """
+    share = white.sky.sum(axis=1)
+    counts = (share > 0.2 * np.median(share)) & (weights > 0.0)
+    if not counts.any() or not white.sees_sky:
+        return 1.0
+    lightest = outgoing[counts].max(axis=1) / ALBEDO_HIGH
+    wanted = (lightest - white.seen[counts].mean(axis=1)) / share[counts]
+    order = np.argsort(wanted)
+    shares = np.cumsum(weights[counts][order])
+    return max(float(wanted[order][np.searchsorted(shares, 0.95 * shares[-1])]), 10.0 * DARKEST)
+
+
+def fitted_sky(
+    outgoing: Doubles,
+    white: WhiteLight,
+    weights: Doubles,
+    directions: Doubles,
+    *,
+    steps: int,
+    rng: np.random.Generator,
+    report: Report,
+) -> Doubles:
+    """Radiances of the sky in K directions, shape (K, 3).
+
+    The albedo of a matte surface is its radiance over that of a white one. What light does to a capture goes by its
+    normals and by what is open to the sky, what albedo does goes by neither: so of all skies that one is right under
+    which pairs of surfaces, anywhere, that may have one albedo, have it. A brighter sky over darker surfaces looks the
+    same: the lightest surfaces have a usual albedo.
+
+    Args:
+        outgoing: Radiance of Gaussians, shape (N, 3).
+        white: What shines on them.
+        weights: How often each is in a pair, shape (N,).
+        directions: Of the sky, shape (K, 3).
+        steps: How many are made.
+        rng: Chooses pairs.
+        report: Called with what is being done and the fraction done, 0..1.
+    """
+    start = np.full((len(directions), 3), np.log(even_sky(outgoing, white, weights)))
+    if not white.sees_sky:
+        return np.exp(start)
+    chosen = rng.choice(len(outgoing), (2, SKY_PAIRS), p=weights / weights.sum())
+    rows, compact = np.unique(chosen, return_inverse=True)
+    first, second = compact.reshape(2, SKY_PAIRS)
+    pairs, part = Pairs(first, second), WhiteLight(white.sky[rows], white.seen[rows])
+    shown = np.log(np.maximum(outgoing[rows], DARKEST))
+    neighbours = nearest_directions(directions)
+    moved, adam = start.copy(), Adam.still(start.shape)
+    for step in range(steps):
+        report("finding the sky", step / steps)
+        sky = np.exp(moved)
+        light = part.under(sky)
+        _, by_log_albedo = pairs.albedo_term(shown - np.log(light))
+        by_sky = -(part.sky.T @ (by_log_albedo / light).astype(np.float32)).astype(np.float64) * sky
+        by_sky += smoothness_gradient(moved, neighbours) + SKY_PRIOR / len(directions) * (moved - start)
+        moved += adam.step(by_sky, SKY_RATE * (1.0 - step / steps))
+        moved += start.mean(axis=0) - moved.mean(axis=0)
+    return scaled_sky(np.exp(moved), outgoing, white, weights)
+
+
+def scaled_sky(sky: Doubles, outgoing: Doubles, white: WhiteLight, weights: Doubles) -> Doubles:
+    """The same sky, as bright as leaves a usual albedo to the lightest surfaces: their 95th percentile, by weight."""
+    for _ in range(ALBEDO_ROUNDS):
+        lightest = (outgoing / white.under(sky)).max(axis=1)
+        order = np.argsort(lightest)
+        shares = np.cumsum(weights[order])
+        sky = sky * (lightest[order][np.searchsorted(shares, 0.95 * shares[-1])] / ALBEDO_HIGH)
+    return sky
+
+
+def nearest_directions(directions: Doubles) -> np.ndarray:
+    """The neighbours of each direction, shape (K, 6)."""
+    return np.argsort(-(directions @ directions.T), axis=1, kind="stable")[:, 1 : 1 + SKY_NEIGHBOURS]
+
+
+def smoothness_gradient(log_sky: Doubles, neighbours: np.ndarray) -> Doubles:
+    """Derivatives of the roughness of a sky, shape (K, 3); neighbours are held where they are."""
+    return SKY_SMOOTHNESS / len(log_sky) * (log_sky[:, None] - log_sky[neighbours]).sum(axis=1)

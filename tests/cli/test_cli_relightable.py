@@ -1,0 +1,50 @@
+"""``lumisplat train --relightable`` from the shell."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli import main
+from support.scenes.training_scenes import folder_of
+
+SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--device", "cpu", "--material-steps", "3")
+
+
+def test_a_capture_gets_materials_and_its_sky(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All of which are files; the sky lights other scenes."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "out" / "a.ply"
+    command = ["train", str(folder), "-o", str(output), *SHORT, "--relightable"]
+    assert main([*command, "--stop-after", "0.01s"]) == 0
+    plain = ls.load(output)
+    assert isinstance(plain, ls.Gaussians) and plain.albedo is None
+    assert main(command) == 0
+    assert "a.environment.exr: the sky" in capsys.readouterr().out
+    found = ls.load(output)
+    assert isinstance(found, ls.Gaussians)
+    assert found.albedo is not None and found.roughness is not None and found.normals is not None
+    assert found.sh_degree == 1
+    sky = ls.LightEnvironment(ls.load_radiance(tmp_path / "out" / "a.environment.exr"))
+    assert sky.image is not None and sky.image.shape == (16, 32, 3) and sky.image.min() > 0.0
+    report = output.with_suffix(".training") / "materials"
+    told = json.loads((report / "materials.json").read_text())
+    assert told["gaussians"] == found.count and told["error"] > 0.0
+    assert (report / "environment.png").exists() and len(list(report.glob("*.png"))) == 3
+    assert "flatness = 0.3" in (output.with_suffix(".training") / "settings.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("-o", "a.spz"), "a.spz, expected a .ply: others have no columns for --relightable"),
+        (("-o", "a.ply", "--pipeline", "trace"), "--relightable is of --pipeline raster and --projection ewa"),
+        (("-o", "a.ply", "--material-steps", "-1"), "iterations is -1, expected"),
+    ],
+)
+def test_mistakes(options: tuple[str, ...], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Are told before anything is read."""
+    assert main(["train", str(tmp_path), *options, "--relightable"]) == 2
+    assert problem in capsys.readouterr().err

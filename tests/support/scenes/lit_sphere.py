@@ -1,0 +1,60 @@
+"""A ball of flat Gaussians of known albedo under a known sky, and photographs of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import encode_srgb
+from lumisplat.math.sh import even_directions
+from support.scenes.training_scenes import cameras
+
+Sky = Callable[[np.ndarray], np.ndarray]
+
+
+def ball(count: int = 700) -> ls.Gaussians:
+    """Grey, of radius 0.6, opaque; their shortest axes point outwards."""
+    normals = even_directions(count)
+    half = normals + np.array([0.0, 0.0, 1.0])  # half a turn about this takes z to the normal
+    width = 0.6 * np.sqrt(4.0 * np.pi / count)
+    return ls.Gaussians(
+        means=0.6 * normals,
+        rotations_wxyz=np.column_stack([np.zeros(count), half]),
+        scales=np.tile((0.7 * width, 0.7 * width, 0.04 * width), (count, 1)),
+        opacities=np.full(count, 0.98),
+        sh=np.zeros((count, 1, 3)),
+    )
+
+
+def matte(gaussians: ls.Gaussians, albedo: np.ndarray, sky: Sky) -> ls.Gaussians:
+    """With the colours of matte Gaussians on a ball, from where nothing blocks the sky."""
+    ways = even_directions(2000)
+    normals = gaussians.means / np.linalg.norm(gaussians.means, axis=1, keepdims=True)
+    white = np.maximum(normals @ ways.T, 0.0) @ sky(ways) * (4.0 / len(ways))
+    sh = ((encode_srgb(albedo * white) - 0.5) / SH_C0)[:, None]
+    return ls.Gaussians(gaussians.means, gaussians.rotations_wxyz, gaussians.scales, gaussians.opacities, sh)
+
+
+def photographed(path: Path, gaussians: ls.Gaussians, count: int = 10, size: int = 48) -> Path:
+    """A folder of photographs of a capture, transparent where nothing is."""
+    (path / "images").mkdir(parents=True)
+    renderer = ls.create_renderer(ls.RenderConfig(lighting=False), "cpu")
+    frames: list[dict[str, Any]] = []
+    for number, camera in enumerate(cameras(count, size)):
+        frame = renderer.render(ls.Scene([gaussians]), camera)
+        color = np.clip(frame.color / np.maximum(frame.alpha, 1e-3)[..., None], 0.0, 1.0)
+        pixels = np.round(255.0 * np.dstack([color, frame.alpha])).astype(np.uint8)
+        Image.fromarray(pixels, "RGBA").save(path / "images" / f"{number:02d}.png")
+        pose = np.linalg.inv(camera.camera_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        frames.append({"file_path": f"images/{number:02d}.png", "transform_matrix": pose.tolist()})
+    camera = cameras(1, size)[0]
+    shared = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": size, "h": size}
+    (path / "transforms.json").write_text(json.dumps({**shared, "frames": frames}))
+    return path

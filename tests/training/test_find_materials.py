@@ -1,0 +1,147 @@
+"""Materials and sky from photographs of a ball of which both are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.sh import even_directions
+from lumisplat.training.materials.incident import ray_starts, traced_incident
+from lumisplat.training.materials.sky_fit import WhiteLight, fitted_sky
+from support.oracles.trace_oracle import trace_rays
+from support.scenes.lit_sphere import ball, matte, photographed
+
+QUICK = ls.MaterialsConfig(iterations=0)
+GREY = np.array([0.5, 0.4, 0.3])
+
+
+def silent(label: str, fraction: float) -> None:
+    """Progress that nobody looks at."""
+
+
+def even(ways: np.ndarray) -> np.ndarray:
+    """The same radiance from everywhere."""
+    return np.full((len(ways), 3), 0.8)
+
+
+def bright_above(ways: np.ndarray) -> np.ndarray:
+    """Bluish, and brighter where y is less."""
+    return (1.0 - 0.8 * ways[:, 1:2]) * (0.6, 0.7, 0.9)
+
+
+def test_an_even_sky_and_albedo_are_found_exactly(tmp_path: Path) -> None:
+    """But for what no photograph tells apart: light and albedo have the right product, channel by channel."""
+    capture = matte(ball(), GREY, even)
+    found = ls.find_materials(capture, photographed(tmp_path, capture), QUICK, device="cpu")
+    albedo, image = found.gaussians.albedo, found.environment.image
+    assert albedo is not None and image is not None
+    assert np.ptp(albedo, axis=0).max() < 0.01
+    np.testing.assert_allclose(image.std(axis=(0, 1)) / image.mean(axis=(0, 1)), 0.0, atol=0.01)
+    np.testing.assert_allclose(albedo.mean(axis=0) * image.mean(axis=(0, 1)), 0.8 * GREY, rtol=0.01)
+    assert found.too_light == 0.0 and np.isnan(found.error)
+
+
+def test_a_sky_is_found_by_what_it_does_to_one_albedo(tmp_path: Path) -> None:
+    """Its harmonics of degree 1, as a share of the mean, and the albedo, to 1 %."""
+    capture = matte(ball(), GREY, bright_above)
+    found = ls.find_materials(capture, photographed(tmp_path, capture), QUICK, device="cpu")
+    albedo, image = found.gaussians.albedo, found.environment.image
+    assert albedo is not None and image is not None
+    assert (albedo / albedo.mean(axis=0)).std(axis=0).max() < 0.01
+    ways = panorama_directions(*image.shape[:2])
+    weights = np.sin(np.arccos(np.clip(ways[..., 1], -1.0, 1.0)))[..., None]
+    mean = (weights * image).sum(axis=(0, 1)) / weights.sum()
+    linear = 3.0 * (weights * image * ways[..., 1:2]).sum(axis=(0, 1)) / weights.sum() / mean
+    np.testing.assert_allclose(linear, -0.8, atol=0.04)
+
+
+def test_materials_are_refined_by_photographs(tmp_path: Path) -> None:
+    """From a capture without its checks, whose photographs have them."""
+    checks = np.where(np.sign(ball().means).prod(axis=1, keepdims=True) > 0.0, 1.0, 0.4) * GREY
+    folder = photographed(tmp_path, matte(ball(), checks, even))
+    capture = matte(ball(), GREY, even)
+    errors = [
+        ls.find_materials(capture, folder, ls.MaterialsConfig(directions=64, iterations=steps), device="cpu")
+        for steps in (1, 250)
+    ]
+    assert errors[1].error < 0.5 * errors[0].error
+    albedo = errors[1].gaussians.albedo
+    assert albedo is not None
+    ratio = albedo[checks[:, 0] < 0.3].mean() / albedo[checks[:, 0] > 0.3].mean()
+    assert ratio < 0.8
+
+
+def test_the_same_seed_gives_the_same_bits(tmp_path: Path) -> None:
+    """On any number of threads."""
+    capture = matte(ball(200), GREY, bright_above)
+    folder, config = photographed(tmp_path, capture), ls.MaterialsConfig(directions=32, sky_steps=20, iterations=4)
+    first, second = (ls.find_materials(capture, folder, config, device="cpu", threads=n).gaussians for n in (1, 3))
+    for name in ("albedo", "roughness", "normals"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_visibility_is_that_of_brute_force() -> None:
+    """Every Gaussian against every ray, float64; and radiance of what is hit."""
+    rng = np.random.default_rng(0)
+    capture = ls.Gaussians(
+        means=rng.uniform(-1.0, 1.0, (60, 3)),
+        rotations_wxyz=rng.normal(size=(60, 4)),
+        scales=rng.uniform(0.05, 0.3, (60, 3)),
+        opacities=rng.uniform(0.3, 0.95, 60),
+        sh=rng.normal(size=(60, 1, 3)),
+    )
+    normals = rng.normal(size=(60, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    directions = even_directions(8)
+    found = traced_incident(capture, normals, directions, renderer, seed=3, report=silent)
+    again = np.random.default_rng([3, 6])
+    starts = ray_starts(capture, normals)
+    for k, direction in enumerate(directions):
+        ways = direction + np.sqrt(np.pi / 8) * again.uniform(-1.0, 1.0, (60, 3))
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        rows = np.flatnonzero(normals @ direction > -0.1)
+        expected = trace_rays(ls.Scene([capture]), starts[rows], ways[rows])
+        np.testing.assert_allclose(found.open[rows, k], expected["transmittance"], atol=1e-3)
+    assert 0.1 < (found.open > 0.5).mean() < 0.9
+
+
+def test_a_closed_room_has_no_sky() -> None:
+    """Then the sky stays as it begins, and what is seen is the light."""
+    white = WhiteLight(np.zeros((40, 16), np.float32), np.full((40, 3), 0.3))
+    directions = even_directions(16)
+    rng = np.random.default_rng(0)
+    sky = fitted_sky(np.full((40, 3), 0.15), white, np.ones(40), directions, steps=3, rng=rng, report=silent)
+    assert (sky == 1.0).all()
+    np.testing.assert_allclose(0.15 / white.under(sky), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "problem"),
+    [
+        ("directions", 8, "directions is 8, expected"),
+        ("iterations", -1, "iterations is -1, expected"),
+        ("roughness", 0.0, "roughness is 0.0, expected"),
+        ("seed", 1.5, "seed is 1.5, expected"),
+    ],
+)
+def test_bad_settings(name: str, value: float, problem: str) -> None:
+    """Are named."""
+    with pytest.raises(ls.ConfigError, match=problem):
+        ls.MaterialsConfig(**cast(Any, {name: value}))
+
+
+def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
+    """Outputs without columns; photographs of something else."""
+    capture = matte(ball(100), GREY, even)
+    folder = photographed(tmp_path / "set", capture, count=3, size=16)
+    with pytest.raises(ls.ConfigError, match=r"expected a \.ply"):
+        ls.find_materials(capture, folder, QUICK, output=tmp_path / "a.spz", device="cpu")
+    away = ls.transform(capture, translation=(0.0, 1000.0, 0.0))
+    with pytest.raises(ls.SceneError, match="no photograph shows anything of the capture"):
+        ls.find_materials(away, folder, QUICK, device="cpu")
