@@ -20,9 +20,19 @@ def test_a_film_becomes_photographs(tmp_path: Path, capsys: pytest.CaptureFixtur
     told = capsys.readouterr().out
     assert told.startswith(f"{folder / 'images'}: 3 photographs of 64 x 48\n")
     assert f"next: lumisplat train {folder} -o walk.ply --poses colmap-film --stop-after 5m" in told
-    ls.save_animation(film, np.zeros((2, 640, 400, 3)), fps=4)
+    ls.save_animation(film, np.random.default_rng(0).uniform(size=(4, 640, 400, 3)), fps=4)
     assert main(["frames", str(film), "-o", str(tmp_path / "tall")]) == 0
     assert "--poses colmap-film --scale 0.5 --stop-after 5m" in capsys.readouterr().out
+
+
+def test_one_photograph_is_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Then the next command would fail: what is to be done is said in its place."""
+    film = tmp_path / "walk.mp4"
+    ls.save_animation(film, np.random.default_rng(0).uniform(size=(2, 48, 64, 3)), fps=4)
+    assert main(["frames", str(film), "-o", str(tmp_path / "walk")]) == 0
+    told = capsys.readouterr().out
+    assert "1 photograph of 64 x 48\none is too few for a capture: give less than --every 0.5" in told
+    assert "next:" not in told
 
 
 @pytest.mark.parametrize(

@@ -116,6 +116,28 @@ def test_hdr_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert "is HDR (HLG)" in caplog.text and caplog.text.count("HDR (") == 1
 
 
+def test_films_that_show_nothing_are_refused(tmp_path: Path) -> None:
+    """Black ones, with the noise of a sensor, and those in which nothing moves; nothing is left behind."""
+    rng = np.random.default_rng(0)
+
+    def noisy(picture: Image.Image, level: float) -> Image.Image:
+        values = np.asarray(picture, np.float64) + rng.normal(0.0, level, (*SIZE[::-1], 3))
+        return Image.fromarray(values.clip(0, 255).astype(np.uint8))
+
+    black, still = Image.new("RGB", SIZE), scene(0)
+    for name, pictures, message in (
+        ("black", [noisy(black, 4.0) for _ in range(12)], "black.mp4: is black throughout"),
+        ("one", [black], "one.mp4: is black throughout"),
+        ("still", [noisy(still, 2.0) for _ in range(12)], "still.mp4: shows the same throughout"),
+    ):
+        with pytest.raises(ls.FormatError, match=message):
+            ls.extract_frames(filmed(tmp_path / f"{name}.mp4", pictures), tmp_path / "walk")
+        assert not list(tmp_path.glob("walk/*"))
+    wide = scene(1).resize((2 * SIZE[0], SIZE[1]))
+    slow = [wide.crop((k // 4, 0, k // 4 + SIZE[0], SIZE[1])) for k in range(12)]
+    assert len(ls.extract_frames(filmed(tmp_path / "slow.mp4", slow), tmp_path / "slow")) == 3, "two pixels in all"
+
+
 def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In one line each."""
     film = filmed(tmp_path / "a.mp4", [scene(0)] * 4)

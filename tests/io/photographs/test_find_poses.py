@@ -12,19 +12,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.images.png import write_png
-from lumisplat.io.photographs.poses import _pairs
 
 needs_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason="pycolmap is not installed (extra poses)")
-
-
-def test_what_is_compared():
-    """All pairs; or, of a film, the next ten frames and those at twice, four times, ... as far: each pair once."""
-    assert _pairs(4, ordered=False) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
-    film = _pairs(100, ordered=True)
-    assert len({*film}) == len(film)
-    assert {j - i for i, j in film} == {*range(1, 11), 20, 40, 80}
-    assert {*film} <= {*_pairs(100, ordered=False)}
-    assert {*_pairs(5, ordered=True)} == {*_pairs(5, ordered=False)}
 
 
 def test_missing_extra(tmp_path, monkeypatch):
@@ -59,15 +48,58 @@ def test_grey_pictures_have_no_poses(tmp_path):
     for k in range(3):
         write_png(tmp_path / "images" / f"grey {k}.png", np.full((60, 80, 3), 0.5))
     told: list[tuple[str, float]] = []
-    with pytest.raises(ls.FormatError, match="no poses were found for its 3 photographs: they must overlap"):
+    with pytest.raises(ls.FormatError, match="no poses were found for its 3 photographs: they show too little texture"):
         ls.find_poses(tmp_path, progress=lambda what, share: told.append((what, share)))
     assert {path.name for path in tmp_path.iterdir()} == {"images"}
-    assert list(dict.fromkeys(what for what, _ in told)) == [
-        "finding features",
-        "comparing photographs",
-        "finding poses",
-    ]
+    steps = ["finding features", "choosing pairs", "comparing photographs", "finding poses"]
+    assert list(dict.fromkeys(what.partition(",")[0] for what, _ in told)) == steps
     assert all(0.0 <= share <= 1.0 for _, share in told)
+
+
+@needs_colmap
+def test_what_is_taken_from_one_place_has_no_poses(tmp_path):
+    """Pictures of much texture, cut out of one another as from a camera that turns a little: there is no depth."""
+    wide = np.random.default_rng(0).uniform(size=(30, 60, 3)).repeat(8, axis=0).repeat(8, axis=1)
+    (tmp_path / "images").mkdir()
+    for k in range(4):
+        write_png(tmp_path / "images" / f"{k}.png", wide[:, 20 * k : 20 * k + 320])
+    with pytest.raises(ls.FormatError, match="must be taken from different places: walk around things"):
+        ls.find_poses(tmp_path, ordered=True)
+    assert {path.name for path in tmp_path.iterdir()} == {"images"}
+
+
+@needs_colmap
+@pytest.mark.data
+@pytest.mark.deep
+def test_an_interrupted_call_goes_on(tmp_path, data_dir, caplog):
+    """Ctrl C between any two reports leaves what has been found, which the next call does not seek again."""
+    source = Path(data_dir) / "photos" / "fox" / "images"
+    (tmp_path / "images").mkdir()
+    for image in sorted(source.iterdir())[10:20]:
+        shutil.copy(image, tmp_path / "images")
+
+    def until(step: str, share: float):
+        def report(what: str, done: float) -> None:
+            if what.startswith(step) and done >= share:
+                raise KeyboardInterrupt
+
+        return report
+
+    for step, share, kept in (
+        ("finding features", 0.3, "features of 4 of 10 photographs, 0 compared pairs"),
+        ("comparing photographs", 0.5, "features of 10 of 10 photographs, 32 compared pairs"),
+        ("finding poses", 0.5, "features of 10 of 10 photographs, 45 compared pairs"),
+    ):
+        caplog.clear()
+        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command goes on"):
+            ls.find_poses(tmp_path, ordered=True, progress=until(step, share))
+        assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
+    assert ls.find_poses(tmp_path, ordered=True).is_dir()
+    assert "goes on from features of 10 of 10 photographs, 45 compared pairs" in caplog.text
+    assert {path.name for path in tmp_path.iterdir()} == {"images", "sparse"}
+    found = ls.load_cameras(tmp_path / "sparse" / "0")
+    assert len(found) == 10 and len({(camera.fx, camera.fy) for camera in found}) == 1
+    assert found[0].fx == found[0].fy == pytest.approx(343.9, rel=0.05)
 
 
 @needs_colmap

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from lumisplat.config.checks import check_positive, check_whole
@@ -28,6 +29,13 @@ HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
 """Transfer functions whose values are not display-referred sRGB (ITU-T H.273), and what they are called."""
 _TURNS = (None, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180, Image.Transpose.ROTATE_270)
 """By quarters of a turn to the left."""
+
+_STILL_SIZE = 16
+"""Longer side of the pictures by which is seen whether anything moves: noise is averaged away."""
+_STILL = 0.5
+"""Mean difference of grey values, 0..255, below which two of them show the same from the same place."""
+_BLACK = 16
+"""Grey values that show nothing, 0..255: as dark as the black of a film is, and its noise."""
 
 Report = Callable[[str, float], None]
 
@@ -51,7 +59,8 @@ def extract_frames(
 
     Raises:
         ConfigError: ``every`` or ``size`` is out of range.
-        FormatError: The file is no video that can be read, or there are images already.
+        FormatError: The file is no video that can be read, all of it is black, nothing moves in it, or there are images
+            already.
         MissingExtraError: PyAV is not installed.
         MissingFileError: There is no such file.
     """
@@ -71,10 +80,13 @@ def extract_frames(
         with tempfile.TemporaryDirectory(prefix=".frames-", dir=images.parent) as temporary:
             made = Path(temporary) / "images"
             made.mkdir()
-            pictures = enumerate(_sharpest(av, film, every, progress), 1)
-            names = [_save(picture, made / f"{number:04}.jpg", size) for number, picture in pictures]
-            if not names:
-                raise FormatError(film, "has no frames")
+            seen = _Seen()
+            names: list[str] = []
+            for picture in _sharpest(av, film, every, progress):
+                seen.add(picture)
+                names.append(_save(picture, made / f"{len(names) + 1:04}.jpg", size))
+            if problem := seen.problem():
+                raise FormatError(film, problem)
             os.replace(made, images)
     except av.error.FFmpegError as error:
         raise FormatError(film, f"is no film that can be read: {error.strerror or error}") from None
@@ -119,6 +131,40 @@ def _sharpest(av: Any, film: Path, every: float, progress: Report | None) -> Gen
                 progress("reading the film", min(time / length, 1.0))
         if best is not None:
             yield best.picture
+
+
+class _Seen:
+    """What the photographs of a film show, small and grey."""
+
+    def __init__(self) -> None:
+        self._first: NDArray[np.float32] | None = None
+        self._count = 0
+        self._brightest = 0.0
+        self._moved = 0.0
+
+    def add(self, picture: Image.Image) -> None:
+        """Looks at the next one."""
+        small = picture.convert("L")
+        small.thumbnail((_STILL_SIZE, _STILL_SIZE), Image.Resampling.BOX)
+        grey = np.asarray(small, np.float32)
+        if self._first is None:
+            self._first = grey
+        elif grey.shape == self._first.shape:
+            self._moved = max(self._moved, float(np.abs(grey - self._first).mean()))
+        self._count += 1
+        self._brightest = max(self._brightest, float(grey.max()))
+
+    def problem(self) -> str | None:
+        """Why no capture can be made of them."""
+        if self._count == 0:
+            return "has no frames"
+        if self._brightest <= _BLACK:
+            return "is black throughout: was the lens covered?"
+        if self._count > 1 and self._moved < _STILL:
+            return (
+                "shows the same throughout: expected a walk around a thing, as depth shows from different places only"
+            )
+        return None
 
 
 def sharpness(picture: Image.Image) -> float:

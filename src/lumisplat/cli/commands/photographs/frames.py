@@ -42,6 +42,9 @@ class Frames(Command):
         with Image.open(files[0]) as first:
             width, height = first.size
         print(f"{files[0].parent}: {counted(len(files), 'photograph')} of {width} x {height}")
+        if len(files) < 2:
+            print(f"one is too few for a capture: give less than --every {self.every:g}, or a longer film")
+            return
         scale = min(max(round(_FIRST_SIZE / max(width, height), 1), 0.1), 1.0)
         first = "" if scale == 1.0 else f" --scale {scale}"
         print(

@@ -1,0 +1,121 @@
+"""What is done around COLMAP: what is kept, what is told, which model is taken. COLMAP itself is a stand-in."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants.photographs import LENS_MODEL
+from lumisplat.io.images.png import write_png
+from support.files.colmap_stub import ColmapStub
+
+
+@pytest.fixture
+def colmap(monkeypatch: pytest.MonkeyPatch) -> ColmapStub:
+    """In the place of pycolmap."""
+    stub = ColmapStub()
+    monkeypatch.setitem(sys.modules, "pycolmap", stub)
+    return stub
+
+
+def photographs(folder: Path, count: int, sizes: tuple[int, ...] = (8,)) -> Path:
+    """Writes photographs whose names have spaces."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    for k in range(count):
+        write_png(folder / "images" / f"of day {k}.png", np.full((6, sizes[k % len(sizes)], 3), 0.5))
+    return folder
+
+
+def test_photographs_of_one_size_share_one_lens_of_one_focal_length(colmap: ColmapStub, tmp_path: Path) -> None:
+    """Also where features are found in several calls; those of two sizes have a lens each."""
+    colmap.pieces = [range(9)]
+    ls.find_poses(photographs(tmp_path / "one", 9))
+    assert colmap.lenses == [(LENS_MODEL, "single", k > 0) for k in range(3)]
+    colmap.lenses.clear()
+    ls.find_poses(photographs(tmp_path / "two", 9, (8, 9)))
+    assert colmap.lenses == [(LENS_MODEL, "per image", False)] * 3
+
+
+def test_what_was_found_before_ctrl_c_is_kept_and_said(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """In every step; the same call goes on from it, says so, and leaves nothing behind."""
+    photographs(tmp_path, 9)
+    colmap.pieces = [range(9)]
+    for step, kept in (
+        ("extract", "features of 4 of 9 photographs, 0 compared pairs"),
+        ("match", "features of 9 of 9 photographs, 32 compared pairs"),
+        ("place", "features of 9 of 9 photographs, 36 compared pairs"),
+    ):
+        colmap.interrupt_in = step
+        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command goes on"):
+            ls.find_poses(tmp_path)
+        assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
+    assert caplog.text.count("goes on from") == 2
+    colmap.interrupt_in = ""
+    model = ls.find_poses(tmp_path)
+    assert "goes on from features of 9 of 9 photographs, 36 compared pairs" in caplog.text
+    assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(9)]
+    assert {path.name for path in tmp_path.iterdir()} == {"images", "sparse"}
+
+
+def test_other_photographs_are_begun_anew(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """A photograph that has changed, has gone or has come makes what was found worthless."""
+    colmap.interrupt_in = "match"
+    for change in (
+        lambda: write_png(tmp_path / "images" / "of day 1.png", np.full((6, 8, 3), 0.25)),
+        lambda: (tmp_path / "images" / "of day 2.png").unlink(),
+        lambda: write_png(tmp_path / "images" / "of day 9.png", np.full((6, 8, 3), 0.25)),
+    ):
+        photographs(tmp_path, 4)
+        for _ in range(2):
+            with pytest.raises(KeyboardInterrupt):
+                ls.find_poses(tmp_path)
+        assert "goes on from features of" in caplog.text
+        change()
+        caplog.clear()
+        with pytest.raises(KeyboardInterrupt):
+            ls.find_poses(tmp_path)
+        assert "goes on" not in caplog.text
+
+
+def test_the_largest_piece_is_taken_and_said(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """With the names that photographs have, and how many have no pose."""
+    colmap.pieces = [(0, 1, 2), (3, 4, 5, 6, 7)]
+    told: list[tuple[str, float]] = []
+    model = ls.find_poses(photographs(tmp_path, 9), progress=lambda what, share: told.append((what, share)))
+    assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(3, 8)]
+    assert "in 2 pieces that do not join, of 5 and 3 photographs: the largest is taken" in caplog.text
+    assert "no pose was found for 4 of 9 photographs (of day 0.png, of day 1.png, of day 2.png, ...)" in caplog.text
+    placing = [entry for entry in told if entry[0].startswith("finding poses")]
+    assert ("finding poses, 8 of 9 placed", 8 / 9) in placing, "photographs of all pieces count"
+    assert [share for _, share in placing] == sorted(share for _, share in placing)
+
+
+def test_when_all_are_placed_what_is_left_is_told(colmap: ColmapStub, tmp_path: Path) -> None:
+    """The last adjustment of many photographs takes long: a bar at 99 % says why it stands."""
+    colmap.pieces = [range(5)]
+    told: list[tuple[str, float]] = []
+    ls.find_poses(photographs(tmp_path, 5), progress=lambda what, share: told.append((what, share)))
+    assert told[-2:] == [("finding poses, all placed, adjusting", 0.99), ("finding poses", 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("features", "verified", "reason"),
+    [
+        (12, 0, "they show too little texture, 12 features each"),
+        (500, 3, "only 3 pairs show the same things: neighbours must overlap"),
+        (500, 30, "they must be taken from different places"),
+    ],
+)
+def test_why_there_are_no_poses_is_said(
+    features: int, verified: int, reason: str, colmap: ColmapStub, tmp_path: Path
+) -> None:
+    """In one line, and nothing is left."""
+    colmap.pieces, colmap.features, colmap.verified = (), features, verified
+    with pytest.raises(ls.FormatError, match=f"no poses were found for its 9 photographs: {reason}"):
+        ls.find_poses(photographs(tmp_path, 9))
+    assert {path.name for path in tmp_path.iterdir()} == {"images"}
