@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import lumisplat as ls
 from lumisplat.io.images.png import write_png
@@ -58,11 +59,13 @@ def test_grey_pictures_have_no_poses(tmp_path):
 
 @needs_colmap
 def test_what_is_taken_from_one_place_has_no_poses(tmp_path):
-    """Pictures of much texture, cut out of one another as from a camera that turns a little: there is no depth."""
-    wide = np.random.default_rng(0).uniform(size=(30, 60, 3)).repeat(8, axis=0).repeat(8, axis=1)
+    """Of much texture, from a camera that rolls about its axis, and stays where it is: there is no depth."""
+    noise = np.random.default_rng(0).integers(0, 256, (60, 60, 3)).astype(np.uint8)
+    wide = Image.fromarray(noise).resize((480, 480), Image.Resampling.NEAREST)
     (tmp_path / "images").mkdir()
     for k in range(4):
-        write_png(tmp_path / "images" / f"{k}.png", wide[:, 20 * k : 20 * k + 320])
+        turned = wide.rotate(7.0 * k, Image.Resampling.BICUBIC).crop((80, 120, 400, 360))
+        turned.save(tmp_path / "images" / f"{k}.png")
     with pytest.raises(ls.FormatError, match="must be taken from different places: walk around things"):
         ls.find_poses(tmp_path, ordered=True)
     assert {path.name for path in tmp_path.iterdir()} == {"images"}

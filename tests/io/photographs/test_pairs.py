@@ -10,7 +10,7 @@ from lumisplat.io.photographs.pairs import compared_pairs, largest_features, mos
 
 
 def features_of_a_walk(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
-    """Features of frames that show a part of what is around: frame k the same things as frame k + period, with noise."""
+    """Of frames that show a part of what is around: frame k the same things as frame k + period, with noise."""
     rng = np.random.default_rng(seed)
     things = rng.uniform(size=(4 * period, 128)) ** 4
     frames = []
@@ -54,7 +54,7 @@ def test_photographs_in_any_order_are_compared_with_those_like_them() -> None:
     apart = [(order[j] - order[i]) % period for i, j in pairs]
     assert all(min(a, period - a) < 8 for a in apart)
     assert {(min(i, j), max(i, j)) for i, j in pairs} == {*pairs}
-    nearest = {k: 0 for k in range(count)}
+    nearest = dict.fromkeys(range(count), 0)
     for i, j in pairs:
         nearest[i] += 1
         nearest[j] += 1

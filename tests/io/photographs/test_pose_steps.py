@@ -65,10 +65,11 @@ def test_what_was_found_before_ctrl_c_is_kept_and_said(colmap: ColmapStub, tmp_p
 def test_other_photographs_are_begun_anew(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """A photograph that has changed, has gone or has come makes what was found worthless."""
     colmap.interrupt_in = "match"
+    paths = [tmp_path / "images" / f"of day {k}.png" for k in (1, 2, 9)]
     for change in (
-        lambda: write_png(tmp_path / "images" / "of day 1.png", np.full((6, 8, 3), 0.25)),
-        lambda: (tmp_path / "images" / "of day 2.png").unlink(),
-        lambda: write_png(tmp_path / "images" / "of day 9.png", np.full((6, 8, 3), 0.25)),
+        lambda: write_png(paths[0], np.full((6, 8, 3), 0.25)),
+        paths[1].unlink,
+        lambda: write_png(paths[2], np.full((6, 8, 3), 0.25)),
     ):
         photographs(tmp_path, 4)
         for _ in range(2):

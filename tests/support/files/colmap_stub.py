@@ -1,4 +1,4 @@
-"""A stand-in for pycolmap, which finds what it is told to: for what is done around COLMAP, where that is not installed."""
+"""A stand-in for pycolmap, which finds what it is told to: for what is done around COLMAP, where it is missing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ class ColmapStub:
     interrupt_in: str = ""
     """The step in which Ctrl C is pressed."""
     features: int = 500
+    """Of each photograph."""
     verified: int = 100
+    """Pairs, of 100, that show the same."""
     lenses: list[tuple[str, str, bool]] = field(default_factory=list)
     """For each call that found features: model, mode, and whether it was the lens that is there."""
     compared: list[tuple[str, str]] = field(default_factory=list)
@@ -88,7 +90,7 @@ class ColmapStub:
         yield SimpleNamespace(
             num_images=lambda: len(content["images"]),
             num_matched_image_pairs=lambda: len(content["pairs"]),
-            num_verified_image_pairs=lambda: self.verified,
+            read_two_view_geometry_num_inliers=lambda: (range(100), [20] * self.verified + [0] * (100 - self.verified)),
             num_keypoints=lambda: self.features * len(content["images"]),
         )
 

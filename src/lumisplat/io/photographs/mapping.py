@@ -173,7 +173,7 @@ class Mapping:
         """What photographs without poses lack."""
         with self.pycolmap.Database.open(self._database) as database:
             features = database.num_keypoints() / len(self.names)
-            pairs = int(database.num_verified_image_pairs())
+            pairs = sum(shared > 0 for shared in database.read_two_view_geometry_num_inliers()[1])
         if features < FEW_POINTS:
             return f"they show too little texture, {features:.0f} features each: more light, or something patterned"
         if pairs < len(self.names) - 1:

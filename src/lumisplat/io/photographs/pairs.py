@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.constants.photographs import (
     ALIKE_FEATURES,
@@ -79,7 +80,7 @@ def _shared(a: FloatArray, b: FloatArray) -> int:
     return int(np.count_nonzero(mutual & (angle < ALIKE_RATIO * second)))
 
 
-def largest_features(keypoints: FloatArray, descriptors: FloatArray) -> FloatArray:
+def largest_features(keypoints: FloatArray, descriptors: npt.NDArray[np.uint8]) -> FloatArray:
     """The descriptors of the largest features of a photograph, of length 1, shape (at most `ALIKE_FEATURES`, D).
 
     Args:
