@@ -157,16 +157,17 @@ def _write(film: Path, pictures: Iterator[np.ndarray], fps: int) -> None:
         container.mux(stream.encode())
 
 
-def _frame_of(images: Path, film: Path) -> dict[str, float]:
+def _frame_of(images: Path, film: Path) -> dict[str, Fraction]:
     """Which frame of a film each photograph is, the one most like it, as a share of the film, 0..1."""
     with av.open(str(film)) as container:
         frames = np.stack(
             [frame.to_ndarray(format="rgb24")[::8, ::8] for frame in container.decode(video=0)], dtype=np.float32
         )
-    found: dict[str, float] = {}
+    found: dict[str, Fraction] = {}
     for path in sorted(images.iterdir()):
         picture = np.asarray(Image.open(path).convert("RGB"), np.float32)[::8, ::8]
-        found[path.stem] = int(np.abs(frames - picture).mean(axis=(1, 2, 3)).argmin()) / len(frames)
+        nearest = int(np.abs(frames - picture).mean(axis=(1, 2, 3)).argmin())
+        found[path.stem] = Fraction(nearest, len(frames))
     return found
 
 
