@@ -96,6 +96,13 @@ def test_the_largest_piece_is_taken_and_said(colmap: ColmapStub, tmp_path: Path,
     assert [share for _, share in placing] == sorted(share for _, share in placing)
 
 
+def test_pieces_that_add_nothing_are_not_told(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """COLMAP also gives pairs, and what the largest model has as well."""
+    colmap.pieces = [(0, 1), (1, 2, 3), (0, 1, 2, 3, 4, 5, 6, 7, 8)]
+    ls.find_poses(photographs(tmp_path, 9))
+    assert caplog.text == ""
+
+
 def test_when_all_are_placed_what_is_left_is_told(colmap: ColmapStub, tmp_path: Path) -> None:
     """The last adjustment of many photographs takes long: a bar at 99 % says why it stands."""
     colmap.pieces = [range(5)]

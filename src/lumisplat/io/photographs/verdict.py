@@ -7,7 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lumisplat.constants.photographs import COMPARED_PIXELS, FEW_POINTS, LARGE_ERROR, LOST_SHARE, USUAL_VIEW_DEGREES
+from lumisplat.constants.photographs import (
+    COMPARED_PIXELS,
+    FEW_POINTS,
+    LARGE_ERROR,
+    LOST_SHARE,
+    SMALLEST_PIECE,
+    USUAL_VIEW_DEGREES,
+)
 from lumisplat.io.photographs.listing import some_names
 
 
@@ -20,7 +27,7 @@ class Placement:
     placed: Sequence[str]
     """Of those that have a pose."""
     pieces: Sequence[int]
-    """Photographs of each model, of which the first is the one that is taken."""
+    """Photographs of the model that is taken, and those that only another one has, if they are more than a pair."""
     points: int
     shown: float
     """Points that a photograph shows, in the mean."""
@@ -33,6 +40,8 @@ class Placement:
     def of(cls, names: Sequence[str], models: Sequence[Any]) -> Placement:
         """The figures of models of COLMAP, of which the first is taken."""
         best = models[0]
+        names_of = [{model.image(index).name for index in model.reg_image_ids()} for model in models]
+        others = [len(found - names_of[0]) for found in names_of[1:]]
         cameras = best.cameras.values()
         views = [
             2.0 * math.degrees(math.atan2(0.5 * max(camera.width, camera.height), camera.mean_focal_length()))
@@ -41,8 +50,8 @@ class Placement:
         shrink = min(COMPARED_PIXELS / max(max(camera.width, camera.height) for camera in cameras), 1.0)
         return cls(
             names=names,
-            placed=[best.image(index).name for index in best.reg_image_ids()],
-            pieces=[model.num_reg_images() for model in models],
+            placed=sorted(names_of[0]),
+            pieces=[len(names_of[0]), *(count for count in others if count >= SMALLEST_PIECE)],
             points=best.num_points3D(),
             shown=best.compute_mean_observations_per_reg_image(),
             error=best.compute_mean_reprojection_error() * shrink,
