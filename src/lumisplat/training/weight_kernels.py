@@ -9,6 +9,7 @@ from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, TileFloats, tile_corner
 from lumisplat.device.gaussian.blend_gradient import pair_slot
+from lumisplat.device.gaussian.compositing import left_behind
 from lumisplat.device.gaussian.splat_coverage import rows_of, touches_strip, visible_alpha
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterData, RayRasterData, RaySplat, Splat, TileRect
@@ -66,7 +67,7 @@ def find_largest_weights(
                     after = before - weight
                     is_blended = after > t_min
                     largest = wp.max(largest, wp.where(is_blended, weight, 0.0))
-                    transmittance[i] = wp.where(is_blended, after, -wp.abs(before))
+                    transmittance[i] = left_behind(before, after, t_min)
         pairs_out[pair_slot(rects[index], pair_starts[index], tile % view.tiles_x, tile // view.tiles_x)] = largest
 
 
@@ -114,7 +115,7 @@ def find_largest_ray_weights(
                 after = before - weight
                 is_blended = after > settings[0].transmittance_min
                 largest = wp.max(largest, wp.where(is_blended, weight, 0.0))
-                transmittance[i] = wp.where(is_blended, after, -wp.abs(before))
+                transmittance[i] = left_behind(before, after, settings[0].transmittance_min)
         pairs_out[pair_slot(rects[index], pair_starts[index], tile % view.tiles_x, tile // view.tiles_x)] = largest
 
 

@@ -85,6 +85,24 @@ def blend(
 
 
 @wp.func
+def left_behind(before: float, after: float, transmittance_min: float) -> float:
+    """The transmittance of a pixel behind a splat, as a selection: rows of pixels vectorise.
+
+    If it would fall to its minimum, it is that before the splat, which is dropped, and negative: the pixel is finished.
+    """
+    return wp.where(after > transmittance_min, after, -wp.abs(before))
+
+
+@wp.func
+def to_surface(before: float, after: float, iso: float, index: int) -> int:
+    """What is added to the number of a pixel's surface, -1 at first: the splat behind which the transmittance is low.
+
+    A sum, as it is set once: compilers make a selection a masked store, slow on some CPUs.
+    """
+    return wp.where(wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0) > 0.0, index + 1, 0)
+
+
+@wp.func
 def instance_of(instances: wp.array[Any], item: int) -> int:
     """The instance that holds a Gaussian or triangle: the last one that starts at or before it."""
     low = int(0)

@@ -10,6 +10,7 @@ from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.camera.tiles import STRIP, TILE, StripSums, TileFloats, tile_corner
 from lumisplat.device.gaussian.blend_gradient import behind_pixel, pair_slot
+from lumisplat.device.gaussian.compositing import left_behind
 from lumisplat.device.gaussian.projection import ALPHA_LIMIT
 from lumisplat.device.gaussian.projection_gradient import color_dot, open_channels, sh_weights
 from lumisplat.device.gaussian.splat_coverage import is_listed, visible_alpha
@@ -155,7 +156,7 @@ def backward_ray_tiles(
                         v = wp.where(is_blended, v, 0.0)
                         v = wp.where(alpha < ALPHA_LIMIT, v, 0.0)
                         behind[i] = behind[i] - weight * shown
-                        transmittance[i] = wp.where(is_blended, after, -wp.abs(before))
+                        transmittance[i] = left_behind(before, after, t_floor)
                         # Where nothing is blended, the nearest point may be no number.
                         px = wp.where(alpha > 0.0, (ey * kz - ez * ky) / length2, 0.0)
                         py = wp.where(alpha > 0.0, (ez * kx - ex * kz) / length2, 0.0)

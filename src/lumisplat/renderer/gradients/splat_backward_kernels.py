@@ -9,6 +9,7 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, StripSums, TileFloats, tile_corner
 from lumisplat.device.gaussian.blend_gradient import PairFloats, behind_pixel, pair_slot, record_of, sum_of_pairs
+from lumisplat.device.gaussian.compositing import left_behind
 from lumisplat.device.gaussian.projection import ALPHA_LIMIT
 from lumisplat.device.gaussian.splat_coverage import rect_area, rows_of, touches_strip, visible_alpha
 from lumisplat.device.structs.camera import CameraData
@@ -119,7 +120,7 @@ def backward_tiles(
                         v = wp.where(is_blended, v, 0.0)
                         v = wp.where(alpha < ALPHA_LIMIT, v, 0.0)
                         behind[i] = behind[i] - weight * shown
-                        transmittance[i] = wp.where(is_blended, after, -wp.abs(before))
+                        transmittance[i] = left_behind(before, after, t_min)
                         vx = v * dx
                         s0[x] = s0[x] + v
                         su[x] = su[x] + vx

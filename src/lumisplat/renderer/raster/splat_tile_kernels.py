@@ -9,7 +9,13 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS, TILE_PX
 from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, StripFloats, TileFloats, TileInts, tile_corner
-from lumisplat.device.gaussian.compositing import opaque_pixel, store_gaussian_hits, store_result
+from lumisplat.device.gaussian.compositing import (
+    left_behind,
+    opaque_pixel,
+    store_gaussian_hits,
+    store_result,
+    to_surface,
+)
 from lumisplat.device.gaussian.splat_coverage import first_touching, rows_of, touches_strip, visible_alpha, visible_end
 from lumisplat.device.math.random import draw_mixed, mix, sample_key_of
 from lumisplat.device.structs.camera import CameraData, SampleData
@@ -121,10 +127,8 @@ def composite_tiles(
                         normal_x[i] = normal_x[i] + weight * splat.normal[0]
                         normal_y[i] = normal_y[i] + weight * splat.normal[1]
                         normal_z[i] = normal_z[i] + weight * splat.normal[2]
-                        after = wp.where(after > t_min, after, -wp.abs(before))
-                        crossed = wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0)
-                        # A sum, as it is set once: compilers make a selection a masked store, slow on some CPUs.
-                        surface[i] = surface[i] + wp.where(crossed > 0.0, index + 1, 0)
+                        after = left_behind(before, after, t_min)
+                        surface[i] = surface[i] + to_surface(before, after, iso, index)
                         transmittance[i] = after
         if visible < begin + BATCH:
             break

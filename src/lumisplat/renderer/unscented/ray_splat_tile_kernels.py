@@ -9,6 +9,7 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.camera.tiles import STRIP, TILE, TileFloats, TileInts, tile_corner
+from lumisplat.device.gaussian.compositing import left_behind, to_surface
 from lumisplat.device.gaussian.splat_coverage import visible_alpha
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RayRasterData, RaySplat
@@ -123,10 +124,8 @@ def composite_tiles(
                     normal_x[i] = normal_x[i] + weight * splat.normal[0]
                     normal_y[i] = normal_y[i] + weight * splat.normal[1]
                     normal_z[i] = normal_z[i] + weight * splat.normal[2]
-                    after = wp.where(after > t_floor, after, -wp.abs(before))
-                    crossed = wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0)
-                    # Sums, as they are set once: compilers make a selection a masked store, slow on some CPUs.
-                    surface[i] = surface[i] + wp.where(crossed > 0.0, index + 1, 0)
+                    after = left_behind(before, after, t_floor)
+                    surface[i] = surface[i] + to_surface(before, after, iso, index)
                     first[i] = first[i] + wp.where(weight > 0.0, wp.where(first[i] < 0, index + 1, 0), 0)
                     transmittance[i] = after
 
