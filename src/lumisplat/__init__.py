@@ -85,6 +85,8 @@ if TYPE_CHECKING:
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
     from lumisplat.relighting.avatar_lighter import AvatarLighter
     from lumisplat.relighting.captured_shadow import shadowed
+    from lumisplat.relighting.evaluation.evaluate import evaluate_materials
+    from lumisplat.relighting.evaluation.results import MaterialEvaluation, MaterialView, RelitFigures
     from lumisplat.relighting.fitting.fit_lights import fit_lights
     from lumisplat.relighting.fitting.results import FittedView, LightFit
     from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
@@ -180,9 +182,11 @@ _MODULE_OF = {
     "LightSpot": "scene.lights",
     "LitPoints": "metrics.lit_points",
     "LumisplatError": "errors",
+    "MaterialEvaluation": "relighting.evaluation.results",
     "MaterialPbr": "scene.materials",
     "MaterialsConfig": "config",
     "MaterialSimple": "scene.materials",
+    "MaterialView": "relighting.evaluation.results",
     "Mesh": "scene.mesh",
     "MeshInstance": "scene.scene",
     "MissingExtraError": "errors",
@@ -208,6 +212,7 @@ _MODULE_OF = {
     "RayProfile": "renderer.ray_profiles",
     "ReceiverSampling": "config",
     "RelightConfig": "config",
+    "RelitFigures": "relighting.evaluation.results",
     "RenderConfig": "config",
     "Renderer": "renderer.renderer",
     "ResponseConfig": "config",
@@ -247,6 +252,7 @@ _MODULE_OF = {
     "estimate_lights": "relighting.light_estimation",
     "estimate_sun": "relighting.sun_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
+    "evaluate_materials": "relighting.evaluation.evaluate",
     "extract_frames": "io.photographs.film",
     "find_materials": "training.materials.find_materials",
     "find_poses": "io.photographs.poses",
@@ -343,8 +349,10 @@ __all__ = [
     "LightSpot",
     "LitPoints",
     "LumisplatError",
+    "MaterialEvaluation",
     "MaterialPbr",
     "MaterialSimple",
+    "MaterialView",
     "MaterialsConfig",
     "Mesh",
     "MeshInstance",
@@ -369,6 +377,7 @@ __all__ = [
     "RealtimeQuality",
     "ReceiverSampling",
     "RelightConfig",
+    "RelitFigures",
     "RenderConfig",
     "Renderer",
     "ResponseConfig",
@@ -408,6 +417,7 @@ __all__ = [
     "estimate_lights",
     "estimate_normals",
     "estimate_sun",
+    "evaluate_materials",
     "extract_frames",
     "find_materials",
     "find_poses",

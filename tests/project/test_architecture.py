@@ -67,6 +67,7 @@ LAYERS = (
     "renderer",
     "relighting",
     "relighting.fitting",
+    "relighting.evaluation",
     "baking",
     "training.corrections",
     "training.surfaces",

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,12 +12,14 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
-from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.settings import setting
 from lumisplat.cli.output.comparisons import Comparison, compare, write_side_by_side
 from lumisplat.cli.output.console import counted, print_columns, progress_bars
+from lumisplat.cli.output.evaluation.files import write_json
+from lumisplat.cli.output.evaluation.material_report import figure_rows, write_material_report
 from lumisplat.cli.output.figures import cells, mean, plain
-from lumisplat.cli.output.pictures import check_writable, file_stems, make_folder
+from lumisplat.cli.output.pictures import check_writable, file_stems
 
 _log = logging.getLogger("lumisplat")
 
@@ -34,6 +35,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
     Photographs with a mask, and those of lenses that distort, are compared where their mask is at least half white:
     elsewhere the picture becomes the photograph, and means are over the rest.
+
+    What a capture knows of materials and light, on a set whose truth is known: lumisplat evaluate duck.ply duck
+    --materials -o report
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE... FOLDER", help_behavior_hint="")]] = ()
@@ -47,18 +51,35 @@ class Evaluate(LoadingCommand, DeviceCommand):
     hold_out: Annotated[int, arg(metavar="N")] = 8
     """The first photograph by name and each Nth after it are compared; of Blender's sets those of transforms_test.json
     are."""
-    pipeline: Annotated[Literal["raster", "trace"] | None, setting("{raster,trace}", "raster")] = None
-    """What draws the capture: trace for a kernel degree other than 2, over photographs of lenses as they are."""
+    pipeline: Annotated[
+        Literal["raster", "trace", "hybrid", "path"] | None, setting("{raster,trace,hybrid,path}", "raster")
+    ] = None
+    """What draws the capture: trace for a kernel degree other than 2, over photographs of lenses as they are. What
+    relights it with --materials: hybrid (the default then), without bounces, or path, with them."""
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
     """How Gaussians are rasterised: unscented, along the rays of lenses, whose photographs then stay as they are."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
     """Behind the capture, and behind transparent photographs: a name such as white, #rrggbb, or r,g,b in 0..1."""
+
+    materials: Flag = False
+    """Compare albedo, normals, roughness and what it looks like in other light with the truth, which FOLDER has: a set
+    of tools/make_relightable_set.py."""
+    environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """With --materials: the light of the photographs that was found, .exr or .hdr; without: NAME.environment.exr beside
+    the capture NAME.ply, if it is there."""
+    samples: Annotated[int | None, setting("N", "64")] = None
+    """With --materials: samples a pixel of relit pictures."""
 
     def run(self) -> None:
         """Renders, compares, prints, and writes what is asked for."""
         if len(self.files) < 2:
             raise ls.ConfigError(f"{counted(len(self.files), 'file')} given, expected a capture and a folder")
         *scene_files, folder = self.files
+        if self.materials:
+            self._compare_materials(scene_files, folder)
+            return
+        if self.environment or self.samples or self.pipeline in ("hybrid", "path"):
+            raise ls.ConfigError("--environment, --samples and the pipelines hybrid and path are for --materials")
         config = scene_settings(scene_file(scene_files))
         if self.background is not None:
             config = replace(config, background=self.background)  # pyright: ignore[reportArgumentType]
@@ -90,10 +111,41 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if self.output is None:
             return
         listed = [{"name": one.view.name, **plain(one.figures), "compared": one.share} for one in compared]
-        _write_json(self.output, {"mean": plain(means), "views": listed, "ms_ssim_scales": scales, "scale": self.scale})
+        write_json(self.output, {"mean": plain(means), "views": listed, "ms_ssim_scales": scales, "scale": self.scale})
         for one, stem in zip(worst, file_stems([one.view.name for one in worst]), strict=True):
             write_side_by_side(one.view, renderer.render(scene, one.view.camera), self.output / f"{stem}.png")
         print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the photographs")
+
+    def _compare_materials(self, captures: Sequence[Path], folder: Path) -> None:
+        """Compares what is known of materials and light, prints, and writes what is asked for.
+
+        Raises:
+            ConfigError: An option is for photographs alone, or there is no single capture.
+            FormatError: A file cannot be read or written.
+        """
+        if self.scale != 1.0 or self.projection is not None or self.background is not None:
+            raise ls.ConfigError("--scale, --projection and --background are not for --materials")
+        if len(captures) != 1:
+            raise ls.ConfigError(f"{counted(len(captures), 'capture')} given, expected one with --materials")
+        if self.output is not None:
+            check_writable(self.output)
+        found = self.environment or captures[0].with_suffix(".environment.exr")
+        light = ls.load_radiance(found) if self.environment or found.is_file() else None
+        config = ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline or "hybrid"), samples=self.samples or 64)
+        with progress_bars() as report:
+            self.start_warp()
+            capture = self.load_asset(captures[0], report)
+            if not isinstance(capture, ls.Gaussians):
+                raise ls.FormatError(captures[0], "is no capture, expected Gaussians")
+            result = ls.evaluate_materials(
+                capture, folder, environment=light, config=config, device=self.device, progress=report
+            )
+        for line in result.remarks:
+            _log.warning("%s", line)
+        print_columns(*figure_rows(result))
+        if self.output is not None:
+            write_material_report(self.output, result)
+            print(f"{self.output}: metrics.json, and the worst views: found, true, and the difference")
 
     def _views(
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
@@ -125,16 +177,3 @@ def _common_scales(views: Sequence[ls.Photograph]) -> int:
         size = f"{smallest.width} x {smallest.height}"
         _log.warning("ms-ssim has %d scales: photographs of %s pixels are too small for 5", scales, size)
     return max(1, scales)
-
-
-def _write_json(folder: Path, content: Mapping[str, object]) -> None:
-    """Writes metrics.json into a folder, which is made.
-
-    Raises:
-        FormatError: It cannot be written.
-    """
-    make_folder(folder)
-    try:
-        (folder / "metrics.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ls.FormatError(folder / "metrics.json", f"cannot be written: {error.strerror or error}") from None

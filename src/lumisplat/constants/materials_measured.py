@@ -1,0 +1,10 @@
+"""Thresholds of measuring found materials and light (docs/guide/materials.md#figures)."""
+
+INSIDE = 0.5
+"""Share of a pixel that the object covers from which on it counts, as photographs' masks do."""
+
+BLACK = 0.0015
+"""Linear values below this, 5 of 255 on a display, are black: their ratios to others tell nothing of a scale."""
+
+ENVIRONMENT_ROWS = 16
+"""Rows at which environments are compared: those of R3DG's, which are 16 x 32."""

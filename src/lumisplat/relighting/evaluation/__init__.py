@@ -1,0 +1,1 @@
+"""Found materials and light against a known truth."""

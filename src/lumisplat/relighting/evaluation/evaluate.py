@@ -1,0 +1,156 @@
+"""Found materials and light against a known truth: ``lumisplat.evaluate_materials``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy.typing as npt
+
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config.checks import check_kind
+from lumisplat.errors import SceneError
+from lumisplat.io.files.source import PathLike
+from lumisplat.math.arrays import FloatArray, float_array
+from lumisplat.metrics.materials import Channels, environment_psnr
+from lumisplat.relighting.evaluation.compare import (
+    Pair,
+    SeenView,
+    albedo_scale,
+    measured,
+    normal_figures,
+    roughness_rmse,
+)
+from lumisplat.relighting.evaluation.found import LayerRenderer, over_black, relit_scene, with_albedo
+from lumisplat.relighting.evaluation.results import MaterialEvaluation, RelitFigures
+from lumisplat.relighting.evaluation.truth import RelightableSet
+from lumisplat.renderer.renderer import Renderer, create_renderer
+from lumisplat.scene.gaussians import Gaussians
+
+Progress = Callable[[str, float], None]
+
+
+def evaluate_materials(
+    gaussians: Gaussians,
+    folder: PathLike,
+    *,
+    environment: npt.ArrayLike | None = None,
+    config: RenderConfig | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> MaterialEvaluation:
+    """Compares a capture's materials, normals and looks in new light with the truth of a set, where the object is.
+
+    The capture is seen by the cameras of the photographs held out. Its albedo gets one scale a channel, the median
+    ratio to the truth over all of them, and with that it is relit in environments that photographs were not made in;
+    figures are defined in the guide (docs/guide/materials.md#figures).
+
+    Args:
+        gaussians: The capture, with ``albedo``, ``normals`` and ``roughness`` as far as they were found. Without
+            albedo, its captured colours stand for it, decoded and without view dependence.
+        folder: A set as of tools/make_relightable_set.py.
+        environment: The light of the photographs that was found, linear radiance, shape (H, W, 3), with the axes of
+            `LightEnvironment`; None: none was.
+        config: How the capture is relit; None: ``Pipeline.HYBRID``, which has shadows and no bounces. Without a
+            background, whatever it says.
+        device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
+        progress: Called with what is being done and the fraction done, 0..1.
+
+    Raises:
+        ConfigError: ``config`` is something else.
+        DeviceError: There is no such device.
+        FormatError: The folder is no such set, or a file of it is missing or damaged; names it.
+        SceneError: ``gaussians`` or ``environment`` are something else.
+    """
+    settings = config or RenderConfig(pipeline=Pipeline.HYBRID)
+    check_kind("config", settings, RenderConfig)
+    if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise SceneError(f"gaussians is {type(gaussians).__name__}, expected Gaussians")
+    found_light = None if environment is None else _panorama(environment)
+    truth, report = RelightableSet.open(folder), progress or _say_nothing
+    given = with_albedo(gaussians)
+    seen = list(_seen(truth, given, device, report))
+    scale = albedo_scale(seen)
+    renderer = create_renderer(replace(settings, background=None), device)
+    relit = _relit(truth, given, scale, renderer, report)
+    seen = [replace(view, relit=pictures) for view, pictures in zip(seen, relit, strict=True)]
+    views, problems = zip(*(measured(view, scale) for view in seen), strict=True)
+    normal_mean, normal_median = normal_figures(seen)
+    return MaterialEvaluation(
+        albedo_scale=scale,
+        albedo_psnr=_mean([view.albedo_psnr for view in views]),
+        albedo_psnr_unscaled=_mean([view.albedo_psnr_unscaled for view in views]),
+        albedo_psnr_linear=_mean([view.albedo_psnr_linear for view in views]),
+        normal_mean=normal_mean,
+        normal_median=normal_median,
+        roughness_rmse=roughness_rmse(seen),
+        environment_psnr=math.nan if found_light is None else environment_psnr(found_light, truth.radiance(None)),
+        relit={
+            name: RelitFigures(*map(_mean, zip(*(view.relit[name] for view in views), strict=True)))
+            for name in truth.unseen
+        },
+        views=tuple(views),
+        remarks=(*_remarks(gaussians, truth), *dict.fromkeys(line for lines in problems for line in lines)),
+    )
+
+
+def _panorama(environment: npt.ArrayLike) -> FloatArray:
+    """The environment that was found, checked."""
+    image = float_array("environment", environment)
+    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+        raise SceneError(f"environment has shape {image.shape}, expected (H, W, 3)")
+    if (image < 0.0).any():
+        raise SceneError("environment has negative values")
+    return image
+
+
+def _seen(truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress) -> Iterator[SeenView]:
+    """The views with the layers that both have."""
+    layers = LayerRenderer.of(gaussians, device)
+    for number, view in enumerate(truth.views):
+        report("comparing layers", number / len(truth.views))
+        region, found = truth.region(view), layers.draw(view.camera)
+        pairs = {name: (found[name], truth.layer(name, view)) for name in truth.layers if name in found}
+        yield SeenView(view.name, region, pairs, {})
+    report("comparing layers", 1.0)
+
+
+def _relit(
+    truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress
+) -> list[dict[str, Pair]]:
+    """What is seen of the capture and of the truth in each unseen environment, view by view."""
+    pictures: list[dict[str, Pair]] = [{} for _ in truth.views]
+    for number, name in enumerate(truth.unseen):
+        scene = relit_scene(gaussians, truth.radiance(name), scale, truth.specular)
+        for index, view in enumerate(truth.views):
+            report("relighting", (number + index / len(truth.views)) / len(truth.unseen))
+            wanted = truth.relit(name, view)
+            pictures[index][name] = over_black(renderer, scene, view.camera), wanted
+    report("relighting", 1.0)
+    return pictures
+
+
+def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
+    """What was not compared, and what stands for something else."""
+    for name in ("albedo", "normal", "roughness"):
+        if name not in truth.layers:
+            yield f"no truth of {name}: {truth.folder / 'truth' / name} is not there"
+    if not truth.unseen:
+        yield f"nothing is relit: {truth.folder / 'relit'} has no environment .exr"
+    if gaussians.albedo is None:
+        yield "the capture has no albedo: its captured colours, decoded, stand for it"
+    if gaussians.normals is None:
+        yield "the capture has no normals of its own: those of its Gaussians' shapes are compared"
+    if gaussians.roughness is None and truth.specular > 0.0:
+        yield "the capture has no roughness: it is relit with 0.5"
+
+
+def _mean(values: Sequence[float]) -> float:
+    """The mean of those that are there."""
+    existing = [value for value in values if not math.isnan(value)]
+    return sum(existing) / len(existing) if existing else math.nan
+
+
+def _say_nothing(label: str, done: float) -> None:
+    """Progress that nobody asked for."""

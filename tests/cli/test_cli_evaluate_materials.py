@@ -1,0 +1,106 @@
+"""``lumisplat evaluate --materials``: table, files and mistakes."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.files.relightable_files import painted_ball, sky, write_layer, write_radiance, write_relightable_set
+
+COMMAND = ("evaluate", "@ball.ply", "@set", "--materials", "--device", "cpu", "--samples", "4")
+
+
+@pytest.fixture
+def work(tmp_path, capsys) -> Workplace:
+    """A capture and the set that it has made, with a known mistake in one view."""
+    place = Workplace(tmp_path, capsys)
+    ball = painted_ball()
+    ls.save(place.path("ball.ply"), ball)
+    write_relightable_set(place.path("set"), ball)
+    write_layer(place.path("set"), "roughness", "r_003", np.full((32, 32, 1), 0.5))
+    return place
+
+
+def table(out: str) -> dict[str, str]:
+    """Figures by their labels."""
+    rows = [line.split("  ") for line in out.splitlines() if "  " in line]
+    return {row[0].strip(): next(cell for cell in row[1:] if cell.strip()).strip() for row in rows}
+
+
+def test_the_table_has_the_figures_of_the_function(work):
+    """Those of `evaluate_materials`, with units."""
+    done = work.run(*COMMAND)
+    assert done.status == 0, done.err
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
+    result = ls.evaluate_materials(work.capture("ball.ply"), work.path("set"), config=config, device="cpu")
+    shown = table(done.out)
+    assert shown["roughness, rmse"] == f"{result.roughness_rmse:.4f}" != "0.0000"
+    assert shown["normals, mean"] == f"{result.normal_mean:.2f}"
+    assert shown["albedo, one scale a channel"] == f"{result.albedo_psnr:.2f}"
+    assert shown["relit in dusk, psnr"] == f"{result.relit['dusk'].psnr:.2f}"
+    assert shown["environment, one scale a channel"] == "-"
+    assert "dB" in done.out and "degrees" in done.out
+
+
+def test_figures_and_pictures_are_written(work):
+    """All figures of all views, and of the worst ones a row for each thing: found, true, the difference."""
+    done = work.run(*COMMAND, "-o", "@report")
+    assert done.status == 0 and "metrics.json, and the worst views: found, true" in done.out
+    assert {name for name in work.files() if name.startswith("report")} == {
+        "report/metrics.json", "report/r_002.png", "report/r_003.png",
+    }  # fmt: skip
+    told = json.loads(work.path("report/metrics.json").read_text())
+    assert told["all"]["albedo_scale"] == pytest.approx([1.0, 1.0, 1.0], abs=1e-4)
+    assert [view["name"] for view in told["views"]] == ["r_002", "r_003"]
+    assert set(told["views"][0]["relit"]["dusk"]) == {"psnr", "ssim", "flip"}
+    beside = np.asarray(Image.open(work.path("report/r_003.png"))).astype(int)
+    assert beside.shape == (4 * 32, 3 * 32, 3)
+    found, truth, difference = np.split(beside[64:96], 3, axis=1)
+    np.testing.assert_allclose(difference, np.minimum(4 * np.abs(found - truth), 255), atol=4)
+    assert truth.max() == 128 and difference.any() and not beside[:32, 64:].any()
+
+
+def test_the_environment_beside_the_capture_is_compared(work):
+    """By its name, or the one that is given."""
+    write_radiance(work.path("ball.environment.exr"), 2.0 * sky())
+    beside = table(work.run(*COMMAND).out)["environment, one scale a channel"]
+    assert float(beside) > 100.0
+    write_radiance(work.path("other.exr"), sky(-1.0))
+    given = table(work.run(*COMMAND, "--environment", "@other.exr").out)["environment, one scale a channel"]
+    assert float(given) < 40.0
+
+
+def test_what_is_missing_is_said_in_a_line(work, caplog):
+    """And is a dash."""
+    for path in work.path("set/truth/normal").iterdir():
+        path.unlink()
+    work.path("set/truth/normal").rmdir()
+    assert table(work.run(*COMMAND).out)["normals, mean"] == "-"
+    assert any(line.startswith("no truth of normal:") and line.endswith("is not there") for line in caplog.messages)
+
+
+@pytest.mark.parametrize(
+    ("args", "problem"),
+    [
+        ((*COMMAND, "--scale", "0.5"), "--scale, --projection and --background are not for --materials"),
+        (("evaluate", "@ball.ply", "@ball.ply", "@set", "--materials"), "2 captures given, expected one with"),
+        (("evaluate", "@ball.ply", "@set", "--samples", "4"), "--environment, --samples and the pipelines hybrid and"),
+        (("evaluate", "@ball.ply", "@set", "--pipeline", "path"), "--environment, --samples and the pipelines hybrid"),
+        (("evaluate", "@mesh.obj", "@set", "--materials"), "mesh.obj: is no capture, expected Gaussians"),
+        ((*COMMAND, "--environment", "@lost.exr"), "lost.exr: no such file"),
+        (("evaluate", "@ball.ply", "@lost", "--materials"), "lost: no such folder"),
+        ((*COMMAND, "-o", "@ball.ply"), "ball.ply: is a file, expected a folder"),
+    ],
+)
+def test_mistakes_are_one_line(work, args, problem):
+    """Status 2, what is wrong, nothing written."""
+    before = work.files()
+    done = work.run(*args)
+    assert done.status == 2 and done.err.startswith("error: ") and done.err.count("\n") == 1
+    assert problem in done.err
+    assert work.files() == before

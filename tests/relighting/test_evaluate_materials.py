@@ -1,0 +1,251 @@
+"""``evaluate_materials`` on a set that a capture itself has made, changed in known ways."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.images.png import write_png
+from lumisplat.math.color import decode_srgb, encode_srgb
+from support.files.relightable_files import (
+    CONFIG,
+    painted_ball,
+    read_layer,
+    sky,
+    write_layer,
+    write_radiance,
+    write_relightable_set,
+)
+
+NAMES = ("r_002", "r_003")
+
+
+@pytest.fixture(scope="module")
+def ball() -> ls.Gaussians:
+    """A capture that has all columns."""
+    return painted_ball()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, ball: ls.Gaussians) -> Path:
+    """The set whose truth it is."""
+    return write_relightable_set(tmp_path / "set", ball)
+
+
+def evaluate(ball: ls.Gaussians, folder: Path, environment: np.ndarray | None = None) -> ls.MaterialEvaluation:
+    """On the CPU."""
+    return ls.evaluate_materials(ball, folder, environment=environment, config=CONFIG, device="cpu")
+
+
+def region(folder: Path, view: str) -> np.ndarray:
+    """Where the ball is."""
+    photographs = {photograph.name: photograph for photograph in ls.load_photographs(folder).held_out}
+    alpha = photographs[view].alpha()
+    assert alpha is not None
+    return alpha >= 0.5
+
+
+def test_the_truth_is_found_without_error(folder, ball):
+    """All figures, and the pictures."""
+    result = evaluate(ball, folder, sky())
+    np.testing.assert_allclose(result.albedo_scale, 1.0, atol=1e-6)
+    assert result.albedo_psnr > 100.0 and result.albedo_psnr_unscaled > 100.0 and result.albedo_psnr_linear > 100.0
+    assert result.normal_mean < 1e-3 and result.normal_median < 1e-3 and result.roughness_rmse < 1e-6
+    assert result.environment_psnr > 100.0
+    assert result.relit["dusk"].psnr > 55.0 and result.relit["dusk"].ssim > 0.999 and result.relit["dusk"].flip < 0.01
+    assert result.remarks == () and [view.name for view in result.views] == list(NAMES)
+    view = result.views[0]
+    assert list(view.pictures) == ["albedo", "normal", "roughness", "relit/dusk"]
+    inside = region(folder, view.name)
+    assert view.coverage == pytest.approx(inside.mean()) and 0.1 < view.coverage < 0.9
+    truth = encode_srgb(read_layer(folder, "albedo", view.name))
+    np.testing.assert_allclose(view.pictures["albedo"][1][inside], truth[inside], atol=1e-6)
+    assert not view.pictures["albedo"][0][~inside].any()
+    assert "albedo_psnr=" in repr(result) and "dusk" in repr(result)
+
+
+def test_a_scale_of_albedo_is_recovered(folder, ball):
+    """One a channel for all views; without it the error is that of the factors, as sRGB."""
+    factors = np.array([0.5, 0.9, 1.6])
+    expected = []
+    for view in NAMES:
+        albedo, inside = read_layer(folder, "albedo", view), region(folder, view)
+        write_layer(folder, "albedo", view, factors * albedo)
+        apart = encode_srgb(factors * albedo[inside]) - encode_srgb(albedo[inside])
+        expected.append(-10.0 * np.log10(np.mean(apart**2)))
+    result = evaluate(ball, folder)
+    np.testing.assert_allclose(result.albedo_scale, factors, rtol=1e-5)
+    assert result.albedo_psnr > 90.0
+    assert result.albedo_psnr_unscaled == pytest.approx(np.mean(expected), abs=1e-3)
+    assert result.albedo_psnr_unscaled < 25.0
+    assert result.relit["dusk"].psnr < 35.0, "pictures are relit with the scaled albedo"
+
+
+def test_offsets_give_the_figures_that_they_are(folder, ball):
+    """Display albedo off by 0.1 in one of two views, roughness by 0.1, relit pictures by 0.05."""
+    inside = region(folder, NAMES[0])
+    displayed = encode_srgb(read_layer(folder, "albedo", NAMES[0]))
+    sign = np.where(np.random.default_rng(0).random(displayed.shape) < 0.5, -0.1, 0.1)
+    write_layer(folder, "albedo", NAMES[0], decode_srgb(displayed + sign))
+    for view in NAMES:
+        write_layer(folder, "roughness", view, read_layer(folder, "roughness", view) + 0.1)
+        path = folder / "relit" / "dusk" / f"{view}.png"
+        write_png(path, np.clip(ls.load_image(path) + 0.05, 0.0, 1.0))
+    result = evaluate(ball, folder)
+    assert result.views[0].albedo_psnr_unscaled == pytest.approx(20.0, abs=0.01)
+    assert result.views[1].albedo_psnr_unscaled > 100.0
+    linear = result.views[0].pictures["albedo"]
+    np.testing.assert_allclose(np.abs(linear[0] - linear[1])[inside].max(), 0.1, atol=0.03)
+    assert result.roughness_rmse == pytest.approx(0.1, abs=1e-4)
+    assert result.relit["dusk"].psnr == pytest.approx(-20.0 * np.log10(0.05), abs=0.3)
+
+
+def test_normals_at_a_known_angle(folder, ball):
+    """All of the first view by 10 degrees, whichever way: half of the pixels, as both views are as large."""
+    normal = read_layer(folder, "normal", NAMES[0])
+    side = np.cross(normal, (0.3, 0.5, 0.8))
+    side /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-6)
+    write_layer(folder, "normal", NAMES[0], np.cos(np.radians(10.0)) * normal + np.sin(np.radians(10.0)) * side)
+    result = evaluate(ball, folder)
+    assert result.views[0].normal_mean == pytest.approx(10.0, abs=1e-2)
+    assert result.views[0].normal_median == pytest.approx(10.0, abs=1e-2)
+    counts = [region(folder, view).sum() for view in NAMES]
+    assert result.normal_mean == pytest.approx(10.0 * counts[0] / sum(counts), abs=1e-2)
+
+
+def test_what_the_object_does_not_cover_does_not_count(folder, ball):
+    """Nonsense outside changes nothing, nonsense inside does."""
+    before = evaluate(ball, folder)
+    rng = np.random.default_rng(1)
+
+    def spoil(where: np.ndarray, view: str) -> None:
+        for name in ("albedo", "normal", "roughness"):
+            layer = read_layer(folder, name, view)
+            write_layer(folder, name, view, np.where(where[..., None], rng.random(layer.shape), layer))
+        path = folder / "relit" / "dusk" / f"{view}.png"
+        picture = ls.load_image(path)
+        write_png(path, np.where(where[..., None], rng.random(picture.shape), picture))
+
+    for view in NAMES:
+        spoil(~region(folder, view), view)
+    after = evaluate(ball, folder)
+    names = ("albedo_scale", "albedo_psnr", "normal_mean", "normal_median", "roughness_rmse")
+    assert [getattr(after, name) for name in names] == [getattr(before, name) for name in names]
+    assert after.relit["dusk"].psnr == before.relit["dusk"].psnr
+    assert after.relit["dusk"].ssim == pytest.approx(before.relit["dusk"].ssim, abs=0.02)  # of windows across the edge
+    spoil(region(folder, NAMES[0]), NAMES[0])
+    spoilt = evaluate(ball, folder)
+    assert spoilt.views[0].albedo_psnr < 20.0 and spoilt.normal_mean > 10.0 and spoilt.roughness_rmse > 0.1
+    assert spoilt.relit["dusk"].psnr < 40.0
+
+
+def test_highlights_are_as_strong_as_the_set_says(folder, ball):
+    """A set that is said to be Lambertian is relit without."""
+    (folder / "set.json").write_text('{"specular": 0.0}')
+    assert evaluate(ball, folder).relit["dusk"].psnr < 50.0
+
+
+def test_captured_colours_stand_for_an_albedo(folder, ball):
+    """Decoded, without view dependence; and said."""
+    bare = replace(ball, albedo=None, normals=None, roughness=None)
+    bare = replace(bare, sh=np.concatenate([bare.sh, np.full((bare.count, 3, 3), 0.05)], axis=1))
+    result = evaluate(bare, folder)
+    captured = decode_srgb(np.clip(0.5 + 0.28209479 * bare.sh[:, 0], 0.0, 1.0))
+    explicit = evaluate(replace(bare, albedo=captured), folder)
+    assert result.albedo_psnr == pytest.approx(explicit.albedo_psnr, abs=1e-3) and result.albedo_psnr < 60.0
+    assert np.isnan(result.roughness_rmse)
+    assert [line.split(":")[0] for line in result.remarks] == [
+        "the capture has no albedo",
+        "the capture has no normals of its own",
+        "the capture has no roughness",
+    ]
+    assert explicit.remarks == result.remarks[1:]
+
+
+def test_what_a_set_lacks_is_said(folder, ball):
+    """No truth of roughness, nothing relit: figures are missing, the others are there."""
+    for path in (folder / "truth" / "roughness").iterdir():
+        path.unlink()
+    (folder / "truth" / "roughness").rmdir()
+    (folder / "relit" / "dusk.exr").unlink()
+    result = evaluate(ball, folder)
+    assert np.isnan(result.roughness_rmse) and np.isnan(result.environment_psnr) and result.relit == {}
+    assert result.albedo_psnr > 100.0
+    assert [line.split(":")[0] for line in result.remarks] == ["no truth of roughness", "nothing is relit"]
+
+
+def test_progress_is_told(folder, ball):
+    """From 0 to 1, for layers and for relit pictures."""
+    told: list[tuple[str, float]] = []
+    ls.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: told.append(now))
+    assert told[0] == ("comparing layers", 0.0) and told[-1] == ("relighting", 1.0)
+    assert [done for label, done in told if label == "relighting"] == sorted(
+        done for label, done in told if label == "relighting"
+    )
+
+
+def rename(folder: Path, name: str) -> None:
+    """Takes a file away."""
+    (folder / name).rename(folder / "elsewhere")
+
+
+def small_layer(folder: Path, name: str) -> None:
+    """Makes a layer of another size."""
+    write_layer(folder, name, NAMES[0], np.zeros((8, 8, 3)))
+
+
+def not_finite(folder: Path, name: str) -> None:
+    """Makes a layer of nonsense."""
+    write_layer(folder, name, NAMES[0], np.full((32, 32, 3), np.nan))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "name", "problem"),
+    [
+        (rename, "truth/albedo/r_002.exr", "truth/albedo/r_002.exr: no such file: the set is incomplete"),
+        (rename, "relit/dusk/r_003.png", "relit/dusk/r_003.png: no such file: the set is incomplete"),
+        (rename, "environment.exr", "environment.exr: no such file: the set is incomplete"),
+        (rename, "transforms_test.json", "has no transforms_test.json, of whose cameras the truth is"),
+        (small_layer, "albedo", "r_002.exr: has 8 x 8 pixels, expected the 32 x 32 of"),
+        (not_finite, "normal", "r_002.exr: has values that are not finite"),
+    ],
+)
+def test_incomplete_sets_are_refused(folder, ball, spoil, name, problem):
+    """In one line that names the file."""
+    spoil(folder, name)
+    with pytest.raises(ls.FormatError) as caught:
+        evaluate(ball, folder, sky())
+    assert problem in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_other_folders_are_refused(tmp_path, ball, folder):
+    """Photographs without a truth, no folder, a broken set.json; and what is no capture or no environment."""
+    with pytest.raises(ls.FormatError, match="no such folder"):
+        evaluate(ball, tmp_path / "nowhere")
+    (folder / "set.json").write_text('{"specular": 3}')
+    with pytest.raises(ls.FormatError, match=r"set\.json: has specular 3, expected a number in 0\.\.1"):
+        evaluate(ball, folder)
+    (folder / "set.json").write_text("{")
+    with pytest.raises(ls.FormatError, match=r"set\.json: cannot be read as JSON"):
+        evaluate(ball, folder)
+    rename(folder, "truth")
+    (folder / "relit" / "dusk.exr").unlink()
+    with pytest.raises(ls.FormatError, match="has neither truth/albedo"):
+        evaluate(ball, folder)
+    with pytest.raises(ls.SceneError, match="gaussians is str"):
+        ls.evaluate_materials("capture.ply", folder)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ls.SceneError, match="environment has negative values"):
+        evaluate(ball, folder, -sky())
+    with pytest.raises(ls.SceneError, match=r"environment has shape \(4, 4\)"):
+        evaluate(ball, folder, np.zeros((4, 4)))
+
+
+def test_an_environment_is_compared_after_a_scale(folder, ball):
+    """Twice as bright and redder is as good; another one is not."""
+    assert evaluate(ball, folder, sky() * (2.5, 2.0, 2.0)).environment_psnr > 100.0
+    write_radiance(folder / "environment.exr", np.roll(sky(), 8, axis=1))
+    assert evaluate(ball, folder, sky()).environment_psnr < 30.0
