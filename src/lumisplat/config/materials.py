@@ -21,7 +21,7 @@ class MaterialsConfig:
     """By which the sky is found from albedos that are to be alike, 1 to 100,000."""
     iterations: int = 300
     """Steps that refine materials and sky by a photograph each, 0 to 10,000,000."""
-    roughness: float = 0.7
+    roughness: float = 0.5
     """Of all Gaussians at the start, 0.1 to 1."""
     seed: int = 0
     """Of everything that is random: one seed, one result, on any number of threads."""
