@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         AtlasLayout,
         AvatarLightingConfig,
         DeepShadowConfig,
+        DelightConfig,
         Densification,
         FilterConfig,
         GaussianSurface,
@@ -85,6 +86,8 @@ if TYPE_CHECKING:
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
     from lumisplat.relighting.avatar_lighter import AvatarLighter
     from lumisplat.relighting.captured_shadow import shadowed
+    from lumisplat.relighting.delight.delight import delight, estimate_materials
+    from lumisplat.relighting.delight.material_estimate import MaterialEstimate
     from lumisplat.relighting.evaluation.evaluate import evaluate_materials
     from lumisplat.relighting.evaluation.results import MaterialEvaluation, MaterialView, RelitFigures
     from lumisplat.relighting.fitting.fit_lights import fit_lights
@@ -156,6 +159,7 @@ _MODULE_OF = {
     "ConfigError": "errors",
     "DeepShadowConfig": "config",
     "DeepShadowMap": "shadow_maps.deep_shadow_map",
+    "DelightConfig": "config",
     "Densification": "config",
     "DeviceError": "errors",
     "DifferentiableRenderer": "renderer.splat_gradients",
@@ -182,6 +186,7 @@ _MODULE_OF = {
     "LightSpot": "scene.lights",
     "LitPoints": "metrics.lit_points",
     "LumisplatError": "errors",
+    "MaterialEstimate": "relighting.delight.material_estimate",
     "MaterialEvaluation": "relighting.evaluation.results",
     "MaterialPbr": "scene.materials",
     "MaterialsConfig": "config",
@@ -246,10 +251,12 @@ _MODULE_OF = {
     "create_renderer": "renderer.renderer",
     "crop": "scene.editing.crop",
     "decimate": "scene.editing.decimate",
+    "delight": "relighting.delight.delight",
     "demo_cameras": "demo.scene",
     "demo_scene": "demo.scene",
     "demo_scene_lit": "demo.scene_lit",
     "estimate_lights": "relighting.light_estimation",
+    "estimate_materials": "relighting.delight.delight",
     "estimate_sun": "relighting.sun_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
     "evaluate_materials": "relighting.evaluation.evaluate",
@@ -321,6 +328,7 @@ __all__ = [
     "ConfigError",
     "DeepShadowConfig",
     "DeepShadowMap",
+    "DelightConfig",
     "Densification",
     "DeviceError",
     "DifferentiableRenderer",
@@ -349,6 +357,7 @@ __all__ = [
     "LightSpot",
     "LitPoints",
     "LumisplatError",
+    "MaterialEstimate",
     "MaterialEvaluation",
     "MaterialPbr",
     "MaterialSimple",
@@ -411,10 +420,12 @@ __all__ = [
     "create_renderer",
     "crop",
     "decimate",
+    "delight",
     "demo_cameras",
     "demo_scene",
     "demo_scene_lit",
     "estimate_lights",
+    "estimate_materials",
     "estimate_normals",
     "estimate_sun",
     "evaluate_materials",

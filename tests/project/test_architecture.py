@@ -68,6 +68,7 @@ LAYERS = (
     "relighting",
     "relighting.fitting",
     "relighting.evaluation",
+    "relighting.delight",
     "baking",
     "training.corrections",
     "training.surfaces",

@@ -32,7 +32,9 @@ SCENE_FILES = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```toml\n(.*?)```", page.read_text(), re.DOTALL))
 ]
-NAMES = "view|render|frames|train|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate|bake|fit"
+NAMES = (
+    "view|render|frames|train|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate|bake|fit|delight"
+)
 COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})
 
 

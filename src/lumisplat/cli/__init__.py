@@ -21,6 +21,7 @@ from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.lighting.bake import Bake
+from lumisplat.cli.commands.lighting.delight import Delight
 from lumisplat.cli.commands.lighting.fit import Fit
 from lumisplat.cli.commands.lighting.relight import Relight
 from lumisplat.cli.commands.metrics import Metrics
@@ -60,6 +61,8 @@ Avatars that walk through a capture: lumisplat animate scene.toml -o frames --vi
 
 An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o relit.ply
 
+A capture without its own light, to be lit anew: lumisplat delight garden.ply -o garden.relit.ply
+
 A lit scene as a capture for every viewer: lumisplat bake scene.toml -o baked.ply
 
 The lights of a room from a photograph: lumisplat fit room.toml photo.jpg --camera door -o fitted.toml
@@ -81,6 +84,7 @@ _Command = (
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Fit, subcommand("fit")]
     | Annotated[Relight, subcommand("relight")]
+    | Annotated[Delight, subcommand("delight")]
     | Annotated[Bake, subcommand("bake")]
     | Annotated[ShadowMap, subcommand("shadowmap")]
 )

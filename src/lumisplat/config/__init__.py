@@ -18,7 +18,7 @@ from lumisplat.config.rays import (
     TraceStrategy,
 )
 from lumisplat.config.realtime import FilterConfig, RadianceCacheConfig, RealtimeConfig, RealtimeQuality
-from lumisplat.config.relighting import NormalEstimate, RelightConfig
+from lumisplat.config.relighting import DelightConfig, NormalEstimate, RelightConfig
 from lumisplat.config.render import (
     AOVS,
     EVERY_FRAME,
@@ -44,6 +44,7 @@ __all__ = [
     "AtlasLayout",
     "AvatarLightingConfig",
     "DeepShadowConfig",
+    "DelightConfig",
     "Densification",
     "FilterConfig",
     "GaussianSurface",

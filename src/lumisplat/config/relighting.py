@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from lumisplat.config.checks import check_range, check_whole, take_enum
+from lumisplat.config.checks import check_flag, check_range, check_whole, take_enum
 
 
 class NormalEstimate(Enum):
@@ -47,3 +47,25 @@ class RelightConfig:
         check_range("gamma", self.gamma, 0.0, 1000.0)
         take_enum(self, "normals", NormalEstimate)
         check_whole("rows", self.rows, 8, 128)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DelightConfig:
+    """Settings of the separation of a capture into materials and light (docs/method/delighting.md).
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    cells: int = 12
+    """The light at each Gaussian is traced in so many times so many cells of all directions, 4..32."""
+    inside: bool | None = None
+    """Whether the capture was taken from inside of it, as a room is; None: if a good part of it sees no sky."""
+    seed: int = 0
+    """Of rays and of which Gaussians are compared."""
+
+    def __post_init__(self) -> None:
+        check_whole("cells", self.cells, 4, 32)
+        if self.inside is not None:
+            check_flag("inside", self.inside)
+        check_whole("seed", self.seed, 0, 2**32 - 1)

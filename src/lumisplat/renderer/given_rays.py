@@ -20,7 +20,7 @@ from lumisplat.runtime.launcher import Launcher
 RAY_BATCH = 2**20
 """Rays of a query that are on the device at once: some 200 MiB."""
 
-_INPUTS = ("origins", "directions", "distances")
+_INPUTS = {"origins": wp.vec3, "directions": wp.vec3, "ends": wp.float32, "starts": wp.float32}
 
 
 class GivenRays:
@@ -39,9 +39,11 @@ class GivenRays:
         return self._buffers.struct("rays.rays", RayData, whole_packets(grown_capacity(count)))
 
     def upload(self, batch: list[FloatArray]) -> list[DeviceArray]:
-        """Origins, directions and distances on the device."""
+        """Origins, directions, distances of ends, and from where on Gaussians count if that is given, on the device."""
+        if len(batch) < len(_INPUTS):
+            batch = [*batch, np.zeros(len(batch[0]), np.float32)]
         arrays: list[DeviceArray] = []
-        for name, dtype, values in zip(_INPUTS, (wp.vec3, wp.vec3, wp.float32), batch, strict=True):
+        for (name, dtype), values in zip(_INPUTS.items(), batch, strict=True):
             array = self._buffers.get(f"rays.{name}", dtype, grown_capacity(len(values)))
             if len(values):
                 array[: len(values)].assign(values)

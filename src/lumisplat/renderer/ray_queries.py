@@ -84,13 +84,29 @@ class RayQueries:
         exact = ShadowConfig(transmittance_min=config.trace.transmittance_min)
         self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
 
-    def query(self, scene: DeviceScene, plan: FramePlan, origins: FloatArray, directions: FloatArray) -> RayHits:
-        """Radiance and hits of rays; ``directions`` are unit vectors."""
+    def query(
+        self,
+        scene: DeviceScene,
+        plan: FramePlan,
+        origins: FloatArray,
+        directions: FloatArray,
+        offsets: FloatArray | None = None,
+    ) -> RayHits:
+        """Radiance and hits of rays; ``directions`` are unit vectors.
+
+        Args:
+            scene: Up to date for rays.
+            plan: Of the scene.
+            origins: Shape (N, 3).
+            directions: Likewise.
+            offsets: Of rays that leave Gaussians: distances within which those as large do not count, as of shadow
+                rays, shape (N,); None: all Gaussians count.
+        """
         parts: list[dict[str, npt.NDArray[Any]]] = []
         nonfinite = 0
-        distances = np.full(len(origins), np.inf, np.float32)
-        for first, batch in batches(origins, directions, distances):
-            images, count = self._query_batch(scene, plan, first, batch)
+        starts, bounced = _starts(origins, offsets), offsets is not None
+        for first, batch in batches(origins, directions, np.full(len(origins), np.inf, np.float32), starts):
+            images, count = self._query_batch(scene, plan, first, batch, bounced=bounced)
             parts.append(images)
             nonfinite += count
         if nonfinite:
@@ -107,12 +123,17 @@ class RayQueries:
         )
 
     def transmittance(
-        self, scene: DeviceScene, origins: FloatArray, directions: FloatArray, distances: FloatArray
+        self,
+        scene: DeviceScene,
+        origins: FloatArray,
+        directions: FloatArray,
+        distances: FloatArray,
+        offsets: FloatArray | None = None,
     ) -> FloatArray:
-        """Transmittance up to ``distances``, (N,); 0 if below the lowest one that counts."""
+        """Transmittance up to ``distances``, (N,); 0 if below the lowest one that counts. ``offsets`` as of `query`."""
         parts: list[FloatArray] = []
         scene.begin_sample(0)
-        for first, batch in batches(origins, directions, distances):
+        for first, batch in batches(origins, directions, distances, _starts(origins, offsets)):
             count, rays = len(batch[0]), self._rays.allocate(len(batch[0]))
             self._rays.load(scene, first, count, self._rays.upload(batch), rays)
             opaque = self._buffers.get("rays.opaque", wp.bool, len(rays.t_max))
@@ -122,7 +143,7 @@ class RayQueries:
         return np.concatenate(parts)
 
     def _query_batch(
-        self, scene: DeviceScene, plan: FramePlan, first: int, batch: list[FloatArray]
+        self, scene: DeviceScene, plan: FramePlan, first: int, batch: list[FloatArray], *, bounced: bool
     ) -> tuple[dict[str, npt.NDArray[Any]], int]:
         """Images of one row of rays, and how many samples were not finite."""
         # Given rays are not jittered: without random numbers, all samples are equal.
@@ -142,7 +163,7 @@ class RayQueries:
         for sample in range(samples):
             scene.begin_sample(sample)
             self._rays.load(scene, first, count, inputs, rays)
-            hits = self._tracer.find_hits(scene, rays, "rays")
+            hits = self._tracer.find_hits(scene, rays, "rays", bounced=bounced)
             wave = self._integrators.of(plan).shade(scene, plan, hits, sample)
             if plan.is_lit:
                 self._launcher.run_banded(film_kernels.merge_captured, wave.count, wave.data)
@@ -151,6 +172,11 @@ class RayQueries:
             self._launcher.run_banded(film_kernels.average_samples, len(rays.t_max), film)
         images = {name: image[0, :count] for name, image in pixels.download().items()}
         return images, samples * count - int(finite.numpy()[:count].sum(dtype=np.int64))
+
+
+def _starts(origins: FloatArray, offsets: FloatArray | None) -> FloatArray:
+    """Where Gaussians begin to count, shape (N,)."""
+    return np.zeros(len(origins), np.float32) if offsets is None else offsets
 
 
 def tracing(config: RenderConfig | None) -> RenderConfig:

@@ -229,6 +229,20 @@ class Renderer:
         self._load(transmittance_modules(self._launcher))
         return self._queries.transmittance(self._scene, start, along, distances)
 
+    def leaving_hits(self, scene: Scene, origins: FloatArray, directions: FloatArray, offsets: FloatArray) -> RayHits:
+        """What rays see that leave Gaussians, as `trace_rays`; offsets as `RayQueries.query`."""
+        plan = self._sync_rays(scene)
+        self._load(frame_modules(plan, self._launcher, self.config))
+        return self._queries.query(self._scene, plan, origins, directions, offsets)
+
+    def leaving_transmittance(
+        self, scene: Scene, origins: FloatArray, directions: FloatArray, distances: FloatArray, offsets: FloatArray
+    ) -> FloatArray:
+        """How much light arrives at Gaussians from points so far away, as `transmittance`."""
+        self._sync_rays(scene)
+        self._load(transmittance_modules(self._launcher))
+        return self._queries.transmittance(self._scene, origins, directions, distances, offsets)
+
     def _sync_rays(self, scene: Scene) -> FramePlan:
         """Syncs the scene for rays that a caller gives."""
         if self.config.pipeline not in (Pipeline.TRACE, Pipeline.PATH):

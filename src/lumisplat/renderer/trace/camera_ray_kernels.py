@@ -60,7 +60,8 @@ def load_rays(
     samples: wp.array[SampleData],
     origins: wp.array[wp.vec3],
     directions: wp.array[wp.vec3],
-    distances: wp.array[float],
+    ends: wp.array[float],
+    starts: wp.array[float],
     rays_out: RayData,
 ):
     """``count`` given rays; further elements are inactive. ``first`` is the number of the first one in its query."""
@@ -69,11 +70,11 @@ def load_rays(
     if i >= count:
         return
     sample = samples[0]
-    rays_out.is_active[i] = distances[i] > 0.0
+    rays_out.is_active[i] = ends[i] > 0.0
     rays_out.origin[i] = origins[i]
     rays_out.direction[i] = directions[i]
-    rays_out.t_min[i] = 0.0
-    rays_out.t_max[i] = distances[i]
+    rays_out.t_min[i] = starts[i]
+    rays_out.t_max[i] = ends[i]
     rays_out.path_length[i] = 0.0
     rays_out.spread[i] = 0.0
     rays_out.sample_key[i] = sample_key_of(first + i, sample.index, sample.seed)

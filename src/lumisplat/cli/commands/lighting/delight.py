@@ -1,0 +1,84 @@
+"""``lumisplat delight``: a capture without the light in which it was taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.up import UpOption, upright
+from lumisplat.cli.output.console import Report, counted, progress_bars
+from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
+
+_INSIDE = {"auto": None, "yes": True, "no": False}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delight(LoadingCommand, DeviceCommand):
+    """Find what a capture is made of without the light in which it was taken. No photographs are needed.
+
+    The result has an albedo, a normal and a roughness for each Gaussian beside its captured colours: lights of a scene
+    then shine on it as on a mesh. First try: lumisplat delight garden.ply -o garden.relit.ply
+
+    About a minute for 100,000 Gaussians. Surfaces are taken for matt.
+    """
+
+    capture: Positional[Annotated[Path, arg(metavar="CAPTURE")]]
+    """A capture: .ply, .compressed.ply, .spz or .sog."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """.ply, which alone has room for materials. - is standard output."""
+    inside: Literal["auto", "yes", "no"] = "auto"
+    """Whether the capture was taken from inside of it, as that of a room is; then there is no sky. auto: yes if a good
+    part of it sees none."""
+    sky: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Also write the sky that was found as a latitude-longitude image, .exr: --environment of render takes it."""
+    up: UpOption = "auto"
+    """Which way is up in the image of --sky; auto: y down."""
+    cells: Annotated[int, arg(metavar="4..32")] = 12
+    """The light is traced in N x N parts of all directions. The time is in proportion to N x N."""
+    seed: Annotated[int, arg(metavar="N")] = 0
+    """Of all random numbers: the same seed gives the same capture."""
+
+    def run(self) -> None:
+        """Loads, finds, writes."""
+        if self.output == STANDARD_OUTPUT:
+            with standard_output(".ply") as file:
+                replace(self, output=file).run()
+            return
+        self._check_outputs()
+        config = ls.DelightConfig(cells=self.cells, inside=_INSIDE[self.inside], seed=self.seed)
+        with progress_bars() as report:
+            self.start_warp()
+            capture = self._loaded(report)
+            found = ls.estimate_materials(capture, config, device=self.device, progress=report)
+            report("writing", 0.0)
+            ls.save(self.output, found.gaussians)
+            if self.sky is not None:
+                found.save_sky(self.sky, upright(ls.Scene([capture]), self.up).upright_wxyz)
+        print(f"{self.output}: {counted(capture.count, 'Gaussian')} with albedo, roughness and normals")
+        for remark in found.remarks:
+            print(remark)
+        if self.sky is not None:
+            print(f"{self.sky}: the sky as an image")
+
+    def _check_outputs(self) -> None:
+        """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
+        if self.output.suffix.lower() != ".ply" or self.output.name.lower().endswith(".compressed.ply"):
+            raise ls.FormatError(self.output, "expected .ply: other formats have no room for materials")
+        if self.sky is not None and self.sky.suffix.lower() != ".exr":
+            raise ls.FormatError(self.sky, "unknown extension for the image of a sky, expected .exr")
+        for path in (self.output, self.sky):
+            if path is not None:
+                check_writable(path.absolute().parent)
+
+    def _loaded(self, report: Report) -> ls.Gaussians:
+        """The capture."""
+        asset = self.load_asset(self.capture, report)
+        if not isinstance(asset, ls.Gaussians):
+            raise ls.FormatError(self.capture, "is not a capture: delight takes a file of Gaussians")
+        return asset

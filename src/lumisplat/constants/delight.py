@@ -1,0 +1,131 @@
+"""Constants of the separation of a capture into materials and light (docs/method/delighting.md)."""
+
+SIDE_DIRECTIONS = 26
+"""Directions over the sphere in which Gaussians look for the side from which they are seen."""
+
+SIDE_ENCLOSED = 0.1
+"""Share of Gaussians that see no sky on either side, from which on a capture was taken from inside of it."""
+
+SKY_SEEN = 0.02
+"""Share of the sky that a side sees at least, if it sees any."""
+
+SKY_ENOUGH = 0.2
+"""Share of the sky from which on more of it does not make a side likelier to be the one that was seen."""
+
+SIDE_FAR = 0.02
+"""Mean distance of what a side sees, in extents of the set, from which on it is open."""
+
+CONTENT_SURE = 0.003
+"""Difference between what two sides see of the set, as a mean distance in its extents, that makes half sure."""
+
+SIDE_STIFFNESS = 5.0
+"""How much neighbours that lie alike agree on their sides, beside how much Gaussians that are sure insist."""
+
+SIDE_SHARPNESS = 4
+"""Exponent of the cosine between the axes of neighbours that agree on their sides."""
+
+SIDE_STEPS = 300
+"""Steps of conjugate gradients by which they do."""
+
+SURFACE_SPREAD = 0.5
+"""Within how much of a Gaussian rays begin, standard deviations of its own: as they do where it is baked."""
+
+CELL_REACH = 1.3
+"""How far apart the centres of neighbouring cells of the sky may be, in sums of the radii of discs as large."""
+
+BRIGHT_CELLS = 6
+"""Cells of the sky that are divided further: those that shine most."""
+
+BRIGHT_PARTS = 4
+"""Into so many times so many parts."""
+
+BRIGHT_ROUNDS = 2
+"""Times that this is done."""
+
+VIEW_DIRECTIONS = 16
+"""Directions in which the colour of a Gaussian is looked at."""
+
+VIEW_TILT = 0.5
+"""By how much these are bent towards normals: at grazing angles, colours say little."""
+
+CLIPPED = 0.985
+"""Display-referred value of all channels from which on a Gaussian may have been brighter than could be captured."""
+
+LAMPS_MAX = 8
+"""Groups of such Gaussians whose light is found apart."""
+
+LAMP_GAP = 4.0
+"""Distance between Gaussians of one group, in median scales of such Gaussians."""
+
+LAMP_POINTS = 24
+"""Places of a group whose light is traced."""
+
+NEIGHBOURS = 12
+"""Gaussians, about, over which the light at a Gaussian is averaged: it changes less than its noise."""
+
+NORMAL_SHARPNESS = 8
+"""Exponent of the cosine between normals of those."""
+
+PAIRS = 24_000
+"""Pairs of neighbours whose albedos are compared, at most."""
+
+FAR_SHARE = 0.25
+"""Pairs of any Gaussians that are compared, beside one of neighbours: things of like chroma are often of one albedo,
+and neighbours more often."""
+
+CHROMA_WIDTH = 0.03
+"""Difference of chromaticity, natural logarithm, of Gaussians that may have one albedo."""
+
+EDGE_WIDTHS = (0.2, 0.1)
+"""Differences of albedo, natural logarithm, from which on they are rather edges (Cauchy): first and last."""
+
+RADIANCE_LEAST = 1e-4
+"""Radiance below which nothing is told apart."""
+
+FAR_LEAST = 1000
+"""Such pairs, at least."""
+
+LIGHT_STEPS = 25
+"""Steps of Gauss-Newton, at most."""
+
+LIGHT_STEP_MAX = 0.7
+"""Longest of them, natural logarithm of radiances."""
+
+LIGHT_CONVERGED = 1e-3
+"""Largest change of a radiance, natural logarithm, at which they end."""
+
+SKY_SMOOTHNESS = 3e-3
+"""Weight of differences between neighbouring directions of the sky, beside one pair of Gaussians."""
+
+LIGHT_PRIOR = 3e-4
+"""Weight of a radiance's distance from that which it begins with, likewise."""
+
+ALBEDO_HIGH = 0.8
+"""Albedo of the lightest surfaces in their lightest channel, that fixes the scale where light comes from the sky."""
+
+LIGHTEST = 0.95
+"""Share of Gaussians that are darker than those."""
+
+SCALE_STEPS = 5
+"""Steps by which the scale is found: what Gaussians show each other stays as it was captured."""
+
+LIGHT_SEEN = 0.03
+"""Light at a Gaussian, as a share of the median, below which its albedo is that of its neighbours."""
+
+ROUGHNESS_UNKNOWN = 0.8
+"""Roughness of Gaussians whose highlights say nothing."""
+
+GAUSSIANS_LEAST = 64
+"""Gaussians of which a surface consists, at least."""
+
+OPACITY_SEEN = 0.1
+"""Opacity of those, at least."""
+
+TOO_LIGHT = 0.02
+"""Share of Gaussians beyond what is possible, or not explained, from which on it is worth a remark."""
+
+RESIDUAL_LARGE = 0.25
+"""Unexplained share of a captured colour that counts for that."""
+
+SKY_IMAGE_ROWS = 64
+"""Of the image of the sky that was found."""

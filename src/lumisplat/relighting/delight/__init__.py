@@ -1,0 +1,1 @@
+"""Materials and light of a capture, found from what it shows alone."""

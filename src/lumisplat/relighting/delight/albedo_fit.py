@@ -1,0 +1,143 @@
+"""Light of which surfaces get albedos that are as alike as can be: Gauss-Newton over pairs of Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lumisplat.constants.delight import (
+    ALBEDO_HIGH,
+    CHROMA_WIDTH,
+    EDGE_WIDTHS,
+    FAR_LEAST,
+    FAR_SHARE,
+    LIGHT_CONVERGED,
+    LIGHT_PRIOR,
+    LIGHT_STEP_MAX,
+    LIGHT_STEPS,
+    LIGHTEST,
+    RADIANCE_LEAST,
+    SCALE_STEPS,
+    SKY_SMOOTHNESS,
+)
+from lumisplat.math.arrays import Doubles, Rows
+from lumisplat.relighting.delight.incident import Incident
+from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.scene.sampling.blue_noise import Pairs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Light:
+    """Radiances, linear, in units of display white."""
+
+    sky: Doubles
+    """Shape (K, 3)."""
+    lamps: Doubles
+    """Shape (L, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightFit:
+    """The light of which pairs of Gaussians get the most alike albedos.
+
+    Albedo is outgoing radiance over irradiance over pi. Of surfaces with one albedo, the logarithms of both differ by
+    as much; pairs that differ otherwise are edges of textures, and count little (Retinex, with pairs anywhere and
+    a model of the light in place of smoothness).
+    """
+
+    outgoing: Doubles
+    """Radiance of Gaussians, shape (N, 3)."""
+    incident: Incident
+    """What shines on them."""
+    pairs: Rows
+    """Of Gaussians, shape (P, 2)."""
+    cells: SkyCells
+    """Of the sky."""
+
+    def solved(self, start: Light) -> Light:
+        """The light, from one to begin with; edges are told apart the more finely the nearer it is."""
+        light = start
+        for width in EDGE_WIDTHS:
+            light = self._improved(light, width)
+        return light
+
+    def _improved(self, start: Light, width: float) -> Light:
+        """Steps of Gauss-Newton with one width of edges."""
+        first = np.concatenate([start.sky, start.lamps])
+        radiances, prior = first.copy(), self._prior()
+        columns = np.concatenate([self.incident.sky, self.incident.lamps], axis=1)
+        shown = np.log(np.maximum(self.outgoing, RADIANCE_LEAST))
+        for _ in range(LIGHT_STEPS):
+            irradiance = np.maximum(self.incident.observed + columns @ radiances, RADIANCE_LEAST)
+            differences = shown - np.log(irradiance)
+            differences = differences[self.pairs[:, 0]] - differences[self.pairs[:, 1]]
+            weights = self._weights(differences, width)
+            largest = 0.0
+            for channel in range(3):
+                slopes = columns * (radiances[:, channel] / irradiance[:, channel, None]).astype(np.float32)
+                jacobian = slopes[self.pairs[:, 1]] - slopes[self.pairs[:, 0]]
+                weighted = jacobian * weights[:, channel, None].astype(np.float32)
+                moved = np.log(radiances[:, channel] / first[:, channel])
+                hessian = (weighted.T @ jacobian).astype(np.float64) + prior
+                gradient = weighted.T @ differences[:, channel] + prior @ moved
+                step = -np.linalg.solve(hessian, gradient)
+                step *= min(1.0, LIGHT_STEP_MAX / max(float(np.abs(step).max(initial=0.0)), 1e-12))
+                radiances[:, channel] *= np.exp(step)
+                largest = max(largest, float(np.abs(step).max(initial=0.0)))
+            if largest < LIGHT_CONVERGED:
+                break
+        return Light(radiances[: len(self.cells)], radiances[len(self.cells) :])
+
+    def _weights(self, differences: Doubles, width: float) -> Doubles:
+        """How much pairs count, shape (P, 3)."""
+        chroma = differences - differences.mean(axis=1, keepdims=True)
+        alike = np.exp(-0.5 * (np.abs(chroma).max(axis=1) / CHROMA_WIDTH) ** 2) / len(differences)
+        return alike[:, None] / (1.0 + (differences / width) ** 2)
+
+    def _prior(self) -> Doubles:
+        """The quadratic form of a sky that is smooth, and of light that is as it began, shape (K + L, K + L)."""
+        lamps, share = self.incident.lamps.shape[1], self.cells.solid_angles / (4.0 * np.pi)
+        form = LIGHT_PRIOR * np.diag(np.concatenate([share, np.full(lamps, 1.0 / max(lamps, 1))]))
+        first, second = self.cells.neighbours.T
+        weights = SKY_SMOOTHNESS * np.sqrt(share[first] * share[second])
+        np.add.at(form, (first, first), weights)
+        np.add.at(form, (second, second), weights)
+        np.add.at(form, (first, second), -weights)
+        np.add.at(form, (second, first), -weights)
+        return form
+
+
+def first_light(outgoing: Doubles, incident: Incident) -> Light:
+    """Grey, the same from everywhere, and so much that the lightest surfaces have a usual albedo."""
+    columns = np.concatenate([incident.sky, incident.lamps], axis=1)
+    lit = columns.sum(axis=1, dtype=np.float64)
+    rows = lit > 0.05 * max(float(np.median(lit)), 1e-9)
+    radiance = 1.0
+    if rows.any():
+        wanted = (outgoing / ALBEDO_HIGH - incident.observed).max(axis=1)[rows] / lit[rows]
+        radiance = max(float(np.quantile(wanted, LIGHTEST)), 0.05)
+    return Light(np.full((incident.sky.shape[1], 3), radiance), np.full((incident.lamps.shape[1], 3), radiance))
+
+
+def with_usual_albedos(light: Light, outgoing: Doubles, incident: Incident) -> Light:
+    """The light, brighter or darker by one factor, so that the lightest surfaces have a usual albedo."""
+    for _ in range(SCALE_STEPS):
+        irradiance = np.maximum(incident.total(light.sky, light.lamps), RADIANCE_LEAST)
+        factor = float(np.quantile((outgoing / irradiance).max(axis=1), LIGHTEST)) / ALBEDO_HIGH
+        light = Light(factor * light.sky, factor * light.lamps)
+    return light
+
+
+def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> Rows:
+    """Pairs whose albedos are compared: at most ``count`` of neighbours, and some of any, shape (P, 2).
+
+    Args:
+        near: Pairs of neighbours, in both orders.
+        reflects: Gaussians that may be compared.
+        count: Of pairs of neighbours.
+        rng: Chooses.
+    """
+    beside = np.stack([near.first, near.second], axis=1)[near.first < near.second]
+    beside = rng.permutation(beside[np.isin(beside, reflects).all(axis=1)])[:count]
+    return np.concatenate([beside, rng.choice(reflects, (max(int(FAR_SHARE * len(beside)), FAR_LEAST), 2))])

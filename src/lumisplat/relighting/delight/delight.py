@@ -1,0 +1,205 @@
+"""A capture's own light taken out of it (docs/method/delighting.md): steps and their order."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config.checks import check_kind
+from lumisplat.config.relighting import DelightConfig
+from lumisplat.constants.delight import (
+    BRIGHT_CELLS,
+    BRIGHT_PARTS,
+    BRIGHT_ROUNDS,
+    GAUSSIANS_LEAST,
+    LIGHT_SEEN,
+    OPACITY_SEEN,
+    PAIRS,
+    RADIANCE_LEAST,
+    ROUGHNESS_UNKNOWN,
+)
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles, FloatArray, read_only_view
+from lumisplat.relighting.delight.albedo_fit import Light, LightFit, albedo_pairs, first_light, with_usual_albedos
+from lumisplat.relighting.delight.captured import lamps_of, outgoing_radiance
+from lumisplat.relighting.delight.incident import Incident, IncidentRays, Report
+from lumisplat.relighting.delight.material_estimate import MaterialEstimate
+from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
+from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.renderer.renderer import create_renderer
+from lumisplat.scene.checks import check_argument
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.estimate_normals import estimate_normals
+from lumisplat.scene.sampling.blue_noise import Pairs
+
+_log = logging.getLogger("lumisplat")
+
+
+def delight(
+    gaussians: Gaussians,
+    config: DelightConfig | None = None,
+    *,
+    device: str = "auto",
+    threads: int | None = None,
+    progress: Report | None = None,
+) -> Gaussians:
+    """A capture with materials: ``albedo`` without the light in which it was taken, ``roughness`` and ``normals``.
+
+    As `estimate_materials`, which also tells what light was found, and how sure that is.
+
+    Args:
+        gaussians: A capture with display-referred colours; if it has an albedo, that is replaced.
+        config: Settings; None: the defaults.
+        device: As for `create_renderer`.
+        threads: Likewise.
+        progress: Called with a label and the fraction done, 0..1.
+
+    Returns:
+        The same Gaussians in the same order.
+
+    Raises:
+        ConfigError: A setting is of the wrong kind.
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: There is no surface, or it is as bright as display white everywhere.
+    """
+    return estimate_materials(gaussians, config, device=device, threads=threads, progress=progress).gaussians
+
+
+def estimate_materials(
+    gaussians: Gaussians,
+    config: DelightConfig | None = None,
+    *,
+    device: str = "auto",
+    threads: int | None = None,
+    progress: Report | None = None,
+) -> MaterialEstimate:
+    """Materials of a capture and the light in which it was taken, found from the capture alone.
+
+    The light that reaches a Gaussian is largely seen in the capture itself: rays find it. What is not, the sky and
+    lamps that were too bright for a display, is such that Gaussians which may have one albedo have it. Surfaces are
+    taken for matt. Source: docs/method/delighting.md.
+
+    How bright the sky was and what albedos surfaces have is only known together. Of a room, bounces between its walls
+    tell them apart to some degree; of an object, the lightest surfaces are taken to reflect 0.8.
+
+    Args:
+        gaussians: A capture with display-referred colours; if it has an albedo, that is replaced.
+        config: Settings; None: the defaults.
+        device: As for `create_renderer`.
+        threads: Likewise.
+        progress: Called with a label and the fraction done, 0..1.
+
+    Raises:
+        ConfigError: A setting is of the wrong kind.
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: There is no surface, or it is as bright as display white everywhere.
+    """
+    config = config or DelightConfig()
+    check_argument("delight", gaussians, Gaussians, "Gaussians")
+    check_kind("config", config, DelightConfig)
+    seen = int(np.count_nonzero(gaussians.opacities >= OPACITY_SEEN))
+    if seen < GAUSSIANS_LEAST:
+        raise SceneError(
+            f"no surface whose material could be told: {seen} of {gaussians.count} Gaussians have an opacity of "
+            f"{OPACITY_SEEN} or more, expected {GAUSSIANS_LEAST} at least"
+        )
+    if gaussians.albedo is not None:
+        _log.warning("the capture has an albedo already: it is replaced by one from its captured colours")
+    renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device, threads=threads)
+    rays = IncidentRays(gaussians, renderer, config.seed)
+    return _Delighter(gaussians, config, rays, progress or (lambda _label, _share: None)).run()
+
+
+@dataclass(frozen=True, slots=True)
+class _Delighter:
+    """Takes the light out of a capture."""
+
+    gaussians: Gaussians
+    config: DelightConfig
+    rays: IncidentRays
+    report: Report
+
+    def run(self) -> MaterialEstimate:
+        """All steps."""
+        self.report("finding surfaces", 0.0)
+        near = neighbours_of(self.gaussians)
+        axes = estimate_normals(self.gaussians).astype(np.float64)
+        normals, inside = self.rays.facing(axes, near, self.config.inside, known=self.gaussians.normals is not None)
+        lamps = lamps_of(self.gaussians, normals)
+        reflects = np.flatnonzero(lamps < 0)
+        if not reflects.size:
+            raise SceneError("all Gaussians are as bright as display white: no material can be told of any")
+        if not inside:  # what is white on an object reflects
+            lamps = np.full(self.gaussians.count, -1)
+        smoother = Smoother.of(near, normals, lamps)
+        cells = SkyCells.even(self.config.cells)
+        incident = smoother.incident(self.rays.incident(normals, lamps, cells, self.report))
+        if inside:  # what no wall stops in a room are gaps between Gaussians
+            cells, incident = cells.of(np.empty(0, int)), replace(incident, sky=incident.sky[:, :0])
+        outgoing = outgoing_radiance(self.gaussians, normals)
+        pairs = albedo_pairs(near, reflects, PAIRS, np.random.default_rng([self.config.seed, 5]))
+        self.report("finding the light", 0.0)
+        light = LightFit(outgoing, incident, pairs, cells).solved(first_light(outgoing, incident))
+        for _ in range(0 if inside else BRIGHT_ROUNDS):
+            cells, incident, light = self._finer(normals, smoother, cells, incident, light)
+            self.report("finding the light", 0.5)
+            light = LightFit(outgoing, incident, pairs, cells).solved(light)
+        if not inside:
+            light = with_usual_albedos(light, outgoing, incident)
+        irradiance = incident.total(light.sky, light.lamps)
+        albedo = filled(outgoing / np.maximum(irradiance, RADIANCE_LEAST), irradiance, near)
+        seen = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)
+        return MaterialEstimate(
+            gaussians=self._with_materials(albedo, normals),
+            cells=cells,
+            sky=light.sky,
+            lamps=light.lamps,
+            lamp_of=lamps,
+            residual=_unexplained(outgoing, np.clip(albedo, 0.0, 1.0) * irradiance),
+            confidence=np.clip(seen, 0.0, 1.0).astype(np.float32),
+            is_inside=inside,
+            out_of_range=(albedo > 1.0).any(axis=1) & (lamps < 0),
+        )
+
+    def _finer(
+        self, normals: Doubles, smoother: Smoother, cells: SkyCells, incident: Incident, light: Light
+    ) -> tuple[SkyCells, Incident, Light]:
+        """The cells of the sky that shine most in parts."""
+        power = light.sky.mean(axis=1) * cells.solid_angles
+        bright = np.argsort(-power, kind="stable")[:BRIGHT_CELLS]
+        others = np.setdiff1d(np.arange(len(cells)), bright)
+        parts = cells.of(bright).parts(BRIGHT_PARTS)
+        found = smoother.mean(self.rays.from_sky(normals, parts, self.report))
+        sky = np.concatenate([incident.sky[:, others], found], axis=1)
+        radiances = np.concatenate([light.sky[others], np.repeat(light.sky[bright], BRIGHT_PARTS**2, axis=0)])
+        return cells.of(others).joined(parts), replace(incident, sky=sky), replace(light, sky=radiances)
+
+    def _with_materials(self, albedo: Doubles, normals: Doubles) -> Gaussians:
+        """The capture with what was found."""
+        return replace(
+            self.gaussians,
+            albedo=read_only_view(np.clip(albedo, 0.0, 1.0).astype(np.float32)),
+            roughness=read_only_view(np.full(self.gaussians.count, ROUGHNESS_UNKNOWN, np.float32)),
+            metallic=None,
+            normals=read_only_view(normals.astype(np.float32)),
+        )
+
+
+def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
+    """Albedos; where hardly any light was found, those of neighbours, shape (N, 3)."""
+    light = irradiance.mean(axis=1)
+    sure = np.clip(light / (LIGHT_SEEN * float(np.median(light)) + 1e-12) - 1.0, 0.0, 1.0)
+    weights = sure[near.second] + 1e-6
+    total = np.bincount(near.first, weights, len(albedo))
+    sums = [np.bincount(near.first, weights * channel[near.second], len(albedo)) for channel in albedo.T]
+    around = np.stack(sums, axis=1) / total[:, None]
+    return sure[:, None] * albedo + (1.0 - sure)[:, None] * around
+
+
+def _unexplained(outgoing: Doubles, explained: Doubles) -> FloatArray:
+    """By how much what is explained differs from radiances, as a share of these, shape (N,)."""
+    difference = np.abs(explained - outgoing).mean(axis=1)
+    return (difference / np.maximum(outgoing.mean(axis=1), RADIANCE_LEAST)).astype(np.float32)

@@ -1,0 +1,181 @@
+"""What shines on each Gaussian of a capture: most of it the capture itself shows, the rest is sky or a clipped lamp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lumisplat.constants import SHADOW_OFFSET
+from lumisplat.constants.delight import (
+    CONTENT_SURE,
+    LAMP_POINTS,
+    SIDE_DIRECTIONS,
+    SIDE_ENCLOSED,
+    SIDE_FAR,
+    SKY_ENOUGH,
+    SKY_SEEN,
+)
+from lumisplat.math.arrays import Doubles, FloatArray, Rows
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.sh import even_directions
+from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides
+from lumisplat.renderer.ray_queries import RayHits
+from lumisplat.renderer.renderer import Renderer
+from lumisplat.scene.editing.morton import morton_order
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.sampling.blue_noise import Pairs
+from lumisplat.scene.scene import Scene
+
+Report = Callable[[str, float], None]
+LEAST_ALPHA = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Incident:
+    """Irradiance over pi of N Gaussians: what a white surface would show. Linear, in units of display white."""
+
+    observed: Doubles
+    """Of what the capture shows, without its lamps, shape (N, 3)."""
+    sky: FloatArray
+    """Of each of K cells of a sky of radiance 1, shape (N, K)."""
+    lamps: FloatArray
+    """Of each of L lamps of radiance 1, shape (N, L)."""
+
+    def total(self, sky: Doubles, lamps: Doubles) -> Doubles:
+        """That of a sky and lamps, shape (N, 3).
+
+        Args:
+            sky: Radiances, shape (K, 3).
+            lamps: Likewise, shape (L, 3).
+        """
+        return self.observed + self.sky @ sky + self.lamps @ lamps
+
+
+class IncidentRays:
+    """Follows rays that leave the Gaussians of a capture through it, as paths of light do.
+
+    Args:
+        capture: The set.
+        renderer: Traces unlit rays in order.
+        seed: Of where rays go.
+    """
+
+    def __init__(self, capture: Gaussians, renderer: Renderer, seed: int) -> None:
+        self._capture, self._renderer = capture, renderer
+        self._scene = Scene([capture])
+        self._points = SurfacePoints(capture, seed)
+        self._rng = np.random.default_rng([seed, 4])
+        self._order = morton_order(capture.means)  # rays that go side by side are followed together
+        self._means = capture.means.astype(np.float64)
+        self._offsets = SHADOW_OFFSET * capture.scales.max(axis=1)
+        self._extent = float(np.linalg.norm(np.ptp(self._means, axis=0)))
+
+    def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, known: bool) -> tuple[Doubles, bool]:
+        """Normals along given axes that point to the side from which Gaussians are seen, and whether from inside.
+
+        Of an object, that is the side of which the sky is seen; if it is seen from both, as from a floor, the one with
+        more of the capture. Of a room it is that with more of it, as behind the walls is nothing.
+
+        Args:
+            axes: Unit, of either sign, shape (N, 3).
+            near: Pairs of neighbours, in both orders.
+            inside: Whether the capture was taken from inside of it; None: if a good part of it sees no sky.
+            known: Whether axes are normals that came with the capture, and stay.
+        """
+        sky, distance, ways = np.zeros((2, len(axes))), np.zeros((2, len(axes))), np.zeros((2, len(axes)))
+        rows = self._order
+        for direction in even_directions(SIDE_DIRECTIONS):
+            cosines = axes[rows] @ direction
+            side, cosines = (cosines < 0.0).astype(int), np.abs(cosines)  # grazing rays miss what they should meet
+            hits = self._leave(
+                rows, np.where(side == 0, 1.0, -1.0)[:, None] * axes[rows], np.tile(direction, (len(axes), 1))
+            )
+            sky[side, rows] += cosines * hits.transmittance
+            distance[side, rows] += cosines * np.where(
+                np.isfinite(hits.depth), np.minimum(hits.depth, self._extent), 0.0
+            )
+            ways[side, rows] += cosines
+        sky, distance = sky / np.maximum(ways, 1e-6), distance / (np.maximum(ways, 1e-6) * self._extent)
+        if inside is None:
+            hidden = (sky < SKY_SEEN).all(axis=0) & (distance > SIDE_FAR).any(axis=0)
+            inside = bool(hidden.mean() > SIDE_ENCLOSED)
+        if known:
+            return axes, inside
+        content = distance * (1.0 - sky)
+        more = content[0] - content[1]
+        votes = more / (np.abs(more) + CONTENT_SURE)
+        if not inside:
+            open_to = np.minimum(sky / SKY_ENOUGH, 1.0)
+            by_sky = open_to[0] - open_to[1]
+            votes = by_sky + (1.0 - np.abs(by_sky)) * votes
+        return agreed_sides(axes, votes, near)[:, None] * axes, inside
+
+    def incident(self, normals: Doubles, lamps: Rows, cells: SkyCells, report: Report) -> Incident:
+        """What shines on Gaussians that face along their normals.
+
+        Args:
+            normals: Unit, shape (N, 3).
+            lamps: The lamp that each is part of, shape (N,); -1: none.
+            cells: Of all directions.
+            report: Called with what is being done and the fraction done, 0..1.
+        """
+        observed, sky = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
+        for cell in range(len(cells)):
+            report("tracing the light", cell / len(cells))
+            rows, ways, shares = self._ways(normals, cells, cell)
+            hits = self._leave(rows, normals[rows], ways)
+            alpha = 1.0 - hits.transmittance.astype(np.float64)
+            shown = decode_srgb(np.clip(hits.radiance / np.maximum(alpha, LEAST_ALPHA)[:, None], 0.0, 1.0))
+            is_lamp = (hits.gaussian_index >= 0) & (lamps[np.maximum(hits.gaussian_index, 0)] >= 0)
+            observed[rows] += (shares * alpha * ~is_lamp)[:, None] * shown
+            sky[rows, cell] = shares * hits.transmittance
+        groups = range(int(lamps.max(initial=-1)) + 1)
+        from_lamps = [self._from_lamp(normals, np.flatnonzero(lamps == lamp)) for lamp in groups]
+        shares = np.stack(from_lamps, axis=1) if from_lamps else np.zeros((len(normals), 0))
+        return Incident(observed, sky, shares.astype(np.float32))
+
+    def from_sky(self, normals: Doubles, cells: SkyCells, report: Report) -> FloatArray:
+        """Of each cell of the sky, as ``Incident.sky``, shape (N, K)."""
+        sky = np.zeros((len(normals), len(cells)), np.float32)
+        for cell in range(len(cells)):
+            report("tracing the bright sky", cell / len(cells))
+            rows, ways, shares = self._ways(normals, cells, cell)
+            sky[rows, cell] = shares * self._arrived(rows, normals[rows], ways, np.full(len(rows), np.inf))
+        return sky
+
+    def _ways(self, normals: Doubles, cells: SkyCells, cell: int) -> tuple[Rows, Doubles, Doubles]:
+        """The Gaussians that a random direction of a cell shines on, the directions, and irradiances over pi."""
+        ways = cells.directions_within(cell, len(normals), self._rng)
+        cosines = np.einsum("ij,ij->i", normals, ways)
+        rows = self._order[cosines[self._order] > 0.0]
+        return rows, ways[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
+
+    def _from_lamp(self, normals: Doubles, members: Rows) -> Doubles:
+        """Irradiance over pi of a lamp of radiance 1, shape (N,); its area is that of its Gaussians."""
+        scales = np.sort(self._capture.scales[members].astype(np.float64), axis=1)
+        area = np.pi * (scales[:, 1] * scales[:, 2] * self._capture.opacities[members])
+        found = np.zeros(len(normals))
+        for point in self._rng.choice(members, LAMP_POINTS, p=area / area.sum()):
+            legs = self._means[point] - self._means
+            distance = np.linalg.norm(legs, axis=1)
+            legs /= np.maximum(distance, 1e-12)[:, None]
+            at_surface, at_lamp = np.einsum("ij,ij->i", normals, legs), -(legs @ normals[point])
+            near = self._offsets[point]
+            rows = np.flatnonzero((at_surface > 0.0) & (at_lamp > 0.0) & (distance > near))
+            arrived = self._arrived(rows, normals[rows], legs[rows], distance[rows] - near)
+            found[rows] += arrived * at_surface[rows] * at_lamp[rows] / distance[rows] ** 2
+        return found * (area.sum() / (np.pi * LAMP_POINTS))
+
+    def _leave(self, rows: Rows, normals: Doubles, ways: Doubles) -> RayHits:
+        """What rays see that leave Gaussians on a side."""
+        points = self._points.at(rows, normals)
+        return self._renderer.leaving_hits(self._scene, points, ways.astype(np.float32), self._offsets[rows])
+
+    def _arrived(self, rows: Rows, normals: Doubles, ways: Doubles, distances: Doubles) -> FloatArray:
+        """How much light arrives at Gaussians from so far away."""
+        points = self._points.at(rows, normals)
+        legs, lengths = ways.astype(np.float32), distances.astype(np.float32)
+        return self._renderer.leaving_transmittance(self._scene, points, legs, lengths, self._offsets[rows])

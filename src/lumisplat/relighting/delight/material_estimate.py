@@ -1,0 +1,87 @@
+"""What `estimate_materials` has found, and how sure it is."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants.delight import RESIDUAL_LARGE, SKY_IMAGE_ROWS, TOO_LIGHT
+from lumisplat.io.images.exr import write_exr
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows
+from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.rotations import rotation_matrix
+from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.scene.gaussians import Gaussians
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaterialEstimate:
+    """Materials of a capture of N Gaussians, and the light in which it was taken."""
+
+    gaussians: Gaussians
+    """The capture, Gaussian by Gaussian, with ``albedo`` (linear), ``roughness`` and ``normals``."""
+    cells: SkyCells
+    """Of the sky, K of them; none if the capture was taken from inside of it."""
+    sky: Doubles
+    """Radiance of each, linear, in units of display white, shape (K, 3)."""
+    lamps: Doubles
+    """Radiances of groups of Gaussians that were as bright as could be captured, likewise, shape (L, 3)."""
+    lamp_of: Rows
+    """The group of each Gaussian, -1: none, shape (N,)."""
+    residual: FloatArray
+    """What materials and light leave unexplained of each Gaussian's captured radiance, as a share of it, 0.., (N,)."""
+    confidence: FloatArray
+    """How much of the light at a Gaussian was seen in the capture rather than found, 0..1, shape (N,)."""
+    is_inside: bool
+    """Whether the capture was taken from inside of it, as that of a room is."""
+    out_of_range: Flags
+    """Gaussians whose albedo would be above 1, and is 1: more light reached them than was found; shape (N,)."""
+
+    def sky_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
+        """The sky as a latitude-longitude image for `LightEnvironment`, shape (H, 2 H, 3); black if there is none.
+
+        Args:
+            rotation_wxyz: World from image, such as ``scene.upright_wxyz``; a `LightEnvironment` that is turned by it
+                shines as the sky did.
+        """
+        directions = panorama_directions(SKY_IMAGE_ROWS, 2 * SKY_IMAGE_ROWS) @ rotation_matrix(rotation_wxyz).T
+        if not len(self.cells):
+            return np.zeros(directions.shape, np.float32)
+        cosines = directions @ self.cells.directions.T
+        within = np.cos(np.sqrt(self.cells.solid_angles / np.pi))
+        # The cell in whose disc a direction lies deepest; cells of all sizes count by their own.
+        nearest = np.argmax((cosines - 1.0) / (1.0 - within), axis=-1)
+        return self.sky[nearest].astype(np.float32)
+
+    def save_sky(self, path: str | os.PathLike[str], rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
+        """Writes `sky_image` as an EXR.
+
+        Args:
+            path: File to write, .exr.
+            rotation_wxyz: As for `sky_image`.
+
+        Raises:
+            FormatError: The file cannot be written.
+        """
+        image = self.sky_image(rotation_wxyz)
+        write_exr(path, {name: image[..., i] for i, name in enumerate("RGB")})
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What to know about the result, a sentence each."""
+        lines = [
+            "taken from inside, as a room: light comes from what the capture shows"
+            if self.is_inside
+            else "taken from outside, as an object: how bright the sky was is a guess, by which albedos scale"
+        ]
+        if len(self.lamps):
+            brightness = ", ".join(f"{lamp.mean():.3g}" for lamp in self.lamps)
+            lines.append(f"lamps, times as bright as display white: {brightness}")
+        if (share := float(self.out_of_range.mean())) > TOO_LIGHT:
+            lines.append(f"{share:.1%} of the Gaussians would reflect more than all light, and have albedo 1")
+        if (share := float((self.residual > RESIDUAL_LARGE).mean())) > TOO_LIGHT:
+            lines.append(f"the captured colour of {share:.1%} of the Gaussians is not explained")
+        return tuple(lines)

@@ -1,0 +1,63 @@
+"""``lumisplat delight``: a capture to one with materials, and its mistakes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.scenes.path_scenes import ball, diffuse
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A ball as a capture, and a scene file."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    lit = ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 700)
+    ls.save(place.path("ball.ply"), replace(lit, albedo=None, roughness=None, normals=None))
+    place.path("scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
+    return place
+
+
+def test_a_capture_gets_materials(work):
+    """The same Gaussians with albedo, roughness and normals; what is printed says what is a guess; the sky as image."""
+    done = work.run(
+        "delight", "@ball.ply", "-o", "@out.ply", "--cells", "4", "--sky", "@sky.exr", "--device", "cpu", "--up", "y-up"
+    )
+    assert (done.status, done.err) == (0, "")
+    assert "700 Gaussians with albedo, roughness and normals" in done.out
+    assert "how bright the sky was is a guess" in done.out
+    before, after = ls.load(work.path("ball.ply")), ls.load(work.path("out.ply"))
+    assert isinstance(before, ls.Gaussians) and isinstance(after, ls.Gaussians)
+    assert np.array_equal(before.means, after.means) and np.array_equal(before.sh, after.sh)
+    assert after.albedo is not None and after.roughness is not None and after.normals is not None
+    outward = after.means / np.linalg.norm(after.means, axis=1, keepdims=True)
+    assert np.einsum("ij,ij->i", after.normals, outward).min() > 0.5
+    assert np.ptp(after.albedo.mean(axis=1)) < 0.2
+    sky = ls.load_radiance(work.path("sky.exr"))
+    assert sky.shape[1] == 2 * sky.shape[0] and sky.min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("@ball.ply", "-o", "@out.spz"), "expected .ply: other formats have no room for materials"),
+        (("@ball.ply", "-o", "@out.compressed.ply"), "expected .ply"),
+        (("@ball.ply", "-o", "@out.ply", "--sky", "@sky.png"), "expected .exr"),
+        (("@ball.ply", "-o", "@out.ply", "--cells", "2"), "cells is 2"),
+        (("@scene.toml", "-o", "@out.ply"), "is not a capture"),
+        (("@none.ply", "-o", "@out.ply"), "none.ply"),
+    ],
+)
+def test_mistakes_end_in_one_line(work, arguments, said):
+    """What, where and what was expected; nothing is written."""
+    done = work.run("delight", *arguments, "--device", "cpu")
+    assert done.status == 2
+    assert said in done.err
+    assert len(done.err.strip().splitlines()) == 1
+    assert not work.path("out.ply").exists()

@@ -1,0 +1,249 @@
+"""Light taken out of captures: its parts against mathematics, and small captures whose materials are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import encode_srgb
+from lumisplat.math.rotations import rotation_matrix
+from lumisplat.relighting.delight import delight as steps
+from lumisplat.relighting.delight.albedo_fit import Light, LightFit, first_light
+from lumisplat.relighting.delight.captured import lamps_of
+from lumisplat.relighting.delight.incident import Incident, IncidentRays
+from lumisplat.relighting.delight.material_estimate import MaterialEstimate
+from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
+from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides
+from lumisplat.scene.sampling.blue_noise import cross_pairs
+
+SH_CONSTANT = 0.28209479177387814
+RNG = np.random.default_rng(5)
+
+
+def colored(gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
+    """The set with captured colours of a radiance, and nothing else."""
+    sh = (encode_srgb(linear) - 0.5) / SH_CONSTANT
+    return replace(gaussians, sh=sh[:, None].astype(np.float32), albedo=None, roughness=None, normals=None)
+
+
+def incident_of(gaussians: ls.Gaussians, normals: np.ndarray, cells: SkyCells, lamps: np.ndarray) -> Incident:
+    """What shines on the Gaussians of a set."""
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    return IncidentRays(gaussians, renderer, 0).incident(normals, lamps, cells, lambda _label, _share: None)
+
+
+@pytest.fixture(scope="module")
+def ball() -> tuple[ls.Gaussians, np.ndarray]:
+    """A ball of Gaussians with bands of albedo in the open, and that albedo."""
+    plain = ls.gaussians_from_mesh(ls.sphere(1.0), 700)
+    albedo = np.where((np.sin(6.0 * plain.means[:, 1]) > 0.0)[:, None], (0.8, 0.5, 0.3), (0.4, 0.25, 0.15))
+    return plain, albedo
+
+
+def test_cells_of_the_sky_tile_it() -> None:
+    """Solid angles add up to the sphere's, also after some are divided, and integrate a cosine to pi."""
+    cells = SkyCells.even(6)
+    finer = cells.of(np.arange(2, 36)).joined(cells.of(np.arange(2)).parts(3))
+    for some in (cells, finer):
+        assert np.isclose(some.solid_angles.sum(), 4.0 * np.pi)
+        cosines = [some.directions_within(cell, 200, RNG) @ (0.6, 0.0, 0.8) for cell in range(len(some))]
+        assert abs(np.maximum(cosines, 0.0).mean(axis=1) @ some.solid_angles - np.pi) < 0.02
+    ways = finer.directions_within(40, 200, RNG)
+    radius = np.sqrt(finer.solid_angles[40] / np.pi)
+    assert np.arccos(ways @ finer.directions[40]).max() < 2.0 * radius
+    first, second = cells.neighbours.T
+    assert np.bincount(np.concatenate([first, second]), minlength=36).min() >= 3
+    assert not len(cells.of(np.empty(0, int)).neighbours)
+
+
+def test_sides_spread_over_a_surface_from_one_vote() -> None:
+    """One sure Gaussian turns all that lie in one plane, not those of the wall that stands on it."""
+    floor = np.stack([*np.meshgrid(np.arange(20.0), np.arange(20.0)), np.zeros((20, 20))], axis=-1).reshape(-1, 3)
+    wall = floor[:, [2, 1, 0]] + (-0.5, 0.0, 0.5)
+    points = np.concatenate([floor, wall])
+    signs = RNG.choice((-1.0, 1.0), 800)
+    axes = signs[:, None] * np.repeat([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0)], 400, axis=0)
+    votes = np.zeros(800)
+    votes[7], votes[430] = 0.8 * signs[7], -0.8 * signs[430]
+    near = cross_pairs(points, points, 1.5)
+    found = agreed_sides(axes, votes, near) * signs
+    assert (found[:400] == 1.0).all()
+    assert (found[400:] == -1.0).all()
+    votes[11] = -0.3 * signs[11]  # one that is less sure, and wrong
+    assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
+
+
+def test_points_lie_on_gaussians() -> None:
+    """On average in their middle, as far out as they are wide, and at the peak along the normal."""
+    turn = np.array((0.8, 0.0, 0.6, 0.0))
+    one = ls.Gaussians(
+        np.zeros((1, 3), np.float32), turn[None].astype(np.float32), np.array([[0.5, 0.3, 0.01]], np.float32),
+        np.ones(1, np.float32), np.zeros((1, 1, 3), np.float32),
+    )  # fmt: skip
+    axes = rotation_matrix(turn)
+    rows = np.zeros(20_000, int)
+    points = SurfacePoints(one, 1).at(rows, np.tile(axes[:, 2], (20_000, 1))) @ axes
+    assert np.allclose(points.mean(axis=0), 0.0, atol=0.01)
+    assert np.allclose(points.std(axis=0), (0.25, 0.15, 0.0), atol=0.005)
+
+
+def test_light_of_an_open_sky_and_of_a_white_furnace(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """All of the sky's cells light a ball by pi in total; from inside of a ball of one colour, that colour is seen."""
+    plain, _ = ball
+    outward = np.asarray(plain.normals, np.float64)
+    cells, no_lamps = SkyCells.even(8), np.full(plain.count, -1)
+    gray = colored(plain, np.full((plain.count, 3), (0.2, 0.4, 0.6)))
+    outside = incident_of(gray, outward, cells, no_lamps)
+    assert abs(float(outside.sky.sum(axis=1).mean()) - 1.0) < 0.02
+    assert outside.observed.max() < 0.12
+    inside = incident_of(gray, -outward, cells, no_lamps)
+    assert np.allclose(inside.observed.mean(axis=0) + inside.sky.sum() / plain.count * np.array((0.2, 0.4, 0.6)),
+                       (0.2, 0.4, 0.6), rtol=0.03)  # fmt: skip
+    lit = inside.total(np.ones((64, 3)), np.zeros((0, 3)))
+    assert np.allclose(lit, inside.observed + inside.sky.sum(axis=1, keepdims=True), atol=1e-5)
+
+
+def test_a_lamp_lights_by_its_area_and_distance() -> None:
+    """A small lamp above a floor: cos cos area / (pi d^2), and what is below a screen is dark."""
+    lamp = ls.transform(ls.gaussians_from_mesh(ls.plane(0.2), 60), _lifted(2.0))
+    floor = ls.gaussians_from_mesh(ls.plane(2.0), 200)
+    both = ls.merge([colored(lamp, np.ones((lamp.count, 3))), colored(floor, np.full((floor.count, 3), 0.3))])
+    normals = np.concatenate([-np.abs(np.asarray(lamp.normals)), np.abs(np.asarray(floor.normals))]).astype(float)
+    groups = lamps_of(both, normals)
+    assert (groups[: lamp.count] == 0).all()
+    assert (groups[lamp.count :] == -1).all()
+    shares = incident_of(both, normals, SkyCells.even(4), groups).lamps[lamp.count :, 0]
+    way = np.array((0.0, 2.0, 0.0)) - floor.means
+    distance = np.linalg.norm(way, axis=1)
+    expected = (way[:, 1] / distance) ** 2 / distance**2
+    ratio = shares / expected
+    assert ratio.std() / ratio.mean() < 0.05
+
+
+def _lifted(height: float) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[1, 3] = height
+    return matrix
+
+
+def test_the_light_of_which_albedos_agree_is_found() -> None:
+    """A sky and a lamp that are known, surfaces of two albedos: both are found, to what the prior leaves."""
+    cells = SkyCells.even(4)
+    sky = RNG.random((900, 16)) * cells.solid_angles
+    lamps = RNG.random((900, 1))
+    true = Light(np.full((16, 3), (0.8, 1.0, 1.3)), np.array([[6.0, 4.0, 2.0]]))
+    incident = Incident(np.full((900, 3), 0.1), sky.astype(np.float32), lamps.astype(np.float32))
+    albedo = np.where((np.arange(900) < 450)[:, None], (0.7, 0.4, 0.2), (0.2, 0.3, 0.6))
+    outgoing = albedo * incident.total(true.sky, true.lamps)
+    rng = np.random.default_rng(0)
+    pairs = np.concatenate([rng.integers(0, 450, (6000, 2)), rng.integers(450, 900, (6000, 2))])
+    fit = LightFit(outgoing, incident, pairs, cells)
+    light = fit.solved(first_light(outgoing, incident))
+    found = outgoing / incident.total(light.sky, light.lamps)
+    ratio = found / albedo
+    assert (ratio.std(axis=0) / ratio.mean(axis=0)).max() < 0.02
+    assert np.allclose(light.lamps[0] / light.sky.mean(axis=0), true.lamps[0] / true.sky.mean(axis=0), rtol=0.1)
+
+
+def test_even_light_and_known_albedo_come_back(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """A ball under a sky of one radiance shows its albedo: delighting changes it by one factor, in the same order."""
+    plain, albedo = ball
+    captured = colored(plain, albedo)
+    found = ls.estimate_materials(captured, ls.DelightConfig(cells=8), device="cpu")
+    assert not found.is_inside
+    assert found.gaussians.means is captured.means or np.array_equal(found.gaussians.means, captured.means)
+    assert np.array_equal(found.gaussians.sh, captured.sh)
+    cosines = np.einsum("ij,ij->i", np.asarray(found.gaussians.normals), np.asarray(plain.normals))
+    assert (cosines > 0.9).mean() > 0.99
+    ratio = np.asarray(found.gaussians.albedo) / albedo
+    assert np.percentile(np.abs(ratio / np.median(ratio, axis=0) - 1.0), 95) < 0.05
+    assert np.allclose(found.sky_image().mean(axis=(0, 1)), found.sky.mean(axis=0), rtol=0.2)
+
+
+def test_a_shaded_ball_loses_its_shade(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Light from above alone, by the cosine's closed form: the bands of albedo come back, captured colours do not."""
+    plain, albedo = ball
+    up = np.asarray(plain.normals)[:, 1].astype(np.float64)
+    captured = colored(plain, albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None])  # half of the sky shines
+    found = np.asarray(ls.delight(captured, ls.DelightConfig(cells=8), device="cpu").albedo)
+
+    def spread(values: np.ndarray) -> float:
+        ratio = np.log(np.maximum(values, 1e-3) / albedo)
+        return float(ratio.std(axis=0).max())
+
+    shown = albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None]
+    assert spread(found) < 0.3 * spread(shown)
+
+
+def test_normals_that_came_with_a_capture_stay(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Even where they point inwards, to the bit."""
+    plain, albedo = ball
+    inwards = -np.asarray(plain.normals)
+    captured = replace(colored(plain, albedo), normals=inwards)
+    found = ls.delight(captured, ls.DelightConfig(cells=4), device="cpu")
+    assert np.array_equal(np.asarray(found.normals), inwards)
+
+
+def test_the_same_seed_gives_the_same_bits(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """For any number of threads; another seed differs a little."""
+    captured = colored(ball[0], ball[1])
+    config = ls.DelightConfig(cells=4)
+    one = np.asarray(ls.delight(captured, config, device="cpu", threads=1).albedo)
+    two = np.asarray(ls.delight(captured, config, device="cpu", threads=2).albedo)
+    assert np.array_equal(one, two)
+    other = np.asarray(ls.delight(captured, replace(config, seed=3), device="cpu").albedo)
+    assert 0.0 < np.abs(other - one).max() < 0.2
+
+
+def test_means_over_neighbours_keep_what_is_even(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """A constant stays; noise shrinks by about the root of the neighbours' number."""
+    plain, _ = ball
+    near = neighbours_of(plain)
+    smoother = Smoother.of(near, np.asarray(plain.normals, np.float64), np.full(plain.count, -1))
+    assert np.allclose(smoother.mean(np.full((plain.count, 2), 0.7)), 0.7)
+    assert smoother.mean(RNG.standard_normal((plain.count, 1))).std() < 0.45
+
+
+def test_dark_places_take_albedos_of_neighbours() -> None:
+    """Where no light is, what is beside says what the surface is made of."""
+    points = np.array([(x, 0.0, 0.0) for x in range(5)])
+    albedo = np.array([[0.5] * 3, [0.5] * 3, [9.0] * 3, [0.5] * 3, [0.5] * 3])
+    light = np.array([1.0, 1.0, 0.0, 1.0, 1.0])[:, None].repeat(3, axis=1)
+    near = cross_pairs(points, points, 1.5)
+    assert np.allclose(steps.filled(albedo, light, near), 0.5, atol=1e-4)
+
+
+def test_what_cannot_be_delighted_is_said(
+    ball: tuple[ls.Gaussians, np.ndarray], caplog: pytest.LogCaptureFixture
+) -> None:
+    """One line each: no surface, nothing but highlights, wrong kinds; that an albedo is replaced is said."""
+    plain, albedo = ball
+    with pytest.raises(ls.SceneError, match="no surface"):
+        ls.delight(replace(colored(plain, albedo), opacities=np.full(plain.count, 0.05, np.float32)))
+    with pytest.raises(ls.SceneError, match="as bright as display white"):
+        ls.delight(colored(plain, np.ones((plain.count, 3))), device="cpu")
+    with pytest.raises(ls.SceneError, match="delight takes"):
+        ls.delight(ls.Scene([plain]))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ls.ConfigError, match="cells"):
+        ls.DelightConfig(cells=2)
+    ls.delight(plain, ls.DelightConfig(cells=4), device="cpu")
+    assert "has an albedo already" in caplog.text
+
+
+def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Impossible albedos and unexplained colours are counted."""
+    plain, _ = ball
+    n = plain.count
+    half = np.arange(n) < n // 2
+    estimate = MaterialEstimate(
+        plain, SkyCells.even(4), np.ones((16, 3)), np.full((1, 3), 3.5), np.full(n, -1), half.astype(np.float32),
+        np.ones(n, np.float32), False, half,
+    )  # fmt: skip
+    text = "\n".join(estimate.remarks)
+    assert "50.0% of the Gaussians would reflect more than all light" in text
+    assert "50.0% of the Gaussians is not explained" in text
+    assert "3.5" in text

@@ -1,0 +1,20 @@
+"""Captures with light baked in, whose albedo is known (deep): how much of it is found."""
+
+from __future__ import annotations
+
+import pytest
+from bench.delighted import CASES, measured
+
+pytestmark = pytest.mark.deep
+
+
+@pytest.mark.usefixtures("data_dir")
+@pytest.mark.parametrize("name", ["room", "spot in the sun"])
+def test_albedo_and_new_light(name: str) -> None:
+    """Albedo of 25 dB, captured colours have less than 18; 28 dB in a new light; 60 % of shadows are gone."""
+    figures, _ = measured(CASES[name]("cpu"), "cpu")
+    assert figures["captured_db"] < 18.0
+    assert figures["albedo_db"] > 25.0
+    assert figures["relit_db"] > 28.0
+    assert figures.get("shadow_left", 0.0) < 0.4
+    assert figures["relit_db"] > figures["captured_relit_db"] + 5.0
