@@ -11,9 +11,6 @@ LIFT_SHORTEST = 4.0
 LIFT_ALONG = 1.0
 """The same in its middle scales: neighbours lie as far above its plane."""
 
-BELOW_HORIZON = -0.1
-"""Cosine of the direction with the normal above which a ray is followed: normals move a little."""
-
 SPREAD_SHARE = 0.3
 """Of the angle between neighbouring directions, what is added to alpha of highlights, in squares: narrower ones would
 fall between directions."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lumisplat.constants.materials import BELOW_HORIZON, LIFT_ALONG, LIFT_SHORTEST
+from lumisplat.constants.materials import LIFT_ALONG, LIFT_SHORTEST
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.renderer import Renderer
@@ -62,7 +62,7 @@ def traced_incident(
         report("tracing light", k / steps)
         ways = direction + spread * rng.uniform(-1.0, 1.0, (count, 3))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        rows = order[normals[order] @ direction > BELOW_HORIZON]
+        rows = order[normals[order] @ direction > 0.0]
         hits = renderer.trace_rays(scene, starts[rows], ways[rows])
         alpha = 1.0 - hits.transmittance
         color = decode_srgb(np.clip(hits.radiance / np.maximum(alpha, LEAST_ALPHA)[:, None], 0.0, 1.0))
