@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.math.color import decode_srgb
 from lumisplat.math.panorama import panorama_directions
 from lumisplat.math.sh import even_directions
 from lumisplat.training.materials.incident import ray_starts, traced_incident
@@ -105,10 +106,15 @@ def test_visibility_is_that_of_brute_force() -> None:
     for k, direction in enumerate(directions):
         ways = direction + np.sqrt(np.pi / 8) * again.uniform(-1.0, 1.0, (60, 3))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        rows = np.flatnonzero(normals @ direction > -0.1)
+        rows = np.flatnonzero(normals @ direction > 0.0)
         expected = trace_rays(ls.Scene([capture]), starts[rows], ways[rows])
         np.testing.assert_allclose(found.open[rows, k], expected["transmittance"], atol=1e-3)
-    assert 0.1 < (found.open > 0.5).mean() < 0.9
+        alpha = 1.0 - expected["transmittance"][:, None]
+        shown = decode_srgb(np.clip(expected["radiance"] / np.maximum(alpha, 1e-6), 0.0, 1.0))
+        np.testing.assert_allclose(found.seen[rows, k], alpha * shown, atol=5e-3)
+        below = np.setdiff1d(np.arange(60), rows)
+        assert not found.open[below, k].any() and not found.seen[below, k].any()
+    assert 0.1 < (found.open > 0.5).mean() < 0.9 and found.seen.max() > 0.5
 
 
 def test_a_closed_room_has_no_sky() -> None:
@@ -137,11 +143,15 @@ def test_bad_settings(name: str, value: float, problem: str) -> None:
 
 
 def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
-    """Outputs without columns; photographs of something else."""
+    """Outputs without columns; what is no capture; photographs of something else."""
     capture = matte(ball(100), GREY, even)
     folder = photographed(tmp_path / "set", capture, count=3, size=16)
     with pytest.raises(ls.ConfigError, match=r"expected a \.ply"):
         ls.find_materials(capture, folder, QUICK, output=tmp_path / "a.spz", device="cpu")
+    with pytest.raises(
+        ls.SceneError, match=r"find_materials takes Gaussians, got a str \(lumisplat.load reads files\)"
+    ):
+        ls.find_materials(cast(Any, "a.ply"), folder, QUICK, device="cpu")
     away = ls.transform(capture, translation=(0.0, 1000.0, 0.0))
     with pytest.raises(ls.SceneError, match="no photograph shows anything of the capture"):
         ls.find_materials(away, folder, QUICK, device="cpu")

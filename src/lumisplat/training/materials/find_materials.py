@@ -22,6 +22,7 @@ from lumisplat.math.sh import even_directions
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.runtime.interrupts import interrupts_held
+from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.training.materials.incident import Incident, traced_incident
@@ -84,10 +85,11 @@ def find_materials(
     Raises:
         ConfigError: The output is no .ply, or a lens bends.
         FormatError: Photographs cannot be read, or a file cannot be written.
-        SceneError: No photograph shows a surface of the capture.
+        SceneError: ``gaussians`` is something else, or no photograph shows a surface of it.
     """
     config = config or MaterialsConfig()
     check_kind("config", config, MaterialsConfig)
+    check_argument("find_materials", gaussians, Gaussians, "Gaussians", " (lumisplat.load reads files)")
     if output is not None and Path(output).suffix.lower() != ".ply":
         raise ConfigError(f"output is {output}, expected a .ply: other captures have no columns for materials")
     if not isinstance(photographs, Photographs):
