@@ -92,6 +92,7 @@ def test_what_is_missing_is_said_in_a_line(work, caplog):
         (("evaluate", "@ball.ply", "@set", "--samples", "4"), "--environment, --samples and the pipelines hybrid and"),
         (("evaluate", "@ball.ply", "@set", "--pipeline", "path"), "--environment, --samples and the pipelines hybrid"),
         (("evaluate", "@mesh.obj", "@set", "--materials"), "mesh.obj: is no capture, expected Gaussians"),
+        ((*COMMAND[:-1], "0"), "samples is 0, expected"),
         ((*COMMAND, "--environment", "@lost.exr"), "lost.exr: no such file"),
         (("evaluate", "@ball.ply", "@lost", "--materials"), "lost: no such folder"),
         ((*COMMAND, "-o", "@ball.ply"), "ball.ply: is a file, expected a folder"),

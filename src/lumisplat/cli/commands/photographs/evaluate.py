@@ -78,7 +78,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if self.materials:
             self._compare_materials(scene_files, folder)
             return
-        if self.environment or self.samples or self.pipeline in ("hybrid", "path"):
+        if self.environment or self.samples is not None or self.pipeline in ("hybrid", "path"):
             raise ls.ConfigError("--environment, --samples and the pipelines hybrid and path are for --materials")
         config = scene_settings(scene_file(scene_files))
         if self.background is not None:
@@ -131,7 +131,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
             check_writable(self.output)
         found = self.environment or captures[0].with_suffix(".environment.exr")
         light = ls.load_radiance(found) if self.environment or found.is_file() else None
-        config = ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline or "hybrid"), samples=self.samples or 64)
+        config = ls.RenderConfig(
+            pipeline=ls.Pipeline(self.pipeline or "hybrid"), samples=64 if self.samples is None else self.samples
+        )
         with progress_bars() as report:
             self.start_warp()
             capture = self.load_asset(captures[0], report)
