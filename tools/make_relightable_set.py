@@ -44,6 +44,7 @@ sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "tools"), str(REPOSITORY / "te
 from bench.mitsuba_peer import load_mitsuba  # noqa: E402
 from make_mitsuba_light_reference import light_of, sensor_of  # noqa: E402
 from make_training_set import (  # noqa: E402
+    around,
     bounds,
     describe,
     mesh_of,
@@ -60,7 +61,7 @@ from lumisplat.math.panorama import panorama_directions, panorama_lookup  # noqa
 
 ENVIRONMENT_HEIGHT = 256
 """Rows that larger panoramas are reduced to, at most."""
-PILOTS, PILOT_SIZE, PILOT_SAMPLES = 4, 64, 64
+PILOTS, PILOT_SIZE, PILOT_SAMPLES = 8, 64, 64
 """Views by which the exposure is chosen, their pixels and samples."""
 BRIGHT_SHARE, BRIGHT = 0.99, 0.8
 """This share of the channels of the object's pixels is darker than this, linear."""
@@ -208,7 +209,7 @@ def lit(mi: Any, shapes: list[Any], sky: np.ndarray) -> Any:
 def exposure(mi: Any, shapes: list[Any], sky: np.ndarray, scene: ls.Scene) -> float:
     """The factor of an environment's radiance by which pictures in it are well exposed."""
     world, shown = lit(mi, shapes, sky), []
-    for i, camera in enumerate(views_around(scene, PILOT_SIZE, PILOTS, PILOTS).values()):
+    for i, camera in enumerate(around(scene, PILOT_SIZE, PILOTS)):
         sensor = mi.load_dict(with_alpha(sensor_of(mi, camera, PILOT_SAMPLES)))
         image = mi.render(world, sensor=sensor, seed=mi.UInt32(i)).numpy()
         shown.append(image[image[..., 3] > 0.99][:, :3].ravel())
