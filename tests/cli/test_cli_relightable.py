@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import lumisplat as ls
@@ -34,6 +36,37 @@ def test_a_capture_gets_materials_and_its_sky(tmp_path: Path, capsys: pytest.Cap
     assert told["gaussians"] == found.count and told["error"] > 0.0
     assert (report / "environment.png").exists() and len(list(report.glob("*.png"))) == 3
     assert "flatness = 0.3" in (output.with_suffix(".training") / "settings.toml").read_text()
+
+
+def test_materials_are_of_poses_that_were_refined(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are found in the photographs as these stand now; figures that there are none of are null."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    seen: list[ls.Photographs] = []
+    find = ls.find_materials
+
+    def spied(capture: ls.Gaussians, photographs: ls.Photographs, *rest: Any, **options: Any) -> ls.FoundMaterials:
+        seen.append(photographs)
+        return find(capture, photographs, *rest, **options)
+
+    monkeypatch.setattr(ls, "find_materials", spied)
+    command = ["train", str(folder), "-o", str(output), *SHORT[:-1], "0", "--relightable", "--refine-poses"]
+    assert main(command) == 0
+    told = json.loads((tmp_path / "a.training" / "poses.json").read_text())["frames"]
+    poses = {Path(frame["file_path"]).stem: np.array(frame["transform_matrix"]) for frame in told}
+    before = {one.name: one.camera.eye for one in ls.load_photographs(folder).training}
+    assert {one.name for one in seen[0].training} == set(before)
+    for one in seen[0].training:
+        np.testing.assert_allclose(one.camera.eye, poses[one.name][:3, 3], atol=1e-6)
+        assert np.linalg.norm(one.camera.eye - before[one.name]) > 1e-5
+    report = tmp_path / "a.training" / "materials" / "materials.json"
+    assert json.loads(report.read_text())["error"] is None
+    report.unlink()
+    report.mkdir()
+    capsys.readouterr()
+    assert main(command) == 2
+    assert "materials.json: cannot be written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -78,8 +78,8 @@ class Train(DeviceCommand):
     """Learn the poses, too: for those that are a little off."""
     relightable: Flag = False
     """Then find albedo, roughness and normals of the Gaussians, and the sky, which is written as
-    NAME.environment.exr (docs/guide/relightable.md). Unless they are given, --flatness is 0.3, --normals 0.05 and
-    --depth-spread 0.3."""
+    NAME.environment.exr (docs/guide/relightable.md). Unless one of them is given, --flatness is 0.3,
+    --normals 0.05 and --depth-spread 0.3."""
     material_steps: Annotated[int, arg(metavar="N")] = 300
     """Steps of --relightable that refine materials by a photograph each."""
     flatness: Annotated[float, arg(metavar="WEIGHT")] = 0.0
@@ -149,6 +149,9 @@ class Train(DeviceCommand):
         """Finds and writes materials, once training has come to its end."""
         if not self.relightable or not result.is_finished:
             return None
+        if result.cameras is not None:  # poses have moved
+            moved = zip(photographs.training, result.cameras, strict=True)
+            photographs = replace(photographs, training=tuple(replace(one, camera=camera) for one, camera in moved))
         found = ls.find_materials(
             result.gaussians, photographs, config, output=self.output, device=self.device, progress=report
         )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import numpy.typing as npt
 from PIL import Image
 
 import lumisplat as ls
+from lumisplat.cli.output.figures import plain
 from lumisplat.cli.output.pictures import file_stems, make_folder
 
 _VIEWS = 4
@@ -36,8 +39,9 @@ def write_materials(folder: Path, found: ls.FoundMaterials, photographs: ls.Phot
     image = found.environment.image
     if image is not None:
         _write_picture(folder / "environment.png", np.kron(_encoded(image), np.ones((_SKY_PX, _SKY_PX, 1))))
-    told = {"error": found.error, "too_light": found.too_light, "gaussians": found.gaussians.count}
-    (folder / "materials.json").write_text(json.dumps(told, indent=2) + "\n")
+    told = plain({"error": found.error, "too_light": found.too_light}) | {"gaussians": found.gaussians.count}
+    with _told(folder / "materials.json") as path:
+        path.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
 
 
 def _layers(gaussians: ls.Gaussians) -> list[ls.Gaussians]:
@@ -58,4 +62,14 @@ def _encoded(linear: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
 
 
 def _write_picture(path: Path, color: npt.NDArray[np.floating]) -> None:
-    Image.fromarray(np.round(255.0 * np.clip(color, 0.0, 1.0)).astype(np.uint8)).save(path)
+    with _told(path):
+        Image.fromarray(np.round(255.0 * np.clip(color, 0.0, 1.0)).astype(np.uint8)).save(path)
+
+
+@contextmanager
+def _told(path: Path) -> Generator[Path]:
+    """A file that is written: why it cannot be is said."""
+    try:
+        yield path
+    except OSError as error:
+        raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None
