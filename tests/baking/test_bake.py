@@ -49,7 +49,12 @@ def test_a_white_ball_in_an_even_sky_has_its_color() -> None:
     expected = encode_srgb(np.array(SKY.color))
     colors = seen_from_outside(shown.gaussians)
     np.testing.assert_allclose(colors.mean(axis=0), expected, atol=0.004)
-    assert np.abs(colors - expected).max() < 0.05
+    assert (colors - expected).std() < 0.02  # single ones may differ if blends of them do not
+    for camera in views_of(scene):
+        frame = ls.render(ls.Scene([shown]), camera, replace(TRACE, samples=1), device="cpu")
+        inside = frame.alpha > 0.98
+        assert inside.sum() > 500
+        assert np.abs(frame.color / np.maximum(frame.alpha, 0.5)[..., None] - expected)[inside].max() < 0.03
 
 
 def test_a_plane_in_the_sun_is_lamberts() -> None:
@@ -70,13 +75,13 @@ def test_a_closed_ball_has_all_the_light_that_bounces() -> None:
     """An integrating sphere around a small lamp: E = E0 / (1 - albedo (1 - r^2 / R^2))."""
     radius, albedo, shines = 0.2, 0.5, 20.0
     lamp = ball(radius, diffuse(0.0, shines), rows=16)
-    walls = splats_of(ball(1.0, diffuse(albedo), hollow=True), 1500)
-    (shown,) = baked(ls.Scene([walls], [lamp], lights=[]), replace(PATH, samples=2)).splats
+    walls = splats_of(ball(1.0, diffuse(albedo), hollow=True), 600)
+    (shown,) = baked(ls.Scene([walls], [lamp], lights=[]), replace(PATH, samples=4)).splats
     direct = np.pi * shines * radius**2
     light = albedo / np.pi * direct / (1.0 - albedo * (1.0 - radius**2))
     colors = seen_from_outside(shown.gaussians)
     np.testing.assert_allclose(colors.mean(axis=0), encode_srgb(np.full(3, light)), rtol=0.02)
-    assert colors.std() < 0.08  # of 64 paths a Gaussian
+    assert colors.std() < 0.05  # of 256 paths a Gaussian
 
 
 def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:
@@ -104,18 +109,20 @@ def test_frames_of_paths_are_met_and_highlights_by_higher_degrees() -> None:
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
         ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
     ]
-    shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)), 1500)
+    shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)), 800)
     scene = ls.Scene([shiny], lights=lamps)
     lit = replace(TRACE, samples=2)
     errors = [squared_error(baked(scene, TRACE, degree=degree), scene, lit) for degree in (0, 3)]
-    assert errors[1] < 0.3 * errors[0]
+    assert errors[1] < 0.25 * errors[0]
+    assert errors[1] < 2.5e-3  # 26 dB
 
 
 def test_a_placed_set_looks_as_one_that_is_not() -> None:
     """Turned, scaled and moved with its light, a set is baked into the same harmonics, of its own space."""
     shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=1.0, roughness=0.5)), 100)
     lamp = ls.LightPoint((2.0, 2.0, -2.0), intensity=12.0)
-    place = similarity((0.3, 1.0, -0.5), 1.1, scale=0.5, offset=(3.0, -1.0, 2.0))
+    # By a third of a turn around a diagonal: the scene's box, which says how far away eyes are, stays as it is.
+    place = similarity((1.0, 1.0, 1.0), 2.0 * np.pi / 3.0, scale=0.5, offset=(3.0, -1.0, 2.0))
     moved = replace(lamp, position=tuple(place[:3, :3] @ lamp.position + place[:3, 3]), intensity=3.0)
     here = baked(ls.Scene([shiny], lights=[lamp]), TRACE).splats[0]
     there = baked(ls.Scene([replace(shiny, world_from_object=place)], lights=[moved]), TRACE).splats[0]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lumisplat.baking.gaussian_views import GaussianViewer, ShownLight
+from lumisplat.baking.seen_together import SeenTogether
 from lumisplat.baking.sh_fit import fit_sh
+from lumisplat.baking.sightlines import Draws, Sightlines, sightlines
 from lumisplat.baking.steadying import steadied
 from lumisplat.baking.view_weights import on_seen_sides, plane_normals, random_turns, turned_directions, view_weights
 from lumisplat.config import Pipeline, RenderConfig, check_whole
@@ -27,7 +30,7 @@ from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.tone_map import lit_picture
 from lumisplat.renderer.checks import check_scene, checked_config
-from lumisplat.renderer.scene.materials import emits_capture_only
+from lumisplat.renderer.scene.materials import emits_capture_only, is_relit
 from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.recolor import scale_light_of
@@ -91,7 +94,7 @@ def bake(
         raise SceneError("nothing to bake: the scene has no lights, and nothing in it shines")
     baker = _Baker(viewer, settings, progress, scene.gaussian_count)
     splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
-    return Scene(splats, up=scene.up)
+    return Scene(baker.seen_together(scene, splats), up=scene.up)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +130,8 @@ class _Baker:
     progress: Progress | None
     total: int
     """Gaussians of the scene."""
+    lines: list[Sightlines] = field(default_factory=list[Sightlines])
+    """Rays to the Gaussians of relit sets, from where eyes may be."""
 
     def baked(self, scene: Scene, number: int) -> SplatInstance:
         """The instance of this number, as it looks in the light of the scene."""
@@ -134,10 +139,17 @@ class _Baker:
         first = sum(one.gaussians.count for one in scene.splats[:number])
         parts: list[FloatArray] = []
         nonfinite = 0
+        seed = self.settings.config.seed
+        draws = np.random.default_rng((seed, first, 1)), np.random.default_rng((seed, first, 2))
         for views in self._views(instance, first):
             shown = self._shown(views, self.settings.samples)
             nonfinite += shown.nonfinite
-            parts.append(views.shadow(shown) if instance.shadow_only else views.harmonics(shown, self.settings))
+            if instance.shadow_only:
+                parts.append(views.shadow(shown))
+                continue
+            parts.append(views.harmonics(shown, self.settings))
+            if is_relit(instance):
+                self.lines.append(views.lines(shown, instance, self.settings.directions, draws))
         if nonfinite:
             _log.warning("%d samples of %s were not finite and are left out", nonfinite, instance.name or "a set")
         joined = np.concatenate(parts)
@@ -145,6 +157,25 @@ class _Baker:
             return replace(scale_light_of(instance, joined), material=None, shadow_only=False)
         baked = replace(instance.gaussians, sh=read_only_view(joined), albedo=None, roughness=None, metallic=None)
         return replace(instance, gaussians=baked, material=None, sh_degree=SH_DEGREE_MAX)
+
+    def seen_together(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
+        """The sets, with harmonics of relit ones changed such that blends of them show what frames do."""
+        if not self.lines:
+            return splats
+        terms = (self.settings.degree + 1) ** 2
+        config = replace(self.settings.config, samples=self.settings.samples)
+        together = SeenTogether(scene, config, self.settings.exposure, self.viewer.launcher)
+        known = np.zeros((scene.gaussian_count, terms, 3))
+        firsts = np.cumsum([0, *(one.gaussians.count for one in splats)])
+        rows = [slice(*ends) for ends in itertools.pairwise(firsts)]
+        relit = [is_relit(one) for one in scene.splats]
+        for row, one in itertools.compress(zip(rows, splats, strict=True), relit):
+            known[row] = one.gaussians.sh
+        changed = together.changed(known, Sightlines.joined(self.lines), self.progress).astype(np.float32)
+        return [
+            replace(one, gaussians=replace(one.gaussians, sh=read_only_view(changed[row]))) if is_one else one
+            for one, row, is_one in zip(splats, rows, relit, strict=True)
+        ]
 
     def _views(self, instance: SplatInstance, first: int) -> Iterator[_Views]:
         """The views of a set, of some Gaussians at a time."""
@@ -155,7 +186,7 @@ class _Baker:
         for begin in range(0, count, at_once):
             rows = np.arange(begin, min(begin + at_once, count))
             if self.progress:
-                self.progress("baking", (first + begin) / self.total)
+                self.progress("baking", 0.5 * (first + begin) / self.total)
             some = instance.gaussians.subset(rows)
             turned = turned_directions(self.settings.directions, turns[rows])
             pilot = _Views(some, turned_directions(PILOT_DIRECTIONS, turns[rows]), rotation, first + begin)
@@ -207,6 +238,12 @@ class _Views:
         shares = weights / weights.sum(axis=1, keepdims=True)
         colors = seen(0.5 * (even + odd))
         return fit_sh(self.directions, colors, (shares * noise).sum(axis=1), weights, settings.degree)
+
+    def lines(self, shown: ShownLight, instance: SplatInstance, count: int, draws: Draws) -> Sightlines:
+        """So many rays to each of these Gaussians of the instance, from where eyes may be by what views show."""
+        weights, distances = self._weights(shown), shown.distance.reshape(self.directions.shape[:2])
+        some = replace(instance, gaussians=self.gaussians)
+        return sightlines(some, self.directions, weights, distances, first=self.first, count=count, draws=draws)
 
     def shadow(self, shown: ShownLight) -> FloatArray:
         """Factors of the light of captured colours, (N, 3); exactly 1 where nothing has changed."""

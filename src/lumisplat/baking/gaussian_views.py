@@ -69,6 +69,11 @@ class GaussianViewer(Renderer):
         self._load([*frame_modules(self._plan, self._launcher, self.config), kernels], progress)
 
     @property
+    def launcher(self) -> Launcher:
+        """Of its device."""
+        return self._launcher
+
+    @property
     def is_lit(self) -> bool:
         """Whether anything in the scene gives light."""
         return self._plan.is_lit

@@ -46,3 +46,36 @@ def sh_color(sh: wp.array[wp.vec3], first: int, degree: int, direction: wp.vec3)
                 color += (C3_5 * z * (xx - yy)) * sh[first + 14]
                 color -= (C3_0 * x * (xx - 3.0 * yy)) * sh[first + 15]
     return wp.max(color, wp.vec3(0.0))
+
+
+class ShTerms(wp.types.vector(length=16, dtype=wp.float32)):
+    """The values of all harmonics up to degree 3 in one direction."""
+
+
+@wp.func
+def sh_terms(direction: wp.vec3) -> ShTerms:
+    """What each coefficient is multiplied by along the unit ``direction``, as in ``sh_color``."""
+    x = direction[0]
+    y = direction[1]
+    z = direction[2]
+    xx = x * x
+    yy = y * y
+    zz = z * z
+    terms = ShTerms()
+    terms[0] = C0
+    terms[1] = -C1 * y
+    terms[2] = C1 * z
+    terms[3] = -C1 * x
+    terms[4] = C2_XY * x * y
+    terms[5] = -C2_XY * y * z
+    terms[6] = C2_ZZ * (2.0 * zz - xx - yy)
+    terms[7] = -C2_XY * x * z
+    terms[8] = C2_XX * (xx - yy)
+    terms[9] = -C3_0 * y * (3.0 * xx - yy)
+    terms[10] = C3_1 * x * y * z
+    terms[11] = -C3_2 * y * (4.0 * zz - xx - yy)
+    terms[12] = C3_3 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy)
+    terms[13] = -C3_2 * x * (4.0 * zz - xx - yy)
+    terms[14] = C3_5 * z * (xx - yy)
+    terms[15] = -C3_0 * x * (xx - 3.0 * yy)
+    return terms
