@@ -109,7 +109,7 @@ def test_frames_of_paths_are_met_and_highlights_by_higher_degrees() -> None:
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
         ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
     ]
-    shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)), 800)
+    shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)), 1500)
     scene = ls.Scene([shiny], lights=lamps)
     lit = replace(TRACE, samples=2)
     errors = [squared_error(baked(scene, TRACE, degree=degree), scene, lit) for degree in (0, 3)]
