@@ -2,9 +2,11 @@
 
 ``python -m bench.baked [--scenes room object metal] [--degrees 0 3]`` prints a JSON object a row, and writes frames of
 paths, baked and best ones to /tmp/baked. Frames are those of one ray a pixel through its centre, by rays that blend
-what they meet in order. What such a frame shows is linear in the harmonics before they are clamped: the best ones are
-the least-squares solution over 48 other views, by conjugate gradients, with the ridge that does best in the 16.
-``known_db`` is of those that were fitted to the 16 themselves, which nothing that does not know these views can reach.
+what they meet in order. ``alone_db`` is of the harmonics of each Gaussian by itself, ``baked_db`` of those that are
+changed once Gaussians are seen together. What a frame shows is linear in the harmonics before they are clamped: the
+best ones are the least-squares change of the bake over other views, by conjugate gradients, with the ridge that does
+best in the 16. ``known_db`` is of those that were fitted to the 16 themselves, which nothing that does not know these
+views can reach.
 
 Each of the 16 views has two frames of paths: errors are the mean of the product of those to both, in which their noise
 cancels. Pixels that show meshes, such as the lamp, are left out.
@@ -12,6 +14,7 @@ cancels. Pixels that show meshes, such as the lamp, are left out.
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import time
@@ -19,6 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +33,7 @@ sys.path[:0] = [str(REPOSITORY / "tests"), str(REPOSITORY / "tools")]
 import lumisplat as ls  # noqa: E402
 from bench.presets import DATA  # noqa: E402
 from bench.timing import parser  # noqa: E402
+from lumisplat.baking.seen_together import SeenTogether  # noqa: E402
 from lumisplat.io.images.png import write_png  # noqa: E402
 from lumisplat.math.sh import sh_basis  # noqa: E402
 from lumisplat.math.tone_map import apply_tone_map  # noqa: E402
@@ -100,30 +105,43 @@ def main() -> None:
         )
         for degree in options.degrees:
             started = time.process_time()
-            baked = ls.bake(
-                case.scene,
-                ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=options.samples, max_bounces=BOUNCES),
-                degree=degree,
-                directions=options.directions,
-                device=options.device,
-            )
+            alone, sh = harmonics(case.scene, degree, options)
             seconds = time.process_time() - started
-            sh = np.concatenate([one.gaussians.sh for one in baked.splats]).astype(np.float64)
-            best = max(
-                (best_harmonics(learnt, degree, ridge) for ridge in RIDGES), key=lambda one: decibels(views, one)
-            )
-            known = best_harmonics([replace(view, truth=(view.truth[0],) * 2) for view in views], degree, RIDGES[0])
+            best = max((best_harmonics(learnt, sh, ridge) for ridge in RIDGES), key=lambda one: decibels(views, one))
+            halves = [replace(view, truth=(view.truth[0],) * 2) for view in views]
+            known = best_harmonics(halves, np.zeros_like(sh), RIDGES[0])
             row = {
                 "scene": name,
                 "gaussians": len(sh),
                 "degree": degree,
                 "cpu_seconds": round(seconds, 1),
+                "alone_db": decibels(views, alone),
                 "baked_db": decibels(views, sh),
                 "best_db": decibels(views, best),
                 "known_db": decibels_of_known(views, known),
             }
             print(json.dumps(row | {"difference_db": round(row["best_db"] - row["baked_db"], 2)}), flush=True)
             write_views(name, degree, views[:3], sh, best)
+
+
+def harmonics(scene: ls.Scene, degree: int, options: argparse.Namespace) -> tuple[Doubles, Doubles]:
+    """Baked harmonics, of Gaussians alone and once they are seen together, (N, K, 3) each."""
+    alone: list[Doubles] = []
+    changed = SeenTogether.changed
+
+    def noted(self: SeenTogether, sh: Doubles, *rest: Any) -> Doubles:
+        alone.append(np.array(sh))
+        return changed(self, sh, *rest)
+
+    with patch.object(SeenTogether, "changed", noted):
+        baked = ls.bake(
+            scene,
+            ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=options.samples, max_bounces=BOUNCES),
+            degree=degree,
+            directions=options.directions,
+            device=options.device,
+        )
+    return alone[0], np.concatenate([one.gaussians.sh for one in baked.splats]).astype(np.float64)
 
 
 def write_views(name: str, degree: int, views: list[View], sh: Doubles, best: Doubles) -> None:
@@ -152,10 +170,9 @@ def decibels_of_known(views: list[View], sh: Doubles) -> float:
     return round(float(-10.0 * np.log10(max(squared, 1e-12))), 2)
 
 
-def best_harmonics(views: list[View], degree: int, ridge: float) -> Doubles:
-    """The least-squares harmonics of all views, (N, K, 3), by conjugate gradients on the normal equations."""
-    count = (degree + 1) ** 2
-    gaussians = views[0].basis.shape[0]
+def best_harmonics(views: list[View], start: Doubles, ridge: float) -> Doubles:
+    """The least-squares harmonics of all views near some, (N, K, 3), by conjugate gradients on the normal equations."""
+    gaussians, count = start.shape[:2]
 
     def back(errors: list[Doubles]) -> Doubles:
         total = np.zeros((gaussians, count, 3))
@@ -163,10 +180,8 @@ def best_harmonics(views: list[View], degree: int, ridge: float) -> Doubles:
             total += view.basis[:, :count, None] * (view.blend.T @ error)[:, None]
         return total
 
-    sh = np.zeros((gaussians, count, 3))
-    residual = back(
-        [0.5 * (view.truth[0] + view.truth[1]) - view.blend @ np.full((gaussians, 3), 0.5) for view in views]
-    )
+    sh = np.array(start)
+    residual = back([0.5 * (view.truth[0] + view.truth[1]) - view.show(start) for view in views])
     along, before = residual.copy(), np.square(residual).sum(axis=(0, 1))
     for _ in range(ITERATIONS):
         product = back([view.blend @ view.colors(along) for view in views]) + ridge * along
