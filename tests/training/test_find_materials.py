@@ -13,6 +13,7 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.math.panorama import panorama_directions
 from lumisplat.math.sh import even_directions
 from lumisplat.training.materials.incident import ray_starts, traced_incident
+from lumisplat.training.materials.neighbours import near_pairs
 from lumisplat.training.materials.sky_fit import WhiteLight, fitted_sky
 from support.oracles.trace_oracle import trace_rays
 from support.scenes.lit_sphere import ball, matte, photographed
@@ -125,6 +126,14 @@ def test_a_closed_room_has_no_sky() -> None:
     sky = fitted_sky(np.full((40, 3), 0.15), white, np.ones(40), directions, steps=3, rng=rng, report=silent)
     assert (sky == 1.0).all()
     np.testing.assert_allclose(0.15 / white.under(sky), 0.5)
+
+
+def test_a_single_gaussian_has_no_neighbours() -> None:
+    """Nothing holds on to it, and nothing fails."""
+    pairs = near_pairs(np.zeros((1, 3), np.float32))
+    assert len(pairs.first) == 0
+    for term, gradient in (pairs.square_term(np.ones(1)), pairs.albedo_term(np.ones((1, 3)))):
+        assert term == 0.0 and not gradient.any()
 
 
 @pytest.mark.parametrize(

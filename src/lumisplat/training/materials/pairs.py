@@ -28,14 +28,14 @@ class Pairs:
         chroma = difference - difference.mean(axis=1, keepdims=True)
         alike = np.exp(-0.5 * np.square(np.abs(chroma).max(axis=1, keepdims=True) / CHROMA_WIDTH))
         ratio = np.square(difference / EDGE_WIDTH)
-        share = 1.0 / len(self.first)
+        share = 1.0 / max(len(self.first), 1)
         term = float((alike * np.log1p(ratio)).sum() * 0.5 * EDGE_WIDTH**2 * share)
         return term, self._scattered(alike * difference / (1.0 + ratio) * share, len(log_albedo))
 
     def square_term(self, values: Doubles) -> tuple[float, Doubles]:
         """Half the mean squared difference of a number, and the derivatives by it, shape (N,)."""
         difference = values[self.first] - values[self.second]
-        share = 1.0 / len(self.first)
+        share = 1.0 / max(len(self.first), 1)
         return 0.5 * share * float(difference @ difference), self._scattered(difference[:, None] * share, len(values))[
             :, 0
         ]
