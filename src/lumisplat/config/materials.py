@@ -16,7 +16,7 @@ class MaterialsConfig:
     """
 
     directions: int = 256
-    """In which light is traced and the sky is known, 32 to 2048: memory is 16 bytes for each and each Gaussian."""
+    """In which light is traced and the sky is known, 32 to 2048: memory is some 40 bytes for each and each Gaussian."""
     sky_steps: int = 300
     """By which the sky is found from albedos that are to be alike, 1 to 100,000."""
     iterations: int = 300

@@ -11,7 +11,7 @@ import numpy as np
 
 from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.errors import ConfigError, SceneError
 from lumisplat.io import save
 from lumisplat.io.images.exr import write_exr
 from lumisplat.io.photographs.lens import is_bent
@@ -195,10 +195,7 @@ def _write(output: Path, found: FoundMaterials) -> None:
     """The sky first: a capture that has materials has its sky, too."""
     image: FloatArray | None = found.environment.image
     assert image is not None
-    try:
-        write_exr(environment_path(output), dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)))
-    except OSError as error:
-        raise FormatError(environment_path(output), f"cannot be written: {error.strerror or error}") from None
+    write_exr(environment_path(output), dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)))
     save(output, found.gaussians)
 
 
