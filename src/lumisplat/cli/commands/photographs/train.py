@@ -12,7 +12,6 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, Flag
 from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars, spoken_time
-from lumisplat.cli.output.materials.materials_report import write_materials
 from lumisplat.cli.output.standard_output import refuse_standard_output
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
@@ -149,6 +148,8 @@ class Train(DeviceCommand):
         """Finds and writes materials, once training has come to its end."""
         if not self.relightable or not result.is_finished:
             return None
+        from lumisplat.cli.output.materials.materials_report import write_materials  # loads NumPy and Pillow
+
         if result.cameras is not None:  # poses have moved
             moved = zip(photographs.training, result.cameras, strict=True)
             photographs = replace(photographs, training=tuple(replace(one, camera=camera) for one, camera in moved))
