@@ -74,6 +74,7 @@ def test_materials_are_of_poses_that_were_refined(
     [
         (("-o", "a.spz"), "a.spz, expected a .ply: others have no columns for --relightable"),
         (("-o", "a.ply", "--pipeline", "trace"), "--relightable is of --pipeline raster and --projection ewa"),
+        (("-o", "a.ply", "--exposures"), "of one exposure: leave out --exposures"),
         (("-o", "a.ply", "--material-steps", "-1"), "iterations is -1, expected"),
     ],
 )

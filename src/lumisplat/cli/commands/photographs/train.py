@@ -109,6 +109,8 @@ class Train(DeviceCommand):
             raise ls.ConfigError(f"-o is {self.output}, expected a .ply: others have no columns for --relightable")
         if self.relightable and (self.pipeline, self.projection) != ("raster", "ewa"):
             raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
+        if self.relightable and self.exposures:
+            raise ls.ConfigError("--relightable finds materials of photographs of one exposure: leave out --exposures")
         config, stop_after = self._config(), None if self.stop_after is None else seconds_of(self.stop_after)
         materials = ls.MaterialsConfig(iterations=self.material_steps, seed=self.seed)
         background = self._checked_background()
