@@ -54,7 +54,7 @@ def test_a_prolonged_training_that_is_stopped_leaves_the_same_bits(tmp_path: Pat
         ls.train(folder, SHORT, output=output, device="cpu")
     ls.train(folder, LONG, output=whole, device="cpu")
     calls = 0
-    while not ls.train(folder, LONG, output=parts, stop_after=0.1, device="cpu").is_finished:
+    while not ls.train(folder, LONG, output=parts, stop_after=0.01, device="cpu").is_finished:
         calls += 1
         assert calls < 200
     assert calls > 1 and whole.read_bytes() == parts.read_bytes()

@@ -113,7 +113,7 @@ def test_corrections_are_resumed_and_written(tmp_path: Path) -> None:
     whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
     parts: list[ls.TrainResult] = []
     while not parts or not parts[-1].is_finished:
-        parts.append(ls.train(folder, config, output=tmp_path / "b.ply", stop_after=0.1, device="cpu"))
+        parts.append(ls.train(folder, config, output=tmp_path / "b.ply", stop_after=0.02, device="cpu"))
     assert len(parts) > 1 and (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     for name in ("exposures.json", "poses.json"):
         assert (tmp_path / "a.training" / name).read_bytes() == (tmp_path / "b.training" / name).read_bytes()
