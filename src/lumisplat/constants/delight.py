@@ -27,6 +27,9 @@ SIDE_SHARPNESS = 4
 SIDE_STEPS = 300
 """Steps of conjugate gradients by which they do."""
 
+ALPHA_LEAST = 1e-6
+"""Share of a ray that is met, below which its colour is not told."""
+
 SURFACE_SPREAD = 0.5
 """Within how much of a Gaussian rays begin, standard deviations of its own: as they do where it is baked."""
 
@@ -102,6 +105,12 @@ LIGHT_PRIOR = 3e-4
 
 ALBEDO_HIGH = 0.8
 """Albedo of the lightest surfaces in their lightest channel, that fixes the scale where light comes from the sky."""
+
+LIT_LEAST = 0.05
+"""Light of the sky and lamps at a Gaussian, in medians, from which on it tells how bright these may be."""
+
+SKY_LEAST = 0.05
+"""Radiance of the sky and lamps that the fit begins with, at least."""
 
 LIGHTEST = 0.95
 """Share of Gaussians that are darker than those."""

@@ -17,8 +17,10 @@ from lumisplat.constants.delight import (
     LIGHT_STEP_MAX,
     LIGHT_STEPS,
     LIGHTEST,
+    LIT_LEAST,
     RADIANCE_LEAST,
     SCALE_STEPS,
+    SKY_LEAST,
     SKY_SMOOTHNESS,
 )
 from lumisplat.math.arrays import Doubles, Rows
@@ -112,11 +114,11 @@ def first_light(outgoing: Doubles, incident: Incident) -> Light:
     """Grey, the same from everywhere, and so much that the lightest surfaces have a usual albedo."""
     columns = np.concatenate([incident.sky, incident.lamps], axis=1)
     lit = columns.sum(axis=1, dtype=np.float64)
-    rows = lit > 0.05 * max(float(np.median(lit)), 1e-9)
+    rows = lit > LIT_LEAST * max(float(np.median(lit)), 1e-9)
     radiance = 1.0
     if rows.any():
         wanted = (outgoing / ALBEDO_HIGH - incident.observed).max(axis=1)[rows] / lit[rows]
-        radiance = max(float(np.quantile(wanted, LIGHTEST)), 0.05)
+        radiance = max(float(np.quantile(wanted, LIGHTEST)), SKY_LEAST)
     return Light(np.full((incident.sky.shape[1], 3), radiance), np.full((incident.lamps.shape[1], 3), radiance))
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.constants.delight import CLIPPED, LAMP_GAP, LAMPS_MAX, VIEW_DIRECTIONS, VIEW_TILT
+from lumisplat.constants.delight import ALPHA_LEAST, CLIPPED, LAMP_GAP, LAMPS_MAX, VIEW_DIRECTIONS, VIEW_TILT
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import even_directions
+from lumisplat.renderer.ray_queries import RayHits
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.sh_colors import colors_along
 from lumisplat.scene.sampling.blue_noise import cross_pairs
@@ -26,6 +27,11 @@ def radiance_before(gaussians: Gaussians, normals: Doubles, count: int) -> Doubl
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         seen.append(decode_srgb(np.clip(colors_along(gaussians, -way), 0.0, 1.0)))
     return np.array(seen, dtype=np.float64)
+
+
+def radiance_met(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Doubles:
+    """Radiance of what rays meet, linear, without their share that passes it, shape (N, 3); ``alpha`` is the rest."""
+    return decode_srgb(np.clip(hits.radiance / np.maximum(alpha, ALPHA_LEAST)[:, None], 0.0, 1.0))
 
 
 def lamps_of(gaussians: Gaussians, normals: Doubles) -> Rows:

@@ -18,8 +18,8 @@ from lumisplat.constants.delight import (
     SKY_SEEN,
 )
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
-from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import even_directions
+from lumisplat.relighting.delight.captured import radiance_met
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides
 from lumisplat.renderer.ray_queries import RayHits
@@ -30,7 +30,6 @@ from lumisplat.scene.sampling.blue_noise import Pairs
 from lumisplat.scene.scene import Scene
 
 Report = Callable[[str, float], None]
-LEAST_ALPHA = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,9 +127,8 @@ class IncidentRays:
             rows, ways, shares = self._ways(normals, cells, cell)
             hits = self._leave(rows, normals[rows], ways)
             alpha = 1.0 - hits.transmittance.astype(np.float64)
-            shown = decode_srgb(np.clip(hits.radiance / np.maximum(alpha, LEAST_ALPHA)[:, None], 0.0, 1.0))
             is_lamp = (hits.gaussian_index >= 0) & (lamps[np.maximum(hits.gaussian_index, 0)] >= 0)
-            observed[rows] += (shares * alpha * ~is_lamp)[:, None] * shown
+            observed[rows] += (shares * alpha * ~is_lamp)[:, None] * radiance_met(hits, alpha)
             sky[rows, cell] = shares * hits.transmittance
         groups = range(int(lamps.max(initial=-1)) + 1)
         from_lamps = [self._from_lamp(normals, np.flatnonzero(lamps == lamp)) for lamp in groups]

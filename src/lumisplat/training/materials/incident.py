@@ -9,14 +9,13 @@ import numpy as np
 
 from lumisplat.constants.materials import LIFT_ALONG, LIFT_SHORTEST
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.math.color import decode_srgb
+from lumisplat.relighting.delight.captured import radiance_met
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
 
 Report = Callable[[str, float], None]
-LEAST_ALPHA = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +64,7 @@ def traced_incident(
         rows = order[normals[order] @ direction > 0.0]
         hits = renderer.trace_rays(scene, starts[rows], ways[rows])
         alpha = 1.0 - hits.transmittance
-        color = decode_srgb(np.clip(hits.radiance / np.maximum(alpha, LEAST_ALPHA)[:, None], 0.0, 1.0))
+        color = radiance_met(hits, alpha)
         open_[rows, k], seen[rows, k] = hits.transmittance, alpha[:, None] * color
     return Incident(directions, open_, seen)
 
