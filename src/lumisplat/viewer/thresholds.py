@@ -9,6 +9,9 @@ MESSAGE_BYTES_MAX = 2**22
 SETTLED_S = 0.25
 """Time without a change after which a view is at rest, seconds: finer frames before would flicker while it moves."""
 
+INTERRUPT_S = 0.5
+"""How late a Ctrl C may end the viewer, seconds."""
+
 LEVEL_FRACTIONS = (1.0, 0.25, 0.0625)
 """Share of the Gaussians of a capture in each of its levels."""
 

@@ -39,6 +39,7 @@ from lumisplat.viewer.server.page_server import PageServer
 from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.things.things_panel import ThingsPanel
+from lumisplat.viewer.thresholds import INTERRUPT_S
 
 if TYPE_CHECKING:
     import viser
@@ -146,7 +147,9 @@ class Viewer:
         Raises:
             LumisplatError: There is nothing to see, as nothing could be loaded.
         """
-        self._closed_or_failed.wait()
+        # An interrupt that comes just before a wait without end begins would be lost.
+        while not self._closed_or_failed.wait(INTERRUPT_S):
+            pass
         if self._failure is not None:
             raise self._failure
 
