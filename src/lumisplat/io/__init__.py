@@ -1,18 +1,17 @@
 """Reading and writing files: scenes, captures, meshes, cameras, images, rigs, animations and settings.
 
-The tables of formats are below; the modules of a format are imported when it is first used.
+`formats` has the tables of formats, whose modules are imported when they are first used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from lumisplat.errors import FormatError
-from lumisplat.io.files.format import format_of
+from lumisplat.io import formats
 from lumisplat.io.files.references import references_outside
 from lumisplat.io.files.source import PathLike
 
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from lumisplat.config import RenderConfig
-    from lumisplat.io.splats.columns import SplatColumns
     from lumisplat.math.arrays import FloatArray
     from lumisplat.scene.animation.actors import Animation
     from lumisplat.scene.animation.camera_path import CameraPath
@@ -48,26 +46,6 @@ __all__ = [
 ]
 
 Progress = Callable[[float], None]
-
-_READERS = {
-    ".spz": "splats.spz.read_spz",
-    ".sog": "splats.sog.read_sog",
-    ".obj": "meshes.obj.read_obj",
-    ".stl": "meshes.stl.read_stl",
-    ".glb": "gltf.scene.read_gltf",
-    ".gltf": "gltf.scene.read_gltf",
-}
-"""Readers of `load` by extension. Besides these, .ply is read by its header, and .toml by what it names."""
-
-_WRITERS = {
-    ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
-    ".ply": "splats.splat_ply.write_splat_ply",
-    ".spz": "splats.spz.write_spz",
-}
-"""Writers of `save` by extension; the first one that a file name ends with is used."""
-
-READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
-WRITABLE = ".ply, .compressed.ply, .spz"
 
 
 def load(
@@ -109,7 +87,8 @@ def load(
 
     try:
         with references_outside(allow_outside):
-            loaded = _read(Path(path), drop_invalid, crease_angle, up, progress)
+            load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
+            loaded = formats.read(Path(path), load_asset, crease_angle, up, progress)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
     except FormatError:
@@ -121,32 +100,6 @@ def load(
     if progress:
         progress(1.0)
     return loaded
-
-
-def _read(
-    path: Path,
-    drop_invalid: bool,
-    crease_angle: float | None,
-    up: str | npt.ArrayLike | None,
-    progress: Progress | None,
-) -> SplatColumns | Mesh | Scene:
-    extension = format_of(path)
-    if extension == ".ply":
-        return _import("ply_files.read_ply")(path, progress)
-    if extension == ".toml":
-        from lumisplat.io.scene_toml.scene_file import read_scene_file
-
-        return read_scene_file(path, partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle), up)
-    if extension not in _READERS:
-        raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
-    read: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])
-    return read(path) if crease_angle is None or extension != ".obj" else read(path, crease_angle)
-
-
-def _import(function: str) -> Any:
-    """A function of this package, imported on first use: ``splats.spz.read_spz``."""
-    module, _, name = function.rpartition(".")
-    return getattr(import_module(f"{__name__}.{module}"), name)
 
 
 def save(path: PathLike, gaussians: Gaussians) -> None:
@@ -170,11 +123,7 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
 
     if not isinstance(cast("object", gaussians), Gaussians):
         raise FormatError(path, f"only Gaussians can be saved, got {type(gaussians).__name__}")
-    extension = next((end for end in _WRITERS if Path(path).name.lower().endswith(end)), None)
-    if extension is None:
-        raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
-    write: Callable[[PathLike, Gaussians], None] = _import(_WRITERS[extension])
-    write(path, gaussians)
+    formats.write(path, gaussians)
 
 
 def load_cameras(path: PathLike, *, width: int | None = None, height: int | None = None) -> list[Camera]:

@@ -1,0 +1,92 @@
+"""The tables of formats: what reads and writes files, by extension.
+
+Functions are named, ``splats.spz.read_spz``, and their modules imported when a format is first used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.format import format_of
+from lumisplat.io.files.source import PathLike
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from lumisplat.io.splats.columns import SplatColumns
+    from lumisplat.scene.gaussians import Gaussians
+    from lumisplat.scene.mesh import Mesh
+    from lumisplat.scene.scene import Scene
+
+_READERS = {
+    ".spz": "splats.spz.read_spz",
+    ".sog": "splats.sog.read_sog",
+    ".obj": "meshes.obj.read_obj",
+    ".stl": "meshes.stl.read_stl",
+    ".glb": "gltf.scene.read_gltf",
+    ".gltf": "gltf.scene.read_gltf",
+}
+"""Besides these, .ply is read by its header, and .toml by what it names."""
+
+_WRITERS = {
+    ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
+    ".ply": "splats.splat_ply.write_splat_ply",
+    ".spz": "splats.spz.write_spz",
+}
+"""Writers of captures; the first one that a file name ends with is used."""
+
+READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
+WRITABLE = ".ply, .compressed.ply, .spz"
+
+
+def read(
+    path: Path,
+    load: Callable[..., Gaussians | Mesh | Scene],
+    crease_angle: float | None,
+    up: str | npt.ArrayLike | None,
+    progress: Callable[[float], None] | None,
+) -> SplatColumns | Mesh | Scene:
+    """What is in a file; see `lumisplat.io.load`.
+
+    Args:
+        path: The file.
+        load: Reads the files that a scene file names.
+        crease_angle: Of OBJs.
+        up: Of a scene file.
+        progress: Called with the fraction done.
+
+    Raises:
+        FormatError: The file is unknown, or cannot be read.
+    """
+    extension = format_of(path)
+    if extension == ".ply":
+        return _import("ply_files.read_ply")(path, progress)
+    if extension == ".toml":
+        return _import("scene_toml.scene_file.read_scene_file")(path, load, up)
+    if extension not in _READERS:
+        raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
+    reader: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])
+    return reader(path) if crease_angle is None or extension != ".obj" else reader(path, crease_angle)
+
+
+def write(path: PathLike, gaussians: Gaussians) -> None:
+    """Writes a capture in the format of a file's extension.
+
+    Raises:
+        FormatError: The extension is unknown, or the file cannot be written.
+    """
+    extension = next((end for end in _WRITERS if Path(path).name.lower().endswith(end)), None)
+    if extension is None:
+        raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
+    writer: Callable[[PathLike, Gaussians], None] = _import(_WRITERS[extension])
+    writer(path, gaussians)
+
+
+def _import(function: str) -> Any:
+    """A function of this package, imported on first use."""
+    module, _, name = function.rpartition(".")
+    return getattr(import_module(f"{__package__}.{module}"), name)
