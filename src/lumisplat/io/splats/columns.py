@@ -32,7 +32,7 @@ class SplatColumns:
     rotations_wxyz: Floats
     """Quaternions of any length, shape (N, 4)."""
     log_scales: Floats
-    """Natural logarithms of the standard deviations, shape (N, 3)."""
+    """Natural logarithms of the standard deviations if ``scales_are_logarithms``, else these, shape (N, 3)."""
     opacities: Floats
     """Logits if ``opacities_are_logits``, else 0..1, shape (N,)."""
     sh: Floats
@@ -43,6 +43,7 @@ class SplatColumns:
     metallic: Floats | None = None
     material_columns: MaterialColumns = LINEAR
     """How the normals and materials are stored."""
+    scales_are_logarithms: bool = True
     opacities_are_logits: bool = True
     antialiased: bool = False
     kernel_degree: int = KERNEL_DEGREE
@@ -101,7 +102,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     """
     if columns.count == 0:
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")
-    scales = _scales(columns.log_scales)
+    scales = _scales(columns.log_scales) if columns.scales_are_logarithms else columns.log_scales
     opacities = _opacities(columns.opacities) if columns.opacities_are_logits else columns.opacities
     if columns.normals is not None and not columns.normals.any():
         columns = replace(columns, normals=None)  # INRIA writes zeros in place of normals

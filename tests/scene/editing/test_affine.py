@@ -1,0 +1,71 @@
+"""Captures under affine transforms: covariances follow the matrix exactly, colours its rotation."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.sh import even_directions, sh_basis
+from lumisplat.scene.editing.affine import under_affine
+from support.files.splat_files import capture
+
+STRETCH = np.array([[2.0, 0.3, 0.0], [-0.2, 0.5, 0.1], [0.4, 0.0, 1.5]])
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+
+
+def covariances(gaussians: ls.Gaussians) -> npt.NDArray[np.float64]:
+    """Covariance matrices, shape (N, 3, 3)."""
+    axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64)) * gaussians.scales[:, None, :]
+    return axes @ axes.transpose(0, 2, 1)
+
+
+def matrix_of(linear: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """A transform that also moves, shape (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = linear, (1.0, -2.0, 0.5)
+    return matrix
+
+
+@pytest.mark.parametrize("linear", [STRETCH, MIRROR, STRETCH @ MIRROR, 3.0 * np.eye(3)])
+def test_means_and_covariances_follow_the_matrix(linear: npt.NDArray[np.float64]) -> None:
+    """Sigma becomes M Sigma M^T, and a mean M x + t; normals stay perpendicular to what they were perpendicular to."""
+    before = capture(normals=np.random.default_rng(1).normal(size=(300, 3)))
+    after = under_affine(before, matrix_of(linear))
+    expected = linear @ covariances(before) @ linear.T
+    error = np.abs(covariances(after) - expected).max(axis=(1, 2)) / np.abs(expected).max(axis=(1, 2))
+    assert error.max() < 2e-6
+    np.testing.assert_allclose(after.means, before.means @ linear.T + (1.0, -2.0, 0.5), atol=2e-6)
+    assert before.normals is not None and after.normals is not None
+    tangents = np.cross(before.normals, (0.3, 0.5, 0.8))
+    np.testing.assert_allclose(np.sum(after.normals * (tangents @ linear.T), axis=1), 0.0, atol=3e-6)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_colours_turn_and_mirror(degree: int) -> None:
+    """The colour in a direction that was turned, or mirrored, is that of the direction before."""
+    before = capture(20, degree)
+    turn = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]]) @ MIRROR
+    after = under_affine(before, matrix_of(turn))
+    directions = even_directions(50)
+    seen = np.einsum("dk,nkc->ndc", sh_basis(directions, degree), before.sh)
+    turned = np.einsum("dk,nkc->ndc", sh_basis(directions @ turn.T, degree), after.sh)
+    np.testing.assert_allclose(turned, seen, atol=2e-6)
+
+
+def test_agrees_with_transform() -> None:
+    """A rotation with uniform scale gives what `lumisplat.transform` gives."""
+    before = capture(degree=3)
+    turn = matrix_of(2.0 * np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]]))
+    ours, theirs = under_affine(before, turn), ls.transform(before, turn)
+    np.testing.assert_allclose(ours.sh, theirs.sh, atol=1e-6)
+    error = np.abs(covariances(ours) - covariances(theirs)).max(axis=(1, 2))
+    assert (error / np.abs(covariances(theirs)).max(axis=(1, 2))).max() < 2e-6
+
+
+def test_a_flattening_matrix_is_refused() -> None:
+    """A matrix without an inverse has no Gaussians."""
+    with pytest.raises(ls.SceneError, match="singular"):
+        under_affine(capture(5), matrix_of(np.diag([1.0, 1.0, 0.0])))
