@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from lumisplat.io.photographs.loading import load_photographs
     from lumisplat.io.photographs.photographs import Photograph, Photographs
     from lumisplat.io.photographs.poses import find_poses
+    from lumisplat.machine.diagnosis import Diagnosis, diagnose
     from lumisplat.metrics.images import flip, psnr, ssim
     from lumisplat.metrics.lighting import apf_y, ncm_ab, paa_y
     from lumisplat.metrics.lit_points import LitPoints
@@ -162,6 +163,7 @@ _MODULE_OF = {
     "DelightConfig": "config",
     "Densification": "config",
     "DeviceError": "errors",
+    "Diagnosis": "machine.diagnosis",
     "DifferentiableRenderer": "renderer.splat_gradients",
     "DivergedError": "training.trainer",
     "EnvironmentProbe": "relighting.probe",
@@ -255,6 +257,7 @@ _MODULE_OF = {
     "demo_cameras": "demo.scene",
     "demo_scene": "demo.scene",
     "demo_scene_lit": "demo.scene_lit",
+    "diagnose": "machine.diagnosis",
     "estimate_lights": "relighting.light_estimation",
     "estimate_materials": "relighting.delight.delight",
     "estimate_sun": "relighting.sun_estimation",
@@ -331,6 +334,7 @@ __all__ = [
     "DelightConfig",
     "Densification",
     "DeviceError",
+    "Diagnosis",
     "DifferentiableRenderer",
     "DivergedError",
     "EnvironmentProbe",
@@ -424,6 +428,7 @@ __all__ = [
     "demo_cameras",
     "demo_scene",
     "demo_scene_lit",
+    "diagnose",
     "estimate_lights",
     "estimate_materials",
     "estimate_normals",

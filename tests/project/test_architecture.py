@@ -33,6 +33,7 @@ LAYERS = (
     "device.path",
     "device.gi",
     "device.film",
+    "machine",
     "scene",
     "scene.sampling",
     "scene.ops",

@@ -24,6 +24,8 @@ from lumisplat.cli.commands.lighting.bake import Bake
 from lumisplat.cli.commands.lighting.delight import Delight
 from lumisplat.cli.commands.lighting.fit import Fit
 from lumisplat.cli.commands.lighting.relight import Relight
+from lumisplat.cli.commands.machine.completion import Completion
+from lumisplat.cli.commands.machine.doctor import Doctor
 from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.orbit import Orbit
 from lumisplat.cli.commands.photographs.evaluate import Evaluate
@@ -67,7 +69,9 @@ A lit scene as a capture for every viewer: lumisplat bake scene.toml -o baked.pl
 
 The lights of a room from a photograph: lumisplat fit room.toml photo.jpg --camera door -o fitted.toml
 
-A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 5 --decimate 25% -o middle.spz"""
+A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 5 --decimate 25% -o middle.spz
+
+What this machine has, and what is missing: lumisplat doctor"""
 
 _Command = (
     Annotated[Render, subcommand("render")]
@@ -87,6 +91,8 @@ _Command = (
     | Annotated[Delight, subcommand("delight")]
     | Annotated[Bake, subcommand("bake")]
     | Annotated[ShadowMap, subcommand("shadowmap")]
+    | Annotated[Doctor, subcommand("doctor")]
+    | Annotated[Completion, subcommand("completion")]
 )
 
 

@@ -13,7 +13,7 @@ from tyro.conf import arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import load_scene
-from lumisplat.cli.output.console import Report, quiet_warp
+from lumisplat.cli.output.console import Report, cache_error, quiet_warp
 
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 """An option without a value, off unless given."""
@@ -50,10 +50,7 @@ class DeviceCommand(Command):
             self.start_warp()
             return ls.create_renderer(config, self.device, profile=profile, progress=report)
         except OSError as error:
-            raise ls.DeviceError(
-                f"{error.filename}: cannot hold the cache of compiled kernels ({error.strerror}): set the environment "
-                "variable WARP_CACHE_PATH to a folder that can be written to"
-            ) from error
+            raise cache_error(error) from error
 
     def start_warp(self) -> None:
         """Starts Warp without its banner, which only --debug shows."""

@@ -1,0 +1,105 @@
+"""Scripts by which shells complete commands, options and their values; file names stay the shell's own."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from dataclasses import dataclass, field
+
+import lumisplat as ls
+
+_MARK = "COMPLETION_SPEC = "
+"""What the table of all options begins with in the scripts that tyro makes."""
+
+
+@dataclass(frozen=True)
+class CommandWords:
+    """The words that may follow a command."""
+
+    options: list[str] = field(default_factory=list[str])
+    choices: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
+    """Of an option, such as ``--pipeline``, its values; of options that take any value, none."""
+
+
+def command_words(script: str) -> dict[str, CommandWords]:
+    """The words of each command.
+
+    Args:
+        script: What tyro makes for bash. Of it, the table of options is taken: the code around it completes no file
+            names, and takes lines of the help for options.
+
+    Raises:
+        ConfigError: It has no such table.
+    """
+    line = next((line for line in script.splitlines() if line.startswith(_MARK)), None)
+    if line is None:
+        raise ls.ConfigError("this version of tyro lists no options for completion: pip install tyro==1.0.17")
+    commands: dict[str, CommandWords] = {}
+    for name, command in ast.literal_eval(line.removeprefix(_MARK))["subcommands"].items():
+        words = commands[name] = CommandWords()
+        for option in command["options"]:
+            words.options.extend(option["flags"])
+            if option["type"] != "flag":
+                values = sorted(set(option.get("choices", [])) - {"None"})
+                words.choices.update(dict.fromkeys(option["flags"], values))
+    return commands
+
+
+def bash_script(commands: dict[str, CommandWords]) -> str:
+    """For bash from 3.2 on."""
+    values = [
+        f'    "{name} {option}") words="{" ".join(choices)}" ;;'
+        for name, words in commands.items()
+        for option, choices in words.choices.items()
+    ]
+    options = [f'      "{name} -"*) words="{" ".join(words.options)}" ;;' for name, words in commands.items()]
+    return "\n".join(
+        [
+            "_lumisplat() {",
+            '  local word="${COMP_WORDS[COMP_CWORD]}" command="${COMP_WORDS[1]}" words=""',
+            '  case "$command ${COMP_WORDS[COMP_CWORD-1]}" in',
+            *values,
+            '    *) case "$command $word" in',
+            *options,
+            "    esac ;;",
+            "  esac",
+            f'  if [ "$COMP_CWORD" -eq 1 ]; then words="{" ".join(commands)} --help --version"; fi',
+            '  COMPREPLY=($(compgen -W "$words" -- "$word"))',
+            "}",
+            "complete -o bashdefault -o default -F _lumisplat lumisplat",
+            "",
+        ]
+    )
+
+
+def zsh_script(commands: dict[str, CommandWords]) -> str:
+    """For zsh, which runs that of bash."""
+    return f"autoload -Uz compinit bashcompinit && compinit -u && bashcompinit\n{bash_script(commands)}"
+
+
+def fish_script(commands: dict[str, CommandWords]) -> str:
+    """For fish."""
+    lines = [f"complete -c lumisplat -n __fish_use_subcommand -f -a '{' '.join(commands)}'"]
+    for name, words in commands.items():
+        for option in words.options:
+            kind = f"-l {option[2:]}" if option.startswith("--") else f"-s {option[1:]}"
+            choices = words.choices.get(option)
+            value = "" if choices is None else f" -x -a '{' '.join(choices)}'" if choices else " -r"
+            lines.append(f"complete -c lumisplat -n '__fish_seen_subcommand_from {name}' {kind}{value}")
+    return "\n".join([*lines, ""])
+
+
+SCRIPTS = {"bash": bash_script, "zsh": zsh_script, "fish": fish_script}
+"""By shell."""
+
+
+def script_for(shell: str) -> str:
+    """The script of a shell.
+
+    Args:
+        shell: A key of `SCRIPTS`.
+    """
+    command = [sys.executable, "-m", "lumisplat", "--tyro-print-completion", "bash"]
+    made = subprocess.run(command, check=True, capture_output=True, text=True)
+    return SCRIPTS[shell](command_words(made.stdout))

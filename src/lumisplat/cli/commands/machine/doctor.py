@@ -1,0 +1,73 @@
+"""``lumisplat doctor``: what this machine has for Lumisplat, what is missing, and how to get it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import lumisplat as ls
+from lumisplat.cli.options.command import Command, Flag
+from lumisplat.cli.output.console import byte_size, counted, print_table, quiet_warp
+
+if TYPE_CHECKING:
+    from lumisplat.machine.diagnosis import ExtraFacts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor(Command):
+    """Show what this machine has for Lumisplat, what is missing, and how to get it.
+
+    Runs a small kernel on each device: some seconds on a new machine. Nothing is installed. The exit status is 2 if
+    something has to be mended. What it prints is what a report of a bug needs.
+    """
+
+    json: Flag = False
+    """Print JSON instead of tables."""
+
+    def run(self) -> None:
+        """Prints what was found.
+
+        Raises:
+            DeviceError: Something has to be mended.
+        """
+        if not self.debug:
+            quiet_warp()
+        found = ls.diagnose()
+        if self.json:
+            print(json.dumps(asdict(found) | {"problems": found.problems}, indent=2, default=str))
+        else:
+            _print(found)
+        if found.problems:
+            raise ls.DeviceError("; ".join(found.problems))
+
+
+def _print(found: ls.Diagnosis) -> None:
+    print_table(
+        f"Lumisplat {found.version}",
+        [
+            ("python", found.python),
+            ("system", f"{found.system}, {counted(found.cores, 'core')}"),
+            *((package.name, package.installed or "missing") for package in found.packages),
+        ],
+    )
+    print_table(
+        "devices",
+        [
+            (device.name, f"{device.description}, {byte_size(device.memory_bytes)}, {device.problem or 'works'}")
+            for device in found.devices
+        ],
+    )
+    cache = found.cache
+    space = f"{byte_size(cache.used_bytes)}, {byte_size(cache.free_bytes)} free"
+    print_table("compiled kernels", [("folder", str(cache.folder)), ("space", space)])
+    print_table("extras", [(extra.name, _state(extra)) for extra in found.extras])
+    for remark in found.remarks:
+        print(remark)
+
+
+def _state(extra: ExtraFacts) -> str:
+    """What is there of an extra, or how to get it."""
+    if extra.is_installed:
+        return ", ".join(f"{package.name} {package.installed}" for package in extra.packages)
+    return extra.install

@@ -1,0 +1,232 @@
+"""What this machine has for Lumisplat: devices that are tried, the cache of kernels, packages and extras."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.errors import LumisplatError
+from lumisplat.machine import trial_kernels
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher, usable_cores
+
+_DISTRIBUTION = "lumisplat"
+_FOR_DEVELOPERS = ("dev", "docs", "bench")
+"""Extras that no feature asks for."""
+
+_TRIAL_SIZE = 1_000
+_FREE_BYTES_MIN = 2**29
+"""Free space below which compiled kernels may not fit: a machine's use of all pipelines takes about half as much."""
+
+_SIGNS_OF_A_GPU = ("/dev/nvidia0", "/dev/dxg", "/proc/driver/nvidia/version")
+"""Files that the driver of a GPU brings (the second one in WSL)."""
+
+
+@dataclass(frozen=True)
+class DeviceFacts:
+    """A device that Lumisplat can be told to use."""
+
+    name: str
+    """As ``device`` takes it: ``cpu``, ``cuda:0``."""
+    description: str
+    """What it is, such as ``NVIDIA H100 80GB HBM3``."""
+    memory_bytes: int
+    problem: str | None
+    """Why a small kernel did not run on it; None: it ran, and its results were right."""
+
+
+@dataclass(frozen=True)
+class CacheFacts:
+    """The folder of compiled kernels."""
+
+    folder: Path
+    used_bytes: int
+    free_bytes: int
+    problem: str | None
+    """Why kernels cannot be kept there; None: they can."""
+
+
+@dataclass(frozen=True)
+class PackageFacts:
+    """A package that is needed."""
+
+    name: str
+    needed: str
+    """Which versions, such as ``>=1.19``; empty: any."""
+    installed: str | None
+    """Version; None: it is not installed."""
+    is_right: bool
+    """Whether a version that is needed is installed."""
+
+
+@dataclass(frozen=True)
+class ExtraFacts:
+    """An optional part of Lumisplat, and the packages it needs."""
+
+    name: str
+    packages: tuple[PackageFacts, ...]
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether all of its packages are there."""
+        return all(package.is_right for package in self.packages)
+
+    @property
+    def install(self) -> str:
+        """The command that installs it."""
+        return f"pip install 'lumisplat[{self.name}]'"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What `lumisplat.diagnose` has found."""
+
+    version: str
+    """Of Lumisplat."""
+    python: str
+    """Version and path of the interpreter."""
+    system: str
+    """Operating system and architecture."""
+    cores: int
+    """CPU cores that this process may use."""
+    packages: tuple[PackageFacts, ...]
+    """What Lumisplat cannot do without."""
+    devices: tuple[DeviceFacts, ...]
+    cache: CacheFacts
+    extras: tuple[ExtraFacts, ...]
+    remarks: tuple[str, ...]
+    """What is not wrong, but may surprise, such as a GPU that cannot be used."""
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What has to be mended before all works, a line each; empty: nothing."""
+        lines = [
+            f"{package.name} is {package.installed or 'not installed'}, expected {package.needed or 'any version'}: "
+            f"pip install '{package.name}{package.needed}'"
+            for package in self.packages
+            if not package.is_right
+        ]
+        lines += [f"{device.name}: {device.problem}" for device in self.devices if device.problem]
+        return (*lines, *([self.cache.problem] if self.cache.problem else []))
+
+
+def diagnose() -> Diagnosis:
+    """Looks at what this machine has for Lumisplat, and runs a small kernel on each device.
+
+    Takes some seconds on a machine whose cache of kernels is empty. Nothing is installed or changed but for that
+    kernel in the cache.
+
+    Returns:
+        What was found. Nothing of it is raised.
+    """
+    cache = _cache()
+    devices = tuple(_tried(device) for device in wp.get_devices())
+    return Diagnosis(
+        version=metadata.version(_DISTRIBUTION),
+        python=f"{platform.python_version()}, {sys.executable}",
+        system=f"{platform.system()} {platform.release()}, {platform.machine()}",
+        cores=usable_cores(),
+        packages=_packages(extra=""),
+        devices=devices,
+        cache=cache,
+        extras=tuple(ExtraFacts(name, _packages(name)) for name in _extras() if name not in _FOR_DEVELOPERS),
+        remarks=tuple(_remarks(devices)),
+    )
+
+
+def _tried(device: Any) -> DeviceFacts:
+    """A device, on which a kernel has been run."""
+    try:
+        problem = _trial(device)
+    except (LumisplatError, OSError) as error:
+        problem = " ".join(str(error).split())
+    except Exception as error:  # Warp raises bare exceptions for whatever a driver or a compiler says
+        problem = f"a kernel cannot be compiled or run ({' '.join(str(error).split())})"
+    described = _processor() if device.is_cpu else device.name
+    return DeviceFacts(device.alias, described, int(device.total_memory or 0), problem)
+
+
+def _processor() -> str:
+    """The name of the CPU; of its architecture where the system does not tell."""
+    with contextlib.suppress(OSError):
+        found = re.search(r"^model name\s*: (.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+        if found:
+            return found[1]
+    return platform.processor() or platform.machine()
+
+
+def _trial(device: Any) -> str | None:
+    """Runs a kernel; what is wrong with its results."""
+    launcher = Launcher(device.alias)
+    launcher.load([trial_kernels])
+    squares = Buffers(device.alias).upload("squares", wp.float32, np.full(_TRIAL_SIZE, np.nan, dtype=np.float32))
+    launcher.run(trial_kernels.trial_kernel, _TRIAL_SIZE, squares)
+    expected = np.arange(_TRIAL_SIZE, dtype=np.float32) ** 2
+    return None if np.array_equal(squares.numpy(), expected) else "a kernel that squares numbers gives wrong results"
+
+
+def _cache() -> CacheFacts:
+    """Where compiled kernels are kept, and whether more can be."""
+    wp.init()
+    folder = Path(wp.config.kernel_cache_dir or "")
+    advice = "set the environment variable WARP_CACHE_PATH to another folder"
+    problem = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        free = shutil.disk_usage(folder).free
+        if free < _FREE_BYTES_MIN:
+            problem = f"{folder}: {free / 2**20:.0f} MiB are free for compiled kernels, expected 512: {advice}"
+    except OSError as error:
+        free, problem = 0, f"{folder}: compiled kernels cannot be kept here ({error.strerror}): {advice}"
+    used = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
+    return CacheFacts(folder, used, free, problem)
+
+
+def _remarks(devices: tuple[DeviceFacts, ...]) -> Iterator[str]:
+    has_cuda = any(device.name != "cpu" for device in devices)
+    sign = next(filter(os.path.exists, _SIGNS_OF_A_GPU), None) or shutil.which("nvidia-smi")
+    if sign is not None and not has_cuda:
+        needed = ".".join(map(str, wp.get_cuda_toolkit_version() or ()))
+        yield (
+            f"there is a GPU ({sign}), which cannot be used: Warp {wp.config.version} needs a driver for CUDA {needed} "
+            "or its minor versions, and nvidia-smi shows which one the driver has"
+        )
+
+
+def _extras() -> list[str]:
+    return sorted(metadata.metadata(_DISTRIBUTION).get_all("Provides-Extra") or [])
+
+
+def _packages(extra: str) -> tuple[PackageFacts, ...]:
+    """What Lumisplat needs by itself (``extra`` is empty), or for an extra."""
+    from packaging.requirements import Requirement
+
+    found: list[PackageFacts] = []
+    for line in metadata.requires(_DISTRIBUTION) or []:
+        needed = Requirement(line)
+        is_general = needed.marker is None or needed.marker.evaluate({"extra": ""})
+        is_asked = needed.marker is None or needed.marker.evaluate({"extra": extra})
+        if needed.name == _DISTRIBUTION or not is_asked or (extra and is_general):
+            continue
+        try:
+            installed = metadata.version(needed.name)
+        except metadata.PackageNotFoundError:
+            installed = None
+        is_right = installed is not None and needed.specifier.contains(installed, prereleases=True)
+        found.append(PackageFacts(needed.name, str(needed.specifier), installed, is_right))
+    return tuple(found)

@@ -1,0 +1,12 @@
+"""A kernel that tells whether a device compiles and runs kernels."""
+
+from __future__ import annotations
+
+import warp as wp
+
+
+@wp.kernel
+def trial_kernel(squares: wp.array[wp.float32]):
+    """Writes the square of each index."""
+    i = wp.tid()
+    squares[i] = wp.float32(i) * wp.float32(i)

@@ -1,0 +1,58 @@
+"""``lumisplat doctor``: tables, JSON, exit status."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.runtime.launcher import Launcher
+from support.files.cli_files import Workplace
+
+
+@pytest.fixture
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workplace:
+    """An empty folder."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def test_it_shows_all_there_is(work: Workplace) -> None:
+    """Versions, devices that work, the cache, extras."""
+    shown = " ".join(work.run("doctor").out.split())
+    assert f"Lumisplat {ls.__version__}" in shown and "warp-lang 1." in shown
+    assert " works" in shown and "compiled kernels folder" in shown and "view" in shown
+
+
+def test_json_has_the_same(work: Workplace) -> None:
+    """Under the names of `lumisplat.Diagnosis`."""
+    facts = json.loads(work.run("doctor", "--json").out)
+    assert facts["version"] == ls.__version__ and facts["problems"] == []
+    assert facts["devices"][0]["name"] == "cpu" and facts["devices"][0]["problem"] is None
+
+
+def test_what_is_to_be_mended_ends_it_with_a_line(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the tables, with exit status 2."""
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("no compiler")
+
+    monkeypatch.setattr(Launcher, "load", broken)
+    outcome = work.run("doctor")
+    assert outcome.status == 2 and "no compiler" in outcome.out
+    assert outcome.err == "error: cpu: a kernel cannot be compiled or run (no compiler)\n"
+
+
+def test_a_cache_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+    """Warp refuses to start: where, and what to do."""
+    (tmp_path / "file").write_text("")
+    env = dict(os.environ, WARP_CACHE_PATH=str(tmp_path / "file" / "kernels"))
+    command = [sys.executable, "-m", "lumisplat", "doctor"]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "WARP_CACHE_PATH" in done.stderr

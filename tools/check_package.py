@@ -1,0 +1,118 @@
+"""Builds the sdist and the wheel, and tries the wheel in a fresh environment of each Python that is given.
+
+    python tools/check_package.py python3.11 python3.12 python3.13 python3.14
+    python tools/check_package.py python3.12 --extras view,video
+
+Needs the package registry. For each interpreter it prints one line; the exit status is 1 if one fails. What is tried:
+the environment is told to be well by ``lumisplat doctor``, the demo is rendered as captured, its capture goes through
+each compressed format, and all modules can be imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+
+_ROOT = Path(__file__).resolve().parents[1]
+_IMPORT_ALL = """
+import importlib, lumisplat, pathlib, pkgutil
+root = pathlib.Path(lumisplat.__file__).parent
+assert (root / "py.typed").is_file(), "py.typed is missing"
+names = [name for _, name, _ in pkgutil.walk_packages([str(root)], "lumisplat.")]
+assert len(names) > 300, f"only {len(names)} modules"
+for name in names:
+    if name != "lumisplat.__main__" and not name.startswith("lumisplat.viewer"):
+        importlib.import_module(name)
+"""
+_FORMATS = ("spz", "sog", "compressed.ply")
+
+
+def main() -> int:
+    """Builds, and tries each interpreter."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pythons", nargs="*", default=[sys.executable], help="interpreters; default: this one")
+    parser.add_argument("--extras", default="", help="extras to install, such as view,video")
+    args = parser.parse_args()
+    failed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        wheel = built(Path(folder))
+        for number, python in enumerate(args.pythons):
+            started = time.monotonic()
+            try:
+                version = tried(python, wheel, args.extras, Path(folder) / f"try-{number}")
+                print(f"{python}: {version}, all works, {time.monotonic() - started:.0f} s", flush=True)
+            except subprocess.CalledProcessError as error:
+                failed += 1
+                last = (error.stderr or error.stdout or "no word").strip().splitlines()[-1]
+                print(f"{python}: `{' '.join(map(str, error.cmd[:6]))}` failed: {last}", flush=True)
+    return min(failed, 1)
+
+
+def built(folder: Path) -> Path:
+    """Builds both, and a second wheel from the sdist, which must hold the same; the first wheel."""
+    run(sys.executable, "-m", "venv", folder / "build")
+    python = interpreter(folder / "build")
+    run(python, "-m", "pip", "install", "--quiet", "hatchling")
+    run(python, "-m", "hatchling", "build", "-d", folder / "dist", cwd=_ROOT)
+    (wheel,), (sdist,) = (folder / "dist").glob("*.whl"), (folder / "dist").glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder / "source", filter="data")
+    (source,) = (folder / "source").iterdir()
+    run(python, "-m", "hatchling", "build", "-t", "wheel", "-d", folder / "again", cwd=source)
+    (again,) = (folder / "again").glob("*.whl")
+    if names_in(wheel) != names_in(again):
+        raise SystemExit(f"the sdist lacks {sorted(names_in(wheel) ^ names_in(again))[:5]}")
+    sizes = ", ".join(f"{path.name} {path.stat().st_size / 1e6:.1f} MB" for path in (wheel, sdist))
+    print(f"{sizes}: {len(names_in(wheel))} files", flush=True)
+    return wheel
+
+
+def tried(python: str, wheel: Path, extras: str, folder: Path) -> str:
+    """Installs the wheel in an environment of its own, and uses it; the version of Python."""
+    run(python, "-m", "venv", folder / "venv")
+    inside = interpreter(folder / "venv")
+    run(inside, "-m", "pip", "install", "--quiet", f"{wheel}[{extras}]" if extras else wheel)
+    run(inside, "-m", "lumisplat", "doctor", cwd=folder)
+    run(inside, "-c", _IMPORT_ALL, cwd=folder)
+    run(inside, "-m", "lumisplat", "demo", "-o", "out", "--width", "160", "--save-assets", cwd=folder)
+    for name in _FORMATS:
+        run(inside, "-m", "lumisplat", "convert", "out/demo.ply", f"out/demo.{name}", cwd=folder)
+        run(
+            inside,
+            "-m",
+            "lumisplat",
+            "render",
+            f"out/demo.{name}",
+            "-o",
+            f"out/{name}.png",
+            "--width",
+            "160",
+            cwd=folder,
+        )
+    return run(inside, "-c", "import platform; print(platform.python_version(), platform.machine())").strip()
+
+
+def interpreter(environment: Path) -> Path:
+    """The Python of a virtual environment."""
+    return environment / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+
+
+def names_in(wheel: Path) -> set[str]:
+    """Files of a wheel."""
+    with zipfile.ZipFile(wheel) as archive:
+        return set(archive.namelist())
+
+
+def run(*command: object, cwd: Path | None = None) -> str:
+    """Runs a command; what it prints."""
+    return subprocess.run(list(map(str, command)), cwd=cwd, check=True, capture_output=True, text=True).stdout
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
