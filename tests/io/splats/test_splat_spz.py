@@ -5,11 +5,12 @@ from __future__ import annotations
 import gzip
 import itertools
 import struct
+import tracemalloc
 from pathlib import Path
 
-import gsply_cpp
 import numpy as np
 import pytest
+import zstandard
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
@@ -31,28 +32,147 @@ def v4(path: Path, flags: int, extensions: bytes) -> Path:
     return path
 
 
-@pytest.mark.parametrize("degree", [0, 3])
-def test_gzip_and_zstd_containers_agree(tmp_path: Path, degree: int) -> None:
-    """The same content as version 3, which we decode, and as version 4, which gsply decodes, is the same capture."""
-    c = columns_from_gaussians(capture(100, degree))
-    rest = np.ascontiguousarray(c.sh[:, 1:]) if degree else None
-    arrays = [np.ascontiguousarray(a) for a in (c.means, c.log_scales, c.rotations_wxyz, c.opacities, c.sh[:, 0])]
-    for version in (3, 4):
-        gsply_cpp.write_spz(str(tmp_path / f"{version}.spz"), *arrays, rest, version=version)
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("states_sizes", [True, False])
+def test_gzip_and_zstd_containers_agree(tmp_path: Path, degree: int, states_sizes: bool) -> None:
+    """The same sections as one gzip stream and as zstd streams, whether these state their size or not."""
+    old = legacy_spz(capture(100, degree), 3)
+    (tmp_path / "3.spz").write_bytes(old)
+    (tmp_path / "4.spz").write_bytes(as_version_4(old, states_sizes))
     ours, theirs = load_gaussians(tmp_path / "3.spz"), load_gaussians(tmp_path / "4.spz")
-    np.testing.assert_array_equal(ours.means, theirs.means)
-    np.testing.assert_allclose(ours.rotations_wxyz, theirs.rotations_wxyz, atol=1e-6)
-    np.testing.assert_allclose(ours.scales, theirs.scales, rtol=1e-6)
-    np.testing.assert_allclose(ours.opacities, theirs.opacities, atol=2e-6)
-    np.testing.assert_allclose(ours.sh, theirs.sh, atol=1e-6)
+    for field in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
+        np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
+
+
+def as_version_4(old: bytes, states_sizes: bool = True) -> bytes:
+    """A file of version 3 with its sections as zstd streams."""
+    content = gzip.decompress(old)
+    magic, _, count, degree, bits, flags, _ = struct.unpack_from("<IIIBBBB", content)
+    sizes = [size * count for size in (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1)) if size]
+    ends = list(itertools.accumulate(sizes, initial=16))
+    pack = zstandard.ZstdCompressor(write_content_size=states_sizes).compress
+    streams = [pack(content[start:end]) for start, end in itertools.pairwise(ends)]
+    toc = b"".join(struct.pack("<QQ", len(s), size) for s, size in zip(streams, sizes, strict=True))
+    header = struct.pack("<IIIBBBBI12x", magic, 4, count, degree, bits, flags, len(sizes), 32)
+    return header + toc + b"".join(streams)
+
+
+TWO = ls.Gaussians(
+    means=[[0.25, 1.5, -3.0001], [-7.125, 0.0, -1.75]],
+    rotations_wxyz=[[0.5, -0.5, -0.5, -0.5001], [0.1, 0.2, 0.9, -0.37]],
+    scales=[[0.01, 0.2, 1.5], [3e-5, 0.5, 40.0]],
+    opacities=[0.3, 0.95],
+    sh=[
+        [[0.7, -1.2, 3.6], [-0.5, 0.25, -0.99], [1.2, -0.004, -0.1], [0.3, 0.3, -0.6]],
+        [[-3.4, 0.01, 0.0], [0, 0, 0], [-1, 1, -0.5], [0.11, 0.12, 0.13]],
+    ],
+)
+
+SECTIONS_OF_TWO = (
+    "00100000a0ff02c0000038fe000000007000",
+    "4df2",
+    "9a52ff008080",
+    "5686a60095db",
+    "69a595b648321c69",
+    "c060ff00818da6a633808080ff00c08e8f91",
+)
+"""The sections that gsply 0.4.6 wrote for `TWO`, mirrored to RUB by hand, with 14 fractional bits."""
+
+
+def test_sections_byte_by_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The header and the sections of a tiny file are, byte by byte, those that another writer wrote."""
+    monkeypatch.setattr("lumisplat.io.splats.spz.position_bits", lambda path, largest: 14)
+    ls.save(tmp_path / "two.spz", TWO)
+    data = (tmp_path / "two.spz").read_bytes()
+    assert data[:32].hex() == "4e4753500400000002000000010e0006" + "20000000" + 12 * "00"
+    start = 32 + 6 * 16
+    for expected, (packed, size) in zip(SECTIONS_OF_TWO, struct.iter_unpack("<QQ", data[32:start]), strict=True):
+        section = zstandard.ZstdDecompressor().decompress(data[start : start + packed])
+        assert (section.hex(), size) == (expected, len(section))
+        start += packed
+    assert start == len(data)
 
 
 def test_stored_axes_are_right_up_back(tmp_path: Path) -> None:
-    """Positions that are down and forward for us are negative in y and z in the file."""
-    one = capture(1)
-    ls.save(tmp_path / "one.spz", one)
-    stored = gsply_cpp.read_spz(str(tmp_path / "one.spz"))["means"]
-    np.testing.assert_allclose(stored, one.means * (1, -1, -1), atol=2**-13)
+    """What gsply 0.4.6 read of the file of `TWO`: down and forward for us are negative in y and z in the file."""
+    (tmp_path / "two.spz").write_bytes(
+        as_version_4(
+            gzip.compress(
+                struct.pack("<IIIBBBB", 0x5053474E, 3, 2, 1, 14, 0, 0) + bytes.fromhex("".join(SECTIONS_OF_TWO))
+            )
+        )
+    )
+    loaded = load_gaussians(tmp_path / "two.spz")
+    np.testing.assert_array_equal(loaded.means, [[0.25, 1.5, -3.0001220703125], [-7.125, 0.0, -1.75]])
+    quaternions = [
+        [0.49954116, -0.49954116, -0.49954116, -0.501374],
+        [-0.09963148, -0.20064673, -0.90126818, 0.37085053],
+    ]
+    np.testing.assert_allclose(loaded.rotations_wxyz, quaternions, atol=1e-7)
+    np.testing.assert_allclose(np.log(loaded.scales), [[-4.625, -1.625, 0.375], [-10.0, -0.6875, 3.6875]], rtol=1e-6)
+    np.testing.assert_allclose(loaded.opacities, [77 / 255, 242 / 255], rtol=1e-6)
+    np.testing.assert_allclose(loaded.sh[0, 0], [0.692810595, -1.189542413, 3.333333254], rtol=1e-6)
+    np.testing.assert_allclose(
+        loaded.sh[0, 1:], [[-0.5, 0.25, -0.9921875], [1.0, -0.0078125, -0.1015625], [0.296875, 0.296875, -0.6015625]]
+    )
+
+
+def damaged_stream(path: Path, stream: int, replacement: bytes, states: int | None = None) -> Path:
+    """A file of version 4 in which one stream is another one, which the table of contents calls as large as before."""
+    ls.save(path, capture(50, degree=1))
+    data = path.read_bytes()
+    toc = [list(entry) for entry in struct.iter_unpack("<QQ", data[32 : 32 + 6 * 16])]
+    ends = list(itertools.accumulate((packed for packed, _ in toc), initial=32 + 6 * 16))
+    streams = [data[start:end] for start, end in itertools.pairwise(ends)]
+    streams[stream] = replacement
+    toc[stream] = [len(replacement), toc[stream][1] if states is None else states]
+    path.write_bytes(data[:32] + b"".join(struct.pack("<QQ", *entry) for entry in toc) + b"".join(streams))
+    return path
+
+
+@pytest.mark.parametrize("states_size", [True, False])
+def test_zstd_bombs(tmp_path: Path, states_size: bool) -> None:
+    """A stream that unpacks to a gigabyte is refused in one line, and takes no more memory than it should."""
+    packer = zstandard.ZstdCompressor(level=1, write_content_size=states_size)
+    stream = packer.compressobj(size=2**28 if states_size else -1)
+    bomb = b"".join([*(stream.compress(bytes(2**23)) for _ in range(32)), stream.flush()])
+    path = damaged_stream(tmp_path / "bomb.spz", 2, bomb)
+    tracemalloc.start()
+    with pytest.raises(
+        FormatError, match=r"its colours (unpack to 268,435,456 bytes, expected 150|cannot be unpacked)"
+    ):
+        ls.load(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(bomb) < 2**16
+    assert peak < 2**22
+
+
+@pytest.mark.parametrize(
+    ("stream", "states", "message"),
+    [
+        (b"", None, "its alphas cannot be unpacked"),
+        (b"no zstd", None, "its alphas cannot be unpacked"),
+        (zstandard.compress(bytes(49)), None, "its alphas unpack to 49 bytes, expected 50"),
+        (zstandard.ZstdCompressor(write_content_size=False).compress(bytes(49)), None, "unpack to 49 bytes"),
+        (zstandard.compress(bytes(50))[:-1], None, "its alphas cannot be unpacked"),
+        (zstandard.compress(bytes(51)), 51, "its streams do not hold 50 Gaussians"),
+    ],
+)
+def test_damaged_streams(tmp_path: Path, stream: bytes, states: int | None, message: str) -> None:
+    """A stream that is none, too short or too long is named."""
+    with pytest.raises(FormatError, match=message):
+        ls.load(damaged_stream(tmp_path / "a.spz", 1, stream, states))
+
+
+def test_changed_bytes_are_noticed(tmp_path: Path) -> None:
+    """Our streams have checksums: no changed byte of their content is taken for Gaussians."""
+    ls.save(tmp_path / "a.spz", capture(50, degree=1))
+    data = (tmp_path / "a.spz").read_bytes()
+    for position in range(32 + 6 * 16 + 20, len(data), 37):
+        (tmp_path / "b.spz").write_bytes(data[:position] + bytes([data[position] ^ 0x10]) + data[position + 1 :])
+        with pytest.raises(FormatError, match="damaged"):
+            ls.load(tmp_path / "b.spz")
 
 
 @pytest.mark.parametrize("version", [1, 2, 3])

@@ -1,47 +1,52 @@
 """Niantic SPZ, versions 1 to 4.
 
 Versions 1 to 3 are one gzip stream, decoded by `spz_legacy`. Version 4 is a plain header, a table of contents and one
-zstd stream per attribute, decoded and written by the C++ module of gsply. SPZ has RUB axes (x right, y up, z back)
-unless an extension names others; ours are those of the usual PLY (x right, y down, z forward), so that y and z are
-mirrored on load and on save. Layout: https://github.com/nianticlabs/spz.
+zstd stream per attribute. SPZ has RUB axes (x right, y up, z back) unless an extension names others; ours are those of
+the usual PLY (x right, y down, z forward), so that y and z are mirrored on load and on save.
+Layout: https://github.com/nianticlabs/spz.
 """
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 import os
 import struct
 from dataclasses import replace
-from types import ModuleType
 
 import numpy as np
+import numpy.typing as npt
+import zstandard
 
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.native import utf8_path
 from lumisplat.io.files.source import PathLike, read_bytes
 from lumisplat.io.splats.axes import mirror_axes
 from lumisplat.io.splats.columns import SplatColumns, columns_from_gaussians, warn_lost_materials
 from lumisplat.io.splats.spz_header import (
     FLAG_ANTIALIASED,
     FLAG_EXTENSIONS,
-    FLAGS_OFFSET,
     FRACTIONAL_BITS_MAX,
+    MAGIC,
     SpzHeader,
     parse_spz_header,
 )
 from lumisplat.io.splats.spz_legacy import read_legacy
+from lumisplat.io.splats.spz_sections import LOG_SCALE_MIN, SECTIONS, decode_sections, encode_sections
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
 
-HEADER_V4 = struct.Struct("<15xBI12x")
-"""Fields that version 4 adds to the header: number of streams, and offset of the table of contents."""
+HEADER_V4 = struct.Struct("<IIIBBBBI12x")
+"""The fields of all versions, the last of which is the number of streams, then the offset of the table of contents."""
 
-LOG_SCALE_MIN = -10.0
-"""Smallest logarithm of a scale that SPZ can store."""
+ZSTD_LEVEL = 12
+"""Level of the zstd streams, see docs/adr/0064-spz-by-numpy-and-zstandard.md."""
+
+_SIZE_UNKNOWN = -1
+"""What zstandard says of streams whose writer did not know their size when it began."""
 
 EXTENSION_COORDINATES = 0xADBE0003
 """Extension SPZ_ADOBE_coordinate_system: one u32 that names the axes."""
@@ -73,7 +78,7 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
     header = parse_spz_header(path, data, range(4, 5), len(data))
     if len(data) < HEADER_V4.size:
         raise FormatError(path, "truncated: the SPZ header is incomplete")
-    stream_count, toc_offset = HEADER_V4.unpack_from(data)
+    *_, stream_count, toc_offset = HEADER_V4.unpack_from(data)
     sizes = [size for size in header.section_sizes if size]
     toc_end = toc_offset + 16 * len(sizes)
     if stream_count != len(sizes) or toc_offset < HEADER_V4.size:
@@ -83,29 +88,27 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
     toc = np.frombuffer(data, "<u8", 2 * len(sizes), toc_offset).reshape(-1, 2).tolist()
     if [unpacked for _, unpacked in toc] != sizes:
         raise FormatError(path, f"damaged: its streams do not hold {header.count:,} Gaussians")
-    if toc_end + sum(packed for packed, _ in toc) > len(data):
+    ends = list(itertools.accumulate((packed for packed, _ in toc), initial=toc_end))
+    if ends[-1] > len(data):
         raise FormatError(path, f"truncated: {len(data):,} bytes are fewer than its table of contents promises")
-    try:
-        with utf8_path(path) as text:
-            values = _gsply(path).read_spz(text)
-    except RuntimeError as error:
-        raise FormatError(path, f"damaged: {str(error).split(':')[0]}") from None
-    sh = values["sh0"][:, None, :]
-    if values["shN"] is not None:
-        sh = np.concatenate([sh, values["shN"]], axis=1)
-    columns = SplatColumns(values["means"], values["quats"], values["scales"], values["opacities"], sh)
-    return header, columns, data[HEADER_V4.size : toc_offset]
+    streams = [data[start:end] for start, end in itertools.pairwise(ends)]
+    sections = [_unpacked(path, *stream) for stream in zip(SECTIONS, streams, sizes, strict=False)]
+    sections += [np.empty(0, np.uint8)] * (len(SECTIONS) - len(sections))  # there is no stream of SH at degree 0
+    return header, decode_sections(header, sections), data[HEADER_V4.size : toc_offset]
 
 
-def _gsply(path: PathLike) -> ModuleType:
-    # `import gsply` would also import numba, which takes half a second and is not needed here.
+def _unpacked(path: PathLike, name: str, stream: bytes, size: int) -> npt.NDArray[np.uint8]:
+    """The bytes of a zstd stream that holds ``size`` of them; no more is unpacked, however long it is."""
     try:
-        import gsply_cpp
-    except ImportError:
-        raise FormatError(
-            path, "SPZ version 4 needs the C++ module in gsply's wheels: pip install --only-binary gsply gsply"
-        ) from None
-    return gsply_cpp
+        stated = zstandard.frame_content_size(stream)
+        if stated not in (size, _SIZE_UNKNOWN):
+            raise FormatError(path, f"damaged: its {name} unpack to {stated:,} bytes, expected {size:,}")
+        content = zstandard.ZstdDecompressor().decompress(stream, max_output_size=size)
+    except zstandard.ZstdError as error:
+        raise FormatError(path, f"damaged: its {name} cannot be unpacked: {error}") from None
+    if len(content) != size:
+        raise FormatError(path, f"truncated: its {name} unpack to {len(content):,} bytes, expected {size:,}")
+    return np.frombuffer(content, np.uint8)
 
 
 def rdf_signs(axes: str) -> tuple[int, int, int]:
@@ -145,24 +148,22 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
             os.fspath(path),
             gaussians.kernel_degree,
         )
-    columns = mirror_axes(columns_from_gaussians(gaussians), rdf_signs("RUB"))
+    columns = replace(columns_from_gaussians(gaussians), opacities=gaussians.opacities, opacities_are_logits=False)
+    columns = mirror_axes(columns, rdf_signs("RUB"))
     thin = np.count_nonzero((columns.log_scales < LOG_SCALE_MIN).any(axis=1))
     if thin:
         least = f"{math.exp(LOG_SCALE_MIN):.2g}"
         _log.warning("%s: %s Gaussians are thinner than %s, as thin as SPZ gets: widened", os.fspath(path), thin, least)
     bits = position_bits(path, float(np.abs(columns.means).max()))
-    arrays = (columns.means, columns.log_scales, columns.rotations_wxyz, columns.opacities, columns.sh[:, 0])
-    rest = np.ascontiguousarray(columns.sh[:, 1:]) if columns.sh.shape[1] > 1 else None
-    gsply = _gsply(path)
-    with atomic_write(path) as temporary, utf8_path(temporary) as text:
-        try:
-            gsply.write_spz(text, *map(np.ascontiguousarray, arrays), rest, fractional_bits=bits, version=4)
-        except RuntimeError as error:
-            raise FormatError(path, f"cannot be written: {str(error).split(':')[0]}") from None
-        if gaussians.antialiased:  # gsply writes no flags
-            with temporary.open("r+b") as file:
-                file.seek(FLAGS_OFFSET)
-                file.write(bytes([FLAG_ANTIALIASED]))
+    sections = [section for section in encode_sections(columns, bits) if section]
+    pack = zstandard.ZstdCompressor(level=ZSTD_LEVEL, write_checksum=True).compress
+    streams = [pack(section) for section in sections]
+    toc = [(len(stream), len(section)) for stream, section in zip(streams, sections, strict=True)]
+    flags = FLAG_ANTIALIASED if gaussians.antialiased else 0
+    degree = gaussians.sh_degree
+    header = HEADER_V4.pack(MAGIC, 4, columns.count, degree, bits, flags, len(streams), HEADER_V4.size)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(b"".join([header, np.array(toc, "<u8").tobytes(), *streams]))
 
 
 def position_bits(path: PathLike, largest: float) -> int:

@@ -13,7 +13,6 @@ from lumisplat.io.files.source import PathLike
 MAGIC = 0x5053474E  # "NGSP"
 FLAG_ANTIALIASED = 0x1
 FLAG_EXTENSIONS = 0x2
-FLAGS_OFFSET = 14
 FRACTIONAL_BITS_MAX = 24
 HEADER = struct.Struct("<IIIBBBB")
 
