@@ -58,6 +58,7 @@ if TYPE_CHECKING:
         StoppedError,
     )
     from lumisplat.frame.frame import Frame
+    from lumisplat.frame.mattes import Matte, Mattes
     from lumisplat.io import (
         load,
         load_animation,
@@ -98,6 +99,7 @@ if TYPE_CHECKING:
     from lumisplat.relighting.probe_transfer import relight
     from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
     from lumisplat.renderer.gradients.results import RayGradients, SetGradient, SplatGradients
+    from lumisplat.renderer.mattes import render_mattes
     from lumisplat.renderer.one_shot import focused, render, trace_rays, transmittance
     from lumisplat.renderer.ray_gradients import ray_gradients
     from lumisplat.renderer.ray_profiles import RayProfile
@@ -194,6 +196,8 @@ _MODULE_OF = {
     "MaterialsConfig": "config",
     "MaterialSimple": "scene.materials",
     "MaterialView": "relighting.evaluation.results",
+    "Matte": "frame.mattes",
+    "Mattes": "frame.mattes",
     "Mesh": "scene.mesh",
     "MeshInstance": "scene.scene",
     "MissingExtraError": "errors",
@@ -294,6 +298,7 @@ _MODULE_OF = {
     "relight": "relighting.probe_transfer",
     "remove_floaters": "scene.editing.floaters",
     "render": "renderer.one_shot",
+    "render_mattes": "renderer.mattes",
     "sae": "metrics.shadows",
     "save": "io",
     "save_animation": "io",
@@ -367,6 +372,8 @@ __all__ = [
     "MaterialSimple",
     "MaterialView",
     "MaterialsConfig",
+    "Matte",
+    "Mattes",
     "Mesh",
     "MeshInstance",
     "MissingExtraError",
@@ -465,6 +472,7 @@ __all__ = [
     "relight",
     "remove_floaters",
     "render",
+    "render_mattes",
     "sae",
     "save",
     "save_animation",

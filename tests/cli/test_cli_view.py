@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 import warp as wp
 from PIL import Image
@@ -87,6 +89,7 @@ def test_shadows_of_a_lit_scene(work):
         (("--aov", "albedo", "--lighting", "off"), "no 'albedo'"),
         (("--view", "depth", "--aov", "depth"), "--view and --aov do not go together"),
         (("--view", "depth", "--format", "exr"), "--view is a picture to look at, expected .png"),
+        (("--cryptomatte",), "--cryptomatte is written into an EXR"),
         (("--view", "shadows"), "'shadows'"),
         (("--aov", "depth,shadow"), "--aov has 'shadow', expected some of depth, normal"),
     ],
@@ -150,3 +153,14 @@ def test_crease_angle(work) -> None:
     assert shades["0"] == shades["60"] < shades["120"]
     outcome = work.run("render", "@sheet.obj", "--crease-angle", "200", "-o", "@no.png")
     assert outcome.status == 2 and "--crease-angle is 200, expected 0 to 180 degrees" in outcome.err
+
+
+def test_mattes_go_into_the_exr(work: Workplace) -> None:
+    """As parts of their own, with the names of files; the picture stays the first part."""
+    outcome = work.run("render", "@capture.ply", "@mesh.obj", "--width", "24", "--cryptomatte", "-o", "@out.exr")
+    assert outcome.status == 0
+    file: Any
+    with OpenEXR.File(str(work.path("out.exr"))) as file:
+        assert [part.name() for part in file.parts] == ["rgba", "CryptoObject", "CryptoMaterial"]
+        manifest = next(str(value) for key, value in file.header(1).items() if key.endswith("/manifest"))
+    assert "capture" in manifest and "mesh" in manifest

@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import AOVS, EVERY_FRAME, ToneMap
-from lumisplat.errors import FormatError
+from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.frame.aovs import COUNTS, LAYERS, RADIANCE, Image, exr_channels, layer_names, present_layers
 from lumisplat.frame.denoise import check_denoiser, denoised_light
 from lumisplat.frame.depth_png import depth_range, write_depth_png
 from lumisplat.frame.frame_data import FrameData, unpremultiplied
+from lumisplat.frame.mattes import Mattes
 from lumisplat.frame.notebook import MimeBundle, encoded, mime_bundle, mime_type
 from lumisplat.frame.views import VIEWS, layer_pictures, view_limits, view_picture
 from lumisplat.io.images.exr import write_exr
@@ -94,7 +95,12 @@ class Frame(FrameData):
         """Whether the frame has an image, which is not fetched for that."""
         return field in self._fetches() or super().has(field)
 
-    def save(self, path: str | os.PathLike[str], layers: Collection[str] | str | None = None) -> None:
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        layers: Collection[str] | str | None = None,
+        mattes: Mattes | None = None,
+    ) -> None:
         """Writes the frame in the format that the extension names.
 
         ``.png``: 8-bit sRGB over the background, RGBA with straight alpha if there is none; a lit frame is exposed and
@@ -110,12 +116,20 @@ class Frame(FrameData):
             layers: Some of `LAYERS`, as a list or as a text with commas: channels of the EXR (None: all that the frame
                 has), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all. Depth
                 is also written as 16-bit grey, ``NAME.depth16.png``, whose text says its range, see `depth_range`.
+            mattes: Of an EXR, objects and materials for compositors (Cryptomatte), each in a part of its own, see
+                `lumisplat.render_mattes`.
 
         Raises:
-            ConfigError: A name is not a layer, or the frame was rendered without it.
+            ConfigError: A name is not a layer, the frame was rendered without it, or the format has no mattes.
+            SceneError: The mattes have another size.
             FormatError: The extension is none of these, or the file cannot be written.
         """
         suffix = Path(path).suffix.lower()
+        if mattes is not None:
+            if suffix != ".exr":
+                raise ConfigError(f"{os.fspath(path)}: mattes are written into EXR files alone")
+            if mattes.size != self.color.shape[:2]:
+                raise SceneError(f"the mattes have {mattes.size} rows and columns, the frame {self.color.shape[:2]}")
         layers = None if layers is None else layer_names(layers)
         if suffix == ".png":
             pictures: dict[str, FloatArray] = {}
@@ -127,7 +141,7 @@ class Frame(FrameData):
             if "depth" in pictures:
                 write_depth_png(Path(path).with_suffix(".depth16.png"), self.depth)
         elif suffix == ".exr":
-            write_exr(path, self.layers(layers))
+            write_exr(path, self.layers(layers), further=() if mattes is None else mattes.parts())
         elif suffix == ".npz":
             write_npz(path, self.arrays())
         else:

@@ -11,6 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
@@ -56,6 +57,8 @@ class Render(FrameCommand):
     direct_glossy, indirect_glossy, bounces, or of frames in real time these but bounces, and motion, history, probes,
     cache, cache_cells (with commas): into the EXR, or beside the PNG as NAME.depth.png, depth also as 16-bit
     NAME.depth16.png, whose range is printed. An NPZ has them all."""
+    cryptomatte: Flag = False
+    """Also write mattes of objects and materials into the EXR, by which compositors select; 16 more frames."""
     view: Annotated[
         ViewName | None,
         arg(metavar="VIEW", help_behavior_hint=""),
@@ -121,12 +124,18 @@ class Render(FrameCommand):
         frame: ls.Frame | None = None
         for shot in shots:
             frame = source.frame(scene, shot.camera, report)
-            writer.write(frame, shot.path)
+            writer.write(frame, shot.path, self._mattes(scene, shot.camera, source.renderer))
             progress.add(frame)
         assert frame is not None
         if self.stats:
             print_stats(frame, source.renderer.config.pipeline)
         return frame
+
+    def _mattes(self, scene: ls.Scene, camera: ls.Camera, renderer: ls.Renderer) -> ls.Mattes | None:
+        """Mattes of a picture, if they are asked for."""
+        if not self.cryptomatte:
+            return None
+        return ls.render_mattes(scene, camera, renderer.config, device=renderer.device)
 
     def _warm_up(self) -> WarmUp:
         """How frames in real time come to a picture.
@@ -165,6 +174,10 @@ class Render(FrameCommand):
         shots = plan_shots(cameras, self.frame, self.output, self.format)
         if self.view and shots[0].path.suffix.lower() != ".png":
             raise ls.ConfigError(f"{shots[0].path}: --view is a picture to look at, expected .png")
+        if self.cryptomatte and shots[0].path.suffix.lower() != ".exr":
+            raise ls.ConfigError(
+                f"{shots[0].path}: --cryptomatte is written into an EXR: name one, or give --format exr"
+            )
         if self.background is not None and shots[0].path.suffix.lower() == ".exr":
             _log.warning("--background is not used: an EXR holds premultiplied colour and alpha, without a background")
         return shots

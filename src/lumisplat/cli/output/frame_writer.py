@@ -53,7 +53,7 @@ class FrameWriter:
         names = (*self.layers, self.view or "")
         return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
 
-    def write(self, frame: ls.Frame, path: Path) -> None:
+    def write(self, frame: ls.Frame, path: Path, mattes: ls.Mattes | None = None) -> None:
         """Writes one frame.
 
         Raises:
@@ -61,7 +61,7 @@ class FrameWriter:
             FormatError: It cannot be written.
         """
         if self.view is None:
-            frame.save(path, self.layers)
+            frame.save(path, self.layers, mattes)
             if "depth" in self.layers and path.suffix.lower() == ".png":
                 self.legend = _depth_legend(path.with_suffix(".depth16.png"), frame, first=self.legend is None)
             return

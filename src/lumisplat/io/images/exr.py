@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,14 +20,32 @@ Channel = npt.NDArray[Any]
 """Pixels of one channel, shape (H, W)."""
 
 
-def write_exr(path: PathLike, channels: Mapping[str, Channel], metadata: Mapping[str, str] | None = None) -> None:
-    """Writes a one-part scanline EXR, ZIP-compressed, with channels exactly as named (Nuke reads ``layer.channel``).
+@dataclass(frozen=True)
+class ExrPart:
+    """A part of an EXR, an image of its own."""
+
+    name: str
+    channels: Mapping[str, Channel]
+    """As of `write_exr`."""
+    metadata: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Header attributes."""
+
+
+def write_exr(
+    path: PathLike,
+    channels: Mapping[str, Channel],
+    metadata: Mapping[str, str] | None = None,
+    further: Iterable[ExrPart] = (),
+) -> None:
+    """Writes a scanline EXR, ZIP-compressed, with channels exactly as named (Nuke reads ``layer.channel``).
 
     Args:
         path: The file to write. It appears complete or not at all.
         channels: ``"R"``, ``"depth.Z"``, ``"normal.X"``, ..., all of one shape (H, W). Floating-point arrays become
             32-bit float (infinities are kept), integer ones 32-bit unsigned: -1 ("none") reads back as 4294967295.
         metadata: Header attributes.
+        further: Further parts. What reads the first one only, as most programs that are no compositors, still finds
+            these channels; the attributes of all parts are in its header, too, where some compositors look alone.
 
     Raises:
         SceneError: There is no channel, or shapes differ.
@@ -34,18 +53,41 @@ def write_exr(path: PathLike, channels: Mapping[str, Channel], metadata: Mapping
     """
     import OpenEXR
 
-    shapes = {np.shape(pixels) for pixels in channels.values()}
-    if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
-        raise SceneError(f"EXR channels must share one shape (H, W), got {sorted(shapes) or 'no channel'}")
-    # One array per channel: given an array of shape (H, W, 3), OpenEXR would name its channels .R .G .B.
-    planes = {name: _stored_pixels(np.asarray(pixels)) for name, pixels in channels.items()}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(metadata or {})}
-    with atomic_write(path) as temporary, utf8_path(temporary) as text, OpenEXR.File(header, planes) as file:
+    further = list(further)
+    if further:
+        merged = dict(metadata or {})
+        for part in further:
+            merged |= part.metadata
+        rows = [ExrPart("rgba", channels, merged), *further]
+        part_of: Any = OpenEXR.Part  # typed as if it took no argument
+        content: Any = [part_of(_header(part.metadata), _planes(part.channels), part.name) for part in rows]
+        made = OpenEXR.File(content)
+    else:
+        made = OpenEXR.File(_header(metadata or {}), _planes(channels))
+    with atomic_write(path) as temporary, utf8_path(temporary) as text, made as file:
         try:
             file.write(text)
         except RuntimeError as error:
             reason = str(error).replace(text, os.fspath(path))
             raise FormatError(path, f"cannot be written: {' '.join(reason.split())}") from None
+
+
+def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
+    import OpenEXR
+
+    return {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **metadata}
+
+
+def _planes(channels: Mapping[str, Channel]) -> dict[str, Channel]:
+    """Pixels as they are stored, one array a channel: given (H, W, 3), OpenEXR would name its channels .R .G .B.
+
+    Raises:
+        SceneError: There is no channel, or shapes differ.
+    """
+    shapes = {np.shape(pixels) for pixels in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
+        raise SceneError(f"EXR channels must share one shape (H, W), got {sorted(shapes) or 'no channel'}")
+    return {name: _stored_pixels(np.asarray(pixels)) for name, pixels in channels.items()}
 
 
 def _stored_pixels(pixels: Channel) -> Channel:
