@@ -116,3 +116,31 @@ def test_ranges() -> None:
         "opacity": (0.5, None),
         "scale_max": (None, 0.001),
     }
+
+
+def test_columns_of_others(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Materials in R3DG's columns and back, with the incident light of theirs for those who ask."""
+    plain = work.capture("capture.ply")
+    light = np.full((plain.count, 16, 3), 0.25)
+    normals, albedo = np.tile([0.0, 0.0, 1.0], (plain.count, 1)), np.full((plain.count, 3), 0.5)
+    made = replace(
+        plain, normals=normals, albedo=albedo, roughness=np.full(plain.count, 1.0), metallic=None, incident=light
+    )
+    ls.save(work.path("made.ply"), made)
+    outcome = work.run("convert", "@made.ply", "-o", "@theirs.ply", "--columns", "r3dg", "--incident")
+    assert outcome.status == 0 and "roughness from 0.09 to 0.99" in caplog.text
+    assert b"base_color_0" in (work.path("theirs.ply")).read_bytes()[:4000]
+    kept = ls.load(work.path("theirs.ply"), incident=True)
+    assert isinstance(kept, ls.Gaussians) and kept.incident is not None
+    np.testing.assert_array_equal(kept.incident, light)
+    assert work.run("convert", "@theirs.ply", "@ours.ply").status == 0
+    back = work.capture("ours.ply")
+    same(replace(back, sh=back.sh[:, : plain.sh.shape[1]]), replace(made, incident=None, roughness=back.roughness))
+    for options, problem in (
+        (("@made.ply", "@a.spz", "--columns", "r3dg"), "--columns r3dg is of a .ply, got"),
+        (("@made.ply", "@a.compressed.ply", "--incident"), "--incident is of a .ply, got"),
+        (("@capture.ply", "@a.ply", "--incident"), "has no incident light: leave out --incident"),
+        (("@capture.ply", "@a.ply", "--columns", "r3dg"), "the capture has no albedo"),
+    ):
+        refused = work.run("convert", *options)
+        assert refused.status == 2 and problem in refused.err

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 from lumisplat.errors import FormatError
 from lumisplat.io import formats
@@ -55,6 +55,7 @@ def load(
     crease_angle: float | None = None,
     allow_outside: bool = False,
     up: str | npt.ArrayLike | None = None,
+    incident: bool = False,
     progress: Progress | None = None,
 ) -> Gaussians | Mesh | Scene:
     """Loads a capture, a mesh or a scene; extension and content select the reader.
@@ -70,6 +71,8 @@ def load(
             that you trust do. A ``scene.toml`` may always name any file.
         up: Of a ``scene.toml`` that does not say it, for what stands upright in it: an axis (``"y-down"``) or a
             direction; None: y down with a capture, y up for meshes alone. Other files are read as they are.
+        incident: Whether to read the incident light of a .ply that has some (R3DG's ``incidents_*``): it is that of the
+            photographs, and lights nothing here.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
@@ -88,7 +91,7 @@ def load(
     try:
         with references_outside(allow_outside):
             load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
-            loaded = formats.read(Path(path), load_asset, crease_angle, up, progress)
+            loaded = formats.read(Path(path), load_asset, crease_angle, up, progress, incident=incident)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
     except FormatError:
@@ -102,7 +105,7 @@ def load(
     return loaded
 
 
-def save(path: PathLike, gaussians: Gaussians) -> None:
+def save(path: PathLike, gaussians: Gaussians, *, columns: Literal["lumisplat", "r3dg"] = "lumisplat") -> None:
     """Saves a capture; the extension selects the format. The file appears complete or not at all.
 
     The lossy formats clamp values that they cannot store. SPZ: scales to e^-10..e^5.94 (4.5e-5 to 379 scene units; the
@@ -115,15 +118,19 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
             or ``.spz`` (version 4).
         gaussians: The capture. Only ``.ply`` stores normals and materials, which a comment in its header marks as
             linear, and ``.spz`` does not store the kernel degree; values that are left out are logged.
+        columns: Of a ``.ply``: ours, or those of Relightable 3D Gaussians (``"r3dg"``), for their programs: SH of
+            degree 3, albedo within 0.03..0.8, roughness 0.09..0.99, no metals; what that changes is logged.
 
     Raises:
-        FormatError: The extension is unknown, the format cannot store a value, or the file cannot be written.
+        ConfigError: ``columns`` is neither, or R3DG's are asked for of another format.
+        FormatError: The extension is unknown, the format cannot store a value, the file cannot be written, or R3DG's
+            columns are asked for of a capture without materials.
     """
     from lumisplat.scene.gaussians import Gaussians
 
     if not isinstance(cast("object", gaussians), Gaussians):
         raise FormatError(path, f"only Gaussians can be saved, got {type(gaussians).__name__}")
-    formats.write(path, gaussians)
+    formats.write(path, gaussians, columns)
 
 
 def load_cameras(path: PathLike, *, width: int | None = None, height: int | None = None) -> list[Camera]:

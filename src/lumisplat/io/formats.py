@@ -5,12 +5,13 @@ Functions are named, ``splats.spz.read_spz``, and their modules imported when a 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lumisplat.errors import FormatError
+from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io.files.format import format_of
 from lumisplat.io.files.source import PathLike
 
@@ -32,9 +33,13 @@ _READERS = {
 }
 """Besides these, .ply is read by its header, and .toml by what it names."""
 
+_OURS = "lumisplat"
+_PLY_WRITERS = {_OURS: "splats.splat_ply.write_splat_ply", "r3dg": "splats.r3dg_ply.write_r3dg_ply"}
+"""By whose columns they write."""
+
 _WRITERS = {
     ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
-    ".ply": "splats.splat_ply.write_splat_ply",
+    ".ply": _PLY_WRITERS[_OURS],
     ".spz": "splats.spz.write_spz",
 }
 """Writers of captures; the first one that a file name ends with is used."""
@@ -49,6 +54,8 @@ def read(
     crease_angle: float | None,
     up: str | npt.ArrayLike | None,
     progress: Callable[[float], None] | None,
+    *,
+    incident: bool,
 ) -> SplatColumns | Mesh | Scene:
     """What is in a file; see `lumisplat.io.load`.
 
@@ -58,13 +65,14 @@ def read(
         crease_angle: Of OBJs.
         up: Of a scene file.
         progress: Called with the fraction done.
+        incident: Whether to read incident light.
 
     Raises:
         FormatError: The file is unknown, or cannot be read.
     """
     extension = format_of(path)
     if extension == ".ply":
-        return _import("ply_files.read_ply")(path, progress)
+        return _import("ply_files.read_ply")(path, progress, incident=incident)
     if extension == ".toml":
         return _import("scene_toml.scene_file.read_scene_file")(path, load, up)
     if extension not in _READERS:
@@ -73,16 +81,27 @@ def read(
     return reader(path) if crease_angle is None or extension != ".obj" else reader(path, crease_angle)
 
 
-def write(path: PathLike, gaussians: Gaussians) -> None:
-    """Writes a capture in the format of a file's extension.
+def write(path: PathLike, gaussians: Gaussians, columns: str) -> None:
+    """Writes a capture in the format of a file's extension; see `lumisplat.io.save`.
+
+    Args:
+        path: The file.
+        gaussians: The capture.
+        columns: Whose columns a .ply has.
 
     Raises:
+        ConfigError: There are no such columns, or the file is no .ply.
         FormatError: The extension is unknown, or the file cannot be written.
     """
     extension = next((end for end in _WRITERS if Path(path).name.lower().endswith(end)), None)
     if extension is None:
         raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
-    writer: Callable[[PathLike, Gaussians], None] = _import(_WRITERS[extension])
+    if columns not in _PLY_WRITERS:
+        raise ConfigError(f"columns is {columns!r}, expected {' or '.join(map(repr, _PLY_WRITERS))}")
+    if columns != _OURS and extension != ".ply":
+        raise ConfigError(f"columns {columns!r} are those of a .ply, got {os.fspath(path)}")
+    name = _PLY_WRITERS[columns] if extension == ".ply" else _WRITERS[extension]
+    writer: Callable[[PathLike, Gaussians], None] = _import(name)
     writer(path, gaussians)
 
 

@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from lumisplat.scene.mesh import Mesh
 
 
-def read_ply(path: Path, progress: Callable[[float], None] | None) -> SplatColumns | Mesh:
+def read_ply(path: Path, progress: Callable[[float], None] | None, *, incident: bool) -> SplatColumns | Mesh:
     """Reads a capture or a mesh.
 
     Args:
         path: The file.
         progress: As of `lumisplat.io.load`.
+        incident: As of `lumisplat.io.load`.
 
     Raises:
         FormatError: It is neither, or damaged.
@@ -34,7 +35,7 @@ def read_ply(path: Path, progress: Callable[[float], None] | None) -> SplatColum
         from lumisplat.io.meshes.mesh_ply import read_ply_mesh
 
         return read_ply_mesh(header)
-    return read_splat_ply(header, progress)
+    return read_splat_ply(header, progress, incident=incident)
 
 
 def holds_mesh(path: Path) -> bool:

@@ -25,7 +25,7 @@ from lumisplat.scene.checks import check_whole
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 
 _REQUIRED = ("means", "rotations_wxyz", "scales", "opacities", "sh")
-_OPTIONAL = ("normals", "albedo", "roughness", "metallic")
+_OPTIONAL = ("normals", "albedo", "roughness", "metallic", "incident")
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -65,6 +65,10 @@ class Gaussians:
     captures have 2, the Gaussian. The ray tracer uses it; the rasteriser draws every capture with degree 2."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
     """Comments of the file, kept on conversion."""
+    incident: FloatArray | None = field(default=None, kw_only=True)
+    """Light that reached each Gaussian from near by when the photographs were taken, as Relightable 3D Gaussians learn
+    it beside the sky: SH coefficients of linear radiance by the direction that it comes from, shape (N, J, 3), J in 1,
+    4, 9, 16; the radiance is max(sum, 0). It is kept for those who asked for it, and lights nothing."""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
@@ -83,6 +87,7 @@ class Gaussians:
             antialiased: bool = False,
             kernel_degree: int = KERNEL_DEGREE,
             comments: tuple[str, ...] = (),
+            incident: npt.ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -99,11 +104,13 @@ class Gaussians:
             albedo=(self.albedo, "N 3"),
             roughness=(self.roughness, "N"),
             metallic=(self.metallic, "N"),
+            incident=(self.incident, "N J 3"),
         )
         if self.count == 0:
             raise SceneError("zero Gaussians: there is nothing to render")
-        if self.sh.shape[1] not in SH_DEGREE_FROM_COUNT:
-            raise SceneError(f"sh has {self.sh.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
+        for name, values in (("sh", self.sh), ("incident", self.incident)):
+            if values is not None and values.shape[1] not in SH_DEGREE_FROM_COUNT:
+                raise SceneError(f"{name} has {values.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
         check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
         refuse_rows("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
@@ -153,7 +160,7 @@ class Gaussians:
 def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
     """Joins sets in the same space into one, in order. Optional arrays are kept if all sets have them.
 
-    SH of lower degree is padded with zeros. The comments are those of the first set.
+    Harmonics of lower degree are padded with zeros. The comments are those of the first set.
 
     Raises:
         SceneError: The list is empty, only some sets are antialiased, or their kernel degrees differ.
@@ -166,9 +173,11 @@ def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
     if len(degrees) > 1:
         listed = ", ".join(map(str, degrees))
         raise SceneError(f"cannot merge captures of kernel degrees {listed}: their scales mean different things")
-    coefficients = max(one.sh.shape[1] for one in sets)
-    padded = [np.pad(one.sh, ((0, 0), (0, coefficients - one.sh.shape[1]), (0, 0))) for one in sets]
-    columns = [one.arrays() | {"sh": sh} for one, sh in zip(sets, padded, strict=True)]
+    columns = [one.arrays() for one in sets]
     shared = [name for name in columns[0] if all(name in column for column in columns)]
+    for name in {"sh", "incident"}.intersection(shared):
+        most = max(column[name].shape[1] for column in columns)
+        for column in columns:
+            column[name] = np.pad(column[name], ((0, 0), (0, most - column[name].shape[1]), (0, 0)))
     joined = {name: read_only_view(np.concatenate([column[name] for column in columns])) for name in shared}
     return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined))

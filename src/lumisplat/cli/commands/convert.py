@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -63,6 +63,10 @@ class Convert(LoadingCommand):
     """Turn about the x axis, then y, then z, degrees: 180 0 0 makes y-down captures y-up."""
     translate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Move, last of the three."""
+    columns: Literal["lumisplat", "r3dg"] = "lumisplat"
+    """Of a .ply with materials: ours, or those that the programs of Relightable 3D Gaussians read."""
+    incident: Flag = False
+    """Keep the incident light that a .ply of theirs has beside its materials: it belongs to the old light."""
     morton: Flag = False
     """Sort along a Morton curve, so that neighbours are stored together; .compressed.ply always is."""
 
@@ -83,7 +87,7 @@ class Convert(LoadingCommand):
                 if gaussians.count != before:
                     done.append(f"{option}: {before:,} -> {gaussians.count:,} Gaussians")
             report("writing", 0.0)
-            ls.save(target, gaussians)
+            ls.save(target, gaussians, columns=self.columns)
         before, after = sum(map(size_on_disk, sources)), size_on_disk(target)
         sizes = f"{byte_size(before)} -> {byte_size(after)}"
         done.append(f"{target}: {gaussians.count:,} Gaussians, SH degree {gaussians.sh_degree}, {sizes}")
@@ -100,7 +104,19 @@ class Convert(LoadingCommand):
             raise ls.ConfigError("convert needs what it reads and what it writes: lumisplat convert IN OUT")
         if target.suffix.lower() not in (".ply", ".spz"):  # found now, rather than after the work
             raise ls.FormatError(target, "unknown extension, expected .ply, .compressed.ply or .spz")
+        is_small = target.name.lower().endswith((".compressed.ply", ".spz"))
+        for option, given in (
+            (f"--columns {self.columns}", self.columns != "lumisplat"),
+            ("--incident", self.incident),
+        ):
+            if given and is_small:
+                raise ls.ConfigError(f"{option} is of a .ply, got {target}")
         return sources, target
+
+    @property
+    def keeps_incident(self) -> bool:
+        """Whether it is asked for."""
+        return self.incident
 
     def _loaded(self, source: Path, report: Report) -> ls.Gaussians:
         """One capture."""
@@ -109,6 +125,8 @@ class Convert(LoadingCommand):
             raise ls.FormatError(
                 source, "is not a capture: convert takes Gaussians only (Python: ls.gaussians_from_mesh)"
             )
+        if self.incident and gaussians.incident is None:
+            raise ls.FormatError(source, "has no incident light: leave out --incident")
         return gaussians
 
     def _edits(self, report: Report) -> Iterator[tuple[str, _Edit]]:

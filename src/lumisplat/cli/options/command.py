@@ -72,6 +72,11 @@ class LoadingCommand(Command):
         """``crease_angle`` of `lumisplat.load`; None: its default."""
         return None
 
+    @property
+    def keeps_incident(self) -> bool:
+        """``incident`` of `lumisplat.load`."""
+        return False
+
     def load_asset(
         self, path: Path, report: Report, up: tuple[float, float, float] | None = None
     ) -> ls.Gaussians | ls.Mesh | ls.Scene:
@@ -91,6 +96,7 @@ class LoadingCommand(Command):
             crease_angle=self.crease_radians,
             allow_outside=self.allow_outside,
             up=up,
+            incident=self.keeps_incident,
             progress=partial(report, f"loading {path.name}"),
         )
 

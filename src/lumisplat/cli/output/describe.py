@@ -55,7 +55,7 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
     ]
     if gaussians.kernel_degree != 2:  # all but a few captures
         rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
-    extras = [name for name in ("normals", "albedo", "roughness", "metallic") if name in arrays]
+    extras = [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays]
     if extras:
         rows.append(("also has", ", ".join(extras)))
     rows += [("comment", comment) for comment in gaussians.comments]

@@ -30,7 +30,7 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
         "memory_bytes": sum(array.nbytes for array in arrays.values()),
         "antialiased": gaussians.antialiased,
         "kernel_degree": gaussians.kernel_degree,
-        "also_has": [name for name in ("normals", "albedo", "roughness", "metallic") if name in arrays],
+        "also_has": [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays],
         "comments": list(gaussians.comments),
     }
 

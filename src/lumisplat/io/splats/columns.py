@@ -13,8 +13,7 @@ import numpy.typing as npt
 from lumisplat.constants import KERNEL_DEGREE, LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.splats.material_columns import FIELDS as MATERIALS
-from lumisplat.io.splats.material_columns import LINEAR, MaterialColumns
+from lumisplat.io.splats.material_columns import FIELDS, LINEAR, MaterialColumns
 from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.scene.gaussians import Gaussians
 
@@ -41,6 +40,8 @@ class SplatColumns:
     albedo: Floats | None = None
     roughness: Floats | None = None
     metallic: Floats | None = None
+    incident: Floats | None = None
+    """SH coefficients, DC first, shape (N, J, 3)."""
     material_columns: MaterialColumns = LINEAR
     """How the normals and materials are stored."""
     scales_are_logarithms: bool = True
@@ -57,7 +58,9 @@ class SplatColumns:
     def property_names(self, field: str) -> Sequence[str]:
         """PLY properties of a field, one for each of its columns."""
         if field == "sh":
-            return sh_property_names(self.sh.shape[1])
+            return harmonic_names("f", self.sh.shape[1])
+        if field == "incident":
+            return harmonic_names("incidents", 0 if self.incident is None else self.incident.shape[1])
         return PROPERTY_NAMES.get(field) or self.material_columns.properties[field]
 
 
@@ -67,10 +70,13 @@ PROPERTY_NAMES = {
     "log_scales": ("scale_0", "scale_1", "scale_2"),
     "opacities": ("opacity",),
 }
-"""PLY properties of each field that all captures have, in order; those of SH are `sh_property_names`."""
+"""PLY properties of each field that all captures have, in order; those of SH are `harmonic_names`."""
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
 """Fields that every capture has."""
+
+OPTIONAL = (*FIELDS, "incident")
+"""Fields that only some have."""
 
 _STEPS = 4
 """Neighbours of a logarithm or a logit that are tried, on each side."""
@@ -79,11 +85,16 @@ PROBLEMS_LISTED = 6
 """Largest number of properties that an error about invalid values lists, before "and more"."""
 
 
-def sh_property_names(coefficients: int) -> list[str]:
-    """PLY properties of SH in the order of ``sh.reshape(N, -1)``; f_rest is channel-major in files, unlike ``sh``."""
+def harmonic_names(prefix: str, coefficients: int) -> list[str]:
+    """PLY properties of SH in the order of ``sh.reshape(N, -1)``; the rest is channel-major in files, unlike ``sh``.
+
+    Args:
+        prefix: ``f`` of colours, ``incidents`` of incident light.
+        coefficients: Of a channel.
+    """
     rest = coefficients - 1
-    names = [f"f_dc_{channel}" for channel in range(3)]
-    return names + [f"f_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
+    names = [f"{prefix}_dc_{channel}" for channel in range(3)]
+    return names + [f"{prefix}_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
 
 
 @np.errstate(all="ignore")  # what overflows, and NaN that signals, is refused by name or dropped
@@ -111,7 +122,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     def select(values: Floats) -> FloatArray:
         return read_only_view(values[rows].astype(np.float32, copy=False))
 
-    stored = {name: getattr(columns, name) for name in MATERIALS}
+    stored = {name: getattr(columns, name) for name in OPTIONAL}
     extras = {
         name: columns.material_columns.activated(name, values) for name, values in stored.items() if values is not None
     }
@@ -153,7 +164,7 @@ def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np
     """Mask of the Gaussians that cannot be used, shape (N,), and one phrase per property that is invalid."""
     invalid = np.zeros(columns.count, dtype=bool)
     problems: list[str] = []
-    for field in (*REQUIRED, *MATERIALS):
+    for field in (*REQUIRED, *OPTIONAL):
         values: Floats | None = getattr(columns, field)
         if values is None:
             continue
@@ -189,6 +200,7 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
         albedo=gaussians.albedo,
         roughness=gaussians.roughness,
         metallic=gaussians.metallic,
+        incident=gaussians.incident,
         antialiased=gaussians.antialiased,
         kernel_degree=gaussians.kernel_degree,
         comments=gaussians.comments,
@@ -228,6 +240,6 @@ def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Calla
 
 def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None:
     """Logs which normals and materials a format cannot store."""
-    lost = [name for name in MATERIALS if getattr(gaussians, name) is not None]
+    lost = [name for name in OPTIONAL if getattr(gaussians, name) is not None]
     if lost:
         _log.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))

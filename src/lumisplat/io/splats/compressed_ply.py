@@ -21,7 +21,7 @@ from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.ply.header import PlyHeader, ply_header_bytes
 from lumisplat.io.ply.rows import PlyRows, read_ply_element, read_ply_rows
-from lumisplat.io.splats.columns import Floats, SplatColumns, sh_property_names, warn_lost_materials
+from lumisplat.io.splats.columns import Floats, SplatColumns, harmonic_names, warn_lost_materials
 from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splats.splat_ply import antialiased_from_comments, comments_with_settings, kernel_degree_from_comments
 from lumisplat.scene.editing.morton import morton_order
@@ -135,7 +135,7 @@ def _with_higher_degrees(header: PlyHeader, dc: Floats) -> Floats:
         raise FormatError(header.path, f"has {element.count:,} sh rows of {rest} values for {len(dc):,} Gaussians")
     sh = np.empty((len(dc), 1 + rest // 3, 3), dtype=np.float32)
     sh[:, 0] = dc
-    names = sh_property_names(sh.shape[1])[3:]
+    names = harmonic_names("f", sh.shape[1])[3:]
     _require(header, "sh", "u1", names)
     values = (np.arange(256, dtype=np.float32) - 127.5) / 32.0
     values[[0, 255]] = (-4.0, 4.0)

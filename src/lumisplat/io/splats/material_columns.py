@@ -4,7 +4,8 @@ Trainers of relightable captures store materials before their activation, under 
 
 - Lumisplat: linear values, which a comment in the header says (`LINEAR_COMMENT`);
 - Relightable 3D Gaussians (Gao et al. 2024, save_ply of scene/gaussian_model.py): ``base_color_*``, which no reader but
-  theirs would know, beside incident light and visibility as harmonics, which are not read;
+  theirs would know, beside incident light as harmonics, which is read by those who ask for it, and visibility, which is
+  not read;
 - the first release of the same, with ``metallic`` and plain sigmoids;
 - GS-IR (Liang et al. 2024, the same function): our names, logits.
 """
@@ -17,6 +18,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+
+from lumisplat.constants import LOGIT_MAX
 
 Floats = npt.NDArray[np.floating]
 
@@ -47,8 +50,23 @@ class MaterialColumns:
             return stored
         factor, offset = self.sigmoids[name]
         with np.errstate(over="ignore", invalid="ignore"):
-            values = factor / (1.0 + np.exp(-stored)) + offset
+            values = factor / (1.0 + np.exp(-stored.astype(np.float64))) + offset
         return np.where(np.isfinite(stored), values, np.nan).astype(np.float32)
+
+    def stored(self, name: str, values: Floats) -> Floats:
+        """What is read as these values of a field, or as the nearest that it can have, float32."""
+        if name not in self.sigmoids:
+            return values
+        factor, offset = self.sigmoids[name]
+        with np.errstate(divide="ignore"):  # of the limits
+            share = np.clip((values.astype(np.float64) - offset) / factor, 0.0, 1.0)
+            logits = np.log(share) - np.log1p(-share)
+        return np.clip(logits, -LOGIT_MAX, LOGIT_MAX).astype(np.float32)
+
+    def limits(self, name: str) -> tuple[np.float32, np.float32]:
+        """The least and the largest value that a field of logits can have."""
+        factor, offset = self.sigmoids[name]
+        return np.float32(offset), np.float32(offset + factor)
 
 
 LINEAR = MaterialColumns(

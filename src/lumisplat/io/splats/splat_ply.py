@@ -12,7 +12,8 @@ import logging
 import math
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,11 +24,12 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.io.ply.header import PlyElement, PlyHeader, ply_header_bytes
 from lumisplat.io.ply.rows import read_ply_rows
 from lumisplat.io.splats.columns import (
+    OPTIONAL,
     PROPERTY_NAMES,
     Floats,
     SplatColumns,
     columns_from_gaussians,
-    sh_property_names,
+    harmonic_names,
 )
 from lumisplat.io.splats.material_columns import (
     FIELDS,
@@ -37,7 +39,7 @@ from lumisplat.io.splats.material_columns import (
     says_linear,
 )
 from lumisplat.math.arrays import FloatArray
-from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians
 
 _log = logging.getLogger("lumisplat")
 
@@ -90,12 +92,15 @@ def is_gaussian_element(vertex: PlyElement) -> bool:
     return bool({"opacity", "scale_0", "rot_0"}.intersection(vertex.names))
 
 
-def read_splat_ply(header: PlyHeader, progress: Callable[[float], None] | None = None) -> SplatColumns:
+def read_splat_ply(
+    header: PlyHeader, progress: Callable[[float], None] | None = None, *, incident: bool = False
+) -> SplatColumns:
     """Reads an uncompressed Gaussian PLY.
 
     Args:
         header: Header of the file.
         progress: Called with the fraction read, 0..1.
+        incident: Whether to read incident light, too, if there is any.
 
     Raises:
         FormatError: The file is not a Gaussian capture, lacks a property, or is truncated.
@@ -108,9 +113,9 @@ def read_splat_ply(header: PlyHeader, progress: Callable[[float], None] | None =
     start = 0
     for rows in read_ply_rows(header, vertex):
         # Allocated only after the first block, when the file is known to be as long as its header states.
-        columns = columns or _allocate(header, vertex, coefficients)
+        columns = columns or _allocate(header, vertex, coefficients, incident)
         with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 are refused later, as infinite
-            for name, target in _targets(columns):
+            for name, target in column_views(columns):
                 if name in vertex.names:  # but for the third scale of 2D Gaussians
                     target[start : start + len(rows)] = rows[name]
         start += len(rows)
@@ -133,14 +138,14 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
     if degree > SH_DEGREE_MAX:
         raise FormatError(path, f"has SH degree {degree}, at most {SH_DEGREE_MAX} is supported")
     coefficients = (degree + 1) ** 2
-    required = [name for field in REQUIRED for name in PROPERTY_NAMES[field]] + sh_property_names(coefficients)
+    required = [name for field in REQUIRED for name in PROPERTY_NAMES[field]] + harmonic_names("f", coefficients)
     missing = [name for name in required if name not in vertex.names]
     if missing and missing != ["scale_2"]:
         raise FormatError(path, f"is not a complete Gaussian capture: no {', '.join(missing[:6])}")
     return coefficients
 
 
-def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> SplatColumns:
+def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident: bool) -> SplatColumns:
     """Columns of the right shapes, not yet filled."""
 
     def empty(*shape: int) -> FloatArray:
@@ -152,6 +157,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
         names = materials.properties.get(field)
         return empty(*shape) if names and set(names) <= set(vertex.names) else None
 
+    light = [count for count in SH_DEGREE_FROM_COUNT if set(harmonic_names("incidents", count)) <= set(vertex.names)]
     return SplatColumns(
         means=empty(3),
         rotations_wxyz=empty(4),
@@ -162,6 +168,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
         albedo=optional("albedo", 3),
         roughness=optional("roughness"),
         metallic=optional("metallic"),
+        incident=empty(max(light), 3) if incident and light else None,
         material_columns=materials,
         antialiased=antialiased_from_comments(header.comments),
         kernel_degree=kernel_degree_from_comments(header.comments),
@@ -169,10 +176,10 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
     )
 
 
-def _targets(columns: SplatColumns) -> list[tuple[str, Floats]]:
+def column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
     """Name and column, a view of shape (N,), of every property that ``columns`` has."""
     targets: list[tuple[str, Floats]] = []
-    for field in (*REQUIRED, "sh", *FIELDS):
+    for field in (*REQUIRED, "sh", *OPTIONAL):
         values = getattr(columns, field)
         if values is not None:
             targets += zip(columns.property_names(field), values.reshape(columns.count, -1).T, strict=True)
@@ -188,7 +195,7 @@ def _leave_out_unknown_materials(header: PlyHeader, vertex: PlyElement, columns:
     fields = [field for field in FIELDS[1:] if getattr(columns, field) is not None]
     if columns.material_columns is not LINEAR or not fields or says_linear(header.comments):
         return
-    ours = {name for name, _ in _targets(columns)} | {"nx", "ny", "nz"}
+    ours = {name for name, _ in column_views(replace(columns, incident=None))} | {"nx", "ny", "nz"}
     foreign = [name for name in vertex.names if name not in ours]
     reasons = [f"{', '.join(foreign[:3])} {'are' if foreign[1:] else 'is'} none of our columns"] if foreign else []
     for field in fields:
@@ -217,21 +224,41 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
         FormatError: The file cannot be written.
     """
     columns = columns_from_gaussians(gaussians)
-    values = dict(_targets(columns))
-    rest = [f"f_rest_{i}" for i in range(3 * (columns.sh.shape[1] - 1))]
-    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
-    names += [*PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
+    values = dict(column_views(columns))
     materials = [name for field in FIELDS[1:] for name in LINEAR.properties[field] if name in values]
     comments = comments_with_settings(gaussians)
     if materials and not says_linear(comments):
         comments += (LINEAR_COMMENT,)
-    names += materials
-    header = ply_header_bytes(comments, [("vertex", columns.count, "float", names)])
+    light = [] if columns.incident is None else harmonics_in_order("incidents", columns.incident.shape[1])
+    write_columns(path, comments, [*inria_names(columns.sh.shape[1]), *materials, *light], values, columns.count)
+
+
+def inria_names(coefficients: int) -> list[str]:
+    """The properties of INRIA's files, in their order."""
+    names = ["x", "y", "z", "nx", "ny", "nz", *harmonics_in_order("f", coefficients), "opacity"]
+    return [*names, *PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
+
+
+def harmonics_in_order(prefix: str, coefficients: int, channels: int = 3) -> list[str]:
+    """The names of `harmonic_names` in the order of files."""
+    rest = [f"{prefix}_rest_{i}" for i in range(channels * (coefficients - 1))]
+    return [*(f"{prefix}_dc_{channel}" for channel in range(channels)), *rest]
+
+
+def write_columns(
+    path: PathLike, comments: tuple[str, ...], names: list[str], values: Mapping[str, Floats], count: int
+) -> None:
+    """Writes a PLY of these properties; those that have no values are zeros.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    header = ply_header_bytes(comments, [("vertex", count, "float", names)])
     step = 4096
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.write(header)
-        for start in range(0, columns.count, step):
-            rows = np.zeros((min(step, columns.count - start), len(names)), dtype="<f4")
+        for start in range(0, count, step):
+            rows = np.zeros((min(step, count - start), len(names)), dtype="<f4")
             for i, name in enumerate(names):
                 if name in values:
                     rows[:, i] = values[name][start : start + step]

@@ -9,8 +9,8 @@ import numpy as np
 from lumisplat.constants import SCALE_MIN
 from lumisplat.math.arrays import Doubles, matrix_4x4, read_only_view
 from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
-from lumisplat.math.sh import sh_rotation
 from lumisplat.math.transforms import transform_points
+from lumisplat.scene.editing.transform import turned_harmonics
 from lumisplat.scene.gaussians import Gaussians
 
 _BLOCK = 2**16
@@ -35,7 +35,6 @@ def under_affine(gaussians: Gaussians, matrix: Doubles) -> Gaussians:
     linear = new_from_old[:3, :3]
     left, _, right = np.linalg.svd(linear)
     turn = left @ right
-    harmonics = sh_rotation(turn, gaussians.sh_degree)
     rotations, scales = np.empty((gaussians.count, 4)), np.empty((gaussians.count, 3))
     for start in range(0, gaussians.count, _BLOCK):
         rows = slice(start, start + _BLOCK)
@@ -48,8 +47,10 @@ def under_affine(gaussians: Gaussians, matrix: Doubles) -> Gaussians:
         "means": transform_points(new_from_old, gaussians.means),
         "rotations_wxyz": rotations,
         "scales": np.maximum(scales, SCALE_MIN),
-        "sh": np.einsum("jk,nkc->njc", harmonics, gaussians.sh, optimize=True),
+        "sh": turned_harmonics(gaussians.sh, turn),
     }
+    if gaussians.incident is not None:
+        changed["incident"] = turned_harmonics(gaussians.incident, turn)
     if gaussians.normals is not None:
         changed["normals"] = gaussians.normals @ np.linalg.inv(linear)  # rows, so that this is the inverse transpose
     with np.errstate(over="ignore", under="ignore"):  # what is too large is refused

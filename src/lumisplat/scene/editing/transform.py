@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import finite_numbers, matrix_4x4, read_only_view
+from lumisplat.math.arrays import FloatArray, finite_numbers, matrix_4x4, read_only_view
 from lumisplat.math.rotations import multiply_quaternions, quaternions_from_matrices, rotation_from_degrees
 from lumisplat.math.sh import sh_rotation
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_argument, check_positive
-from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians
 from lumisplat.scene.scene import check_similarity
 
 _Vector = npt.ArrayLike
@@ -52,17 +52,24 @@ def transform(
     factor = float(np.cbrt(np.linalg.det(new_from_old[:3, :3])))
     rotation = new_from_old[:3, :3] / factor
     turned = quaternions_from_matrices(rotation[None])[0]
-    harmonics = sh_rotation(rotation, gaussians.sh_degree)
     changed = {
         "means": transform_points(new_from_old, gaussians.means),
         "rotations_wxyz": multiply_quaternions(turned, gaussians.rotations_wxyz),
         "scales": gaussians.scales * factor,
-        "sh": np.einsum("jk,nkc->njc", harmonics, gaussians.sh, optimize=True),
+        "sh": turned_harmonics(gaussians.sh, rotation),
     }
+    if gaussians.incident is not None:
+        changed["incident"] = turned_harmonics(gaussians.incident, rotation)
     if gaussians.normals is not None:
         changed["normals"] = gaussians.normals @ rotation.T
     with np.errstate(over="ignore", under="ignore"):  # too large or too small: refused
         return replace(gaussians, **{name: read_only_view(v.astype(np.float32)) for name, v in changed.items()})
+
+
+def turned_harmonics(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """SH coefficients, shape (N, K, 3), of what has turned, or been mirrored, by a matrix ``new_from_old``."""
+    degree = SH_DEGREE_FROM_COUNT[sh.shape[1]]
+    return np.einsum("jk,nkc->njc", sh_rotation(rotation, degree), sh, optimize=True)
 
 
 def _placement(scale: float, rotation_degrees: _Vector, translation: _Vector) -> npt.NDArray[np.float64]:
