@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lumisplat.config import MaterialsConfig, TrainConfig
+from lumisplat.config import MaterialsConfig
 from lumisplat.constants.materials import (
     ALBEDO_RATE,
     ALBEDO_SMOOTHNESS,
@@ -19,23 +19,17 @@ from lumisplat.constants.materials import (
     SKY_FINE_RATE,
 )
 from lumisplat.math.arrays import Doubles
-from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules
-from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.runtime.buffers import Buffers, device_array
+from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import Scene
-from lumisplat.training import loss_kernels, optimizer_kernels
-from lumisplat.training.learnt import Learnt, LearntOnDevice
 from lumisplat.training.materials import material_gradient_kernels, material_kernels
 from lumisplat.training.materials.adam import Adam
+from lumisplat.training.materials.colored_gaussians import ColoredGaussians
 from lumisplat.training.materials.incident import Incident
 from lumisplat.training.materials.lit_gaussians import LitGaussians, Materials
 from lumisplat.training.materials.neighbours import near_pairs
 from lumisplat.training.materials.sky_fit import nearest_directions, smoothness_gradient
 from lumisplat.training.photo_loss import Loss, PhotoLoss
-from lumisplat.training.trainer import frame_settings
-from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import TrainingView
 
 _ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
@@ -71,17 +65,15 @@ class MaterialFit:
         self._views, self._config = views, config
         launcher = Launcher(device, threads)
         buffers = Buffers(launcher.device)
-        flat = TrainConfig(sh_degree=0, antialiased=gaussians.antialiased, cap=gaussians.count)
-        settings = frame_settings(flat, views[0].background)
-        own = (optimizer_kernels, loss_kernels, material_kernels, material_gradient_kernels)
-        frames = frame_modules(FramePlan.of(settings, Scene()), launcher, settings)
-        launcher.load([*frames, *gradient_modules(launcher), *own], progress)
-        self._raster = TrainingRaster(launcher, buffers, settings)
+        self._shown = ColoredGaussians(
+            launcher,
+            buffers,
+            gaussians,
+            views[0].background,
+            kernels=(material_kernels, material_gradient_kernels),
+            progress=progress,
+        )
         self._loss = PhotoLoss(launcher, buffers, ssim=PHOTO_SSIM, alpha=0.0)
-        self._drawn = LearntOnDevice(buffers)
-        learnt = _unlit(gaussians)
-        self._drawn.upload(learnt)
-        self._raster.place(learnt.gaussians(flat), self._drawn.values)
         self._lit = LitGaussians(launcher, buffers, gaussians.means, incident)
         self._near, self._ring = near_pairs(gaussians.means), nearest_directions(incident.directions)
         self._normals = start.normals
@@ -112,11 +104,11 @@ class MaterialFit:
         """How far what the Gaussians show is from a photograph, and the derivatives by what they are made of."""
         picture, camera = view.read(), view.camera
         photograph = self._loss.load(picture.color, picture.weight, None)
-        self._lit.shade(self.materials, camera.eye, device_array(self._drawn.values.sh))
-        pixels = self._raster.draw(camera, 0, view.background)
+        self._lit.shade(self.materials, camera.eye, self._shown.sh)
+        pixels = self._shown.draw(camera, view.background)
         loss, by_pixels = self._loss.differentiate((camera.width, camera.height), pixels, photograph)
-        by_splats = self._raster.by_splats(pixels, by_pixels)
-        self._lit.decode(self._raster.drawn.splats.rects, by_splats)
+        by_splats = self._shown.by_splats(pixels, by_pixels)
+        self._lit.decode(self._shown.rects, by_splats)
         return loss, self._lit.differentiate()
 
     def _move(self, gradient: Materials) -> None:
@@ -139,24 +131,11 @@ class MaterialFit:
             np.clip(logits, -_LOGIT_MAX, _LOGIT_MAX, out=logits)
 
 
-def _unlit(gaussians: Gaussians) -> Learnt:
-    """The Gaussians as training has them, with one colour each."""
-    return Learnt.new(
-        {
-            "means": gaussians.means,
-            "rotations": gaussians.rotations_wxyz,
-            "log_scales": np.log(gaussians.scales),
-            "logits": _logits(gaussians.opacities.astype(np.float64), limit=16.0).astype(np.float32),
-            "sh": np.zeros((gaussians.count, 1, 3), np.float32),
-        }
-    )
-
-
 def _sigmoid(logits: Doubles) -> Doubles:
     return 1.0 / (1.0 + np.exp(-logits))
 
 
-def _logits(shares: Doubles, limit: float = _LOGIT_MAX) -> Doubles:
-    least = 1.0 / (1.0 + math.exp(limit))
+def _logits(shares: Doubles) -> Doubles:
+    least = 1.0 / (1.0 + math.exp(_LOGIT_MAX))
     inside = np.clip(shares, least, 1.0 - least)
     return np.log(inside / (1.0 - inside))
