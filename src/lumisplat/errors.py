@@ -59,11 +59,11 @@ class FormatError(SceneError):
     def __init__(self, path: str | os.PathLike[str], problem: str) -> None:
         super().__init__(f"{os.fspath(path)}: {problem}")
         self.path = os.fspath(path)
-        self._problem = problem
+        self.problem = problem
 
     def __reduce__(self) -> tuple[type[FormatError], tuple[str, str]]:
         """So that errors cross from one process to another."""
-        return type(self), (self.path, self._problem)
+        return type(self), (self.path, self.problem)
 
 
 class MissingFileError(FormatError, FileNotFoundError):

@@ -18,6 +18,8 @@ import numpy as np
 
 from lumisplat.cli import main
 from lumisplat.training import held_out, run_folder, train
+from lumisplat.training.materials import find_materials
+from lumisplat.training.materials.material_fit import MaterialFit
 from lumisplat.training.trainer import Trainer
 
 
@@ -64,6 +66,10 @@ def dying_in_writing(number: int) -> Callable[..., None]:
 def arm(moment: str, number: int) -> None:
     """Makes the process die."""
     match moment:
+        case "in a step of materials":
+            MaterialFit.step = dying(MaterialFit.step, number, after=True)
+        case "before the capture has materials":
+            find_materials.save = dying(find_materials.save, number, after=False)
         case "in a step":
             Trainer._update = dying(Trainer._update, number, after=True)
         case "as a checkpoint is written":
@@ -85,7 +91,7 @@ def arm(moment: str, number: int) -> None:
 
 
 if __name__ == "__main__":
-    train.CHECKPOINT_EVERY_S = 0.0
+    train.CHECKPOINT_EVERY_S = find_materials.CHECKPOINT_EVERY_S = 0.0
     arm(sys.argv[1], int(sys.argv[2]))
     assert Path(sys.argv[4]).is_dir()
     sys.exit(main(sys.argv[3:]))

@@ -59,6 +59,9 @@ def finished(folder: Path, output: Path, *more: str) -> dict[str, bytes]:
     assert done.returncode == 0, (done.stdout, done.stderr)
     left = {path.relative_to(output.parent) for path in output.with_suffix(".training").rglob("*") if path.is_file()}
     expected = {Path("a.training", name) for name in (*RESULTS, "checkpoint.npz")}
+    if "--relightable" in more:
+        pictures = {f"materials/{name}" for name in ("00.png", "08.png", "environment.png", "materials.json")}
+        expected |= {Path("a.training", name) for name in ("materials.npz", *pictures)}
     assert left == expected, "no temporary file stays"
     return {output.name: output.read_bytes()} | {
         name: (output.with_suffix(".training") / name).read_bytes() for name in RESULTS
@@ -103,6 +106,21 @@ def test_it_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None:
         killed_at_random(folder, output, rng, *more)
     for moment, number in MOMENTS[6:]:
         killed(folder, output, moment, number, *more)
+    assert finished(folder, output, *more) == whole
+
+
+@pytest.mark.deep
+def test_finding_materials_may_be_killed_at_any_moment(tmp_path: Path) -> None:
+    """In steps, as what is found is written, before the capture gets it, and at random."""
+    folder, more = folder_of(tmp_path / "set"), ("--relightable", "--material-steps", "40")
+    whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
+    output, rng = tmp_path / "killed" / "a.ply", np.random.default_rng(2)
+    killed(folder, output, "in a step of materials", 1, *more)
+    killed(folder, output, "in a step of materials", 17, *more)
+    killed(folder, output, "as a checkpoint is written", 5, *more)
+    for _ in range(3):
+        killed_at_random(folder, output, rng, *more)
+    killed(folder, output, "before the capture has materials", 1, *more)
     assert finished(folder, output, *more) == whole
 
 

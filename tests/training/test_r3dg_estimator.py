@@ -48,7 +48,7 @@ def their_highlight(normal: Array, view: Array, light: Array, roughness: float) 
     squared, k = roughness**4, (roughness**2 + 2.0 * roughness + 1.0) / 8.0
     fresnel = 0.04 + 0.96 * 2.0 ** ((-5.55473 * v_h - 6.98316) * v_h)
     below = 4.0 * np.pi * (n_h**2 * (squared - 1.0) + 1.0) ** 2 * (n_v * (1 - k) + k) * (n_l * (1 - k) + k)
-    return fresnel * squared / np.clip(below, 1e-6, 4.0 * np.pi)
+    return float(fresnel * squared / np.clip(below, 1e-6, 4.0 * np.pi))
 
 
 def test_gaussians_show_what_their_rendering_equation_says(fit: R3dgFit) -> None:

@@ -20,8 +20,13 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore
 
-_LEFT = ("checkpoint.npz", "curve.*", "metrics.json", "exposures.json", "poses*.json", "held out", "previews")
-"""What a training leaves, beside its settings."""
+_LEFT = (
+    *("checkpoint.npz", "curve.*", "metrics.json", "exposures.json", "poses*.json", "held out", "previews"),
+    *("light.npz", "materials"),
+)
+"""What a training leaves, and finding materials, beside what tells that they have."""
+_TELLS = ("settings.toml", "materials.npz")
+"""What is removed last of all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +69,13 @@ class RunFolder:
 
     def _empty(self) -> None:
         """Removes what an earlier training has left, and nothing else; last of all what tells that it has."""
-        told = self.path / "settings.toml"
-        if any(self.path.iterdir()) and not told.exists():
+        told = [self.path / name for name in _TELLS]
+        if any(self.path.iterdir()) and not any(path.exists() for path in told):
             raise FormatError(self.path, "is no folder of a training: it is not removed")
         for path in (found for pattern in _LEFT for found in self.path.glob(pattern)):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-        told.unlink(missing_ok=True)
+        for path in told:
+            path.unlink(missing_ok=True)
 
     def write_settings(self, config: TrainConfig, read_from: ReadFrom | None) -> None:
         """Writes all that makes the same training again: from where photographs were read, and how, and settings."""

@@ -58,6 +58,21 @@ def atomic_write(path: PathLike) -> Generator[Path]:
         raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
 
 
+def check_can_be_written(path: PathLike) -> None:
+    """Refuses a path at which `atomic_write` would fail, before work is done for it; makes missing parent folders.
+
+    Raises:
+        FormatError: The folder cannot be created or written, or ``path`` is no regular file.
+    """
+    try:
+        target = _target(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with _reserved(target):
+            pass
+    except OSError as error:
+        raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
+
+
 def _target(path: PathLike) -> Path:
     """The file to write: that to which a symbolic link leads.
 

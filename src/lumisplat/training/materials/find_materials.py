@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,8 +13,9 @@ import numpy as np
 
 from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.errors import ConfigError, SceneError
+from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io import save
+from lumisplat.io.files.atomic import atomic_write, check_can_be_written
 from lumisplat.io.images.exr import write_exr
 from lumisplat.io.photographs.lens import is_bent
 from lumisplat.io.photographs.loading import load_photographs
@@ -27,11 +30,14 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.training.materials.incident import Incident, traced_incident
 from lumisplat.training.materials.lit_gaussians import Materials
-from lumisplat.training.materials.material_fit import MaterialFit
+from lumisplat.training.materials.material_checkpoint import FoundSoFar, MaterialFiles
+from lumisplat.training.materials.material_fit import MaterialFit, materials_of
 from lumisplat.training.materials.normals import seen_normals
 from lumisplat.training.materials.outgoing import mean_outgoing
 from lumisplat.training.materials.sky_fit import WhiteLight, fitted_sky
 from lumisplat.training.materials.sky_image import sky_image
+from lumisplat.training.run_folder import RunFolder
+from lumisplat.training.train import CHECKPOINT_EVERY_S
 from lumisplat.training.views import TrainingView
 
 Progress = Callable[[str, float], None]
@@ -76,8 +82,9 @@ def find_materials(
         gaussians: A capture whose Gaussians lie on surfaces, as of `lumisplat.train` with terms on them.
         photographs: Of it, a folder or what `lumisplat.load_photographs` has read; those of pinholes.
         config: Settings; None: the defaults.
-        output: The capture with materials, .ply, beside which the sky is written as ``NAME.environment.exr``; None:
-            nothing is written.
+        output: The capture with materials, .ply, beside which the sky is written as ``NAME.environment.exr``. The
+            folder ``NAME.training`` has what is needed to go on: the same call again goes on where it was interrupted,
+            to the same bits. None: nothing is written.
         device: As of `lumisplat.create_renderer`.
         threads: As of `lumisplat.create_renderer`.
         progress: Called with what is being done and the fraction done, 0..1.
@@ -92,13 +99,21 @@ def find_materials(
     check_argument("find_materials", gaussians, Gaussians, "Gaussians", " (lumisplat.load reads files)")
     if output is not None and Path(output).suffix.lower() != ".ply":
         raise ConfigError(f"output is {output}, expected a .ply: other captures have no columns for materials")
+    if output is not None:
+        for path in (Path(output), environment_path(Path(output))):
+            check_can_be_written(path)
     if not isinstance(photographs, Photographs):
         photographs = load_photographs(photographs)
     views = [TrainingView.of(photograph) for photograph in photographs.training]
     for view in views:
         if is_bent(view.camera):
             raise ConfigError(f"photograph {view.name} is of a lens that bends: load photographs straightened")
-    found = _Search(gaussians, views, config, device=device, threads=threads, progress=progress or _say_nothing).found()
+    files = None
+    if output is not None:
+        folder = RunFolder.of(Path(output)).path
+        files = MaterialFiles.of(folder, gaussians, photographs.fingerprint, config)
+    search = _Search(gaussians, views, config, files, device=device, threads=threads, progress=progress or _say_nothing)
+    found = search.found()
     if output is not None:
         _write(Path(output), found)
     return found
@@ -112,36 +127,50 @@ class _Search:
         gaussians: Gaussians,
         views: list[TrainingView],
         config: MaterialsConfig,
+        files: MaterialFiles | None,
         *,
         device: str,
         threads: int | None,
         progress: Progress,
     ) -> None:
-        self._gaussians, self._views, self._config = gaussians, views, config
+        self._gaussians, self._views, self._config, self._files = gaussians, views, config, files
         self._device, self._threads, self._progress = device, threads, progress
 
     def found(self) -> FoundMaterials:
         """All of it."""
+        so_far = None if self._files is None else self._files.read()
+        incident = None
+        if so_far is None:
+            so_far, incident = self._begun()
+        materials, errors = self._refined(so_far, incident)
+        relightable = replace(
+            self._gaussians,
+            normals=materials.normals.astype(np.float32),
+            albedo=materials.albedo.astype(np.float32),
+            roughness=materials.roughness.astype(np.float32),
+        )
+        environment = LightEnvironment(sky_image(even_directions(self._config.directions), materials.sky))
+        error = float(np.mean(errors)) if errors else float("nan")
+        return FoundMaterials(relightable, environment, error, so_far.too_light)
+
+    def _begun(self) -> tuple[FoundSoFar, Incident]:
+        """Where steps begin, and what was traced for them."""
         config, gaussians = self._config, self._gaussians
         normals, weights = self._normals()
         directions = even_directions(config.directions)
-        incident = self._incident(normals, directions)
+        incident = self._incident(normals)
         white, outgoing = WhiteLight.of(incident, normals), mean_outgoing(gaussians, normals)
         rng = np.random.default_rng([config.seed, 8])
         sky = fitted_sky(outgoing, white, weights, directions, steps=config.sky_steps, rng=rng, report=self._progress)
         albedo = outgoing / white.under(sky)
         too_light = float(np.average(albedo.max(axis=1) > 1.0, weights=weights))
         roughness = np.full(gaussians.count, config.roughness)
-        start = Materials(np.clip(albedo, 0.0, 1.0), roughness, normals, sky)
-        materials, error = self._refined(incident, start)
-        relightable = replace(
-            gaussians,
-            normals=normals.astype(np.float32),
-            albedo=materials.albedo.astype(np.float32),
-            roughness=materials.roughness.astype(np.float32),
-        )
-        environment = LightEnvironment(sky_image(directions, materials.sky))
-        return FoundMaterials(relightable, environment, error, too_light)
+        so_far = FoundSoFar(Materials(np.clip(albedo, 0.0, 1.0), roughness, normals, sky), too_light)
+        if self._files is not None:
+            if config.iterations:
+                self._files.write_light(incident)
+            self._files.write(so_far)
+        return so_far, incident
 
     def _normals(self) -> tuple[Doubles, Doubles]:
         """Of Gaussians, and how much of the photographs these are."""
@@ -153,18 +182,28 @@ class _Search:
             raise SceneError("no photograph shows anything of the capture: they are of something else, or elsewhere")
         return normals, weights
 
-    def _incident(self, normals: Doubles, directions: Doubles) -> Incident:
+    def _incident(self, normals: Doubles) -> Incident:
+        directions = even_directions(self._config.directions)
         settings = RenderConfig(pipeline=Pipeline.TRACE, lighting=False)
         renderer = create_renderer(settings, self._device, threads=self._threads, progress=self._progress)
         return traced_incident(
             self._gaussians, normals, directions, renderer, seed=self._config.seed, report=self._progress
         )
 
-    def _refined(self, incident: Incident, start: Materials) -> tuple[Materials, float]:
-        """Materials and sky after all steps, and their last errors; Ctrl C ends after a step."""
-        total = self._config.iterations
+    def _refined(self, so_far: FoundSoFar, incident: Incident | None) -> tuple[Materials, tuple[float, ...]]:
+        """Materials and sky after all steps, and their last errors; Ctrl C ends after a step.
+
+        Args:
+            so_far: From where they go on.
+            incident: What was traced; None: it is read, or traced again.
+        """
+        total, start = self._config.iterations, so_far.start
         if total == 0:
-            return start, float("nan")
+            return start, ()
+        if so_far.iteration == total:
+            return materials_of(so_far.fit, start.normals), so_far.errors
+        if incident is None:
+            incident = (None if self._files is None else self._files.read_light()) or self._incident(start.normals)
         fit = MaterialFit(
             self._gaussians,
             self._views,
@@ -175,15 +214,28 @@ class _Search:
             threads=self._threads,
             progress=self._progress,
         )
-        errors: list[float] = []
+        if so_far.fit:
+            fit.restore(so_far.fit, so_far.iteration)
+        errors, saved = deque(so_far.errors, len(self._views)), time.monotonic()
         with interrupts_held() as is_interrupted:
             while fit.iteration < total and not is_interrupted():
                 self._progress("finding materials", fit.iteration / total)
                 errors.append(fit.step().l1)
+                if time.monotonic() - saved >= CHECKPOINT_EVERY_S:
+                    self._save(so_far, fit, errors)
+                    saved = time.monotonic()
+            self._save(so_far, fit, errors)
         if is_interrupted():
             raise KeyboardInterrupt
+        if self._files is not None:
+            self._files.forget_light()
         self._progress("finding materials", 1.0)
-        return fit.materials, float(np.mean(errors[-len(self._views) :]))
+        return fit.materials, tuple(errors)
+
+    def _save(self, so_far: FoundSoFar, fit: MaterialFit, errors: Iterable[float]) -> None:
+        """Keeps what was found until now."""
+        if self._files is not None:
+            self._files.write(replace(so_far, iteration=fit.iteration, fit=fit.state, errors=tuple(errors)))
 
 
 def environment_path(output: Path) -> Path:
@@ -192,11 +244,15 @@ def environment_path(output: Path) -> Path:
 
 
 def _write(output: Path, found: FoundMaterials) -> None:
-    """The sky first: a capture that has materials has its sky, too."""
+    """Both or neither: the sky gets its name once the capture is on the disk, and then the capture does."""
     image: FloatArray | None = found.environment.image
     assert image is not None
-    write_exr(environment_path(output), dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)))
-    save(output, found.gaussians)
+    with atomic_write(output) as temporary:
+        try:
+            save(temporary, found.gaussians)
+        except FormatError as error:  # of the temporary file, which nobody has named
+            raise FormatError(output, error.problem) from None
+        write_exr(environment_path(output), dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)))
 
 
 def _say_nothing(label: str, fraction: float) -> None:

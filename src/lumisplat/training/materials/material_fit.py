@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -34,6 +34,8 @@ from lumisplat.training.views import TrainingView
 
 _ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
 _LOGIT_MAX = 7.0
+_MOVED = ("albedo", "roughness", "sky")
+"""Names of what moves."""
 
 
 class MaterialFit:
@@ -88,8 +90,28 @@ class MaterialFit:
     @property
     def materials(self) -> Materials:
         """What has been found so far."""
-        roughness = ROUGHNESS_MIN + _ROUGHNESS_RANGE * _sigmoid(self._roughness)
-        return Materials(_sigmoid(self._albedo), roughness, self._normals, np.exp(self._sky))
+        return materials_of({"albedo": self._albedo, "roughness": self._roughness, "sky": self._sky}, self._normals)
+
+    @property
+    def state(self) -> dict[str, Doubles]:
+        """What moves, and its moments: with the number of steps, all that the next step depends on."""
+        arrays: dict[str, Doubles] = {"albedo": self._albedo, "roughness": self._roughness, "sky": self._sky}
+        for name, moments in zip(_MOVED, self._moments, strict=True):
+            arrays |= {f"{name}.first": moments.first, f"{name}.second": moments.second}
+        return arrays
+
+    def restore(self, state: dict[str, Doubles], iteration: int) -> None:
+        """Goes on from there.
+
+        Args:
+            state: As of ``state``, of a fit that began at the same materials.
+            iteration: Steps that were made until then.
+        """
+        self._albedo, self._roughness, self._sky = (state[name].copy() for name in _MOVED)
+        self._moments = [
+            Adam(state[f"{name}.first"].copy(), state[f"{name}.second"].copy(), iteration) for name in _MOVED
+        ]
+        self.iteration = iteration
 
     def step(self) -> Loss:
         """Makes a step with the next photograph: all in turn, in another order each time."""
@@ -129,6 +151,12 @@ class MaterialFit:
         self._sky += sky.step(by_sky, fall * SKY_FINE_RATE)
         for logits in (self._albedo, self._roughness):
             np.clip(logits, -_LOGIT_MAX, _LOGIT_MAX, out=logits)
+
+
+def materials_of(state: Mapping[str, Doubles], normals: Doubles) -> Materials:
+    """What the state of a fit says, with normals that stay."""
+    roughness = ROUGHNESS_MIN + _ROUGHNESS_RANGE * _sigmoid(state["roughness"])
+    return Materials(_sigmoid(state["albedo"]), roughness, normals, np.exp(state["sky"]))
 
 
 def _sigmoid(logits: Doubles) -> Doubles:

@@ -137,9 +137,9 @@ class Train(DeviceCommand):
                     device=self.device,
                     progress=report,
                 )
-                found = self._materials(result, photographs, materials, report)
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(f"{self._again} goes on; with --stop-after 1s, it writes the capture") from None
+            found = self._materials(result, photographs, materials, report)
         self._tell(result)
         if found is not None:
             self._tell_materials(found)
@@ -155,9 +155,12 @@ class Train(DeviceCommand):
         if result.cameras is not None:  # poses have moved
             moved = zip(photographs.training, result.cameras, strict=True)
             photographs = replace(photographs, training=tuple(replace(one, camera=camera) for one, camera in moved))
-        found = ls.find_materials(
-            result.gaussians, photographs, config, output=self.output, device=self.device, progress=report
-        )
+        try:
+            found = ls.find_materials(
+                result.gaussians, photographs, config, output=self.output, device=self.device, progress=report
+            )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{self._again} goes on; {self.output} has no materials yet") from None
         write_materials(self.output.with_suffix(".training") / "materials", found, photographs, self.device)
         return found
 
