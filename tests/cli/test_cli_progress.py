@@ -80,8 +80,11 @@ def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
 @pytest.mark.parametrize(
     ("options", "ways"),
     [
-        (("--lighting", "on", "--samples", "2"), "fewer frames (--seconds, --fps), --samples 1 or a smaller --width"),
-        ((), "fewer frames (--seconds, --fps) or a smaller --width"),
+        (
+            ("--lighting", "on", "--samples", "2"),
+            "fewer frames (--frames, --seconds, --fps), --samples 1 or a smaller --width",
+        ),
+        ((), "fewer frames (--frames, --seconds, --fps) or a smaller --width"),
     ],
 )
 def test_slow_frames_are_announced_once(work, monkeypatch, caplog, options, ways) -> None:

@@ -90,6 +90,7 @@ LAYERS = (
     "cli.output",
     "cli.input",
     "cli.options",
+    "cli.farm",
     "cli.commands",
     "cli",
     "__main__",

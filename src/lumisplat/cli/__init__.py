@@ -19,6 +19,7 @@ from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.bench import Bench
 from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
+from lumisplat.cli.commands.farm.farm import Farm
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.lighting.bake import Bake
 from lumisplat.cli.commands.lighting.delight import Delight
@@ -34,8 +35,10 @@ from lumisplat.cli.commands.photographs.train import Train
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
 from lumisplat.cli.commands.view import View
+from lumisplat.cli.farm.job import FramesMissingError
 from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.options.command import Command
+from lumisplat.cli.output.console import one_line
 from lumisplat.cli.parse_errors import ArgumentsError, panels_as_errors
 from lumisplat.cli.words import logging_in_shell_words, shell_words
 
@@ -61,6 +64,8 @@ Lights, soft shadows: lumisplat render scene.toml --pipeline hybrid --shadows so
 
 Avatars that walk through a capture: lumisplat animate scene.toml -o frames --video walk.mp4
 
+The same by several processes, or on a cluster: lumisplat farm animate scene.toml --workers 4 -o frames
+
 An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o relit.ply
 
 A capture without its own light, to be lit anew: lumisplat delight garden.ply -o garden.relit.ply
@@ -80,6 +85,7 @@ _Command = (
     | Annotated[Frames, subcommand("frames")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Animate, subcommand("animate")]
+    | Annotated[Farm, subcommand("farm")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[Demo, subcommand("demo")]
@@ -103,7 +109,7 @@ def main(args: Sequence[str] | None = None) -> int:
         args: The arguments after the program's name; None: the process's own.
 
     Returns:
-        Exit status: 0, 2 after a user's mistake, 130 when interrupted.
+        Exit status: 0, 2 after a user's mistake, 3 if some frames could not be made, 130 when interrupted.
 
     Raises:
         BrokenPipeError: The reader of standard output has closed it.
@@ -130,7 +136,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return 2
     except SystemExit:  # after the help
         return 0
-    return _run(command)
+    return _run(command.what if isinstance(command, Farm) else command)
 
 
 def _run(command: Command) -> int:
@@ -146,15 +152,6 @@ def _run(command: Command) -> int:
     except (ls.LumisplatError, OSError, MemoryError) as error:
         if command.debug:
             traceback.print_exc()
-        print(f"error: {shell_words(_one_line(error), command)}", file=sys.stderr)
-        return 2
+        print(f"error: {shell_words(one_line(error), command)}", file=sys.stderr)
+        return error.status if isinstance(error, FramesMissingError) else 2
     return 0
-
-
-def _one_line(error: BaseException) -> str:
-    """The message of an error without line breaks."""
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: cannot be read or written: {error.strerror}"
-    if isinstance(error, MemoryError):
-        return "out of memory: try fewer pixels or a smaller capture"
-    return " ".join(str(error).split()) or type(error).__name__

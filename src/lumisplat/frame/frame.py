@@ -135,11 +135,11 @@ class Frame(FrameData):
             pictures: dict[str, FloatArray] = {}
             for layer in layers or ():
                 pictures |= layer_pictures(self, layer)
-            write_png(path, self._picture())
             for name, picture in pictures.items():
                 write_png(Path(path).with_suffix(f".{name}.png"), picture)
             if "depth" in pictures:
                 write_depth_png(Path(path).with_suffix(".depth16.png"), self.depth)
+            write_png(path, self._picture())  # the last: where it is, all are
         elif suffix == ".exr":
             write_exr(path, self.layers(layers), further=() if mattes is None else mattes.parts())
         elif suffix == ".npz":

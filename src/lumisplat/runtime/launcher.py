@@ -33,6 +33,9 @@ if wp.config.log_level == wp.LOG_INFO:
 COMPILING_ANNOUNCED_S = 1.0
 """Kernels that take longer than this to load, seconds, are being compiled, which is announced."""
 
+THREADS_VARIABLE = "LUMISPLAT_THREADS"
+"""Environment variable that says how many CPU threads a process may use, where others work beside it."""
+
 SCRATCH_BYTES_KEPT = 2**30
 """Memory of its pool that a GPU does not take back when it is idle, bytes: otherwise the scratch space of sums and
 sorts, about 16 bytes for each (tile, Gaussian) pair, is got anew in every frame that is not replayed from a graph."""
@@ -72,7 +75,16 @@ def keep_scratch(device: str) -> None:
 
 
 def usable_cores() -> int:
-    """CPU cores this process may run on."""
+    """CPU cores this process may run on, or as many as the environment variable LUMISPLAT_THREADS says.
+
+    Raises:
+        ConfigError: That is no number from 1.
+    """
+    given = os.environ.get(THREADS_VARIABLE)
+    if given is not None:
+        if not given.isascii() or not given.isdigit() or int(given) == 0:
+            raise ConfigError(f"{THREADS_VARIABLE} is '{given}', expected a whole number from 1")
+        return int(given)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

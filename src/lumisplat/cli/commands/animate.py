@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -12,20 +11,21 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.farm.alone import make_alone
+from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.command import Flag
-from lumisplat.cli.options.frame import FrameCommand
+from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import RayGroup, RayOptions
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, setting
 from lumisplat.cli.output.animation_frames import AnimationFrames, with_actors
-from lumisplat.cli.output.console import Report, counted, progress_bars
+from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.standard_output import refuse_standard_output
-from lumisplat.cli.output.video import check_video, write_video
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +73,20 @@ class Animate(FrameCommand):
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""
+        with progress_bars() as report:
+            job = self.open_frames(report)
+            lines = make_alone(job, report, overwrite=self.overwrite, video=self.video, fewer="--frames")
+        print(lines)
+
+    def open_frames(self, report: Report) -> FrameJob:
+        """Checks all that can be checked, and loads the scene.
+
+        Args:
+            report: Shows the progress.
+
+        Raises:
+            LumisplatError: Something is wrong with the options or a file.
+        """
         refuse_standard_output(self.output)
         if self.scene.suffix.lower() != ".toml":
             raise ls.FormatError(self.scene, "is no scene.toml: a scene file says what moves, and how")
@@ -81,36 +95,21 @@ class Animate(FrameCommand):
         config = self.frame_config(ls.load_config(self.scene))
         check_writable(self.output)
         environment = self.light.environment_light()
-        with progress_bars() as report:
-            renderer = self.start_renderer(report, config, profile=self.stats)
-            animation = self._animation(environment, report)
-            cameras = self._cameras(animation)
-            wanted = frame_numbers("--frames", self.frames, animation.frame_count)
-            if self.video is not None:
-                check_video(self.video, animation.fps)
-            folder = FrameFolder(self.output, self.format)
-            folder.prepare(self._origin(animation, config, renderer.device), self.overwrite)
-            missing = [index for index in wanted if not folder.is_finished(index)]
-            remarks = partial(frame_remarks, config, raster=[], rays=self.rays, light=self.light)
-            source = self.frame_source(renderer)
-            frames = AnimationFrames(animation, cameras, source, folder, stats=self.stats, remarks=remarks)
-            try:
-                frames.render(missing, report)
-                if self.video is not None:
-                    write_video(self.video, [folder.path(index) for index in wanted], animation.fps, report)
-            except KeyboardInterrupt:
-                raise KeyboardInterrupt(self._progress(folder, wanted)) from None
-        there = len(wanted) - len(missing)
-        were = "was" if there == 1 else "were"
-        print(f"{counted(len(wanted), 'frame')} in {self.output}" + f", {there} of them {were} there" * bool(there))
-        if self.video is not None:
-            print(f"{self.video} ({animation.fps:g} frames a second, {len(wanted) / animation.fps:.2f} s)")
-
-    def _progress(self, folder: FrameFolder, wanted: Sequence[int]) -> str:
-        """What is there already, and how to go on."""
-        there = sum(folder.is_finished(index) for index in wanted)
-        again = "the same command without --overwrite" if self.overwrite else "the same command"
-        return f"{self.output} holds {there} of {counted(len(wanted), 'frame')}; {again} goes on"
+        renderer = self.start_renderer(report, config, profile=self.stats)
+        animation = self._animation(environment, report)
+        cameras = self._cameras(animation)
+        folder = FrameFolder(self.output, self.format)
+        frames = FrameList(
+            folder=folder,
+            origin=self._origin(animation, config, renderer.device),
+            wanted=tuple(frame_numbers("--frames", self.frames, animation.frame_count)),
+            fps=animation.fps,
+            in_sequence=config.pipeline is ls.Pipeline.REALTIME,
+        )
+        remarks = partial(frame_remarks, config, raster=[], rays=self.rays, light=self.light)
+        maker = AnimationFrames(animation, cameras, self.frame_source(renderer), folder, remarks=remarks)
+        summarise = maker.summarise if self.stats else None
+        return FrameJob(frames=frames, render=maker.render, write=maker.write, summarise=summarise)
 
     def _animation(self, environment: ls.LightEnvironment | None, report: Report) -> ls.Animation:
         """The animation of the scene file, with what was given in place of its own."""
@@ -174,12 +173,7 @@ class Animate(FrameCommand):
             "device": device,
             "fps": f"{animation.fps!r}",
             **{name: f"{getattr(self, name)}" for name in chosen},
-            "exposure": f"{self.light.exposure}",
-            "denoise": f"{self.light.denoise}",
-            "environment_rotation": f"{self.light.environment_rotation}",
-            **dict(flat_settings("viewpoint.", self.viewpoint)),
-            **dict(flat_settings("lens.", self.lens)),
-            **dict(flat_settings("", config)),
+            **shared_origin(self, config),
             **dict(flat_settings("actors.", animation.lighting)),
             **file_marks(files, self.output),
         }

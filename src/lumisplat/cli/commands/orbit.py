@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -12,19 +11,20 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.farm.alone import make_alone
+from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.command import Flag
-from lumisplat.cli.options.frame import FrameCommand
+from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
-from lumisplat.cli.output.console import Report, counted, progress_bars
-from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
-from lumisplat.cli.output.frame_progress import FrameProgress
-from lumisplat.cli.output.frame_source import FrameSource
+from lumisplat.cli.output.console import Report, progress_bars
+from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.stats import print_stats
-from lumisplat.cli.output.video import check_video, write_video
+from lumisplat.cli.output.video import check_video
 
 _log = logging.getLogger("lumisplat")
 
@@ -49,59 +49,62 @@ class Orbit(FrameCommand):
     """Frames a second."""
     turns: Annotated[float, arg(metavar="TURNS")] = 1.0
     """How many times round, to the right; negative: to the left."""
+    frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""
+    """Only these frames, from 0: 1-100 (both), 1-100x2 (every second), 1,5,9, or A:B, from A to before B. Parts may be
+    joined by commas."""
     overwrite: Flag = False
     """Remove the frames that are there first, whatever they were made of."""
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""
+        if self.video is not None:
+            check_video(self.video, self.fps)
+        with progress_bars() as report:
+            job = self.open_frames(report)
+            fewer = "--frames, --seconds, --fps"
+            lines = make_alone(job, report, overwrite=self.overwrite, video=self.video, fewer=fewer)
+        print(lines)
+
+    def open_frames(self, report: Report) -> FrameJob:
+        """Checks all that can be checked, and loads the scene.
+
+        Args:
+            report: Shows the progress.
+
+        Raises:
+            LumisplatError: Something is wrong with the options or a file.
+        """
         refuse_standard_output(self.output)
         count = self._frame_count()
+        wanted = tuple(frame_numbers("--frames", self.frames, count))
         self.viewpoint.check(None)
         along = (
             self.cameras_along(self.path, [index / self.fps for index in range(count)]) if self.path is not None else []
         )
-        file = scene_file(self.scene)
-        config = self.frame_config(scene_settings(file))
+        config = self.frame_config(scene_settings(scene_file(self.scene)))
         check_writable(self.output)
         environment = self.light.environment_light()
-        if self.video is not None:
-            check_video(self.video, self.fps)
-        with progress_bars() as report:
-            renderer = self.start_renderer(report, config, profile=self.stats)
-            scene = self.viewpoint.upright(self.load_scene(self.scene, report))
-            scene = self.light.lit_scene(scene, environment)
-            cameras = along or self._round(scene, count)
-            folder = FrameFolder(self.output, "png", "orbit.json")
-            folder.prepare(self._origin(config, renderer.device), self.overwrite)
-            missing = [index for index in range(count) if not folder.is_finished(index)]
-            for line in frame_remarks(config, scene, [], self.rays, self.light):
-                _log.warning("%s", line)
-            try:
-                source = self.frame_source(renderer)
-                self._render({folder.path(k): cameras[k] for k in missing}, source, scene, report)
-                if self.video is not None:
-                    write_video(self.video, [folder.path(index) for index in range(count)], self.fps, report)
-            except KeyboardInterrupt:
-                there = sum(map(folder.is_finished, range(count)))
-                again = "the same command without --overwrite" if self.overwrite else "the same command"
-                raise KeyboardInterrupt(
-                    f"{self.output} holds {there} of {counted(count, 'frame')}; {again} goes on"
-                ) from None
-        there = count - len(missing)
-        were = "was" if there == 1 else "were"
-        print(f"{counted(count, 'frame')} in {self.output}" + f", {there} of them {were} there" * bool(there))
-        if self.video is not None:
-            print(f"{self.video} ({self.fps:g} frames a second, {count / self.fps:.2f} s)")
-
-    def _render(self, cameras: Mapping[Path, ls.Camera], source: FrameSource, scene: ls.Scene, report: Report) -> None:
-        """Renders and writes the frames of cameras by their files."""
-        progress = FrameProgress(report, "frames", len(cameras), "--seconds, --fps")
-        for done, (path, camera) in enumerate(cameras.items(), start=1):
-            frame = source.frame(scene, camera, report)
-            frame.save(path)
-            progress.add(frame)
-            if self.stats and done == len(cameras):
-                print_stats(frame, source.renderer.config.pipeline)
+        renderer = self.start_renderer(report, config, profile=self.stats)
+        scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+        scene = self.light.lit_scene(scene, environment)
+        cameras = along or self._round(scene, count)
+        for line in frame_remarks(config, scene, [], self.rays, self.light):
+            _log.warning("%s", line)
+        source = self.frame_source(renderer)
+        folder = FrameFolder(self.output, "png", "orbit.json")
+        frames = FrameList(
+            folder=folder,
+            origin=self._origin(config, renderer.device),
+            wanted=wanted,
+            fps=self.fps,
+            in_sequence=config.pipeline is ls.Pipeline.REALTIME,
+        )
+        return FrameJob(
+            frames=frames,
+            render=lambda index, report: source.frame(scene, cameras[index], report),
+            write=lambda frame, index: frame.save(folder.path(index)),
+            summarise=(lambda frame, _: print_stats(frame, config.pipeline)) if self.stats else None,
+        )
 
     def _round(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
         """The cameras round the scene."""
@@ -132,11 +135,6 @@ class Orbit(FrameCommand):
             "device": device,
             "scene": " ".join(map(str, self.scene)),
             **{name: f"{getattr(self, name)}" for name in chosen},
-            "exposure": f"{self.light.exposure}",
-            "denoise": f"{self.light.denoise}",
-            "environment_rotation": f"{self.light.environment_rotation}",
-            **dict(flat_settings("viewpoint.", self.viewpoint)),
-            **dict(flat_settings("lens.", self.lens)),
-            **dict(flat_settings("", config)),
+            **shared_origin(self, config),
             **file_marks(files, self.output),
         }

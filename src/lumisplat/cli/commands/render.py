@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,24 +11,40 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
+from lumisplat.cli.farm.alone import make_alone
+from lumisplat.cli.farm.job import FrameJob, FrameList
+from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.command import Flag
-from lumisplat.cli.options.frame import FrameCommand
+from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
 from lumisplat.cli.options.unused import not_used
 from lumisplat.cli.output.console import Report, counted, progress_bars
+from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.frame_source import FrameSource, WarmUp
 from lumisplat.cli.output.frame_writer import FrameWriter, ViewName
 from lumisplat.cli.output.pictures import Shot, check_writable, make_folder, plan_shots
-from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
+from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, refuse_standard_output, standard_output
 from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
 
 _OF_RASTER = ("raster_strategy", "projection")
-_OF_REALTIME = ("frames",)
+_OF_REALTIME = ("warm_up",)
+_STAMP = "render.json"
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """What the pictures of a command are made of."""
+
+    scene: ls.Scene
+    shots: list[Shot]
+    source: FrameSource
+    writer: FrameWriter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +61,12 @@ class Render(FrameCommand):
     scene.toml that is rendered, else one that shows all of the scene from the front."""
     frame: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """Render only this frame of the camera file."""
-    frames: Annotated[int | None, setting("N", "32")] = None
+    frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""
+    """Render only these frames of the camera file or along --path, from 0: 1-100 (both), 1-100x2 (every second), 1,5,9,
+    or A:B, from A to before B. Parts may be joined by commas."""
+    resume: Flag = False
+    """Pictures that are there stay, if they are of this scene and of these settings: render.json beside them says."""
+    warm_up: Annotated[int | None, setting("N", "32")] = None
     """Of --pipeline realtime: frames before each picture, in which light finds its way; along --path only before the
     first."""
     fps: Annotated[float, arg(metavar="FPS")] = 24.0
@@ -92,6 +114,52 @@ class Render(FrameCommand):
             with standard_output(f".{format_name}") as file:
                 replace(self, output=file).run()
             return
+        if self.resume:
+            with progress_bars() as report:
+                job = self.open_frames(report)
+                lines = make_alone(job, report, overwrite=False, video=None, fewer="--frames")
+            print(lines)
+            return
+        with progress_bars() as report:
+            pictures = self._open(report)
+            print(self._render(pictures, report))
+        if pictures.writer.legend:
+            print(pictures.writer.legend)
+
+    def open_frames(self, report: Report) -> FrameJob:
+        """Checks all that can be checked, and loads the scene, to render pictures that are missing.
+
+        Args:
+            report: Shows the progress.
+
+        Raises:
+            LumisplatError: Something is wrong with the options or a file.
+        """
+        refuse_standard_output(self.output)
+        if self.view:
+            raise ls.ConfigError(
+                "--view colours all pictures by the first of a run: pictures that are there stay wrong"
+            )
+        pictures = self._open(report)
+        shots, folder = pictures.shots, pictures.shots[0].path.parent
+        if folder != self.output:
+            raise ls.ConfigError(f"-o {self.output} is one picture, and frames are many: give a folder")
+        config, source = pictures.source.renderer.config, pictures.source
+        frames = FrameList(
+            folder=FrameFolder(folder, "", _STAMP, tuple(shot.path.name for shot in shots)),
+            origin=self._origin(config, source.renderer.device),
+            wanted=tuple(self._wanted(shots)),
+            in_sequence=config.pipeline is ls.Pipeline.REALTIME and self.path is not None,
+        )
+        return FrameJob(
+            frames=frames,
+            render=lambda index, report: source.frame(pictures.scene, shots[index].camera, report),
+            write=lambda frame, index: self._write(pictures, frame, shots[index]),
+            summarise=(lambda frame, _: print_stats(frame, config.pipeline)) if self.stats else None,
+        )
+
+    def _open(self, report: Report) -> _Pictures:
+        """Checks all that can be checked, and loads the scene."""
         writer = FrameWriter(self.aov, self.view)
         file = scene_file(self.scene)
         base = scene_settings(file)
@@ -101,35 +169,66 @@ class Render(FrameCommand):
         shots = self._shots(cameras) if cameras else None
         check_writable(self.output)
         environment = self.light.environment_light()
-        with progress_bars() as report:
-            renderer = self.start_renderer(report, config, profile=self.stats)
-            scene = self.viewpoint.upright(self.load_scene(self.scene, report))
-            scene = self.light.lit_scene(scene, environment)
-            if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(self, _OF_REALTIME)):
-                _log.warning("%s", not_used(config, unused, "realtime"))
-            for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
-                _log.warning("%s", line)
-            shots = shots or self._shots([self.own_camera(scene, *self.scene)])
-            frame = self._render(shots, self.frame_source(renderer, self._warm_up()), scene, writer, report)
-        print(_summary(shots, frame))
-        if writer.legend:
-            print(writer.legend)
+        renderer = self.start_renderer(report, config, profile=self.stats)
+        scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+        scene = self.light.lit_scene(scene, environment)
+        if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(self, _OF_REALTIME)):
+            _log.warning("%s", not_used(config, unused, "realtime"))
+        for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
+            _log.warning("%s", line)
+        shots = shots or self._shots([self.own_camera(scene, *self.scene)])
+        return _Pictures(scene, shots, self.frame_source(renderer, self._warm_up()), writer)
 
-    def _render(
-        self, shots: list[Shot], source: FrameSource, scene: ls.Scene, writer: FrameWriter, report: Report
-    ) -> ls.Frame:
-        """Renders and writes the pictures; returns the frame of the last one."""
+    def _wanted(self, shots: list[Shot]) -> list[int]:
+        """The numbers of the pictures that are asked for."""
+        return frame_numbers("--frames", self.frames, len(shots))
+
+    def _render(self, pictures: _Pictures, report: Report) -> str:
+        """Renders and writes the pictures; what was written, in a line."""
+        shots = [pictures.shots[index] for index in self._wanted(pictures.shots)]
         make_folder(shots[0].path.parent)
-        progress = FrameProgress(report, "rendering", len(shots), "--frame" if self.path is None else "--fps")
+        with suppress(OSError):
+            (shots[0].path.parent / _STAMP).unlink()  # what it said of these pictures is no longer true
+        fewer = "--frame, --frames" if self.path is None else "--frames, --fps"
+        progress = FrameProgress(report, "rendering", len(shots), fewer)
         frame: ls.Frame | None = None
         for shot in shots:
-            frame = source.frame(scene, shot.camera, report)
-            writer.write(frame, shot.path, self._mattes(scene, shot.camera, source.renderer))
+            frame = pictures.source.frame(pictures.scene, shot.camera, report)
+            self._write(pictures, frame, shot)
             progress.add(frame)
         assert frame is not None
         if self.stats:
-            print_stats(frame, source.renderer.config.pipeline)
-        return frame
+            print_stats(frame, pictures.source.renderer.config.pipeline)
+        return _summary(shots, frame)
+
+    def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
+        """All that a picture follows from, except its number."""
+        files = [*self.scene, *(path for path in (self.cameras, self.path, self.light.environment) if path is not None)]
+        chosen = (
+            "width",
+            "height",
+            "frame",
+            "fps",
+            "format",
+            "aov",
+            "cryptomatte",
+            "warm_up",
+            "drop_invalid",
+            "crease_angle",
+        )
+        return {
+            "lumisplat": ls.__version__,
+            "device": device,
+            "scene": " ".join(map(str, self.scene)),
+            **{name: f"{getattr(self, name)}" for name in chosen},
+            **shared_origin(self, config),
+            **file_marks(files, self.output),
+        }
+
+    def _write(self, pictures: _Pictures, frame: ls.Frame, shot: Shot) -> None:
+        """Writes a picture, with its mattes."""
+        mattes = self._mattes(pictures.scene, shot.camera, pictures.source.renderer)
+        pictures.writer.write(frame, shot.path, mattes)
 
     def _mattes(self, scene: ls.Scene, camera: ls.Camera, renderer: ls.Renderer) -> ls.Mattes | None:
         """Mattes of a picture, if they are asked for."""
@@ -141,13 +240,13 @@ class Render(FrameCommand):
         """How frames in real time come to a picture.
 
         Raises:
-            ConfigError: --frames is below 1.
+            ConfigError: --warm-up is below 1.
         """
-        if self.frames is None:
+        if self.warm_up is None:
             return WarmUp(each=self.path is None)
-        if self.frames < 1:
-            raise ls.ConfigError(f"--frames is {self.frames}, expected 1 or more")
-        return WarmUp(frames=self.frames, each=self.path is None)
+        if self.warm_up < 1:
+            raise ls.ConfigError(f"--warm-up is {self.warm_up}, expected 1 or more")
+        return WarmUp(frames=self.warm_up, each=self.path is None)
 
     def _changes(self) -> Changes:
         """The settings of this command's own options that were given."""

@@ -17,6 +17,7 @@ from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting, without_none
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
+from lumisplat.cli.output.frame_folder import flat_settings
 from lumisplat.cli.output.frame_source import FrameSource, WarmUp
 
 
@@ -168,3 +169,15 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         except ls.SceneError as error:
             raise ls.SceneError(f"{', '.join(map(str, files))}: {error}" if files else str(error)) from None
         return self.light.exposed(camera)
+
+
+def shared_origin(command: FrameCommand, config: ls.RenderConfig) -> dict[str, str]:
+    """What frames follow from of the options that all of these commands have."""
+    return {
+        "exposure": f"{command.light.exposure}",
+        "denoise": f"{command.light.denoise}",
+        "environment_rotation": f"{command.light.environment_rotation}",
+        **dict(flat_settings("viewpoint.", command.viewpoint)),
+        **dict(flat_settings("lens.", command.lens)),
+        **dict(flat_settings("", config)),
+    }

@@ -11,7 +11,6 @@ from dataclasses import replace
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, found_light, print_table
 from lumisplat.cli.output.frame_folder import FrameFolder
-from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.stats import print_stats
 
@@ -26,7 +25,6 @@ class AnimationFrames:
         cameras: One for each frame.
         source: Renders them.
         folder: The folder of the frames.
-        stats: Whether to print what the frames took.
         remarks: Gives the lines to log about the settings, from the first scene that is rendered.
     """
 
@@ -37,42 +35,45 @@ class AnimationFrames:
         source: FrameSource,
         folder: FrameFolder,
         *,
-        stats: bool,
         remarks: Callable[[ls.Scene], Iterable[str]],
     ) -> None:
         self._animation, self._cameras, self._source = animation, cameras, source
-        self._folder, self._stats, self._remarks = folder, stats, remarks
+        self._folder, self._remarks = folder, remarks
+        self._last: int | None = None
         self._lighter: ls.AvatarLighter | None = None
         self._seconds = {"lighting": 0.0, "rendering": 0.0, "writing": 0.0}
 
-    def render(self, indices: list[int], report: Report) -> None:
-        """Renders and writes frames, if there are any."""
-        if not indices:
-            return
-        if self._animation.scene.splats and self._animation.actors:
+    def render(self, index: int, report: Report) -> ls.Frame:
+        """Renders a frame."""
+        is_first = self._last is None
+        if is_first and self._animation.scene.splats and self._animation.actors:
             self._start_lighter(report)
-            if indices[0] != 0:
+            if index != 0:
                 # Lights are estimated around the actors of frame 0, whichever frame is rendered first.
                 self._lit_scene(0)
-        progress = FrameProgress(report, "frames", len(indices), "--frames")
-        for done, index in enumerate(indices, start=1):
-            with self._timed("lighting"):
-                scene = self._lit_scene(index)
-            if done == 1:
-                # Remarks are about the lit scene, as actors may bring light into a scene without any.
-                for line in (*self._remarks(scene), *self._light_remarks()):
-                    _log.warning("%s", line)
-            if done == 1 or index != indices[done - 2] + 1:
-                self._source.cut()
-            with self._timed("rendering"):
-                frame = self._source.frame(scene, self._cameras[index], report)
-            with self._timed("writing"):
-                frame.save(self._folder.path(index))
-            progress.add(frame)
-            if self._stats and done == len(indices):
-                rows = [(name, f"{1e3 * taken / done:8.1f} ms") for name, taken in self._seconds.items()]
-                print_table(f"mean of {done} frames", rows)
-                print_stats(frame, self._source.renderer.config.pipeline)
+        with self._timed("lighting"):
+            scene = self._lit_scene(index)
+        if is_first:
+            # Remarks are about the lit scene, as actors may bring light into a scene without any.
+            for line in (*self._remarks(scene), *self._light_remarks()):
+                _log.warning("%s", line)
+        if self._last != index - 1:
+            self._source.cut()
+        with self._timed("rendering"):
+            frame = self._source.frame(scene, self._cameras[index], report)
+        self._last = index
+        return frame
+
+    def write(self, frame: ls.Frame, index: int) -> None:
+        """Writes a frame."""
+        with self._timed("writing"):
+            frame.save(self._folder.path(index))
+
+    def summarise(self, frame: ls.Frame, count: int) -> None:
+        """Prints what so many frames took, of which the given one is the last."""
+        rows = [(name, f"{1e3 * taken / count:8.1f} ms") for name, taken in self._seconds.items()]
+        print_table(f"mean of {count} frames", rows)
+        print_stats(frame, self._source.renderer.config.pipeline)
 
     def _start_lighter(self, report: Report) -> None:
         self._lighter = ls.AvatarLighter(

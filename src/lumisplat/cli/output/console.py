@@ -44,7 +44,9 @@ def progress_bars() -> Generator[Report]:
             nonlocal told
             if not console.is_terminal and fraction < 1.0 and time.monotonic() - told > LINE_EVERY_S:
                 told = time.monotonic()
-                print(f"{label}: {fraction:.0%}", file=sys.stderr, flush=True)
+                _, begun, first = tasks.get(name := label.partition(", ")[0], (None, told, fraction))
+                left = _time_left(told - begun, first, fraction)
+                print(f"{label}: {fraction:.0%}" + f", {left}" * bool(left), file=sys.stderr, flush=True)
             name = label.partition(", ")[0]
             if fraction >= 1.0:
                 if name in tasks:
@@ -126,6 +128,15 @@ def _print(table: Table) -> None:
             raise  # noqa: PLE0704 # called while a BrokenPipeError is handled
 
     PipedConsole(highlight=False, markup=False, emoji=False).print(table)
+
+
+def one_line(error: BaseException) -> str:
+    """The message of an error without line breaks."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: cannot be read or written: {error.strerror}"
+    if isinstance(error, MemoryError):
+        return "out of memory: try fewer pixels or a smaller capture"
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def counted(count: int, noun: str) -> str:

@@ -1,7 +1,8 @@
 """The folder of an animation's frames: which are there, and of which scene and settings they were made.
 
 Frames appear whole or not at all, so that those that are there need not be rendered again. ``animate.json`` beside them
-(``orbit.json`` of an orbit) says what they were made of; frames of anything else are refused instead of continued.
+(``orbit.json`` of an orbit, ``render.json`` of pictures) says what they were made of; frames of anything else are
+refused instead of continued.
 """
 
 from __future__ import annotations
@@ -34,10 +35,17 @@ class FrameFolder:
     extension: str
     stamp: str = "animate.json"
     """The file that says what the frames were made of."""
+    names: tuple[str, ...] | None = None
+    """File names of the frames; None: ``frame_0000`` and so on."""
 
     def path(self, index: int) -> Path:
         """The file of a frame."""
-        return self.folder / f"frame_{index:04d}.{self.extension}"
+        return self.folder / (f"frame_{index:04d}.{self.extension}" if self.names is None else self.names[index])
+
+    def holds(self, path: str) -> bool:
+        """Whether a path is of this folder."""
+        folder = Path(os.path.abspath(self.folder))
+        return folder in (Path(os.path.abspath(path)), *Path(os.path.abspath(path)).parents)
 
     def is_finished(self, index: int) -> bool:
         """Whether a frame is there."""
@@ -56,12 +64,14 @@ class FrameFolder:
         """
         stamp = self.folder / self.stamp
         frames = self._frames()
-        if overwrite:
-            for frame in frames:
-                frame.unlink()
-        elif frames:
+        if frames and not overwrite:
             self._check(stamp, origin)
         make_folder(self.folder)
+        if (
+            overwrite
+        ):  # the stamp first: without it, other runs in the folder stop, and a kill leaves nothing to go on with
+            for path in (stamp, *frames):
+                path.unlink(missing_ok=True)
         temporary = stamp.with_name(f".{stamp.stem}.{secrets.token_hex(6)}.lumisplat.json")  # as those of frames
         try:
             temporary.write_text(json.dumps(dict(origin), indent=1) + "\n")
@@ -72,27 +82,46 @@ class FrameFolder:
             with suppress(OSError):
                 temporary.unlink()
 
+    def check_current(self, origin: Mapping[str, str]) -> None:
+        """Checks that no run with other settings has begun in the folder.
+
+        Raises:
+            ConfigError: One has, or the stamp is gone.
+        """
+        if _stored(self.folder / self.stamp) != dict(origin):
+            raise ls.ConfigError(
+                f"{self.folder}: {self.stamp} is not what this run has written: another run with other settings has "
+                "begun there, or the folder was emptied; this one stops, so that frames do not mix"
+            )
+
     def _frames(self) -> list[Path]:
         if not self.folder.is_dir():
             return []
+        if self.names is not None:
+            return [path for name in self.names if (path := self.folder / name).is_file()]
         return sorted(path for path in self.folder.iterdir() if _FRAME.fullmatch(path.name))
 
     def _check(self, stamp: Path, origin: Mapping[str, str]) -> None:
         """Raises ConfigError unless the frames that are there are of this origin."""
         advice = "give --overwrite to remove them, or another folder"
-        try:
-            before: Any = json.loads(stamp.read_text())
-        except (OSError, ValueError):
-            before = None
-        if not isinstance(before, dict):
+        stored = _stored(stamp)
+        if stored is None:
             raise ls.ConfigError(
                 f"{self.folder} holds frames, but no {self.stamp} that says what they are of: {advice}"
             )
-        stored = cast(dict[str, object], before)
         changed = sorted(name for name in {*stored, *origin} if stored.get(name) != origin.get(name))
         if changed:
             named = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
             raise ls.ConfigError(f"{self.folder} holds frames from before a change of {named}: {advice}")
+
+
+def _stored(stamp: Path) -> dict[str, object] | None:
+    """What a stamp says; None: there is none, or it is none."""
+    try:
+        stored: Any = json.loads(stamp.read_text())
+    except (OSError, ValueError):
+        return None
+    return cast(dict[str, object], stored) if isinstance(stored, dict) else None
 
 
 def flat_settings(prefix: str, settings: DataclassInstance) -> Iterator[tuple[str, str]]:

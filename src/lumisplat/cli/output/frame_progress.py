@@ -29,12 +29,12 @@ class FrameProgress:
         self._done, self._since = 0, time.monotonic()
         report(label, 0.0)
 
-    def add(self, frame: ls.Frame) -> None:
-        """Counts a frame that has been rendered and written."""
+    def add(self, frame: ls.Frame | None) -> None:
+        """Counts a frame that has been rendered and written; None: another process has done that."""
         before, self._since = self._since, time.monotonic()
         self._done += 1
         if self._done == 2:  # the first may have waited for kernels that compile once, and for the scene's upload
-            self._announce(self._since - before, frame.samples)
+            self._announce(self._since - before, 1 if frame is None else frame.samples)
         self._report(self._label, self._done / self._count)
 
     def _announce(self, seconds: float, samples: int) -> None:

@@ -1,0 +1,1 @@
+"""Commands whose frames are made by workers."""

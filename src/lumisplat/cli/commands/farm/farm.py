@@ -1,0 +1,110 @@
+"""``lumisplat farm``: the frames of animate, orbit and render, made by workers."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
+
+import lumisplat as ls
+from lumisplat.cli.commands.animate import Animate
+from lumisplat.cli.commands.orbit import Orbit
+from lumisplat.cli.commands.render import Render
+from lumisplat.cli.farm.places import FarmRoom
+from lumisplat.cli.farm.run import FarmRun
+from lumisplat.cli.farm.worker import Order
+from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.farm import FarmGroup, FarmOptions
+from lumisplat.cli.output.console import progress_bars
+from lumisplat.cli.output.standard_output import refuse_standard_output
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarmAnimate(Animate):
+    """Render an animated scene by workers.
+
+    lumisplat farm animate scene.toml --workers 2 -o frames --video walk.mp4
+    """
+
+    farm: FarmGroup = field(default_factory=FarmOptions)
+    """Frames are the same to the bit as those of one process."""
+
+    def run(self) -> None:
+        """Renders the frames that are missing, then the video."""
+        run_farm(self, overwrite=self.overwrite, video=self.video)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarmOrbit(Orbit):
+    """Go once round a scene, by workers.
+
+    lumisplat farm orbit garden.ply --workers 2 --video orbit.mp4
+    """
+
+    farm: FarmGroup = field(default_factory=FarmOptions)
+    """Frames are the same to the bit as those of one process."""
+
+    def run(self) -> None:
+        """Renders the frames that are missing, then the video."""
+        run_farm(self, overwrite=self.overwrite, video=self.video)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarmRender(Render):
+    """Render a picture for each camera, by workers. Pictures that are there stay, as with --resume.
+
+    lumisplat farm render garden.ply --cameras transforms.json --workers 2 -o out
+    """
+
+    overwrite: Flag = False
+    """Render pictures that are there anew."""
+    farm: FarmGroup = field(default_factory=FarmOptions)
+    """Pictures are the same to the bit as those of one process."""
+
+    def run(self) -> None:
+        """Renders the pictures that are missing."""
+        run_farm(self, overwrite=self.overwrite, video=None)
+
+
+def run_farm(command: FarmAnimate | FarmOrbit | FarmRender, *, overwrite: bool, video: Path | None) -> None:
+    """Makes the frames of a command by workers.
+
+    Args:
+        command: Whose frames they are.
+        overwrite: Whether to make those that are there anew.
+        video: A video of them; None: none.
+
+    Raises:
+        ConfigError: --stats is given.
+        LumisplatError: As of `FarmRun.run`.
+    """
+    refuse_standard_output(command.output)
+    if command.stats:
+        raise ls.ConfigError("--stats is of one process: give it to the command without farm")
+    room = FarmRoom(workers=command.farm.workers, cores=command.farm.cores, device=command.device)
+    order = Order(command, os.getcwd(), command.debug)
+    with progress_bars() as report:
+        run = FarmRun(order, command.farm.address, room, report, overwrite=overwrite, video=video)
+        lines = run.run()
+    print(lines)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Farm:
+    """Render frames by workers: on all GPUs of this machine, on its cores, or on a cluster of Ray.
+
+    After an interruption, the same command goes on: frames that are there stay. Workers that die are replaced.
+    Exit status: 0: all frames are there. 2: a mistake. 3: some frames could not be made. 130: interrupted.
+    """
+
+    what: Annotated[
+        Annotated[FarmAnimate, subcommand("animate")]
+        | Annotated[FarmOrbit, subcommand("orbit")]
+        | Annotated[FarmRender, subcommand("render")],
+        OmitArgPrefixes,
+        OmitSubcommandPrefixes,
+    ]
+    """What is rendered."""

@@ -1,0 +1,1 @@
+"""Frames as units of work: one after the other in this process, or by workers, here or on a Ray cluster."""

@@ -1,0 +1,224 @@
+"""The driver of a farm: which frames are to be made, in hand, done and failed. It knows nothing of where workers run.
+
+A worker has two frames in hand, so that it never waits for the driver; once fewer frames wait than there are workers,
+one, so that none waits behind another while a worker is idle. A worker that is lost is replaced, and its frames are
+given out again; only the one that it was at is held against it, and is left after the second time. So is a frame that
+has failed twice. Frames that fail one after the other, with none done between them, end the job: then the disk is full,
+or the like.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import lumisplat as ls
+from lumisplat.cli.farm.executor import Done, Event, Executor, Failed, Lost, Ready, Refused, Reported, Said
+from lumisplat.cli.farm.job import FrameList
+from lumisplat.cli.output.console import one_line
+
+_log = logging.getLogger("lumisplat")
+
+TRIES = 2
+"""How often a frame is tried: what kills a worker twice would kill the third."""
+IN_HAND = 2
+"""Frames that a worker has at once: the one that it makes, and the next."""
+FAILURES_IN_A_ROW = 4
+"""Failures of frames, none done between them, after which the job ends."""
+STARTS_IN_A_ROW = 2
+"""Workers that end before they are ready, none ready between them, after which none is started in their place."""
+_WAIT_S = 1.0
+"""For events, before the driver looks again, seconds."""
+
+
+@dataclass
+class Tally:
+    """How far a job is."""
+
+    wanted: int = 0
+    """Frames that were missing when it began."""
+    done: dict[int, float] = field(default_factory=dict[int, float])
+    """Frames that are there since, and what each took of a worker, seconds."""
+    failed: dict[int, BaseException] = field(default_factory=dict[int, BaseException])
+    """Frames that are left, and why."""
+    lost: int = 0
+    """Workers that ended before their time."""
+
+    @property
+    def cost(self) -> float:
+        """Mean of what a frame takes of a worker, seconds; 0 if that is not known."""
+        made = [seconds for seconds in self.done.values() if seconds > 0.0]
+        return sum(made) / len(made) if made else 0.0
+
+
+@dataclass
+class _Worker:
+    """A worker that has not ended."""
+
+    is_ready: bool = False
+    in_hand: deque[int] = field(default_factory=deque[int])
+    """The frames that it was given, in its order: it is at the first."""
+
+
+class Driver:
+    """Gives frames to workers until each is there or has failed.
+
+    Args:
+        executor: Runs the workers.
+        workers: How many there are to be.
+        begin: Called once, with the frames as the first worker sees them; returns the numbers of the missing ones.
+        on_progress: Called after each frame.
+        on_loading: Called with a label and a fraction while workers load their scene.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        workers: int,
+        begin: Callable[[FrameList], Iterable[int]],
+        on_progress: Callable[[Tally], None],
+        on_loading: Callable[[str, float], None],
+    ) -> None:
+        self._executor, self._count = executor, workers
+        self._begin, self._on_progress, self._on_loading = begin, on_progress, on_loading
+        self._workers: dict[int, _Worker] = {}
+        self._waiting: deque[int] = deque()
+        self._tries: dict[int, int] = {}
+        self._failures = self._bad_starts = 0
+        self._said: set[str] = set()
+        self._refusal: BaseException | None = None
+        self.frames: FrameList | None = None
+        """The frames as the first worker sees them; None: none was ready yet."""
+        self.tally = Tally()
+
+    def run(self) -> Tally:
+        """Makes the frames.
+
+        Raises:
+            LumisplatError: No worker can work, or the first frame shows a mistake that comes again in all.
+            OSError: Likewise.
+            MemoryError: Likewise.
+        """
+        for _ in range(self._count):
+            self._start()
+        while self._workers and not self._is_finished:
+            for event in self._executor.events(_WAIT_S):
+                self._take(event)
+        if self.frames is None:
+            raise self._refusal or ls.DeviceError("no worker could be started")
+        why = self._refusal or ls.DeviceError("all workers were lost")
+        self.tally.failed |= dict.fromkeys(self._waiting, why)
+        return self.tally
+
+    @property
+    def _is_finished(self) -> bool:
+        in_hand = any(worker.in_hand for worker in self._workers.values())
+        return self.frames is not None and not self._waiting and not in_hand
+
+    def _start(self) -> None:
+        self._workers[self._executor.start()] = _Worker()
+
+    def _take(self, event: Event) -> None:
+        """Takes notice of an event; those of workers that were stopped are old."""
+        if event.worker not in self._workers:
+            return
+        match event:
+            case Ready(number, frames):
+                self._greet(number, frames)
+            case Refused(number, error):
+                self._bad_start(number, error)
+            case Done(number, frame, seconds):
+                self._workers[number].in_hand.remove(frame)
+                self._failures = 0
+                self.tally.done[frame] = seconds
+                self._on_progress(self.tally)
+            case Failed(number, frame, error, is_mistake):
+                self._workers[number].in_hand.remove(frame)
+                if is_mistake and not self.tally.done:
+                    raise error
+                self._count_failure(frame, error)
+            case Lost(number, how):
+                self._bury(number, how)
+            case Said(_, line):
+                self._say(line)
+            case Reported(_, label, fraction):
+                if self.frames is None:
+                    self._on_loading(label, fraction)
+        self._hand_out()
+
+    def _greet(self, number: int, frames: FrameList) -> None:
+        """Takes a worker that is ready, if it sees the same frames as the first one."""
+        if self.frames is None:
+            self._waiting = deque(self._begin(frames))
+            self.frames = frames
+            self.tally.wanted = len(self._waiting)
+            self._on_progress(self.tally)
+            if frames.in_sequence and self._waiting and self._count > 1:
+                raise ls.ConfigError(
+                    "frames of --pipeline realtime follow from those before them: workers cannot share them; render "
+                    "them by --workers 1 or without farm, or choose another --pipeline"
+                )
+        elif frames != self.frames:
+            others = {name for name, value in frames.origin.items() if self.frames.origin.get(name) != value}
+            named = ", ".join(sorted(others | (self.frames.origin.keys() - frames.origin.keys()))[:3]) or "frames"
+            self._bad_start(number, ls.SceneError(f"a worker sees other {named} than the first one, and is not used"))
+            return
+        self._workers[number].is_ready = True
+        self._bad_starts = 0
+
+    def _bad_start(self, number: int, error: BaseException) -> None:
+        """Lets a worker go that cannot work; the others go on."""
+        del self._workers[number]
+        self._executor.stop(number)
+        self._refusal = error
+        if self._workers:
+            self._say(f"one worker fewer: {one_line(error)}")
+
+    def _bury(self, number: int, how: str) -> None:
+        """Gives out again what a lost worker had in hand, and starts another in its place."""
+        worker = self._workers.pop(number)
+        self.tally.lost += 1
+        if not worker.is_ready:
+            self._bad_starts += 1
+            self._refusal = ls.DeviceError(f"a worker ended before it was ready: {how}")
+        rest = worker.in_hand
+        at = rest.popleft() if rest else None
+        self._waiting.extendleft(reversed(rest))
+        doing = f", at frame {at}" if at is not None else ""
+        _log.warning("a worker was lost (%s)%s", how, doing)
+        if at is not None:
+            self._count_failure(at, ls.DeviceError(f"a worker was lost: {how}"))
+        if self._bad_starts < STARTS_IN_A_ROW and not self._is_finished:
+            self._start()
+
+    def _count_failure(self, frame: int, error: BaseException) -> None:
+        """Tries a frame again, later, or leaves it."""
+        self._failures += 1
+        self._tries[frame] = self._tries.get(frame, 0) + 1
+        if self._tries[frame] < TRIES:
+            self._waiting.append(frame)
+        else:
+            self.tally.failed[frame] = error
+            self._on_progress(self.tally)
+        if self._failures >= FAILURES_IN_A_ROW:
+            self.tally.failed |= dict.fromkeys(self._waiting, error)
+            self._waiting.clear()
+
+    def _hand_out(self) -> None:
+        """Gives frames to workers that have room for them, the idle ones first."""
+        ready = [(number, worker) for number, worker in self._workers.items() if worker.is_ready]
+        for depth in range(1, IN_HAND + 1):
+            for number, worker in ready:
+                may_wait = depth == 1 or len(self._waiting) >= len(ready)
+                if self._waiting and len(worker.in_hand) < depth and may_wait:
+                    frame = self._waiting.popleft()
+                    worker.in_hand.append(frame)
+                    self._executor.submit(number, frame)
+
+    def _say(self, line: str) -> None:
+        """Logs a line, once, whichever worker says it."""
+        if line not in self._said:
+            self._said.add(line)
+            _log.warning("%s", line)

@@ -1,0 +1,114 @@
+"""Frames as units of work: which there are to be, where, what they are made of, and how one is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Protocol
+
+import lumisplat as ls
+from lumisplat.cli.output.console import Report, counted, one_line
+from lumisplat.cli.output.frame_folder import FrameFolder
+
+NAMED_FRAMES = 3
+"""Failed frames that a message names, with what is wrong; the others are counted."""
+
+
+class FramesMissingError(ls.LumisplatError):
+    """Some frames could not be made; the others are there, and the same command tries again."""
+
+    status = 3
+    """Exit status of the process, so that schedulers tell it from a mistake (2), which comes again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameList:
+    """The frames of a command."""
+
+    folder: FrameFolder
+    """Where they go."""
+    origin: dict[str, str]
+    """All that they are made of, by name."""
+    wanted: tuple[int, ...]
+    """Their numbers."""
+    fps: float | None = None
+    """Frames a second, if they are those of a film."""
+    in_sequence: bool = False
+    """Whether a frame follows from those before it."""
+
+    def begin(self, overwrite: bool) -> list[int]:
+        """Makes the folder ready; the frames that are missing.
+
+        Raises:
+            ConfigError: There are frames of another origin.
+            FormatError: The folder cannot be written to.
+        """
+        self.folder.prepare(self.origin, overwrite)
+        return [index for index in self.wanted if not self.folder.is_finished(index)]
+
+    def there(self, overwrite: bool = False) -> str:
+        """How many of the frames are there, and how to go on."""
+        count = sum(map(self.folder.is_finished, self.wanted))
+        again = "the same command without --overwrite" if overwrite else "the same command"
+        return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), 'frame')}; {again} goes on"
+
+    def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> FramesMissingError:
+        """The error that says which frames failed, why, and how to go on."""
+        first = sorted(failed)[:NAMED_FRAMES]
+        named = "; ".join(f"frame {index}: {one_line(failed[index])}" for index in first)
+        more = f"; and {counted(len(failed) - len(first), 'more frame')}" if len(failed) > len(first) else ""
+        return FramesMissingError(f"{named}{more}; {self.there(overwrite)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameJob:
+    """The frames of a command, ready to be made: what can be checked is checked, and the scene is loaded."""
+
+    frames: FrameList
+    render: Callable[[int, Report], ls.Frame]
+    """Renders one of them."""
+    write: Callable[[ls.Frame, int], None]
+    """Writes it."""
+    summarise: Callable[[ls.Frame, int], None] | None = None
+    """Prints what so many frames took, of which the given one is the last."""
+
+    def make(self, index: int, report: Report) -> ls.Frame | None:
+        """Renders a frame and writes it whole, unless it is there.
+
+        Returns:
+            The frame; None: it was there, for another process has made it.
+
+        Raises:
+            ConfigError: Another run with other settings has begun in the folder.
+            LumisplatError: As of ``render`` and ``write``.
+            OSError: Likewise.
+        """
+        folder, origin = self.frames.folder, self.frames.origin
+        if folder.is_finished(index):
+            return None
+        frame = self.render(index, report)
+        folder.check_current(origin)
+        self.write(frame, index)
+        try:
+            folder.check_current(origin)
+        except ls.ConfigError:
+            with suppress(OSError):
+                folder.path(index).unlink()
+            raise
+        return frame
+
+
+class FrameMaker(Protocol):
+    """A command whose result are frames."""
+
+    def open_frames(self, report: Report) -> FrameJob:
+        """Checks all that can be checked, and loads the scene."""
+        ...
+
+
+def is_mistake(error: BaseException, frames: FrameList) -> bool:
+    """Whether an error of the first frame that is made will come of all: a setting or a file that is wrong."""
+    if isinstance(error, ls.FormatError):
+        return not frames.folder.holds(error.path)
+    return isinstance(error, ls.ConfigError | ls.SceneError)

@@ -1,0 +1,180 @@
+"""Workers as actors of Ray, on one machine or many.
+
+Ray starts none of them again and repeats no frame by itself: the driver does, as with processes, so that one rule says
+how often a frame is tried. A node that dies is actors that are lost; their successors start wherever there is room,
+also on nodes that have joined since.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import lumisplat as ls
+from lumisplat.cli.farm.executor import Event, Lost, Said
+from lumisplat.cli.farm.places import CORES, THREADS_VARIABLE, FarmRoom
+from lumisplat.cli.farm.worker import Order, Worker
+from lumisplat.cli.output.console import one_line
+
+_LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""At 0, Ray takes 127.0.0.1 for its node, as it does on Windows and macOS, and its ports are open there alone. Else
+they are open on all interfaces, whatever ``_node_ip_address`` says (measured with ``ss``, Ray 2.60)."""
+
+
+class RayWorker:
+    """What runs as an actor: a `Worker` whose answers carry its remarks."""
+
+    def __init__(self, number: int, order: Order, environment: dict[str, str]) -> None:
+        self._worker = Worker(number, order, environment)
+
+    def open(self) -> tuple[list[str], Event]:
+        """Loads the scene."""
+        return self._answer(self._worker.open(_nothing))
+
+    def make(self, frame: int) -> tuple[list[str], Event]:
+        """Makes a frame."""
+        return self._answer(self._worker.make(frame))
+
+    def _answer(self, event: Event) -> tuple[list[str], Event]:
+        lines, self._worker.lines[:] = list(self._worker.lines), []
+        return lines, event
+
+
+@dataclass
+class _Actor:
+    """An actor, and what it was asked for and has not answered."""
+
+    handle: Any
+    asked: list[Any] = field(default_factory=list[Any])
+
+
+class RayActors:
+    """An `Executor` of actors.
+
+    Args:
+        order: What they are to do.
+        environment: Variables of their processes.
+        options: What each of them needs: ``num_cpus`` or ``num_gpus``.
+    """
+
+    def __init__(self, order: Order, environment: dict[str, str], options: dict[str, float]) -> None:
+        self._ray = load_ray()
+        self._order, self._environment = order, environment
+        self._remote = self._ray.remote(max_restarts=0, max_task_retries=0, **options)(RayWorker)
+        self._actors: dict[int, _Actor] = {}
+        self._count = 0
+
+    def start(self) -> int:
+        """As `Executor.start`."""
+        number, self._count = self._count, self._count + 1
+        handle = self._remote.remote(number, self._order, self._environment)
+        self._actors[number] = _Actor(handle, [handle.open.remote()])
+        return number
+
+    def submit(self, worker: int, frame: int) -> None:
+        """As `Executor.submit`."""
+        if worker in self._actors:
+            actor = self._actors[worker]
+            actor.asked.append(actor.handle.make.remote(frame))
+
+    def stop(self, worker: int) -> None:
+        """As `Executor.stop`."""
+        if worker in self._actors:
+            self._ray.kill(self._actors.pop(worker).handle)
+
+    def events(self, timeout: float) -> Sequence[Event]:
+        """As `Executor.events`."""
+        owners = {ref: number for number, actor in self._actors.items() for ref in actor.asked}
+        if not owners:
+            time.sleep(timeout)
+            return []
+        answered, _ = self._ray.wait(list(owners), num_returns=1, timeout=timeout)
+        return [event for ref in answered for event in self._heard(owners[ref], ref)]
+
+    def close(self) -> None:
+        """As `Executor.close`."""
+        for number in list(self._actors):
+            self.stop(number)
+        self._ray.shutdown()
+
+    def _heard(self, number: int, ref: Any) -> list[Event]:
+        """The answer of an actor, or that it is gone."""
+        self._actors[number].asked.remove(ref)
+        try:
+            lines, event = self._ray.get(ref)
+        except self._ray.exceptions.RayError as error:
+            self.stop(number)
+            return [Lost(number, _short(error))]
+        return [*(Said(number, line) for line in lines), event]
+
+
+def connect(address: str) -> str:
+    """Connects to a cluster of Ray, or starts one here.
+
+    Args:
+        address: ``ray``: one is started here, for as long as the job takes; ``auto``: that which runs here;
+            ``ray://host:port`` or ``host:port``: that one.
+
+    Returns:
+        What listens where, in a line.
+
+    Raises:
+        ConfigError: There is none, or it is of another version.
+        MissingExtraError: Ray is not installed.
+    """
+    if address == "ray":
+        os.environ.setdefault(_LOOPBACK, "0")
+    ray = load_ray()
+    options: dict[str, Any] = {"include_dashboard": False} if address == "ray" else {"address": address}
+    try:
+        ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+    except Exception as error:  # Ray raises whatever its parts do
+        raise ls.ConfigError(f"--address {address}: no cluster of Ray can be used there: {_short(error)}") from None
+    resources = ray.cluster_resources()
+    room = f"{resources.get('CPU', 0):g} CPUs, {resources.get('GPU', 0):g} GPUs"
+    if address != "ray":
+        return f"Ray {ray.__version__} at {address}: {room}"
+    heard = "on 127.0.0.1 alone" if ray.util.get_node_ip_address() == "127.0.0.1" else "on all interfaces"
+    return f"Ray {ray.__version__} was started here for this job ({room}); its ports are open {heard}"
+
+
+def ray_room(room: FarmRoom) -> tuple[int, dict[str, float], dict[str, str]]:
+    """How many actors there are, what each needs, and the variables of its process.
+
+    An actor has a GPU to itself where the cluster has any, else its cores.
+    """
+    resources = load_ray().cluster_resources()
+    gpus = int(resources.get("GPU", 0)) if room.takes_gpus else 0
+    cpus = int(resources.get("CPU", 1))
+    count = room.workers or gpus or max(1, cpus // (room.cores or CORES))
+    cores = room.cores or max(1, min(CORES, cpus // count))
+    needs: dict[str, float] = {"num_gpus": 1, "num_cpus": 1} if gpus else {"num_cpus": cores}
+    return count, needs, {THREADS_VARIABLE: f"{cores}"}
+
+
+def load_ray() -> Any:
+    """Ray, without its reports of usage.
+
+    Raises:
+        MissingExtraError: It is not installed.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        return importlib.import_module("ray")
+    except ImportError:
+        raise ls.MissingExtraError("--address with Ray", "farm") from None
+
+
+def _short(error: BaseException) -> str:
+    """The first sentence of what Ray says, which goes on for pages."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return one_line(RuntimeError(lines[0] if lines else type(error).__name__))
+
+
+def _nothing(label: str, fraction: float) -> None:
+    """Shows no progress: an actor answers once."""

@@ -1,0 +1,27 @@
+"""Options of a farm: workers, and where they run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import OmitArgPrefixes, arg
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarmOptions:
+    """What makes the frames."""
+
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a GPU, or one for 4 cores)")] = (
+        None
+    )
+    """Processes, each of which holds the scene. More than a cluster has room for wait until nodes join."""
+    cores: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: their share of the machine)")] = None
+    """CPU cores of each worker."""
+    address: Annotated[str, arg(metavar="local|auto|ray|ray://HOST:PORT")] = "local"
+    """local: processes of this machine; no Ray is needed. With Ray (pip install 'lumisplat[farm]'), auto: the cluster
+    that this machine belongs to; ray://HOST:10001: one elsewhere; ray: one that is started here for this job."""
+
+
+FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]
+"""A field of a command that shows its options in a group of their own."""
