@@ -123,21 +123,27 @@ def serve(connection: Connection, number: int, order: Order, environment: dict[s
         except (EOFError, OSError):
             os._exit(0)
 
+    def tell(event: Event) -> None:
+        try:
+            connection.send(event)
+        except OSError:
+            os._exit(0)
+
     def report(label: str, fraction: float) -> None:
         nonlocal told
         if fraction >= 1.0 or time.monotonic() - told > _REPORT_EVERY_S:
             told = time.monotonic()
-            connection.send(Reported(number, label, fraction))
+            tell(Reported(number, label, fraction))
 
-    def say(event: Event) -> None:
+    def answer(event: Event) -> None:
         while worker.lines:
-            connection.send(Said(number, worker.lines.pop(0)))
-        connection.send(event)
+            tell(Said(number, worker.lines.pop(0)))
+        tell(event)
 
     threading.Thread(target=listen, daemon=True).start()
-    say(worker.open(report))
+    answer(worker.open(report))
     while True:
-        say(worker.make(given.get()))
+        answer(worker.make(given.get()))
 
 
 def _end(status: int | None) -> str:

@@ -19,11 +19,14 @@ import lumisplat as ls
 from lumisplat.cli.farm.executor import Event, Lost, Said
 from lumisplat.cli.farm.places import CORES, THREADS_VARIABLE, FarmRoom
 from lumisplat.cli.farm.worker import Order, Worker
-from lumisplat.cli.output.console import one_line
 
 _LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """At 0, Ray takes 127.0.0.1 for its node, as it does on Windows and macOS, and its ports are open there alone. Else
 they are open on all interfaces, whatever ``_node_ip_address`` says (measured with ``ss``, Ray 2.60)."""
+
+
+_SAID = 300
+"""Characters of what Ray says that are passed on."""
 
 
 class RayWorker:
@@ -171,9 +174,9 @@ def load_ray() -> Any:
 
 
 def _short(error: BaseException) -> str:
-    """The first sentence of what Ray says, which goes on for pages."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return one_line(RuntimeError(lines[0] if lines else type(error).__name__))
+    """The beginning of what Ray says, which goes on for pages."""
+    words = " ".join(str(error).split()) or type(error).__name__
+    return words if len(words) <= _SAID else f"{words[:_SAID]} ..."
 
 
 def _nothing(label: str, fraction: float) -> None:

@@ -1,0 +1,35 @@
+"""Frames as a job of OpenCue (pip install opencue-pyoutline): each task makes a chunk of frames, all in one folder.
+
+python opencue_submit.py 240 10 animate scene.toml -o /share/frames          240 frames, 10 a task
+
+Paths are as the hosts see them. OpenCue tries a task again that ends with another status than 0; frames that are there
+stay. The film at the end: lumisplat animate scene.toml -o /share/frames --video film.mp4
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+
+def main(count: int, chunk: int, arguments: list[str]) -> None:
+    """Submits the frames of a command.
+
+    Args:
+        count: Number of frames.
+        chunk: Frames of a task.
+        arguments: What follows ``lumisplat``.
+    """
+    outline, cuerun, shell = map(import_module, ("outline", "outline.cuerun", "outline.modules.shell"))
+
+    # Not #FRAME_START# and #FRAME_END#: of a last chunk that is shorter, the latter lies beyond the end.
+    command = ["lumisplat", *arguments, "--frames", "#FRAMESPEC#"]
+    job = outline.Outline("lumisplat", shot="film", show="show")
+    job.add_layer(shell.Shell("frames", command=command, range=f"0-{count - 1}", chunk=chunk))
+    cuerun.launch(job, use_pycuerun=False)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 4:
+        raise SystemExit("usage: python opencue_submit.py FRAMES CHUNK animate scene.toml -o FOLDER")
+    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])

@@ -1,0 +1,125 @@
+"""Workers as actors of Ray: they die, and all frames are there; its ports are open to this machine alone."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli.farm.ray_actors import connect
+from support.files.cli_files import Workplace
+
+needs_ray = pytest.mark.skipif(
+    importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install 'lumisplat[farm]'"
+)
+pytestmark = [needs_ray, pytest.mark.filterwarnings("ignore")]
+
+PROGRAM = """
+import os, sys
+from pathlib import Path
+import lumisplat as ls
+from lumisplat.cli.farm.places import FarmRoom
+from lumisplat.cli.farm.run import FarmRun
+from lumisplat.cli.farm.worker import Order
+from support.frame_makers import FakeMaker
+
+maker = FakeMaker(Path("out").absolute(), count=60, wrong={7: "exit", 23: "kill"})
+room = FarmRoom(workers=2, cores=1, device="cpu")
+print(FarmRun(Order(maker, os.getcwd()), "ray", room, lambda *_: None, overwrite=False, video=None).run())
+"""
+PORTS = """
+import subprocess
+from lumisplat.cli.farm.ray_actors import connect, load_ray
+print(connect("ray"))
+ray = load_ray()
+ray.get(ray.remote(lambda: 1).remote())
+print(subprocess.run(["ss", "-ltnpH"], capture_output=True, text=True).stdout)
+ray.shutdown()
+"""
+
+
+def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Runs a program in a process of its own, as Ray stays in one for good."""
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=os.environ)
+
+
+def test_sixty_frames_of_actors_that_die(tmp_path: Path) -> None:
+    """One exits in mid-frame, one is killed: all frames are there, and only what was at hand was begun twice."""
+    done = run(PROGRAM, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "60 frames by 2 workers in " in done.stdout and "2 workers lost and replaced" in done.stdout
+    assert len(list((tmp_path / "out").glob("frame_*.png"))) == 60
+    begun = sorted(int(path.name.split("_")[0]) for path in (tmp_path / "made").iterdir())
+    assert begun == sorted([*range(60), 7, 23])
+    assert "its ports are open on 127.0.0.1 alone" in done.stderr
+
+
+def test_ports_of_a_local_cluster(tmp_path: Path) -> None:
+    """What the line says of them is what ``ss`` shows of all of Ray's processes."""
+    done = run(PORTS, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "its ports are open on 127.0.0.1 alone" in done.stdout
+    of_ray = ("raylet", "gcs_server", "ray::")
+    addresses = [line.split()[3] for line in done.stdout.splitlines() if any(name in line for name in of_ray)]
+    assert addresses
+    assert all(address.startswith(("127.0.0.1:", "[::ffff:127.0.0.1]:", "[::1]:")) for address in addresses)
+
+
+@pytest.mark.deep
+def test_frames_are_those_of_one_process(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """To the bit, by the command."""
+    work = Workplace(tmp_path, capsys)
+    options = ("--seconds", "0.3", "--fps", "20", "--width", "24", "--height", "16", "--device", "cpu")
+    assert work.run("orbit", "@capture.ply", "-o", "@whole", *options).status == 0
+    command = [
+        sys.executable,
+        "-m",
+        "lumisplat",
+        "farm",
+        "orbit",
+        str(work.path("capture.ply")),
+        "-o",
+        "farm",
+        *options,
+    ]
+    command += ["--workers", "2", "--address", "ray"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for path in sorted(work.path("whole").glob("*")):
+        assert path.read_bytes() == (work.path("farm") / path.name).read_bytes()
+
+
+@pytest.mark.parametrize("address", ["auto", "127.0.0.1:1", "ray://127.0.0.1:1"])
+def test_no_cluster_is_said_in_a_line(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What Ray says of it, cut to its first sentence."""
+    monkeypatch.setenv("RAY_ADDRESS", "")
+    monkeypatch.setenv("RAY_gcs_rpc_server_reconnect_timeout_s", "1")
+    with pytest.raises(ls.ConfigError, match=f"--address {address}: no cluster of Ray can be used there: ") as raised:
+        connect(address)
+    assert "\n" not in str(raised.value)
+
+
+def test_another_ray_on_the_other_side_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An older one refuses the client: a line that has both versions."""
+    ray = importlib.import_module("ray")
+
+    def refused(**_: object) -> None:
+        raise RuntimeError(
+            "Version mismatch: The cluster was started with:\n    Ray: 2.9.0\n    Python: 3.10.1\nThis process was "
+            "started with:\n    Ray: 2.60.0\n    Python: 3.11.7\n"
+        )
+
+    monkeypatch.setattr(ray, "init", refused)
+    with pytest.raises(ls.ConfigError) as raised:
+        connect("ray://farm:10001")
+    assert str(raised.value) == (
+        "--address ray://farm:10001: no cluster of Ray can be used there: Version mismatch: The cluster was started "
+        "with: Ray: 2.9.0 Python: 3.10.1 This process was started with: Ray: 2.60.0 Python: 3.11.7"
+    )

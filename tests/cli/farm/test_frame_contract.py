@@ -1,0 +1,183 @@
+"""What schedulers rely on: ranges of frames, frames that are whole or absent and of one origin, and exit statuses."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.cli.farm.alone import make_alone
+from lumisplat.cli.farm.job import FrameJob, FramesMissingError
+from support.files.cli_files import Workplace
+from support.frame_makers import FakeMaker
+
+SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def orbit(work: Workplace, folder: str, *options: str):
+    """Six frames into a folder."""
+    return work.run("orbit", "@capture.ply", "-o", f"@{folder}", "--seconds", "0.3", "--fps", "20", *SIZE, *options)
+
+
+def pictures(work: Workplace, folder: str) -> dict[str, bytes]:
+    """The frames of a folder."""
+    return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("*.png"))}
+
+
+def test_parts_of_an_orbit_make_the_whole(work) -> None:
+    """In any order, by numbers, ranges and steps; a part says how many of its own frames there are."""
+    assert orbit(work, "whole").status == 0
+    for part, count in (("1-5x2", 3), ("0,4", 2), ("2", 1)):
+        assert f"{count} frame{'s' * (count > 1)} in" in orbit(work, "parts", "--frames", part).out
+    assert pictures(work, "parts") == pictures(work, "whole")
+    refused = orbit(work, "parts", "--frames", "4-6")
+    assert refused.status == 2 and "of an animation of 6 frames, 0-5: '4-6' is not among them" in refused.err
+
+
+def render(work: Workplace, folder: str, *options: str):
+    """A picture for each of two cameras."""
+    options = (*SIZE, "--cameras", str(work.path("cameras.json")), *options)
+    return work.run("render", "@capture.ply", "-o", f"@{folder}", *options)
+
+
+def test_pictures_are_resumed(work) -> None:
+    """With --resume those that are there stay, of the same scene and settings alone; without it, all are made anew."""
+    assert render(work, "whole").status == 0
+    assert render(work, "out", "--resume", "--frames", "1").status == 0
+    assert [*pictures(work, "out")] == ["right.png"] and work.path("out/render.json").exists()
+    before = work.path("out/right.png").stat().st_mtime_ns
+    assert "2 frames in" in (out := render(work, "out", "--resume").out) and "1 of them was there" in out
+    assert work.path("out/right.png").stat().st_mtime_ns == before
+    assert pictures(work, "out") == pictures(work, "whole")
+    refused = render(work, "out", "--resume", "--sh-degree", "0")
+    assert refused.status == 2 and "holds frames from before a change of raster.sh_degree" in refused.err
+    assert render(work, "out", "--sh-degree", "0").status == 0
+    assert not work.path("out/render.json").exists()  # it spoke of other pictures
+    assert "holds frames, but no render.json" in render(work, "out", "--resume").err
+
+
+def test_layers_come_before_the_picture_that_says_that_all_is_there(work, monkeypatch) -> None:
+    """A run that is cut off between them leaves no finished frame."""
+    module = sys.modules[ls.Frame.__module__]
+    written: list[str] = []
+    write = module.write_png
+
+    def watched(path: Path, pixels: object) -> None:
+        written.append(Path(path).name)
+        write(path, pixels)
+
+    monkeypatch.setattr(module, "write_png", watched)
+    assert render(work, "out", "--resume", "--aov", "depth,normal", "--frames", "0").status == 0
+    assert sorted(written) == ["left.depth.png", "left.normal.png", "left.png"] and written[-1] == "left.png"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--resume", "--view", "normal"), "--view colours all pictures by the first of a run"),
+        (("--resume", "-o", "out.png", "--frame", "left"), "is one picture, and frames are many: give a folder"),
+        (("--frames", "2"), "of an animation of 2 frames, 0-1"),
+    ],
+)
+def test_what_cannot_be_resumed_is_said(work, options: tuple[str, ...], message: str) -> None:
+    """One line, status 2, and nothing is written."""
+    before = work.files()
+    refused = render(work, "out", *options)
+    assert refused.status == 2 and message in refused.err and refused.err.count("\n") == 1
+    assert work.files() == before
+
+
+def test_another_run_that_begins_in_the_folder_stops_this_one(tmp_path: Path) -> None:
+    """Before and after its frame is written: no frame of its own is left among the others."""
+    job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
+    other = replace(job.frames, origin={"kind": "other"})
+
+    def overtaken_while_rendering(index: int, report: object) -> ls.Frame:
+        other.begin(True)
+        return job.render(index, lambda *_: None)
+
+    def overtaken_while_writing(frame: ls.Frame, index: int) -> None:
+        other.begin(True)
+        job.write(frame, index)
+
+    for spoilt in (replace(job, render=overtaken_while_rendering), replace(job, write=overtaken_while_writing)):
+        spoilt.frames.begin(True)
+        with pytest.raises(ls.ConfigError, match="this one stops, so that frames do not mix"):
+            spoilt.make(3, lambda *_: None)
+        assert not list((tmp_path / "out").glob("*.png"))
+
+
+def test_a_kill_while_frames_are_removed_leaves_nothing_to_go_on_with(tmp_path: Path, monkeypatch) -> None:
+    """The stamp goes first, so that old frames are not taken for new ones."""
+    maker = FakeMaker(tmp_path / "out")
+    make_alone(maker.open_frames(lambda *_: None), lambda *_: None, overwrite=False, video=None, fewer="")
+    frames = replace(maker.open_frames(lambda *_: None).frames, origin={"kind": "other"})
+    unlink = Path.unlink
+
+    def cut_off(path: Path, missing_ok: bool = False) -> None:
+        if path.name == "frame_0002.png":
+            raise KeyboardInterrupt
+        unlink(path, missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", cut_off)
+        with pytest.raises(KeyboardInterrupt):
+            frames.begin(True)
+    with pytest.raises(ls.ConfigError, match=r"holds frames, but no fake\.json"):
+        frames.begin(False)
+
+
+def alone(job: FrameJob) -> str:
+    """The frames of a job, in this process."""
+    return make_alone(job, lambda *_: None, overwrite=False, video=None, fewer="--frames")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "kind"),
+    [
+        ({0: "setting"}, ls.ConfigError),
+        ({5: "setting"}, ls.ConfigError),
+        ({0: "data"}, ls.SceneError),
+        ({5: "data"}, FramesMissingError),
+        ({0: "full"}, FramesMissingError),
+        ({5: "full"}, FramesMissingError),
+    ],
+)
+def test_mistakes_and_failed_frames_differ(tmp_path: Path, wrong: dict[int, str], kind: type[Exception]) -> None:
+    """What will be wrong of all frames is a mistake (2); of one frame, or of the disk, a failure (3): it says which."""
+    with pytest.raises(ls.LumisplatError) as raised:
+        alone(FakeMaker(tmp_path / "out", wrong=wrong).open_frames(lambda *_: None))
+    assert isinstance(raised.value, kind)
+    assert isinstance(raised.value, FramesMissingError) == (kind is FramesMissingError)
+    if kind is FramesMissingError:
+        (index,) = wrong
+        assert str(raised.value).startswith(f"frame {index}: ")
+        assert f"holds {index} of 8 frames; the same command goes on" in str(raised.value)
+
+
+def test_a_full_disk_ends_with_status_3(work) -> None:
+    """A real one: files may have 8,000 bytes, as a limit of the process; no half file is left."""
+    program = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000)); "
+        "from lumisplat.cli import main; sys.exit(main())"
+    )
+    command = [sys.executable, "-c", program, "orbit", "capture.ply", "-o", "out", "--seconds", "0.3", "--fps", "20"]
+    command += ["--width", "512", "--height", "384", "--device", "cpu"]
+    done = subprocess.run(command, cwd=work.folder, capture_output=True, text=True, check=False, env=os.environ)
+    assert done.returncode == 3, done.stderr
+    assert done.stderr.startswith("error: frame 0: out/frame_0000.png: cannot be written: ")
+    assert "out holds 0 of 6 frames; the same command goes on" in done.stderr
+    assert not list(work.path("out").glob("*.png")) and not list(work.path("out").glob(".*"))
