@@ -154,7 +154,8 @@ def test_links_lead_somewhere(page):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_options_of_the_docs_exist(command, capsys):
     """Every option that the docs use is one that the command's help lists."""
-    assert main([command.split()[1], "--help"]) == 0
+    words = command.split()
+    assert main([*words[1 : 3 if words[1] == "farm" else 2], "--help"]) == 0
     listed = capsys.readouterr().out
     for option in re.findall(r"(?<=\s)--?[a-z][a-z-]*", command):
         assert option in listed

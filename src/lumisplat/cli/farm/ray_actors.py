@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import socket
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,8 @@ _LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 they are open on all interfaces, whatever ``_node_ip_address`` says (measured with ``ss``, Ray 2.60)."""
 
 
+_CONNECT_S = 10.0
+"""How long an address may take to answer, seconds."""
 _SAID = 300
 """Characters of what Ray says that are passed on."""
 
@@ -133,6 +136,7 @@ def connect(address: str) -> str:
     if address == "ray":
         os.environ.setdefault(_LOOPBACK, "0")
     ray = load_ray()
+    _check_reachable(address)
     options: dict[str, Any] = {"include_dashboard": False} if address == "ray" else {"address": address}
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
@@ -171,6 +175,17 @@ def load_ray() -> Any:
         return importlib.import_module("ray")
     except ImportError:
         raise ls.MissingExtraError("--address with Ray", "farm") from None
+
+
+def _check_reachable(address: str) -> None:
+    """Raises ConfigError if nothing listens at an address: Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        raise ls.ConfigError(f"--address {address}: nobody listens there: {error}") from None
 
 
 def _short(error: BaseException) -> str:
