@@ -35,7 +35,6 @@ from lumisplat.cli.commands.photographs.train import Train
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
 from lumisplat.cli.commands.view import View
-from lumisplat.cli.farm.job import FramesMissingError
 from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.output.console import one_line
@@ -153,5 +152,5 @@ def _run(command: Command) -> int:
         if command.debug:
             traceback.print_exc()
         print(f"error: {shell_words(one_line(error), command)}", file=sys.stderr)
-        return error.status if isinstance(error, FramesMissingError) else 2
+        return getattr(error, "status", 2)  # 3 of a FramesMissingError
     return 0

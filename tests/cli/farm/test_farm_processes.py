@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import lumisplat as ls
-from lumisplat.cli.farm.job import FramesMissingError
+from lumisplat.cli.farm.failed_frames import FramesMissingError
 from lumisplat.cli.farm.places import FarmRoom, local_places
 from lumisplat.cli.farm.run import FarmRun
 from lumisplat.cli.farm.worker import Order

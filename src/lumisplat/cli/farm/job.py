@@ -15,13 +15,6 @@ NAMED_FRAMES = 3
 """Failed frames that a message names, with what is wrong; the others are counted."""
 
 
-class FramesMissingError(ls.LumisplatError):
-    """Some frames could not be made; the others are there, and the same command tries again."""
-
-    status = 3
-    """Exit status of the process, so that schedulers tell it from a mistake (2), which comes again."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class FrameList:
     """The frames of a command."""
@@ -53,8 +46,10 @@ class FrameList:
         again = "the same command without --overwrite" if overwrite else "the same command"
         return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), 'frame')}; {again} goes on"
 
-    def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> FramesMissingError:
-        """The error that says which frames failed, why, and how to go on."""
+    def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> ls.LumisplatError:
+        """A `FramesMissingError` that says which frames failed, why, and how to go on."""
+        from lumisplat.cli.farm.failed_frames import FramesMissingError
+
         first = sorted(failed)[:NAMED_FRAMES]
         named = "; ".join(f"frame {index}: {one_line(failed[index])}" for index in first)
         more = f"; and {counted(len(failed) - len(first), 'more frame')}" if len(failed) > len(first) else ""
