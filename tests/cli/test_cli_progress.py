@@ -112,18 +112,18 @@ def test_cameras_of_files_and_animations_are_announced_too(work, monkeypatch, ca
         moved = work.run("animate", "@move.toml", "-o", "@frames", *SIZE)
         assert moved.status == 0, moved.err
     rendered, animated = announced(caplog)
-    assert "0 frames to go" in rendered and "(--frame)" in rendered
+    assert "0 frames to go" in rendered and "(--frame, --frames)" in rendered
     assert "1 frame to go" in animated and "(--frames)" in animated
 
 
 def test_where_there_is_no_terminal_a_line_comes_a_minute(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """So that a log tells whether the program lives; none if it ends before."""
+    """So that a log tells whether the program lives, and how long it will; none if it ends before."""
     clock = [0.0]
     monkeypatch.setattr("lumisplat.cli.output.console.time.monotonic", lambda: clock[0])
     with progress_bars() as report:
         for seconds in (1.0, 59.0, 61.0, 80.0, 119.0, 122.0, 200.0):
             clock[0] = seconds
             report(f"training, {seconds:.0f} dB", 1.0 if seconds == 200.0 else seconds / 200.0)
-    assert capsys.readouterr().err.splitlines() == ["training, 61 dB: 30%", "training, 122 dB: 61%"]
+    assert capsys.readouterr().err.splitlines() == ["training, 61 dB: 30%, 2 min left", "training, 122 dB: 61%, 78 s left"]
