@@ -57,6 +57,7 @@ if TYPE_CHECKING:
         SceneError,
         StoppedError,
     )
+    from lumisplat.frame.deep import DeepFrame
     from lumisplat.frame.frame import Frame
     from lumisplat.frame.mattes import Matte, Mattes
     from lumisplat.io import (
@@ -98,6 +99,7 @@ if TYPE_CHECKING:
     from lumisplat.relighting.probe import EnvironmentProbe
     from lumisplat.relighting.probe_transfer import relight
     from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
+    from lumisplat.renderer.deep import render_deep
     from lumisplat.renderer.gradients.results import RayGradients, SetGradient, SplatGradients
     from lumisplat.renderer.mattes import render_mattes
     from lumisplat.renderer.one_shot import focused, render, trace_rays, transmittance
@@ -160,6 +162,7 @@ _MODULE_OF = {
     "CameraModel": "scene.camera",
     "CameraPath": "scene.animation.camera_path",
     "ConfigError": "errors",
+    "DeepFrame": "frame.deep",
     "DeepShadowConfig": "config",
     "DeepShadowMap": "shadow_maps.deep_shadow_map",
     "DelightConfig": "config",
@@ -298,6 +301,7 @@ _MODULE_OF = {
     "relight": "relighting.probe_transfer",
     "remove_floaters": "scene.editing.floaters",
     "render": "renderer.one_shot",
+    "render_deep": "renderer.deep",
     "render_mattes": "renderer.mattes",
     "sae": "metrics.shadows",
     "save": "io",
@@ -334,6 +338,7 @@ __all__ = [
     "CameraModel",
     "CameraPath",
     "ConfigError",
+    "DeepFrame",
     "DeepShadowConfig",
     "DeepShadowMap",
     "DelightConfig",
@@ -472,6 +477,7 @@ __all__ = [
     "relight",
     "remove_floaters",
     "render",
+    "render_deep",
     "render_mattes",
     "sae",
     "save",

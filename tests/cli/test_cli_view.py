@@ -164,3 +164,13 @@ def test_mattes_go_into_the_exr(work: Workplace) -> None:
         assert [part.name() for part in file.parts] == ["rgba", "CryptoObject", "CryptoMaterial"]
         manifest = next(str(value) for key, value in file.header(1).items() if key.endswith("/manifest"))
     assert "capture" in manifest and "mesh" in manifest
+
+
+def test_deep_frames_lie_beside_the_picture(work: Workplace) -> None:
+    """As NAME.deep.exr; standard output has room for one file only."""
+    args = ("render", "@capture.ply", "@mesh.obj", "--width", "24", "--deep")
+    assert work.run(*args, "-o", "@out.png").status == 0
+    file: Any
+    with OpenEXR.File(str(work.path("out.deep.exr")), separate_channels=True) as file:
+        assert file.channels().keys() == {"R", "G", "B", "A", "Z", "ZBack"}
+    assert "--deep writes a file beside it" in work.run(*args, "-o", "-").err

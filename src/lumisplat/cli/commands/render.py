@@ -81,6 +81,8 @@ class Render(FrameCommand):
     NAME.depth16.png, whose range is printed. An NPZ has them all."""
     cryptomatte: Flag = False
     """Also write mattes of objects and materials into the EXR, by which compositors select; 16 more frames."""
+    deep: Flag = False
+    """Also write NAME.deep.exr, in which each pixel has samples in depth, so that compositors put things in between."""
     view: Annotated[
         ViewName | None,
         arg(metavar="VIEW", help_behavior_hint=""),
@@ -111,6 +113,8 @@ class Render(FrameCommand):
             format_name = "png" if self.format == "auto" else self.format
             if self.aov and format_name == "png":
                 raise ls.ConfigError("-o - is one picture, --aov writes more beside a PNG: give --format exr or npz")
+            if self.deep:
+                raise ls.ConfigError("-o - is one picture, --deep writes a file beside it: give -o a name")
             with standard_output(f".{format_name}") as file:
                 replace(self, output=file).run()
             return
@@ -226,7 +230,11 @@ class Render(FrameCommand):
         }
 
     def _write(self, pictures: _Pictures, frame: ls.Frame, shot: Shot) -> None:
-        """Writes a picture, with its mattes."""
+        """Writes a picture, with its mattes; its samples in depth come first, as a picture says that it is done."""
+        if self.deep:
+            renderer = pictures.source.renderer
+            deep = ls.render_deep(pictures.scene, shot.camera, frame, renderer.config, device=renderer.device)
+            deep.save(shot.path.with_suffix(".deep.exr"))
         mattes = self._mattes(pictures.scene, shot.camera, pictures.source.renderer)
         pictures.writer.write(frame, shot.path, mattes)
 

@@ -1,0 +1,57 @@
+"""Deep frames: what a pixel shows, sample by sample in depth, for compositors that put things in between."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.errors import FormatError
+from lumisplat.io.images.deep_exr import write_deep_exr
+from lumisplat.math.arrays import FloatArray, Rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeepFrame:
+    """Samples of all pixels, pixel by pixel and row by row, each pixel's from front to back; M in all."""
+
+    size: tuple[int, int]
+    """Rows and columns, (H, W)."""
+    first: Rows
+    """Row of each pixel's first sample, and M at the end, (H W + 1,)."""
+    near: FloatArray
+    """View depth at which a sample begins, scene units, (M,)."""
+    far: FloatArray
+    """View depth at which it ends, (M,)."""
+    color: FloatArray
+    """Linear Rec.709, premultiplied by the sample's own alpha, (M, 3)."""
+    alpha: FloatArray
+    """Share of the light from behind that it blocks, 0..1, (M,)."""
+
+    def __repr__(self) -> str:
+        return f"DeepFrame({self.size[1]} x {self.size[0]}, samples={len(self.alpha)})"
+
+    def flattened(self) -> FloatArray:
+        """The samples of each pixel over each other: premultiplied linear colour and alpha, shape (H, W, 4)."""
+        counts = np.diff(self.first)
+        color, through = np.zeros((len(counts), 3)), np.ones(len(counts))
+        for place in range(int(counts.max(initial=0))):
+            pixels = np.flatnonzero(counts > place)
+            rows = self.first[pixels] + place
+            color[pixels] += through[pixels, None] * self.color[rows]
+            through[pixels] *= 1.0 - self.alpha[rows].astype(np.float64)
+        flat = np.concatenate([color, 1.0 - through[:, None]], axis=1)
+        return flat.reshape(*self.size, 4).astype(np.float32)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a deep EXR: ``R G B A`` premultiplied and linear, ``Z`` and ``ZBack`` view depths.
+
+        Raises:
+            FormatError: The extension is not .exr, or the file cannot be written.
+        """
+        if Path(path).suffix.lower() != ".exr":
+            raise FormatError(path, "deep frames are written as .exr")
+        channels = dict(zip("RGB", self.color.T, strict=True)) | {"A": self.alpha, "Z": self.near, "ZBack": self.far}
+        write_deep_exr(path, self.size, self.first, channels)
