@@ -126,4 +126,5 @@ def test_where_there_is_no_terminal_a_line_comes_a_minute(
         for seconds in (1.0, 59.0, 61.0, 80.0, 119.0, 122.0, 200.0):
             clock[0] = seconds
             report(f"training, {seconds:.0f} dB", 1.0 if seconds == 200.0 else seconds / 200.0)
-    assert capsys.readouterr().err.splitlines() == ["training, 61 dB: 30%, 2 min left", "training, 122 dB: 61%, 78 s left"]
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["training, 61 dB: 30%, 2 min left", "training, 122 dB: 61%, 78 s left"]
