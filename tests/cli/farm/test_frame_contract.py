@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
 import warp as wp
 
 import lumisplat as ls
+from lumisplat.cli.commands.render import Render
 from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.failed_frames import FramesMissingError
 from lumisplat.cli.farm.job import FrameJob
@@ -182,3 +184,12 @@ def test_a_full_disk_ends_with_status_3(work) -> None:
     assert done.stderr.startswith("error: frame 0: out/frame_0000.png: cannot be written: ")
     assert "out holds 0 of 6 frames; the same command goes on" in done.stderr
     assert not list(work.path("out").glob("*.png")) and not list(work.path("out").glob(".*"))
+
+
+def test_every_option_of_pictures_is_in_their_manifest(work) -> None:
+    """But those that change none; so that an option that is new is not forgotten."""
+    assert render(work, "out", "--resume", "--format", "exr").status == 0
+    stamp = json.loads(work.path("out/render.json").read_text())
+    options = {field.name for field in fields(Render) if not is_dataclass(field.default_factory)}
+    missing = options - stamp.keys() - {"viewpoint", "lens", "rays", "light"}
+    assert missing == {"output", "resume", "frames", "debug", "stats"}

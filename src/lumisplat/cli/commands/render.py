@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -35,6 +35,8 @@ _log = logging.getLogger("lumisplat")
 _OF_RASTER = ("raster_strategy", "projection")
 _OF_REALTIME = ("warm_up",)
 _STAMP = "render.json"
+_NOT_OF_PICTURES = ("output", "resume", "overwrite", "frames", "debug", "stats", "device")
+"""Options of which the pictures that are there do not depend."""
 
 
 @dataclass(frozen=True)
@@ -208,23 +210,12 @@ class Render(FrameCommand):
     def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a picture follows from, except its number."""
         files = [*self.scene, *(path for path in (self.cameras, self.path, self.light.environment) if path is not None)]
-        chosen = (
-            "width",
-            "height",
-            "frame",
-            "fps",
-            "format",
-            "aov",
-            "cryptomatte",
-            "warm_up",
-            "drop_invalid",
-            "crease_angle",
-        )
+        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in _NOT_OF_PICTURES}
         return {
             "lumisplat": ls.__version__,
             "device": device,
+            **{name: f"{value}" for name, value in own.items() if not is_dataclass(value)},
             "scene": " ".join(map(str, self.scene)),
-            **{name: f"{getattr(self, name)}" for name in chosen},
             **shared_origin(self, config),
             **file_marks(files, self.output),
         }
