@@ -44,6 +44,7 @@ class DeviceFacts:
     description: str
     """What it is, such as ``NVIDIA H100 80GB HBM3``."""
     memory_bytes: int
+    """0: not known."""
     problem: str | None
     """Why a small kernel did not run on it; None: it ran, and its results were right."""
 
@@ -132,7 +133,6 @@ def diagnose() -> Diagnosis:
     Returns:
         What was found. Nothing of it is raised.
     """
-    cache = _cache()
     devices = tuple(_tried(device) for device in wp.get_devices())
     return Diagnosis(
         version=metadata.version(_DISTRIBUTION),
@@ -141,7 +141,7 @@ def diagnose() -> Diagnosis:
         cores=usable_cores(),
         packages=_packages(extra=""),
         devices=devices,
-        cache=cache,
+        cache=_cache(),
         extras=tuple(ExtraFacts(name, _packages(name)) for name in _extras() if name not in _FOR_DEVELOPERS),
         remarks=tuple(_remarks(devices)),
     )
@@ -155,8 +155,16 @@ def _tried(device: Any) -> DeviceFacts:
         problem = " ".join(str(error).split())
     except Exception as error:  # Warp raises bare exceptions for whatever a driver or a compiler says
         problem = f"a kernel cannot be compiled or run ({' '.join(str(error).split())})"
-    described = _processor() if device.is_cpu else device.name
-    return DeviceFacts(device.alias, described, int(device.total_memory or 0), problem)
+    if device.is_cpu:
+        return DeviceFacts(device.alias, _processor(), _memory_bytes(), problem)
+    return DeviceFacts(device.alias, device.name, int(device.total_memory), problem)
+
+
+def _memory_bytes() -> int:
+    """Of the machine; 0 where the system does not tell: Warp itself needs a further package for that."""
+    with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return 0
 
 
 def _processor() -> str:

@@ -54,7 +54,7 @@ def _print(found: ls.Diagnosis) -> None:
     print_table(
         "devices",
         [
-            (device.name, f"{device.description}, {byte_size(device.memory_bytes)}, {device.problem or 'works'}")
+            (device.name, ", ".join([device.description, *_memory(device.memory_bytes), device.problem or "works"]))
             for device in found.devices
         ],
     )
@@ -64,6 +64,10 @@ def _print(found: ls.Diagnosis) -> None:
     print_table("extras", [(extra.name, _state(extra)) for extra in found.extras])
     for remark in found.remarks:
         print(remark)
+
+
+def _memory(count: int) -> list[str]:
+    return [byte_size(count)] if count else []
 
 
 def _state(extra: ExtraFacts) -> str:
