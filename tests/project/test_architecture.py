@@ -34,6 +34,7 @@ LAYERS = (
     "device.gi",
     "device.film",
     "machine",
+    "palettes",
     "scene",
     "scene.sampling",
     "scene.ops",
@@ -120,10 +121,12 @@ MORE_NARROW = {
         "kernels",
         "shadow_maps",
     },
+    "palettes": {"constants", "errors", "runtime", "device", "kernels", "palettes"},
+    "io": HOST_ONLY | {"palettes"},  # as it writes SOG; see test_warp_stays_out_of_what_needs_none
     "viewer": {"public", "viewer"},
     "cli": {"public", "cli"},
     "__main__": {"cli"},
-} | dict.fromkeys(HOST_ONLY - {"constants"}, HOST_ONLY)
+} | dict.fromkeys(HOST_ONLY - {"constants", "io"}, HOST_ONLY)
 """Top folder or kind of file -> the top folders that it may import, where the order alone would allow more."""
 
 

@@ -111,13 +111,14 @@ def save(path: PathLike, gaussians: Gaussians, *, columns: Literal["lumisplat", 
     The lossy formats clamp values that they cannot store. SPZ: scales to e^-10..e^5.94 (4.5e-5 to 379 scene units; the
     thin axis of Gaussians from a mesh may be smaller, which is logged), SH above degree 0 to -1..1. Compressed PLY:
     scales to e^-20..e^20, SH above degree 0 to -4..4; a Gaussian far from the others makes the positions of its whole
-    chunk coarse, which is logged if it is visible.
+    chunk coarse, which is logged if it is visible. SOG: nothing is clamped, but numbers share 256 values.
 
     Args:
-        path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH; changes the order)
-            or ``.spz`` (version 4).
+        path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH; changes the
+            order), ``.spz`` (version 4), ``.sog`` (version 2; changes the order; the harmonics of all Gaussians become
+            a palette), or ``meta.json``, which writes the files of a SOG beside it.
         gaussians: The capture. Only ``.ply`` stores normals and materials, which a comment in its header marks as
-            linear, and ``.spz`` does not store the kernel degree; values that are left out are logged.
+            linear, and ``.spz`` and ``.sog`` do not store the kernel degree; values that are left out are logged.
         columns: Of a ``.ply``: ours, or those of Relightable 3D Gaussians (``"r3dg"``), for their programs: SH of
             degree 3, albedo within 0.03..0.8, roughness 0.09..0.99, no metals; what that changes is logged.
 

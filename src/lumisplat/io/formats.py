@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _READERS = {
     ".spz": "splats.spz.read_spz",
-    ".sog": "splats.sog.read_sog",
+    ".sog": "splats.sog.reader.read_sog",
     ".obj": "meshes.obj.read_obj",
     ".stl": "meshes.stl.read_stl",
     ".glb": "gltf.scene.read_gltf",
@@ -41,11 +41,13 @@ _WRITERS = {
     ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
     ".ply": _PLY_WRITERS[_OURS],
     ".spz": "splats.spz.write_spz",
+    ".sog": "splats.sog.writer.write_sog",
+    "/meta.json": "splats.sog.writer.write_sog",
 }
-"""Writers of captures; the first one that a file name ends with is used."""
+"""Writers of captures; the first one that a path ends with is used."""
 
 READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
-WRITABLE = ".ply, .compressed.ply, .spz"
+WRITABLE = ".ply, .compressed.ply, .spz, .sog, or meta.json in a folder (SOG)"
 
 
 def read(
@@ -93,7 +95,8 @@ def write(path: PathLike, gaussians: Gaussians, columns: str) -> None:
         ConfigError: There are no such columns, or the file is no .ply.
         FormatError: The extension is unknown, or the file cannot be written.
     """
-    extension = next((end for end in _WRITERS if Path(path).name.lower().endswith(end)), None)
+    ending = f"/{Path(path).name.lower()}"
+    extension = next((end for end in _WRITERS if ending.endswith(end)), None)
     if extension is None:
         raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
     if columns not in _PLY_WRITERS:

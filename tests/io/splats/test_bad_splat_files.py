@@ -90,6 +90,38 @@ def test_fuzz_bytes(tmp_path: Path, name: str) -> None:
         load_or_refuse(path)
 
 
+@pytest.mark.deep
+@pytest.mark.parametrize("name", FORMATS)
+def test_two_thousand_mutations(tmp_path: Path, name: str) -> None:
+    """Bytes changed, a piece cut out, doubled, zeroed, or the end lost: a file loads or is refused in one line."""
+    path = write_format(tmp_path, name)
+    original = path.read_bytes()
+    rng = np.random.default_rng(4)
+    for _ in range(2000):
+        path.write_bytes(mutated(original, rng))
+        load_or_refuse(path)
+
+
+def mutated(original: bytes, rng: np.random.Generator) -> bytes:
+    """A file with one kind of damage; the head is hit more often."""
+    reach = len(original) if rng.random() < 0.5 else min(len(original), 400)
+    start, size = int(rng.integers(0, reach)), int(rng.integers(1, 64))
+    head, piece, tail = original[:start], original[start : start + size], original[start + size :]
+    kind = rng.integers(6)
+    if kind == 0:
+        return head
+    if kind == 1:
+        return head + tail
+    if kind == 2:
+        return head + piece + piece + tail
+    if kind == 3:
+        return head + bytes([rng.choice([0, 255])]) * len(piece) + tail
+    data = bytearray(original)
+    for position in rng.integers(0, reach, rng.integers(1, 6)):
+        data[position] = rng.integers(256) if kind == 4 else data[position] ^ (1 << rng.integers(8))
+    return bytes(data)
+
+
 def test_fuzz_sog_metadata(tmp_path: Path) -> None:
     """With random bytes of meta.json changed, a SOG folder loads or is refused."""
     folder = unpacked(tmp_path / "sog", sog_files(capture(40), linear=False))

@@ -18,7 +18,17 @@ from lumisplat.scene.gaussians import Gaussians
 from support.kinds import expect_kind
 
 SAVED = ("capture.ply", "capture.compressed.ply", "capture.spz")
-FORMATS = (*SAVED, "ascii.ply", "big_endian.ply", "v1.spz", "v2.spz", "v3.spz", "bundle.sog", "linear.sog")
+FORMATS = (
+    *SAVED,
+    "written.sog",
+    "ascii.ply",
+    "big_endian.ply",
+    "v1.spz",
+    "v2.spz",
+    "v3.spz",
+    "bundle.sog",
+    "linear.sog",
+)
 
 
 def load_gaussians(path: Path, *, drop_invalid: bool = False) -> Gaussians:
@@ -45,7 +55,7 @@ def write_format(folder: Path, name: str, gaussians: Gaussians | None = None) ->
     """Writes one of `FORMATS` and returns its path."""
     gaussians = gaussians or capture(40)
     path = folder / name
-    if name in SAVED:
+    if name in (*SAVED, "written.sog"):
         ls.save(path, gaussians)
     elif name.endswith(".ply"):
         ls.save(path, gaussians)

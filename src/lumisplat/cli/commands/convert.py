@@ -23,7 +23,7 @@ _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(LoadingCommand):
-    """Write captures in another format: .ply (exact), .compressed.ply or .spz (small). Several become one.
+    """Write captures in another format: .ply (exact), .compressed.ply, .spz or .sog (small). Several become one.
 
     Smaller: lumisplat convert garden.ply garden.spz
 
@@ -41,7 +41,8 @@ class Convert(LoadingCommand):
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
     """.ply, .compressed.ply, .spz, .sog, or a SOG folder. Without -o, there are two, and the second is written."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """.ply, .compressed.ply or .spz; - is standard output, in PLY. Needed to join captures."""
+    """.ply, .compressed.ply, .spz, .sog or meta.json (a SOG folder); - is standard output, in PLY. Needed to join
+    captures."""
     box: Annotated[str | None, arg(metavar="X,Y,Z,X,Y,Z", help_behavior_hint="")] = None
     """Keep what lies between two corners, with its mean."""
     sphere: Annotated[str | None, arg(metavar="X,Y,Z,R", help_behavior_hint="")] = None
@@ -102,9 +103,11 @@ class Convert(LoadingCommand):
             raise ls.ConfigError("several captures are joined only with -o: lumisplat convert A B -o OUT")
         if target is None or not sources:
             raise ls.ConfigError("convert needs what it reads and what it writes: lumisplat convert IN OUT")
-        if target.suffix.lower() not in (".ply", ".spz"):  # found now, rather than after the work
-            raise ls.FormatError(target, "unknown extension, expected .ply, .compressed.ply or .spz")
-        is_small = target.name.lower().endswith((".compressed.ply", ".spz"))
+        if not f"/{target.name.lower()}".endswith((".ply", ".spz", ".sog", "/meta.json")):  # found before the work
+            raise ls.FormatError(
+                target, "unknown extension, expected .ply, .compressed.ply, .spz, .sog or FOLDER/meta.json"
+            )
+        is_small = not target.name.lower().endswith(".ply") or target.name.lower().endswith(".compressed.ply")
         for option, given in (
             (f"--columns {self.columns}", self.columns != "lumisplat"),
             ("--incident", self.incident),

@@ -1,0 +1,1 @@
+"""PlayCanvas SOG: read, written, and read in levels of detail."""

@@ -1,0 +1,1 @@
+"""Palettes: a few vectors that stand for many, found by k-means."""

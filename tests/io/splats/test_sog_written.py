@@ -1,0 +1,194 @@
+"""SOG as we write it: round trips, bytes that do not change, and other people's reader."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.errors import FormatError
+from lumisplat.io.splats.sog.codebook import encode, fit_codebook
+from lumisplat.io.splats.sog.writer import palette_size
+from lumisplat.scene.editing.morton import morton_order
+from support.files.splat_files import capture, load_gaussians
+
+FIELDS = ("means", "rotations_wxyz", "scales", "opacities", "sh")
+
+
+def written(folder: Path, gaussians: ls.Gaussians) -> tuple[ls.Gaussians, ls.Gaussians]:
+    """A capture in the order of files, and as it is read again."""
+    ls.save(folder / "a.sog", gaussians)
+    return gaussians.subset(morton_order(gaussians.means)), load_gaussians(folder / "a.sog")
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_round_trip(tmp_path: Path, degree: int) -> None:
+    """Each value is within half a step of what was written; a palette of 256 for 300 keeps most of the SH."""
+    before, after = written(tmp_path, capture(300, degree, antialiased=True))
+    assert after.antialiased
+    assert after.sh_degree == degree
+    logs, read = (np.sign(g.means) * np.log1p(np.abs(g.means)) for g in (before, after))
+    np.testing.assert_allclose(read, logs, rtol=0, atol=0.5001 * np.ptp(logs, axis=0).max() / 65535 + 1e-6)
+    cosines = np.abs(np.einsum("ij,ij->i", before.rotations_wxyz, after.rotations_wxyz))
+    assert cosines.min() > 1 - 3 * (np.sqrt(2) / 255) ** 2  # three components, each half a step of sqrt(2) / 255
+    np.testing.assert_allclose(after.opacities, before.opacities, rtol=0, atol=0.5001 / 255)
+    # A codebook is nowhere coarser than twice the largest gap between 256 values that are spread evenly.
+    for a, b in ((np.log(after.scales), np.log(before.scales)), (after.sh[:, 0], before.sh[:, 0])):
+        np.testing.assert_allclose(a, b, rtol=0, atol=float(np.ptp(b)) / 255)
+    if degree:
+        error = np.sqrt(np.mean((after.sh[:, 1:] - before.sh[:, 1:]) ** 2))
+        # At the worst, 44 pairs of the 300 unrelated sets share one of 256 entries, each half their distance away.
+        assert error < np.sqrt(88 / 300 / 2) * before.sh[:, 1:].std()
+
+
+def test_bundle_and_folder_have_the_same_files(tmp_path: Path) -> None:
+    """The bundle is a zip without compression; each image is a lossless WebP whose sides are multiples of 4."""
+    ls.save(tmp_path / "a.sog", capture(70, 2))
+    ls.save(tmp_path / "folder" / "meta.json", capture(70, 2))
+    with zipfile.ZipFile(tmp_path / "a.sog") as bundle:
+        assert {info.compress_type for info in bundle.infolist()} == {zipfile.ZIP_STORED}
+        names = bundle.namelist()
+        assert names[0] == "meta.json"
+        assert sorted(names) == sorted(os.listdir(tmp_path / "folder"))
+        for name in names:
+            data = bundle.read(name)
+            assert data == (tmp_path / "folder" / name).read_bytes()
+            if name.endswith(".webp"):
+                image = Image.open(io.BytesIO(data))
+                assert b"VP8L" in data[:100]
+                assert image.width % 4 == image.height % 4 == 0
+    meta = json.loads((tmp_path / "folder" / "meta.json").read_text())
+    assert meta["version"] == 2 and meta["count"] == 70 and meta["shN"]["bands"] == 2
+    assert [len(meta[field]["codebook"]) for field in ("scales", "sh0", "shN")] == [256] * 3
+    for field in FIELDS:
+        ours, bundled = (load_gaussians(tmp_path / name) for name in ("folder", "a.sog"))
+        np.testing.assert_array_equal(getattr(ours, field), getattr(bundled, field))
+
+
+def test_same_capture_same_bytes(tmp_path: Path) -> None:
+    """Neither time nor chance is in a file."""
+    for name in ("a.sog", "b.sog"):
+        ls.save(tmp_path / name, capture(200, 3))
+    assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
+
+
+def test_transparent_pixels_keep_their_colours(tmp_path: Path) -> None:
+    """DC is in the colours of pixels whose alpha is the opacity, 0 here."""
+    base = capture(64)
+    invisible = ls.Gaussians(base.means, base.rotations_wxyz, base.scales, np.zeros(64), base.sh[:, :1])
+    before, after = written(tmp_path, invisible)
+    np.testing.assert_allclose(after.sh, before.sh, atol=float(np.ptp(before.sh)) / 255)
+
+
+@pytest.mark.parametrize("count", [1, 2, 17, 1023, 1025])
+def test_any_number(tmp_path: Path, count: int) -> None:
+    """Images have room for any number of Gaussians, also where all share a coordinate."""
+    base = capture(count, 1)
+    flat = ls.Gaussians(base.means * (1, 1, 0), base.rotations_wxyz, base.scales, base.opacities, base.sh)
+    before, after = written(tmp_path, flat)
+    assert after.count == count
+    np.testing.assert_array_equal(after.means[:, 2], 0.0)
+    np.testing.assert_allclose(after.means, before.means, atol=1e-3)
+
+
+def test_written_once_more(tmp_path: Path) -> None:
+    """What was read from a SOG is written without further loss of harmonics, as its palette is found again."""
+    _, once = written(tmp_path, capture(2000, 2))
+    before, twice = written(tmp_path, once)
+    np.testing.assert_allclose(twice.sh[:, 1:], before.sh[:, 1:], atol=1e-6)
+
+
+@pytest.mark.parametrize(("count", "size"), [(1, 1), (40, 32), (1024, 1024), (152_746, 65_536), (10**6, 65_536)])
+def test_palette_sizes(count: int, size: int) -> None:
+    """A power of two, at most as many as there are Gaussians, and as labels can count."""
+    assert palette_size(count) == size
+
+
+def test_what_sog_cannot_hold_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Materials and the kernel degree are left out, which a line says."""
+    ls.save(tmp_path / "a.sog", capture(5, 0, kernel_degree=4, roughness=np.full(5, 0.5)))
+    messages = " ".join(record.getMessage() for record in caplog.records)
+    assert "SOG cannot store roughness" in messages
+    assert "SOG cannot store the kernel degree, 4" in messages
+
+
+def test_a_folder_is_whole_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where writing ends halfway, there is no meta.json, not the old one beside new images."""
+    meta = tmp_path / "folder" / "meta.json"
+    ls.save(meta, capture(20))
+    (tmp_path / "folder" / "scales.webp").unlink()
+    (tmp_path / "folder" / "scales.webp").mkdir()
+    with pytest.raises(FormatError, match=r"scales\.webp.*is a folder"):
+        ls.save(meta, capture(20, seed=1))
+    with pytest.raises(FormatError, match=r"without a meta\.json"):
+        ls.load(tmp_path / "folder")
+
+
+def test_codebook_of_few_values() -> None:
+    """No more than 256 different values are kept exactly."""
+    values = np.random.default_rng(0).normal(size=200).astype(np.float32)
+    many = np.repeat(values, np.arange(1, 201))
+    codebook = fit_codebook(many)
+    assert (np.diff(codebook) >= 0).all() and codebook.shape == (256,)
+    np.testing.assert_allclose(codebook[encode(many, codebook)], many, rtol=1e-6)
+
+
+def test_codebook_keeps_what_is_far_away() -> None:
+    """A few values far from ten thousand others have entries of their own."""
+    rng = np.random.default_rng(0)
+    values = np.concatenate([rng.normal(size=10_000), [30.0, 31.0, -25.0, 60.0]])
+    codebook = fit_codebook(values)
+    np.testing.assert_allclose(codebook[encode(values[-4:], codebook)], values[-4:], rtol=1e-6)
+
+
+def test_codebook_is_near_the_best() -> None:
+    """Of evenly spread numbers, entries are spread evenly: the error is that of 256 equal steps, but for 1 %."""
+    values = (np.arange(51_200) + 0.5) / 51_200
+    codebook = fit_codebook(values)
+    error = np.mean((codebook[encode(values, codebook)] - values) ** 2)
+    assert error < 1.01 / 256**2 / 12
+
+
+@pytest.mark.data
+def test_pictures_of_a_capture(tmp_path: Path, data_dir: Path) -> None:
+    """The biker looks the same to 60 dB."""
+    biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
+    ls.save(tmp_path / "biker.sog", biker)
+    camera = ls.frame_camera(ls.Scene(splats=[biker]), width=320, height=180)
+    renderer = ls.create_renderer(device="cpu")
+    a, b = (
+        renderer.render(ls.Scene(splats=[g]), camera).color for g in (biker, load_gaussians(tmp_path / "biker.sog"))
+    )
+    assert ls.psnr(np.clip(a, 0, 1), np.clip(b, 0, 1)) > 60.0
+    assert (tmp_path / "biker.sog").stat().st_size < 2_000_000
+
+
+def splat_transform() -> list[str]:
+    """The command of PlayCanvas's splat-transform, or a skip that says what is missing."""
+    command = os.environ.get("SPLAT_TRANSFORM") or shutil.which("splat-transform")
+    if not command:
+        pytest.skip("needs PlayCanvas's splat-transform: npm install -g @playcanvas/splat-transform@2.7.1")
+    return command.split()
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_splat_transform_reads_it(tmp_path: Path, degree: int) -> None:
+    """What splat-transform makes of our file as PLY is what we read of it."""
+    command = splat_transform()
+    _, ours = written(tmp_path, capture(500, degree))
+    done = subprocess.run(
+        [*command, tmp_path / "a.sog", tmp_path / "b.ply"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    theirs = load_gaussians(tmp_path / "b.ply")
+    for field in FIELDS:
+        np.testing.assert_allclose(getattr(theirs, field), getattr(ours, field), rtol=2e-5, atol=2e-5)
