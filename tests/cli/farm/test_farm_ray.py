@@ -5,8 +5,11 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import os
+import signal
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -97,20 +100,62 @@ def test_frames_are_those_of_one_process(tmp_path: Path, capsys: pytest.CaptureF
         assert path.read_bytes() == (work.path("farm") / path.name).read_bytes()
 
 
+@pytest.mark.deep
+def test_a_cluster_that_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By Ray's client and as a part of it: the same frames, and the cluster stays; its token is shown."""
+    work = Workplace(tmp_path, capsys)
+    gcs, client = 6399, 9991  # outside of the range of Ray's own ports
+    start = [str(Path(sys.executable).with_name("ray")), "start", "--head", "--block", f"--port={gcs}"]
+    start += [f"--ray-client-server-port={client}", "--include-dashboard=false", "--num-cpus=2"]
+    loopback = os.environ | {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
+    head = subprocess.Popen(start, env=loopback, start_new_session=True, stdout=subprocess.DEVNULL)
+    try:
+        wait_for_port(client)
+        options = ("--seconds", "0.3", "--fps", "20", "--width", "24", "--height", "16", "--device", "cpu")
+        assert work.run("orbit", "@capture.ply", "-o", "@whole", *options).status == 0
+        for folder, address in (("client", f"ray://127.0.0.1:{client}"), ("part", f"127.0.0.1:{gcs}")):
+            command = [sys.executable, "-m", "lumisplat", "farm", "orbit", "capture.ply", "-o", folder, *options]
+            command += ["--workers", "2", "--address", address]
+            done = subprocess.run(command, cwd=tmp_path, env=loopback, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stderr
+            for path in sorted(work.path("whole").glob("*.png")):
+                assert path.read_bytes() == (work.path(folder) / path.name).read_bytes()
+    finally:
+        os.killpg(head.pid, signal.SIGTERM)
+        head.wait()
+
+
+def wait_for_port(port: int) -> None:
+    """Waits until somebody listens."""
+    for _ in range(300):
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.2)
+    raise AssertionError("nobody listens")
+
+
 @pytest.mark.parametrize(
     ("address", "why"),
     [
-        ("auto", "no cluster of Ray can be used there: Could not find any running Ray instance"),
         ("127.0.0.1:1", "nobody listens there: "),
         ("ray://127.0.0.1:1", "nobody listens there: "),
     ],
 )
-def test_no_cluster_is_said_in_a_line(address: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_cluster_is_said_in_a_line(address: str, why: str) -> None:
     """Within seconds, where Ray would try for minutes."""
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
     with pytest.raises(ls.ConfigError) as raised:
         connect(address)
     assert str(raised.value).startswith(f"--address {address}: {why}") and "\n" not in str(raised.value)
+
+
+def test_a_cluster_that_has_died_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Ray remembers it, and would try for minutes."""
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    (tmp_path / "current").write_text("127.0.0.1:1")
+    monkeypatch.setattr(ray_actors, "_CURRENT", tmp_path / "current")
+    with pytest.raises(ls.ConfigError, match=r"--address auto: nobody listens at 127\.0\.0\.1:1: "):
+        connect("auto")
 
 
 def test_another_ray_on_the_other_side_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

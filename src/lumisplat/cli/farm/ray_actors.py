@@ -13,7 +13,9 @@ import os
 import socket
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import lumisplat as ls
@@ -26,6 +28,8 @@ _LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 they are open on all interfaces, whatever ``_node_ip_address`` says (measured with ``ss``, Ray 2.60)."""
 
 
+_CURRENT = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster")
+"""Where Ray keeps the address of the cluster that was started last on this machine."""
 _CONNECT_S = 10.0
 """How long an address may take to answer, seconds."""
 _SAID = 300
@@ -135,9 +139,15 @@ def connect(address: str) -> str:
     """
     if address == "ray":
         os.environ.setdefault(_LOOPBACK, "0")
+    elif _has_token():
+        os.environ.setdefault(
+            "RAY_AUTH_MODE", "token"
+        )  # else it is not shown where an address is given, as of Ray 2.60
     ray = load_ray()
     _check_reachable(address)
-    options: dict[str, Any] = {"include_dashboard": False} if address == "ray" else {"address": address}
+    options: dict[str, Any] = {"address": address}
+    if address == "ray":  # a new one, where "auto" would also take one that is there
+        options = {"address": "local", "include_dashboard": False}
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
     except Exception as error:  # Ray raises whatever its parts do
@@ -177,15 +187,28 @@ def load_ray() -> Any:
         raise ls.MissingExtraError("--address with Ray", "farm") from None
 
 
+def _has_token() -> bool:
+    """Whether there is a token to show to a cluster, where Ray looks for it."""
+    named = os.environ.get("RAY_AUTH_TOKEN_PATH")
+    path = Path(named) if named else Path.home() / ".ray" / "auth_token"
+    return "RAY_AUTH_TOKEN" in os.environ or path.is_file()
+
+
 def _check_reachable(address: str) -> None:
     """Raises ConfigError if nothing listens at an address: Ray itself would try for minutes."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
+    named = address
+    if address == "auto":  # Ray remembers clusters that have died
+        named = os.environ.get("RAY_ADDRESS", "")
+        with suppress(OSError):
+            named = named or _CURRENT.read_text().strip()
+    host, _, port = named.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
         return
     try:
         socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S).close()
     except (OSError, OverflowError) as error:
-        raise ls.ConfigError(f"--address {address}: nobody listens there: {error}") from None
+        place = "there" if named == address else f"at {named}"
+        raise ls.ConfigError(f"--address {address}: nobody listens {place}: {error}") from None
 
 
 def _short(error: BaseException) -> str:
