@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from lumisplat.frame.frame import Frame
     from lumisplat.frame.mattes import Matte, Mattes
     from lumisplat.io import (
+        check_format,
         load,
         load_animation,
         load_camera_path,
@@ -257,6 +258,7 @@ _MODULE_OF = {
     "bind_gaussians": "scene.animation.rigged_gaussians",
     "boundary_f": "metrics.shadows",
     "box": "scene.primitives",
+    "check_format": "io",
     "create_renderer": "renderer.renderer",
     "crop": "scene.editing.crop",
     "decimate": "scene.editing.decimate",
@@ -433,6 +435,7 @@ __all__ = [
     "bind_gaussians",
     "boundary_f",
     "box",
+    "check_format",
     "create_renderer",
     "crop",
     "decimate",

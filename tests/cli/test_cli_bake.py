@@ -68,7 +68,7 @@ def test_albedo_of_a_capture_is_lit_by_an_environment(work):
     [
         (("@none.toml", "-o", "@b.ply"), "none.toml"),
         (("-o", "@b.ply"), "no scene given"),
-        (("@both.toml", "-o", "@b.obj"), "b.obj: unknown extension, expected .ply"),
+        (("@both.toml", "-o", "@b.obj"), "b.obj: unknown extension '.obj', expected .ply"),
         (("@both.toml", "-o", "@ball.ply/b.ply"), "ball.ply"),
         (("@flag.obj", "-o", "@b.ply"), "takes a scene with splat sets"),
         (("@dark.toml", "-o", "@b.ply"), "no lights"),

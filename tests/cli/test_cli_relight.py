@@ -111,7 +111,7 @@ def test_darkness_is_told(work):
         (("@mesh.obj", "@room.ply"), "mesh.obj: is not a capture"),
         (("@mesh.obj", "@room.ply"), "ls.gaussians_from_mesh"),
         (("@two.toml", "@room.ply"), "two.toml: is not a capture"),
-        (("@ball.ply", "@room.ply", "-o", "@relit.png"), "relit.png: unknown extension, expected .ply"),
+        (("@ball.ply", "@room.ply", "-o", "@relit.png"), "relit.png: unknown extension '.png', expected .ply"),
         (("@ball.ply", "@room.ply", "--probe", "@probe.hdr"), "probe.hdr: unknown extension"),
         (("@ball.ply", "@room.ply", "--gamma", "-1"), "gamma is -1.0, expected 0.0 to 1000.0"),
         (("@ball.ply", "@room.ply", "--exponent", "0"), "exponent is 0.0"),

@@ -19,6 +19,7 @@ from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.bench import Bench
 from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
+from lumisplat.cli.commands.export import Export
 from lumisplat.cli.commands.farm.farm import Farm
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.lighting.bake import Bake
@@ -75,6 +76,8 @@ The lights of a room from a photograph: lumisplat fit room.toml photo.jpg --came
 
 A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 5 --decimate 25% -o middle.spz
 
+A whole scene for other programs: lumisplat export scene.toml -o scene.glb
+
 What this machine has, and what is missing: lumisplat doctor"""
 
 _Command = (
@@ -87,6 +90,7 @@ _Command = (
     | Annotated[Farm, subcommand("farm")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Convert, subcommand("convert")]
+    | Annotated[Export, subcommand("export")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Metrics, subcommand("metrics")]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Literal
 
 from lumisplat.errors import FormatError
 from lumisplat.io import formats
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.scene import Scene
 
 __all__ = [
+    "check_format",
     "load",
     "load_animation",
     "load_camera_path",
@@ -90,8 +91,9 @@ def load(
 
     try:
         with references_outside(allow_outside):
+            options = formats.LoadOptions(drop_invalid, crease_angle, up, progress, incident)
             load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
-            loaded = formats.read(Path(path), load_asset, crease_angle, up, progress, incident=incident)
+            loaded = formats.read(Path(path), load_asset, options)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
     except FormatError:
@@ -105,20 +107,32 @@ def load(
     return loaded
 
 
-def save(path: PathLike, gaussians: Gaussians, *, columns: Literal["lumisplat", "r3dg"] = "lumisplat") -> None:
-    """Saves a capture; the extension selects the format. The file appears complete or not at all.
+def save(
+    path: PathLike,
+    asset: Gaussians | Mesh | Scene,
+    *,
+    cameras: Sequence[Camera] = (),
+    columns: Literal["lumisplat", "r3dg"] = "lumisplat",
+) -> None:
+    """Saves a capture, or a scene; the extension selects the format. The file appears complete or not at all.
 
     The lossy formats clamp values that they cannot store. SPZ: scales to e^-10..e^5.94 (4.5e-5 to 379 scene units; the
     thin axis of Gaussians from a mesh may be smaller, which is logged), SH above degree 0 to -1..1. Compressed PLY:
     scales to e^-20..e^20, SH above degree 0 to -4..4; a Gaussian far from the others makes the positions of its whole
     chunk coarse, which is logged if it is visible. SOG: nothing is clamped, but numbers share 256 values.
 
+    glTF holds scenes: captures (KHR_gaussian_splatting, exact), meshes with materials and textures, punctual lights,
+    cameras. Its files are y up: captures are turned by half a turn about x, as in SPZ, and what stands upright in the
+    scene stands upright there. What glTF cannot hold is logged in one line, such as area lamps and environments.
+
     Args:
-        path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH; changes the
-            order), ``.spz`` (version 4), ``.sog`` (version 2; changes the order; the harmonics of all Gaussians become
-            a palette), or ``meta.json``, which writes the files of a SOG beside it.
-        gaussians: The capture. Only ``.ply`` stores normals and materials, which a comment in its header marks as
-            linear, and ``.spz`` and ``.sog`` do not store the kernel degree; values that are left out are logged.
+        path: Of captures ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH;
+            changes the order), ``.spz`` (version 4), ``.sog`` (version 2; changes the order; the harmonics of all
+            Gaussians become a palette), or ``meta.json``, which writes the files of a SOG beside it. Of all that there
+            is ``.glb`` (lossless, 60 bytes per Gaussian without view-dependent colours), or ``.gltf``, the same as text.
+        asset: The capture, mesh or scene. Only ``.ply`` and glTF store normals and materials of Gaussians, and ``.spz``
+            and ``.sog`` do not store the kernel degree; values that are left out are logged.
+        cameras: Cameras of the scene, which glTF holds, too.
         columns: Of a ``.ply``: ours, or those of Relightable 3D Gaussians (``"r3dg"``), for their programs: SH of
             degree 3, albedo within 0.03..0.8, roughness 0.09..0.99, no metals; what that changes is logged.
 
@@ -127,11 +141,20 @@ def save(path: PathLike, gaussians: Gaussians, *, columns: Literal["lumisplat", 
         FormatError: The extension is unknown, the format cannot store a value, the file cannot be written, or R3DG's
             columns are asked for of a capture without materials.
     """
-    from lumisplat.scene.gaussians import Gaussians
+    formats.write(path, asset, cameras, columns)
 
-    if not isinstance(cast("object", gaussians), Gaussians):
-        raise FormatError(path, f"only Gaussians can be saved, got {type(gaussians).__name__}")
-    formats.write(path, gaussians, columns)
+
+def check_format(path: PathLike, *, scene: bool = False) -> None:
+    """Refuses the name of a file that `save` could not write, before there is anything to save.
+
+    Args:
+        path: The file; its extension counts.
+        scene: Whether it shall hold a mesh or a scene; else Gaussians.
+
+    Raises:
+        FormatError: The extension is unknown, or the format cannot hold that.
+    """
+    formats.check_written(path, scene=scene)
 
 
 def load_cameras(path: PathLike, *, width: int | None = None, height: int | None = None) -> list[Camera]:

@@ -6,10 +6,10 @@ Functions are named, ``splats.spz.read_spz``, and their modules imported when a 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io.files.format import format_of
@@ -19,9 +19,28 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from lumisplat.io.splats.columns import SplatColumns
+    from lumisplat.scene.camera import Camera
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.scene import Scene
+
+    Loaded = SplatColumns | Gaussians | Mesh | Scene
+
+
+class LoadOptions(NamedTuple):
+    """Options of `lumisplat.io.load` that some readers take."""
+
+    drop_invalid: bool
+    """Of glTF files; `SplatColumns` are not checked yet."""
+    crease_angle: float | None
+    """Of OBJs."""
+    up: str | npt.ArrayLike | None
+    """Of scene files."""
+    progress: Callable[[float], None] | None
+    """Of PLYs."""
+    incident: bool
+    """Of PLYs."""
+
 
 _READERS = {
     ".spz": "splats.spz.read_spz",
@@ -46,66 +65,92 @@ _WRITERS = {
 }
 """Writers of captures; the first one that a path ends with is used."""
 
+_SCENE_WRITERS = {
+    ".glb": "gltf.writing.scene.write_gltf",
+    ".gltf": "gltf.writing.scene.write_gltf",
+}
+"""Writers of scenes with their cameras, to which captures and meshes are scenes, too."""
+
 READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
-WRITABLE = ".ply, .compressed.ply, .spz, .sog, or meta.json in a folder (SOG)"
+WRITABLE = ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, or meta.json in a folder (SOG)"
 
 
-def read(
-    path: Path,
-    load: Callable[..., Gaussians | Mesh | Scene],
-    crease_angle: float | None,
-    up: str | npt.ArrayLike | None,
-    progress: Callable[[float], None] | None,
-    *,
-    incident: bool,
-) -> SplatColumns | Mesh | Scene:
+def read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: LoadOptions) -> Loaded:
     """What is in a file; see `lumisplat.io.load`.
 
     Args:
         path: The file.
         load: Reads the files that a scene file names.
-        crease_angle: Of OBJs.
-        up: Of a scene file.
-        progress: Called with the fraction done.
-        incident: Whether to read incident light.
+        options: How.
 
     Raises:
         FormatError: The file is unknown, or cannot be read.
     """
     extension = format_of(path)
     if extension == ".ply":
-        return _import("ply_files.read_ply")(path, progress, incident=incident)
+        return _import("ply_files.read_ply")(path, options.progress, incident=options.incident)
     if extension == ".toml":
-        return _import("scene_toml.scene_file.read_scene_file")(path, load, up)
+        return _import("scene_toml.scene_file.read_scene_file")(path, load, options.up)
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
-    reader: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])
-    return reader(path) if crease_angle is None or extension != ".obj" else reader(path, crease_angle)
+    reader: Callable[..., Loaded] = _import(_READERS[extension])
+    if extension in (".glb", ".gltf"):
+        return reader(path, drop_invalid=options.drop_invalid)
+    if extension == ".obj" and options.crease_angle is not None:
+        return reader(path, options.crease_angle)
+    return reader(path)
 
 
-def write(path: PathLike, gaussians: Gaussians, columns: str) -> None:
-    """Writes a capture in the format of a file's extension; see `lumisplat.io.save`.
+def check_written(path: PathLike, *, scene: bool = False) -> str:
+    """The function that writes a file, by its extension; see `lumisplat.io.check_format`.
+
+    Raises:
+        FormatError: The extension is unknown, or of captures alone.
+    """
+    name = f"/{Path(path).name.lower()}"
+    if writer := next((_SCENE_WRITERS[end] for end in _SCENE_WRITERS if name.endswith(end)), None):
+        return writer
+    writer = next((_WRITERS[end] for end in _WRITERS if name.endswith(end)), None)
+    if writer is None:
+        expected = ", ".join(_SCENE_WRITERS) if scene else WRITABLE
+        raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {expected}")
+    if scene:
+        raise FormatError(path, f"holds Gaussians alone: scenes and meshes can be saved as {', '.join(_SCENE_WRITERS)}")
+    return writer
+
+
+def write(path: PathLike, asset: Gaussians | Mesh | Scene, cameras: Sequence[Camera], columns: str) -> None:
+    """Writes a file in the format of its extension; see `lumisplat.io.save`.
 
     Args:
         path: The file.
-        gaussians: The capture.
+        asset: What is written.
+        cameras: Of a scene.
         columns: Whose columns a .ply has.
 
     Raises:
         ConfigError: There are no such columns, or the file is no .ply.
-        FormatError: The extension is unknown, or the file cannot be written.
+        FormatError: The extension is unknown or cannot hold that, or the file cannot be written.
     """
-    ending = f"/{Path(path).name.lower()}"
-    extension = next((end for end in _WRITERS if ending.endswith(end)), None)
-    if extension is None:
-        raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
+    from lumisplat.scene.gaussians import Gaussians
+    from lumisplat.scene.mesh import Mesh
+    from lumisplat.scene.scene import Scene
+
+    if not isinstance(cast("object", asset), Gaussians | Mesh | Scene):
+        raise FormatError(path, f"only Gaussians, meshes and scenes can be saved, got {type(asset).__name__}")
+    writer = check_written(path, scene=bool(cameras) or not isinstance(asset, Gaussians))
     if columns not in _PLY_WRITERS:
         raise ConfigError(f"columns is {columns!r}, expected {' or '.join(map(repr, _PLY_WRITERS))}")
-    if columns != _OURS and extension != ".ply":
-        raise ConfigError(f"columns {columns!r} are those of a .ply, got {os.fspath(path)}")
-    name = _PLY_WRITERS[columns] if extension == ".ply" else _WRITERS[extension]
-    writer: Callable[[PathLike, Gaussians], None] = _import(name)
-    writer(path, gaussians)
+    if columns != _OURS:
+        if writer != _PLY_WRITERS[_OURS]:
+            raise ConfigError(f"columns {columns!r} are those of a .ply, got {os.fspath(path)}")
+        writer = _PLY_WRITERS[columns]
+    if writer not in _SCENE_WRITERS.values():
+        _import(writer)(path, asset)
+        return
+    if not isinstance(asset, Scene):
+        asset = Scene(splats=[asset]) if isinstance(asset, Gaussians) else Scene(meshes=[asset])
+    _import(writer)(path, asset, cameras)
 
 
 def _import(function: str) -> Any:

@@ -140,5 +140,5 @@ def test_a_file_of_nothing_is_refused(tmp_path: Path) -> None:
     """A file without mesh, light or camera is refused."""
     gltf = Gltf()
     gltf.add("nodes", name="empty")
-    with pytest.raises(ls.FormatError, match="no triangle mesh, light or camera"):
+    with pytest.raises(ls.FormatError, match="no Gaussians, triangle mesh, light or camera"):
         read(tmp_path, gltf)

@@ -23,7 +23,7 @@ _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(LoadingCommand):
-    """Write captures in another format: .ply (exact), .compressed.ply, .spz or .sog (small). Several become one.
+    """Write captures in another format: .ply or .glb (exact), .compressed.ply, .spz or .sog (small). Several become one.
 
     Smaller: lumisplat convert garden.ply garden.spz
 
@@ -39,10 +39,11 @@ class Convert(LoadingCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
-    """.ply, .compressed.ply, .spz, .sog, or a SOG folder. Without -o, there are two, and the second is written."""
+    """.ply, .compressed.ply, .spz, .sog, a SOG folder, or a .glb or .gltf with captures. Without -o, there are two, and
+    the second is written."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """.ply, .compressed.ply, .spz, .sog or meta.json (a SOG folder); - is standard output, in PLY. Needed to join
-    captures."""
+    """.ply, .compressed.ply, .spz, .sog or meta.json (a SOG folder), .glb or .gltf, which have y up and are turned as
+    .spz is; - is standard output, in PLY. Needed to join captures."""
     box: Annotated[str | None, arg(metavar="X,Y,Z,X,Y,Z", help_behavior_hint="")] = None
     """Keep what lies between two corners, with its mean."""
     sphere: Annotated[str | None, arg(metavar="X,Y,Z,R", help_behavior_hint="")] = None
@@ -103,10 +104,7 @@ class Convert(LoadingCommand):
             raise ls.ConfigError("several captures are joined only with -o: lumisplat convert A B -o OUT")
         if target is None or not sources:
             raise ls.ConfigError("convert needs what it reads and what it writes: lumisplat convert IN OUT")
-        if not f"/{target.name.lower()}".endswith((".ply", ".spz", ".sog", "/meta.json")):  # found before the work
-            raise ls.FormatError(
-                target, "unknown extension, expected .ply, .compressed.ply, .spz, .sog or FOLDER/meta.json"
-            )
+        ls.check_format(target)  # found now, rather than after the work
         is_small = not target.name.lower().endswith(".ply") or target.name.lower().endswith(".compressed.ply")
         for option, given in (
             (f"--columns {self.columns}", self.columns != "lumisplat"),
@@ -123,14 +121,18 @@ class Convert(LoadingCommand):
 
     def _loaded(self, source: Path, report: Report) -> ls.Gaussians:
         """One capture."""
-        gaussians = self.load_asset(source, report)
-        if not isinstance(gaussians, ls.Gaussians):
+        loaded = self.load_asset(source, report)
+        if isinstance(loaded, ls.Scene) and loaded.splats and not loaded.meshes:
+            turn = (180.0, 0.0, 0.0) if loaded.up == (0.0, 1.0, 0.0) else (0.0, 0.0, 0.0)  # captures have y down
+            placed = (ls.transform(one.gaussians, one.transform, rotation_degrees=turn) for one in loaded.splats)
+            return ls.merge(list(placed))
+        if not isinstance(loaded, ls.Gaussians):
             raise ls.FormatError(
                 source, "is not a capture: convert takes Gaussians only (Python: ls.gaussians_from_mesh)"
             )
-        if self.incident and gaussians.incident is None:
+        if self.incident and loaded.incident is None:
             raise ls.FormatError(source, "has no incident light: leave out --incident")
-        return gaussians
+        return loaded
 
     def _edits(self, report: Report) -> Iterator[tuple[str, _Edit]]:
         """What is to be done, in order: the options that ask for it, and how."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry
 from lumisplat.io.files.source import parsing
+from lumisplat.io.gltf.scene import shows_one_capture
 from lumisplat.io.ply_files import holds_mesh
 from lumisplat.io.scene_toml.scene_file import read_document
 from lumisplat.io.scene_toml.toml_table import TomlTable
@@ -19,7 +20,7 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 from lumisplat.scene.up import up_vector
 
-_MESHES = (".obj", ".stl", ".glb", ".gltf")
+_MESHES = (".obj", ".stl")
 
 
 @dataclass(slots=True)
@@ -57,7 +58,7 @@ def listed_files(files: Sequence[Path]) -> Listing:
                 listing.tables.append(("environment", document.table("environment").values))
     for file in files:
         if file not in scene_files:
-            listing.tables.append(("meshes" if is_mesh(file) else "splats", {"path": str(file.absolute())}))
+            listing.tables.append((heading_of(file), {"path": str(file.absolute())}))
     return listing
 
 
@@ -103,6 +104,10 @@ def read_entry(reader: EntryReader, number: int, kind: EntryKind, table: Mapping
         return reader.read(number, kind, table)
 
 
-def is_mesh(file: Path) -> bool:
-    """Whether a file is a mesh, not a capture; of a PLY, its header says it."""
-    return file.suffix.lower() in _MESHES or (file.suffix.lower() == ".ply" and holds_mesh(file))
+def heading_of(file: Path) -> Literal["splats", "meshes"]:
+    """Under which heading a file is listed, by its extension and its content. One that cannot be read says so later."""
+    suffix = file.suffix.lower()
+    is_mesh = suffix in _MESHES or (suffix == ".ply" and holds_mesh(file))
+    if suffix in (".glb", ".gltf"):
+        is_mesh = not shows_one_capture(file)
+    return "meshes" if is_mesh else "splats"

@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-
 from lumisplat.errors import FormatError
 from lumisplat.io.document.entries import EntryReader, SceneEntry
 from lumisplat.io.document.written import material_table
@@ -20,10 +18,8 @@ from lumisplat.io.images.png import write_png
 from lumisplat.io.meshes.mesh_ply import write_ply_mesh
 from lumisplat.io.splats.splat_ply import write_splat_ply
 from lumisplat.math.arrays import FloatArray
-from lumisplat.math.transforms import transform_points
 from lumisplat.scene.materials import MaterialPbr, texture_names
-from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.scene import MeshInstance
+from lumisplat.scene.ops.placed_mesh import placed_mesh
 
 
 def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str, Any]:
@@ -110,7 +106,7 @@ class _Folder:
             return table | {
                 "path": self._once(memory_path, f"{name}.ply", lambda file: write_splat_ply(file, gaussians))
             }
-        mesh = _baked(asset.meshes[0])
+        mesh = placed_mesh(asset.meshes[0])
         path = self._once(memory_path, f"{name}.ply", lambda file: write_ply_mesh(file, mesh))
         return table | {"path": path, "material": self._material(entry, name)}
 
@@ -150,20 +146,6 @@ class _Folder:
             if wraps and key in wraps:
                 kept[key] = [wrap.value for wrap in wraps[key]]
         return table | ({"texture_wraps": kept} if kept else {})
-
-
-def _baked(instance: MeshInstance) -> Mesh:
-    """The mesh of an instance, its transform applied."""
-    if np.array_equal(instance.transform, np.eye(4)):
-        return instance.mesh
-    mesh, linear = instance.mesh, instance.transform[:3, :3]
-    flipped = np.linalg.det(linear) < 0.0
-    return replace(
-        mesh,
-        positions=transform_points(instance.transform, mesh.positions).astype(np.float32),
-        normals=None if mesh.normals is None else (mesh.normals @ np.linalg.inv(linear)).astype(np.float32),
-        indices=mesh.indices[:, ::-1] if flipped else mesh.indices,
-    )
 
 
 def _write_sky(file: Path, image: FloatArray) -> None:

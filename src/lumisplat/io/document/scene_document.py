@@ -20,7 +20,7 @@ from lumisplat.config.checks import suggestion
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry, shown_scene
 from lumisplat.io.document.memory import entries_of
-from lumisplat.io.document.opening import listed_files, read_entries, read_entry, reader_of
+from lumisplat.io.document.opening import heading_of, listed_files, read_entries, read_entry, reader_of
 from lumisplat.io.document.saving import relocated, saved_assets
 from lumisplat.io.document.written import light_table, placement_table
 from lumisplat.io.files.atomic import atomic_write
@@ -104,6 +104,11 @@ class SceneDocument:
             name = {"name": actor.name or "actor"}
             entries.append(SceneEntry(number, "actors", name, actor=actor, world_from_file=actor.world_from_object))
         return cls(tuple(entries), memory.top, tuple(memory.problems), _reader=reader)
+
+    @staticmethod
+    def kind_of(path: PathLike) -> EntryKind:
+        """Under which heading a file is listed: ``"splats"`` if it is a capture and nothing else, else ``"meshes"``."""
+        return heading_of(Path(path))
 
     # --- What it holds ---
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lumisplat.config.checks import is_number
+from lumisplat.config.checks import is_number, is_whole
 from lumisplat.constants import NEAR_PLANE
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.extras import CAMERAS, own_extras
 from lumisplat.io.gltf.nodes import Matrix, node_label, scene_nodes, world_transforms
 from lumisplat.scene.camera import Camera, CameraModel, camera_pose
 
@@ -82,6 +83,9 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         model, aspect = CameraModel.ORTHOGRAPHIC, _positive(lens, "xmag") / half_height
     else:
         raise SceneError(f"type is {definition.type!r}, expected perspective or orthographic")
+    own = _own_settings(definition)
+    if width is None and height is None and own.keys() >= {"width", "height"}:
+        width, height = own["width"], own["height"]
     width, height = _size(aspect, width, height)
     focal = 0.5 * height / half_height
     return Camera(
@@ -95,7 +99,18 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         near=getattr(lens, "znear", None) or NEAR_PLANE,  # 0, for parallel rays only, means none
         name=name,
         model=model,
+        **{name: own[name] for name in own if name not in ("width", "height")},
     )
+
+
+def _own_settings(definition: pygltflib.Camera) -> dict[str, Any]:
+    """What our files say of a camera besides: the size of its image, its exposure and aperture."""
+    own = own_extras(definition) or {}
+    settings = {name: own[name] for name in CAMERAS if name in own}
+    for name in ("width", "height"):
+        if name in settings and not is_whole(settings[name]):
+            raise SceneError(f"{name} is {settings[name]}, expected a whole number")
+    return settings
 
 
 def _size(aspect: float, width: int | None, height: int | None) -> tuple[int, int]:

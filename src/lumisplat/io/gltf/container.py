@@ -44,7 +44,8 @@ class GltfFile:
 
         self.path = path
         data = read_bytes(path)
-        self._stored_bytes = len(data)
+        self.stored_bytes = len(data)
+        """Size of the file, without those that it names."""
         text, self._binary_chunk = _split_glb(path, data) if data[:4] == b"glTF" else (data, None)
         try:
             document: dict[str, Any] = json.loads(text.decode("utf-8"))
@@ -172,7 +173,7 @@ class GltfFile:
         if accessor.bufferView is not None:
             values = self._rows(accessor, accessor.count, width, dtype, name)
         else:
-            check_expansion(self.path, name, accessor.count * width * dtype.itemsize, self._stored_bytes)
+            check_expansion(self.path, name, accessor.count * width * dtype.itemsize, self.stored_bytes)
             values = np.zeros((accessor.count, width), dtype)
         return self._with_sparse(values, accessor.sparse, name) if accessor.sparse is not None else values
 

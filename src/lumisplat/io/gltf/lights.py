@@ -8,10 +8,11 @@ from typing import Any
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.extras import light_settings, own_extras
 from lumisplat.io.gltf.nodes import Matrix
 from lumisplat.scene.lights import LightDirectional, LightPoint, LightSpot
 
-_EXTENSION = "KHR_lights_punctual"
+EXTENSION = "KHR_lights_punctual"
 
 PunctualLight = LightPoint | LightSpot | LightDirectional
 
@@ -25,11 +26,11 @@ def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matr
     Raises:
         FormatError: An index is invalid, a type is unknown, or a value is out of range; names the light.
     """
-    definitions = (file.model.extensions or {}).get(_EXTENSION, {}).get("lights", [])
+    definitions = (file.model.extensions or {}).get(EXTENSION, {}).get("lights", [])
     lights: list[PunctualLight] = []
     for index in nodes:
         node = file.model.nodes[index]
-        reference = (node.extensions or {}).get(_EXTENSION)
+        reference = (node.extensions or {}).get(EXTENSION)
         if reference is None or not world_from_node[index][:3, :3].any():
             continue
         which = reference.get("light")
@@ -48,16 +49,17 @@ def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> P
     kind = definition.get("type")
     values: dict[str, Any] = {key: definition[key] for key in ("color", "intensity") if key in definition}
     values["name"] = name
+    own = own_extras(definition)
     position, direction = world_from_light[:3, 3], -world_from_light[:3, 2]
     if kind == "directional":
-        return LightDirectional(direction, **values)
+        return LightDirectional(direction, **values, **light_settings(own, LightDirectional))
     values["range"] = definition.get("range", math.inf)
     if kind == "point":
-        return LightPoint(position, **values)
+        return LightPoint(position, **values, **light_settings(own, LightPoint))
     if kind == "spot":
         cone = definition.get("spot", {})
         values |= {
             f"{side}_angle": cone[f"{side}ConeAngle"] for side in ("inner", "outer") if f"{side}ConeAngle" in cone
         }
-        return LightSpot(position, direction, **values)
+        return LightSpot(position, direction, **values, **light_settings(own, LightSpot))
     raise SceneError(f"type is {kind!r}, expected point, spot or directional")

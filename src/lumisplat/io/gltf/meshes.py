@@ -21,6 +21,8 @@ from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+TRIANGLE_MODES = (None, _TRIANGLES, _STRIP, _FAN)
+"""Modes of the primitives that are read as meshes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +123,7 @@ def read_raw(
     """
     mesh = file.item("meshes", mesh_index, "a node")
     for k, item in enumerate(mesh.primitives):
-        if item.mode in (None, _TRIANGLES, _STRIP, _FAN):
+        if item.mode in TRIANGLE_MODES:
             primitive = GltfPrimitive(file, item, f"meshes[{mesh_index}].primitives[{k}]")
             yield _raw(primitive, mesh.name or "", materials, joint_count, targets)
 

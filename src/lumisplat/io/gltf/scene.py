@@ -1,34 +1,53 @@
-"""Scenes of glTF files: meshes and lights, placed in the world by the node hierarchy."""
+"""Scenes of glTF files: captures, meshes and lights, placed in the world by the node hierarchy."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from lumisplat.errors import FormatError, SceneError
+from lumisplat.errors import FormatError, LumisplatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.gaussians.attributes import holds_gaussians
+from lumisplat.io.gltf.gaussians.placed import GltfCaptures, alone
+from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
 from lumisplat.io.gltf.lights import read_lights
 from lumisplat.io.gltf.materials import GltfMaterials, warn_unread
-from lumisplat.io.gltf.meshes import read_meshes
+from lumisplat.io.gltf.meshes import TRIANGLE_MODES, read_meshes
 from lumisplat.io.gltf.nodes import Matrix, node_label, scene_nodes, world_transforms
 from lumisplat.io.gltf.skins import read_skin
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
+from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene
 
-_READABLE = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "EXT_texture_webp")
+_READABLE = (
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_lights_punctual",
+    "KHR_gaussian_splatting",
+    "EXT_texture_webp",
+)
 """Extensions that a file may require, besides those of materials, which only change the appearance of surfaces."""
 
 
-def read_gltf(path: PathLike) -> Scene:
-    """Reads the default scene: all triangle meshes with the transforms of their nodes, and all punctual lights.
+def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussians:
+    """Reads the default scene: captures and triangle meshes with the transforms of their nodes, and punctual lights.
 
     Skinned meshes are in their rest pose, morph targets have their default weights. Animations are left out, and, with
-    log lines, textures with other coordinates than the base colour. `read_gltf_cameras` reads cameras. Axes are not
-    changed (glTF: y up, +z towards the viewer).
+    log lines, textures with other coordinates than the base colour. `read_gltf_cameras` reads cameras. Axes of scenes
+    are not changed (glTF: y up, +z towards the viewer).
+
+    Args:
+        path: A ``.glb`` or ``.gltf`` file.
+        drop_invalid: As of `lumisplat.io.load`, of captures.
+
+    Returns:
+        The scene; of a file that shows one capture once and nothing else, neither lights nor cameras, its Gaussians,
+        in the axes of captures, with the transform of their node.
 
     Raises:
         FormatError: The file, or a file that it names, is missing, malformed or truncated, or needs an extension that
@@ -41,13 +60,35 @@ def read_gltf(path: PathLike) -> Scene:
         warn_unread(file)
         world_from_node, nodes = world_transforms(file), list(scene_nodes(file))
         sieve = TriangleSieve(path)
+        splats = tuple(GltfCaptures(file, drop_invalid).placed(nodes, world_from_node))
         meshes = tuple(_placed_meshes(file, nodes, world_from_node, sieve))
         lights = tuple(read_lights(file, nodes, world_from_node))
         has_cameras = any(file.model.nodes[index].camera is not None for index in nodes)
-        if not (meshes or lights or has_cameras or sieve.problems):
-            raise FormatError(path, "has no triangle mesh, light or camera in its scene")
-        sieve.report(anything_left=bool(meshes or lights or has_cameras))
-        return Scene(meshes=meshes, lights=lights)
+        if not (splats or meshes or lights or has_cameras or sieve.problems):
+            raise FormatError(path, "has no Gaussians, triangle mesh, light or camera in its scene")
+        sieve.report(anything_left=bool(splats or meshes or lights or has_cameras))
+        if len(splats) == 1 and not (meshes or lights or has_cameras):
+            return alone(splats[0])
+        return Scene(splats=splats, meshes=meshes, lights=lights, up="y-up" if splats else None)
+
+
+def shows_one_capture(path: PathLike) -> bool:
+    """Whether a file shows one capture once and nothing else; False if it cannot be read."""
+    try:
+        with parsing(path, "a glTF file"):
+            file = GltfFile(Path(path))
+            nodes = [file.model.nodes[index] for index in scene_nodes(file)]
+            shown = [primitive for node in nodes if node.mesh is not None for primitive in _primitives(file, node.mesh)]
+            lit = any(LIGHTS in (node.extensions or {}) or node.camera is not None for node in nodes)
+            return len(shown) == 1 and holds_gaussians(shown[0]) and not lit
+    except LumisplatError:
+        return False
+
+
+def _primitives(file: GltfFile, mesh: int) -> list[Any]:
+    """The primitives of a mesh that are read: Gaussians and triangles."""
+    primitives: list[Any] = file.item("meshes", mesh, "a node").primitives
+    return [one for one in primitives if holds_gaussians(one) or one.mode in TRIANGLE_MODES]
 
 
 def check_extensions(file: GltfFile) -> None:

@@ -34,6 +34,7 @@ _NAMES = {
 
 _WRAPS = {10497: TextureWrap.REPEAT, 33071: TextureWrap.CLAMP, 33648: TextureWrap.MIRROR}
 """By the numbers of glTF, which are OpenGL's."""
+WRAP_NUMBERS = {wrap: number for number, wrap in _WRAPS.items()}
 
 
 class Placement(NamedTuple):

@@ -133,7 +133,7 @@ class Assets:
             raise table.failed(error) from None
 
     def meshes(self, table: TomlTable) -> PlacedEntry:
-        """The meshes and lights of an entry in the world."""
+        """The meshes and lights of an entry in the world, and the captures of a scene that has such."""
         given, world_from_file = _read_entry(table, "meshes", self.up)
         assets = self._assets(table, "meshes", given)
         scene = self._part(table, given, assets[-1])
@@ -143,8 +143,13 @@ class Assets:
                 MeshInstance(i.mesh, world_from_file @ i.transform, name=given.get("name") or i.name)
                 for i in scene.meshes
             ]
-            lift = self._lift(given, meshes)
+            splats = [
+                replace(i, world_from_object=world_from_file @ i.transform, name=given.get("name") or i.name)
+                for i in scene.splats
+            ]
+            lift = self._lift(given, [*meshes, *splats])
             return PlacedEntry(
+                splats=tuple(replace(splat, world_from_object=lift @ splat.transform) for splat in splats),
                 meshes=tuple(replace(mesh, world_from_object=lift @ mesh.transform) for mesh in meshes),
                 lights=tuple(move_light(light, lift @ world_from_file) for light in wanted),
                 world_from_file=lift @ world_from_file,
@@ -213,8 +218,9 @@ class Assets:
                 raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
             known_by = ("file", str(file))
             scene = self._once(known_by, lambda: as_scene(self.load(file)))
-        if (scene.splats and heading == "meshes") or (not scene.splats and heading == "splats"):
-            found, other = ("a capture", "splats") if scene.splats else ("a mesh", "meshes")
+        if _is_capture(scene) is not (heading == "splats"):
+            whole = "a scene" if scene.splats else "a mesh"
+            found, other = ("a capture", "splats") if _is_capture(scene) else (whole, "meshes")
             raise table.error(f"path is {given['path']!r}, which is {found}: list it under [[{other}]]", "path")
         return known_by, scene
 
@@ -234,12 +240,12 @@ class Assets:
             for key, mesh in meshes.items():
                 changed = with_checked(mesh, material=material.apply_to(mesh.material))
                 meshes[key] = drop_unplaced_textures(table.path, changed)
-            own = material.apply_to(None) if scene.splats else None
+            own = material.apply_to(None) if _is_capture(scene) else None
         except SceneError as error:
             raise table.failed(error) from None
         return replace(
             scene,
-            splats=tuple(replace(i, material=own) for i in scene.splats),
+            splats=tuple(replace(i, material=own or i.material) for i in scene.splats),
             meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes),
         )
 
@@ -264,6 +270,11 @@ def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
     except SceneError as error:
         raise table.failed(error) from None
     return scene
+
+
+def _is_capture(scene: Scene) -> bool:
+    """Whether it is a capture alone. A scene of a glTF that has captures says which way is up."""
+    return bool(scene.splats) and scene.up is None
 
 
 def _names(scene: Scene) -> list[str]:

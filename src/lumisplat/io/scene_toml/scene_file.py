@@ -104,7 +104,7 @@ def static_scene(document: TomlTable, load: Load) -> Scene:
     captures = [entry for entry, table in splats if not table.values.get("hidden", False)]
     surfaces = [entry for entry, table in meshes if not table.values.get("hidden", False)]
     return Scene(
-        splats=tuple(splat for entry in captures for splat in entry.splats),
+        splats=tuple(splat for entry in (*captures, *surfaces) for splat in entry.splats),
         meshes=tuple(mesh for entry in surfaces for mesh in entry.meshes),
         lights=(*lights, *(light for entry in surfaces for light in entry.lights), *environment),
         up=scene_up(document),

@@ -113,7 +113,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     """
     if columns.count == 0:
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")
-    scales = _scales(columns.log_scales) if columns.scales_are_logarithms else columns.log_scales
+    scales = _scales(columns.log_scales) if columns.scales_are_logarithms else _limited(columns.log_scales)
     opacities = _opacities(columns.opacities) if columns.opacities_are_logits else columns.opacities
     if columns.normals is not None and not columns.normals.any():
         columns = replace(columns, normals=None)  # INRIA writes zeros in place of normals
@@ -208,7 +208,11 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
 
 
 def _scales(logarithms: Floats) -> Floats:
-    return np.maximum(np.exp(logarithms), np.float32(SCALE_MIN))
+    return _limited(np.exp(logarithms))
+
+
+def _limited(scales: Floats) -> Floats:
+    return np.maximum(scales, np.float32(SCALE_MIN))
 
 
 def _opacities(logits: Floats) -> Floats:

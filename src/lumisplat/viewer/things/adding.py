@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     import viser
 
 _NOTHING = "nothing"
-_MESHES = (".obj", ".stl", ".glb", ".gltf")
 _SKIES = (".hdr", ".exr")
-_READABLE = (".ply", ".spz", ".sog", *_MESHES, *_SKIES)
+_READABLE = (".ply", ".spz", ".sog", ".obj", ".stl", ".glb", ".gltf", *_SKIES)
 _LIGHTS = ("point", "spot", "directional", "sphere", "rect")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
@@ -228,11 +227,5 @@ def free_name(folder: Path, name: str) -> Path:
 
 
 def _kind_of(path: Path) -> Any:
-    """The heading of a file's entry; a PLY may be a capture or a mesh."""
-    suffix = path.suffix.lower()
-    if suffix in _SKIES:
-        return "environment"
-    if suffix == ".ply":
-        with path.open("rb") as file:
-            return "meshes" if b"element face" in file.read(4096) else "splats"
-    return "meshes" if suffix in _MESHES else "splats"
+    """The heading of a file's entry."""
+    return "environment" if path.suffix.lower() in _SKIES else ls.SceneDocument.kind_of(path)

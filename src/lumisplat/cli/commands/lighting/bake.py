@@ -18,8 +18,6 @@ from lumisplat.cli.output.console import byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
-_CAPTURES = (".ply", ".spz")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Bake(LoadingCommand, DeviceCommand):
@@ -35,7 +33,7 @@ class Bake(LoadingCommand, DeviceCommand):
     """A scene.toml whose splat sets have a material, or captures with albedo, such as delight writes. Sets without stay
     as captured. Several become one."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.ply, .compressed.ply or .spz, in the scene's coordinates. - is standard output, a .ply."""
+    """.ply, .compressed.ply or .spz, in the scene's coordinates, or .glb. - is standard output, a .ply."""
     degree: Annotated[int, arg(metavar="0..3")] = 3
     """How much of what changes with the direction of view is kept, such as highlights; 0 is one colour."""
     samples: Annotated[int, arg(metavar="N")] = 8
@@ -65,8 +63,7 @@ class Bake(LoadingCommand, DeviceCommand):
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
             return
-        if self.output.suffix.lower() not in _CAPTURES:  # found now, rather than after the work
-            raise ls.FormatError(self.output, "unknown extension, expected .ply, .compressed.ply or .spz")
+        ls.check_format(self.output)  # found now, rather than after the work
         check_writable(self.output.absolute().parent)
         config = self._config()
         light = LightOptions(environment=self.environment, environment_rotation=self.environment_rotation)

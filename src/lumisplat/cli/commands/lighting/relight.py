@@ -39,7 +39,7 @@ class Relight(LoadingCommand, DeviceCommand):
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """What gives light, without the avatar: captures, meshes or a scene.toml, whose settings and background count."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("relit.ply")
-    """.ply, .compressed.ply or .spz. - is standard output, a .ply."""
+    """.ply, .compressed.ply, .spz or .glb. - is standard output, a .ply."""
     at: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: its middle)")] = None
     """Where the light is gathered, in the scene's coordinates; without: the middle of the avatar."""
     gamma: Annotated[float, arg(metavar="0..1000")] = 1.0
@@ -97,8 +97,7 @@ class Relight(LoadingCommand, DeviceCommand):
 
     def _check_outputs(self) -> None:
         """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
-        if self.output.suffix.lower() not in (".ply", ".spz"):
-            raise ls.FormatError(self.output, "unknown extension, expected .ply, .compressed.ply or .spz")
+        ls.check_format(self.output)
         if self.probe is not None and self.probe.suffix.lower() != ".exr":
             raise ls.FormatError(self.probe, "unknown extension for the image of a probe, expected .exr")
 

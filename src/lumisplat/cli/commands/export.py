@@ -1,0 +1,68 @@
+"""``lumisplat export``: whole scenes as files of other programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.input.loading import size_on_disk
+from lumisplat.cli.options.command import LoadingCommand
+from lumisplat.cli.options.up import UpOption, upright
+from lumisplat.cli.output.console import byte_size, counted, progress_bars
+from lumisplat.cli.output.pictures import check_writable
+
+_WITH_CAMERAS = (".toml", ".glb", ".gltf")
+"""Files of scenes, which may have cameras."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(LoadingCommand):
+    """Write a scene for other programs: captures, meshes with their materials, lights and cameras in one file.
+
+    For viewers on the web, Blender, engines: lumisplat export scene.toml -o scene.glb
+
+    Files as one scene: lumisplat export garden.ply statue.glb --cameras transforms.json -o garden.glb
+
+    Files of glTF have y up: what stands upright in the scene stands upright there. What they cannot hold, such as area
+    lamps and environments, is said in a line. Light on captures goes with them if they are baked: lumisplat bake.
+    """
+
+    scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
+    """A scene.toml, or captures and meshes of any format that is read; actors are where they are at time 0."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """.glb, or .gltf, the same as text."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Cameras of a transforms.json or another camera file, in place of those of the scene."""
+    up: UpOption = "auto"
+    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml says, else y
+    down with a capture, y up for meshes alone."""
+
+    def run(self) -> None:
+        """Loads, writes, and prints what is in the file."""
+        ls.check_format(self.output, scene=True)  # found now, rather than after the work
+        check_writable(self.output.absolute().parent)
+        cameras = self._cameras()
+        with progress_bars() as report:
+            scene = upright(self.load_scene(self.scene, report), self.up)
+            report("writing", 0.0)
+            ls.save(self.output, scene, cameras=cameras)
+        counts = (
+            (len(scene.splats), "capture"),
+            (scene.gaussian_count, "Gaussian"),
+            (len(scene.meshes), "mesh instance"),
+            (len(scene.lights), "light"),
+            (len(cameras), "camera"),
+        )
+        held = ", ".join(counted(count, noun) for count, noun in counts if count)
+        print(f"{self.output}: {byte_size(size_on_disk(self.output))}, of {held}")
+
+    def _cameras(self) -> list[ls.Camera]:
+        """The cameras that are given, else those of the scene's files."""
+        if self.cameras is not None:
+            return ls.load_cameras(self.cameras)
+        files = (file for file in self.scene if file.suffix.lower() in _WITH_CAMERAS)
+        return [camera for file in files for camera in ls.load_cameras(file)]
