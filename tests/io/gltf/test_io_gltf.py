@@ -14,13 +14,13 @@ from lumisplat.io.gltf.scene import read_gltf
 from lumisplat.io.gltf.textures import Placement
 from lumisplat.scene.scene import MeshInstance, Scene
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS, TEXELS, Gltf, png_bytes, quad_gltf
-from support.kinds import pbr_of, present
+from support.kinds import expect_kind, pbr_of, present
 
 
 def read(tmp_path: Path, gltf: Gltf) -> Scene:
     """Writes the document as GLB and reads it."""
     (tmp_path / "a.glb").write_bytes(gltf.glb())
-    return read_gltf(tmp_path / "a.glb")
+    return expect_kind(Scene, read_gltf(tmp_path / "a.glb"))
 
 
 def one(scene: Scene) -> MeshInstance:
@@ -38,7 +38,7 @@ def test_quad_with_texture(tmp_path: Path, container: str) -> None:
     else:
         (tmp_path / "my data.bin").write_bytes(gltf.data)
         (tmp_path / "a.gltf").write_bytes(gltf.gltf("my%20data.bin" if container == "external" else None))
-        instance = one(read_gltf(tmp_path / "a.gltf"))
+        instance = one(expect_kind(Scene, read_gltf(tmp_path / "a.gltf")))
     mesh = instance.mesh
     np.testing.assert_array_equal(mesh.positions, QUAD)
     np.testing.assert_array_equal(mesh.indices, QUAD_TRIANGLES)
@@ -325,7 +325,7 @@ def test_zero_normals_are_rebuilt(tmp_path: Path) -> None:
 )
 def test_real_files(data_dir: Path, name: str, instances: int, faces: int) -> None:
     """Real exports load with their textures, unit normals, and stand upright: y is the tallest side."""
-    scene = read_gltf(data_dir / name)
+    scene = expect_kind(Scene, read_gltf(data_dir / name))
     assert (len(scene.meshes), scene.face_count) == (instances, faces)
     for instance in scene.meshes:
         assert instance.mesh.material.base_color_texture is not None

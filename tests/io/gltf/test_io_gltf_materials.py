@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.io.gltf.scene import read_gltf
 from support.files.mesh_files import QUAD_UVS, TEXELS, Gltf, png_bytes, quad_gltf
-from support.kinds import pbr_of
+from support.kinds import expect_kind, pbr_of
 
 
 def textured(**material: Any) -> Gltf:
@@ -33,7 +33,7 @@ def texels(shade: int) -> np.ndarray:
 def read(tmp_path: Path, gltf: Gltf) -> ls.Mesh:
     """The only mesh of a document."""
     (tmp_path / "a.glb").write_bytes(gltf.glb())
-    (instance,) = read_gltf(tmp_path / "a.glb").meshes
+    (instance,) = expect_kind(ls.Scene, read_gltf(tmp_path / "a.glb")).meshes
     return instance.mesh
 
 

@@ -15,9 +15,9 @@ from lumisplat.io.gltf.extras import instance_settings, own_extras
 from lumisplat.io.gltf.gaussians.attributes import CAPTURE_FROM_FILE, holds_gaussians, read_gaussians
 from lumisplat.io.gltf.nodes import Matrix, node_label
 from lumisplat.io.gltf.primitive import GltfPrimitive
+from lumisplat.scene.editing.affine import under_affine
 from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.stretch import stretched
 from lumisplat.scene.scene import SplatInstance, check_similarity
 
 _DEGENERATE = 1e-9
@@ -39,8 +39,8 @@ class GltfCaptures:
     def placed(self, nodes: Iterable[int], world_from_node: list[Matrix]) -> Iterator[SplatInstance]:
         """The captures of nodes as instances in the world of the file, named after the node, else after the mesh.
 
-        A node that scales its axes differently has Gaussians of its own (`stretched`); others share them. Harmonics are
-        evaluated in the space of an instance, so that they turn with the rotation of its node.
+        A node that scales its axes differently has Gaussians of its own (`under_affine`); others share them. Harmonics
+        are evaluated in the space of an instance, so that they turn with the rotation of its node.
 
         Raises:
             FormatError: Gaussians are malformed or invalid, or a node mirrors or flattens them.
@@ -90,20 +90,21 @@ class GltfCaptures:
         except SceneError:
             # M = R P with a rotation R and a stretch P; without shear, P is diagonal, the scale of the node.
             u, factors, v = np.linalg.svd(linear)
-            stretch = CAPTURE_FROM_FILE[:3, :3] @ (v.T * factors) @ v @ CAPTURE_FROM_FILE[:3, :3]
+            stretch = np.eye(4)
+            stretch[:3, :3] = (v.T * factors) @ v
             world_from_node = world_from_node.copy()
             world_from_node[:3, :3] = u @ v
-            gaussians = self._stretch(gaussians, stretch)
+            gaussians = self._stretched_by(gaussians, CAPTURE_FROM_FILE @ stretch @ CAPTURE_FROM_FILE)
         settings = instance_settings(own_extras(self.file.model.nodes[index]))
         return SplatInstance(gaussians, world_from_node @ CAPTURE_FROM_FILE, name=name, **settings)
 
-    def _stretch(self, gaussians: Gaussians, stretch: Matrix) -> Gaussians:
+    def _stretched_by(self, gaussians: Gaussians, stretch: Matrix) -> Gaussians:
         """A stretched capture, which is made once."""
         key = (id(gaussians), stretch.tobytes())
         if key not in self._stretched:
             self._stretched_bytes += sum(values.nbytes for values in gaussians.arrays().values())
             check_expansion(self.file.path, "its stretched captures", self._stretched_bytes, self.file.stored_bytes)
-            self._stretched[key] = stretched(gaussians, stretch)
+            self._stretched[key] = under_affine(gaussians, stretch)
         return self._stretched[key]
 
 

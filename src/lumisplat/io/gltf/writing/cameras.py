@@ -32,8 +32,6 @@ def add_camera(document: GltfDocument, camera: Camera, scene: Scene, file_from_w
         lens = {"yfov": camera.fov_y, "aspectRatio": half_width / half_height, "znear": camera.near}
         item = {"type": "perspective", "perspective": lens}
     own = {name: getattr(camera, name) for name in CAMERAS if getattr(camera, name)}
-    if camera.aperture == 0.0:
-        own.pop("focus_distance")
     number = document.add("cameras", with_extras(item | ({"name": camera.name} if camera.name else {}), own))
     looking = camera.world_from_camera @ np.diag([1.0, -1.0, -1.0, 1.0])  # glTF looks along -z, with y up
     return document.add("nodes", node_item(file_from_world @ looking, camera.name) | {"camera": number})

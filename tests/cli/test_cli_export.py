@@ -1,0 +1,118 @@
+"""``lumisplat export`` and glTF files through the other commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+
+SCENE = """
+up = "y-down"
+
+[[splats]]
+path = "capture.ply"
+
+[[meshes]]
+path = "mesh.obj"
+position = [0.0, 0.5, 0.0]
+
+[[lights]]
+type = "point"
+position = [0.0, -2.0, 0.0]
+intensity = 5.0
+
+[[lights]]
+type = "rect"
+name = "panel"
+position = [0.0, -2.0, 0.0]
+target = [0.0, 0.0, 1.0]
+size = [1.0, 1.0]
+
+[[cameras]]
+eye = [0.0, -1.0, -3.0]
+target = [0.0, 0.0, 4.0]
+width = 64
+height = 48
+"""
+
+
+@pytest.fixture
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+    """A folder with a scene."""
+    place = Workplace(tmp_path, capsys)
+    place.path("scene.toml").write_text(SCENE)
+    return place
+
+
+def test_a_scene_with_all_that_it_has(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Capture, mesh, lamp and camera are in the file; the lamp that is not is named."""
+    outcome = work.run("export", "@scene.toml", "-o", "@scene.glb")
+    assert outcome.status == 0
+    assert "of 1 capture, 60 Gaussians, 1 mesh instance, 2 lights, 1 camera" in outcome.out
+    assert [record.getMessage().partition("scene.glb: ")[2] for record in caplog.records] == [
+        "glTF cannot hold area lamps (panel)"
+    ]
+    scene, before = ls.load(work.path("scene.glb")), ls.load(work.path("scene.toml"))
+    assert isinstance(scene, ls.Scene)
+    assert isinstance(before, ls.Scene)
+    turn = np.array([1.0, -1.0, -1.0])
+    np.testing.assert_array_equal(scene.splats[0].world_means, before.splats[0].world_means * turn)
+    np.testing.assert_allclose(scene.meshes[0].bounds()[1][1], -before.meshes[0].bounds()[0][1])
+    (camera,) = ls.load_cameras(work.path("scene.glb"))
+    np.testing.assert_allclose(camera.eye, (0.0, 1.0, 3.0), atol=1e-12)
+    assert (camera.width, camera.height) == (64, 48)
+
+
+def test_files_and_cameras_become_a_scene(work: Workplace) -> None:
+    """Any files are one scene; --cameras are those of another file."""
+    outcome = work.run("export", "@capture.ply", "@mesh.obj", "--cameras", "@cameras.json", "-o", "@all.gltf")
+    assert (outcome.status, outcome.err) == (0, "")
+    assert [camera.name for camera in ls.load_cameras(work.path("all.gltf"))] == ["left", "right"]
+
+
+def test_the_picture_is_the_same(work: Workplace) -> None:
+    """A scene and its file show the same picture through the same camera."""
+    work.run("export", "@scene.toml", "-o", "@scene.glb")
+    for name in ("scene.toml", "scene.glb"):
+        options = ["--cameras", f"@{name}", "--lighting", "off", "-o", f"@{name}.png"]
+        assert work.run("render", f"@{name}", *options).status == 0
+    pictures = [ls.load_image(work.path(f"{name}.png")) for name in ("scene.toml", "scene.glb")]
+    assert pictures[0].max() > 0.2
+    np.testing.assert_allclose(pictures[1], pictures[0], atol=1.001 / 255)
+
+
+def test_captures_are_converted_both_ways(work: Workplace) -> None:
+    """Convert writes and reads GLB without a change; the captures of a scene are joined, with y down again."""
+    assert work.run("convert", "@capture.ply", "-o", "@a.glb").status == 0
+    before = work.capture("capture.ply")
+    for name, values in work.capture("a.glb").arrays().items():
+        np.testing.assert_array_equal(values, before.arrays()[name])
+    ls.save(work.path("two.glb"), ls.Scene(splats=[before, ls.SplatInstance(before, position=(5, 0, 0))]))
+    assert work.run("convert", "@two.glb", "@two.ply").status == 0
+    joined = work.capture("two.ply")
+    expected = np.concatenate([before.means, before.means + np.array([5, 0, 0])])
+    np.testing.assert_allclose(joined.means, expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("args", "problem"),
+    [
+        (("@scene.toml", "-o", "@a.obj"), "a.obj: unknown extension '.obj', expected .glb"),
+        (("@scene.toml", "-o", "@a.ply"), "a.ply: holds Gaussians alone: scenes and meshes can be saved as .glb"),
+        (("-o", "@a.glb"), "no scene given"),
+        (("@none.toml", "-o", "@a.glb"), "none.toml: no such file"),
+        (("@scene.toml", "--up", "sideways", "-o", "@a.glb"), "--up is 'sideways'"),
+    ],
+)
+def test_mistakes_are_one_line(work: Workplace, args: tuple[str, ...], problem: str) -> None:
+    """Each names what is wrong; no file is written."""
+    before = work.files()
+    outcome = work.run("export", *args)
+    assert outcome.status == 2
+    assert outcome.err.count("\n") == 1
+    assert problem in outcome.err
+    assert work.files() == before

@@ -1,0 +1,153 @@
+"""Damaged glTF files with captures, meshes, lights and cameras: one clear line each, or something valid."""
+
+from __future__ import annotations
+
+import json
+import logging
+import struct
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS
+from support.files.splat_files import capture
+
+ODD: tuple[Any, ...] = (
+    *(None, True, -1, 0, 1, 3, 255, 5121, 2**31, 2**63, 10**30, 0.5, -1e30, 1e308, float("nan"), float("inf")),
+    *("", "ellipse", "VEC4", "nowhere.bin", "data:;base64,AAAA", [], {}, [0], [1e308] * 16, {"0": 0}),
+)
+"""Values to put into the place of others."""
+MEMORY_MAX = 64 * 2**20
+"""Bytes that no damaged file of a few thousand may take."""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A file with everything that we write, and a little that we only read."""
+    path = tmp_path_factory.mktemp("gltf") / "whole.glb"
+    texture = np.zeros((2, 2, 3), np.uint8)
+    mesh = ls.Mesh(QUAD, QUAD_TRIANGLES, uvs=QUAD_UVS, material=ls.MaterialPbr(base_color_texture=texture))
+    gaussians = capture(4, albedo=np.full((4, 3), 0.5), comments=("a",), antialiased=True)
+    stretched = np.diag([1.0, 2.0, 1.0, 1.0])
+    scene = ls.Scene(
+        splats=[ls.SplatInstance(gaussians, material=ls.MaterialPbr(roughness=0.25), name="capture"), gaussians],
+        meshes=[ls.MeshInstance(mesh, stretched)],
+        lights=[ls.LightSpot((0, 1, 0), (0, -1, 0), radius=0.5), ls.LightDirectional((0, -1, 0), angle=0.1)],
+    )
+    ls.save(path, scene, cameras=[ls.Camera.look_at((0, 0, 5), (0, 0, 0), width=64, height=48)])
+    return path.read_bytes()
+
+
+def chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """The JSON of a GLB, and all that follows."""
+    size = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + size]), data[20 + size :]
+
+
+def packed(document: dict[str, Any], rest: bytes) -> bytes:
+    """The inverse of `chunks`."""
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
+
+
+def places(value: Any, found: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+    """All containers of a document with the keys of their values."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        found.append((value, key))
+        places(inner, found)
+    return found
+
+
+def mutated(document: dict[str, Any], rng: np.random.Generator) -> None:
+    """Removes a value somewhere in a document, exchanges it, or moves a number a little."""
+    container, key = (found := places(document, []))[rng.integers(len(found))]
+    way = rng.integers(4)
+    if way == 0:
+        del container[key]
+    elif way == 1 and isinstance(container[key], int | float) and not isinstance(container[key], bool):
+        container[key] += int(rng.integers(-3, 4))
+    elif way == 2:
+        other, source = found[rng.integers(len(found))]
+        container[key] = json.loads(json.dumps(other[source])) if source in other or isinstance(other, list) else None
+    else:
+        container[key] = ODD[rng.integers(len(ODD))]
+
+
+def survives(path: Path, data: bytes) -> bool:
+    """Whether the data load; if not, they are refused in one line that names the file."""
+    path.write_bytes(data)
+    try:
+        ls.load(path)
+        ls.load_cameras(path)
+    except ls.LumisplatError as error:
+        assert str(path.parent) in str(error)
+        assert "\n" not in str(error)
+        return False
+    return True
+
+
+@pytest.fixture(autouse=True)
+def _quiet() -> Iterator[None]:
+    """No log lines: of damaged files there would be hundreds."""
+    logging.getLogger("lumisplat").setLevel(logging.CRITICAL)
+    yield
+    logging.getLogger("lumisplat").setLevel(logging.NOTSET)
+
+
+def check_all(folder: Path, variants: list[bytes], low: float, high: float) -> None:
+    """All variants load or are refused, of each kind a share within bounds."""
+    good = sum(survives(folder / "mutated.glb", data) for data in variants)
+    assert low < good / len(variants) < high
+
+
+FEW_AND_ALL = [120, pytest.param(1000, marks=pytest.mark.deep)]
+"""Numbers of files: of the daily suite, and of the deep one."""
+
+
+@pytest.mark.parametrize("count", FEW_AND_ALL)
+def test_fields_of_the_json(tmp_path: Path, whole: bytes, count: int) -> None:
+    """Documents with one field removed, replaced by something odd, moved a little or taken from elsewhere."""
+    rng = np.random.default_rng(21)
+    variants: list[bytes] = []
+    for _ in range(count):
+        document, rest = chunks(whole)
+        mutated(document, rng)
+        variants.append(packed(document, rest))
+    check_all(tmp_path, variants, 0.2, 0.8)
+
+
+@pytest.mark.parametrize("count", FEW_AND_ALL)
+def test_bytes(tmp_path: Path, whole: bytes, count: int) -> None:
+    """Files with a few random bytes, or cut short."""
+    rng = np.random.default_rng(22)
+    variants: list[bytes] = []
+    for k in range(count):
+        damaged = np.frombuffer(whole, np.uint8).copy()
+        where = rng.integers(0, len(damaged), rng.integers(1, 6))
+        damaged[where] = rng.integers(0, 256, len(where))
+        variants.append(damaged.tobytes() if k % 4 else whole[: rng.integers(1, len(whole))])
+    check_all(tmp_path, variants, 0.02, 0.8)
+
+
+def test_absurd_counts_take_no_memory(tmp_path: Path, whole: bytes) -> None:
+    """Accessors that claim a milliard rows, of their view or of none, are refused before anything is allocated."""
+    count = len(chunks(whole)[0]["accessors"])
+    for index in (*range(0, count, 3), count - 1):
+        for with_view in (True, False):
+            document, rest = chunks(whole)
+            document["accessors"][index]["count"] = 10**9
+            if not with_view:
+                del document["accessors"][index]["bufferView"]
+            tracemalloc.start()
+            try:
+                assert not survives(tmp_path / "mutated.glb", packed(document, rest))
+                assert tracemalloc.get_traced_memory()[1] < MEMORY_MAX
+            finally:
+                tracemalloc.stop()

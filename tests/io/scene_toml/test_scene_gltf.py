@@ -1,0 +1,80 @@
+"""glTF files with captures in scene files and documents: under which heading, and where they stand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.mesh_files import QUAD, QUAD_TRIANGLES
+from support.files.splat_files import capture
+from support.kinds import expect_kind
+
+QUAD_MESH = ls.Mesh(QUAD, QUAD_TRIANGLES, name="quad")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A capture alone, a scene of a capture, a mesh and a lamp, and a mesh, each as GLB."""
+    ls.save(tmp_path / "capture.glb", capture(9))
+    scene = ls.Scene(splats=[capture(9)], meshes=[QUAD_MESH], lights=[ls.LightPoint((1, 2, 3))], up="y-up")
+    ls.save(tmp_path / "scene.glb", scene)
+    ls.save(tmp_path / "mesh.glb", QUAD_MESH)
+    return tmp_path
+
+
+def read(folder: Path, text: str) -> ls.Scene:
+    """The scene of a scene file."""
+    (folder / "scene.toml").write_text(text)
+    return expect_kind(ls.Scene, ls.load(folder / "scene.toml"))
+
+
+def test_a_capture_is_a_capture(folder: Path) -> None:
+    """Under [[splats]] it is what the same capture of another format is, y down."""
+    scene = read(folder, '[[splats]]\npath = "capture.glb"\nposition = [1.0, 0.0, 0.0]\n')
+    np.testing.assert_allclose(scene.splats[0].world_means, capture(9).means + np.array([1, 0, 0]), atol=1e-6)
+    assert scene.up == (0.0, -1.0, 0.0)
+
+
+def test_a_scene_is_placed_whole(folder: Path) -> None:
+    """Under [[meshes]] all of a file moves together, in its own axes; its material is of its meshes."""
+    scene = read(
+        folder, '[[meshes]]\npath = "scene.glb"\nposition = [1.0, 0.0, 0.0]\nmaterial = { roughness = 0.25 }\n'
+    )
+    np.testing.assert_allclose(scene.splats[0].world_means, capture(9).means + np.array([1, 0, 0]), atol=1e-6)
+    np.testing.assert_array_equal(scene.meshes[0].transform[:3, 3], (1, 0, 0))
+    assert expect_kind(ls.LightPoint, scene.lights[0]).position == (2.0, 2.0, 3.0)
+    assert expect_kind(ls.MaterialPbr, scene.meshes[0].mesh.material).roughness == 0.25
+    assert scene.splats[0].material is None
+    assert scene.up == (0.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("heading", "name", "problem"),
+    [
+        ("meshes", "capture.glb", r"which is a capture: list it under \[\[splats\]\]"),
+        ("splats", "scene.glb", r"which is a scene: list it under \[\[meshes\]\]"),
+        ("splats", "mesh.glb", r"which is a mesh: list it under \[\[meshes\]\]"),
+    ],
+)
+def test_the_other_heading_is_named(folder: Path, heading: str, name: str, problem: str) -> None:
+    """A file under the wrong heading is refused, with the right one."""
+    with pytest.raises(ls.FormatError, match=problem):
+        read(folder, f'[[{heading}]]\npath = "{name}"\n')
+
+
+def test_documents_know_the_heading(folder: Path) -> None:
+    """Files that are opened are listed under the right heading, and shown."""
+    assert ls.SceneDocument.kind_of(folder / "capture.glb") == "splats"
+    assert ls.SceneDocument.kind_of(folder / "scene.glb") == "meshes"
+    assert ls.SceneDocument.kind_of(folder / "mesh.glb") == "meshes"
+    (folder / "broken.glb").write_bytes(b"glTF and no more")
+    assert ls.SceneDocument.kind_of(folder / "broken.glb") == "meshes"
+    document = ls.SceneDocument.open([folder / "capture.glb", folder / "scene.glb"])
+    assert not document.problems
+    shown = document.scene()
+    assert (len(shown.splats), len(shown.meshes), len(shown.lights)) == (2, 1, 1)
+    document.save(folder / "both.toml")
+    assert expect_kind(ls.Scene, ls.load(folder / "both.toml")).gaussian_count == 18
