@@ -91,7 +91,7 @@ def test_unknown_output_extension(tmp_path: Path) -> None:
 
 def test_only_gaussians_are_saved(tmp_path: Path) -> None:
     """The error for anything else names its type."""
-    with pytest.raises(FormatError, match="only Gaussians can be saved, got Scene"):
+    with pytest.raises(FormatError, match=r"holds Gaussians alone: scenes and meshes can be saved as \.glb, \.gltf"):
         ls.save(tmp_path / "out.ply", cast(Any, ls.Scene()))
 
 
