@@ -129,7 +129,7 @@ def save(
         path: Of captures ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH;
             changes the order), ``.spz`` (version 4), ``.sog`` (version 2; changes the order; the harmonics of all
             Gaussians become a palette), or ``meta.json``, which writes the files of a SOG beside it. Of all that there
-            is ``.glb`` (lossless, 60 bytes per Gaussian without view-dependent colours), or ``.gltf``, the same as text.
+            is ``.glb`` (lossless, 60 bytes per Gaussian without view-dependent colours), or ``.gltf``, as text.
         asset: The capture, mesh or scene. Only ``.ply`` and glTF store normals and materials of Gaussians, and ``.spz``
             and ``.sog`` do not store the kernel degree; values that are left out are logged.
         cameras: Cameras of the scene, which glTF holds, too.

@@ -23,7 +23,7 @@ _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(LoadingCommand):
-    """Write captures in another format: .ply or .glb (exact), .compressed.ply, .spz or .sog (small). Several become one.
+    """Write captures anew: .ply or .glb (exact), .compressed.ply, .spz or .sog (small). Several are joined.
 
     Smaller: lumisplat convert garden.ply garden.spz
 
