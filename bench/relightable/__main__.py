@@ -26,6 +26,8 @@ from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.training.materials.normals import seen_normals
 from lumisplat.training.views import TrainingView
 
+SAMPLES = 64
+"""Of relit frames, as the command has them."""
 Found = tuple[ls.Gaussians, FloatArray]
 """A capture with materials, and the environment."""
 
@@ -60,9 +62,9 @@ def relit_psnr(found: ls.Gaussians, folder: Path, scale: tuple[float, ...], devi
     truth = RelightableSet.open(folder)
     assert found.albedo is not None
     scaled = replace(found, albedo=np.clip(found.albedo * np.array(scale), 0.0, 1.0))
+    skies = {name: truth.radiance(name) for name in truth.unseen}
     figures: dict[str, float] = {}
-    for name in truth.unseen:
-        pictures = relit_pictures(scaled, truth.radiance(name), [view.camera for view in truth.views], device)
+    for name, pictures in relit_pictures(scaled, skies, [view.camera for view in truth.views], device).items():
         errors = [
             np.square(picture - truth.relit(name, view))[truth.region(view)].mean()
             for picture, view in zip(pictures, truth.views, strict=True)
@@ -74,7 +76,8 @@ def relit_psnr(found: ls.Gaussians, folder: Path, scale: tuple[float, ...], devi
 def measured(found: Found, folder: Path, device: str) -> dict[str, Any]:
     """How near it is to the truth."""
     gaussians, environment = found
-    score = ls.evaluate_materials(gaussians, folder, environment=environment, device=device)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=SAMPLES)
+    score = ls.evaluate_materials(gaussians, folder, environment=environment, config=config, device=device)
     told: dict[str, Any] = {
         name: round(float(getattr(score, name)), 3) for name in ("albedo_psnr", "roughness_rmse", "normal_mean")
     }

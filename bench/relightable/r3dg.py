@@ -9,7 +9,7 @@ the rasteriser are ours.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -244,23 +244,24 @@ class R3dgFit:
 
 
 def relit_pictures(
-    gaussians: ls.Gaussians, radiance: FloatArray, cameras: Sequence[ls.Camera], device: str
-) -> list[FloatArray]:
+    gaussians: ls.Gaussians, skies: Mapping[str, FloatArray], cameras: Sequence[ls.Camera], device: str
+) -> dict[str, list[FloatArray]]:
     """As their programs relight: 384 directions, visibility traced, local light left out; display colours over black.
 
     Args:
         gaussians: With albedo, roughness and normals.
-        radiance: Of the environment, with the axes of `LightEnvironment`, shape (H, W, 3).
+        skies: Radiance of environments by name, with the axes of `LightEnvironment`, shape (H, W, 3) each.
         cameras: Pinholes.
         device: Where it is computed.
     """
     assert gaussians.albedo is not None and gaussians.roughness is not None and gaussians.normals is not None
     shading = R3dgShading(gaussians, gaussians.normals.astype(np.float64), RELIT_DIRECTIONS, device)
-    sky = (panorama_lookup(radiance, shading.ways) * shading.visible[..., None]).astype(np.float32)
     local = np.zeros((gaussians.count, 16, 3))
-    pictures: list[FloatArray] = []
-    for camera in cameras:
-        pixels, _ = shading.draw(camera, gaussians.albedo, gaussians.roughness, sky, local)
-        shown = np.array(device_array(pixels.color).numpy()[: camera.height * camera.width], np.float32)
-        pictures.append(shown.reshape(camera.height, camera.width, 3))
+    pictures: dict[str, list[FloatArray]] = {name: [] for name in skies}
+    for name, radiance in skies.items():
+        sky = (panorama_lookup(radiance, shading.ways) * shading.visible[..., None]).astype(np.float32)
+        for camera in cameras:
+            pixels, _ = shading.draw(camera, gaussians.albedo, gaussians.roughness, sky, local)
+            shown = np.array(device_array(pixels.color).numpy()[: camera.height * camera.width], np.float32)
+            pictures[name].append(shown.reshape(camera.height, camera.width, 3))
     return pictures
