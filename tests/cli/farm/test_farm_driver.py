@@ -148,6 +148,19 @@ def test_a_lost_worker_is_replaced_and_its_frames_are_given_out_again() -> None:
     assert executor.given == Counter({0: 2, 1: 2} | dict.fromkeys(range(2, 9), 1))
 
 
+def test_a_frame_that_waited_for_a_lost_worker_has_its_two_tries() -> None:
+    """It has not begun: only the next loss, in which it is the one at hand, counts."""
+    executor = FakeExecutor()
+    run, _ = driver(executor, 1, range(9))
+    run._start()
+    run._take(Ready(0, frame_list(9)))
+    run._take(executor.lost(0))
+    run._take(Ready(1, frame_list(9)))
+    assert executor.queues[1] == [1, 2]
+    run._take(executor.lost(1))
+    assert not run.tally.failed and run._tries == {0: 1, 1: 1}
+
+
 def test_a_frame_that_kills_twice_is_left() -> None:
     """And reported; all others are there."""
     executor = FakeExecutor()

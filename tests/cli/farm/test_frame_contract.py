@@ -123,6 +123,22 @@ def test_another_run_that_begins_in_the_folder_stops_this_one(tmp_path: Path) ->
         assert not list((tmp_path / "out").glob("*.png"))
 
 
+def test_a_run_that_was_overtaken_leaves_the_frames_of_the_other(tmp_path: Path) -> None:
+    """It does not write over one that the other has made in the meantime."""
+    job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
+    theirs = replace(job.frames, origin={"kind": "other"})
+
+    def overtaken(index: int, report: object) -> ls.Frame:
+        theirs.begin(True)
+        theirs.folder.path(index).write_text("theirs")
+        return job.render(index, lambda *_: None)
+
+    job.frames.begin(True)
+    with pytest.raises(ls.ConfigError, match="this one stops, so that frames do not mix"):
+        replace(job, render=overtaken).make(3, lambda *_: None)
+    assert theirs.folder.path(3).read_text() == "theirs"
+
+
 def test_a_kill_while_frames_are_removed_leaves_nothing_to_go_on_with(tmp_path: Path, monkeypatch) -> None:
     """The stamp goes first, so that old frames are not taken for new ones."""
     maker = FakeMaker(tmp_path / "out")
