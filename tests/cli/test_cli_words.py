@@ -180,18 +180,9 @@ def test_frames_that_are_not_there(text: str) -> None:
 
 
 def test_folders_of_captures_are_named(work):
-    """A folder of several SOG captures, such as the levels of a streamed one, names them."""
+    """A folder of several SOG captures, such as those of a streamed one without its lod-meta.json, names them."""
     for name in ("1_0", "0_0"):
         (work.path("streamed") / name).mkdir(parents=True)
         (work.path("streamed") / name / "meta.json").write_text("{}")
     outcome = work.run("info", "@streamed")
     assert outcome.status == 2 and "give one of the captures in it, 0_0/meta.json, 1_0" in outcome.err
-    work.path("streamed/lod-meta.json").write_text("{}")
-    for command, path in (
-        ("info", "@streamed"),
-        ("render", "@streamed/lod-meta.json"),
-        ("info", "@streamed/lod-meta.json"),
-    ):
-        outcome = work.run(command, path)
-        assert outcome.status == 2 and "is a streamed SOG, which is not supported yet: convert it to one" in outcome.err
-        assert outcome.err.endswith("or give one of its chunks: 0_0/meta.json, 1_0/meta.json\n")

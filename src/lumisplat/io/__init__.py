@@ -57,13 +57,16 @@ def load(
     allow_outside: bool = False,
     up: str | npt.ArrayLike | None = None,
     incident: bool = False,
+    lod: int | None = None,
+    budget: int | None = None,
     progress: Progress | None = None,
 ) -> Gaussians | Mesh | Scene:
     """Loads a capture, a mesh or a scene; extension and content select the reader.
 
     Args:
-        path: A Gaussian capture (PLY, compressed PLY, SPZ, SOG bundle, SOG folder or its ``meta.json``), a mesh (OBJ,
-            STL, PLY with faces) or a scene (glTF, GLB, a ``scene.toml`` that names other files).
+        path: A Gaussian capture (PLY, compressed PLY, SPZ, .splat, SOG bundle, SOG folder or its
+            ``meta.json``, streamed SOG or its ``lod-meta.json``), a mesh (OBJ, STL, PLY with faces) or a scene (glTF,
+            GLB, a ``scene.toml`` that names other files).
         drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their
             number, instead of refusing the file.
         crease_angle: Of OBJs without normals, also of those that a ``scene.toml`` names: faces that meet at less are
@@ -74,6 +77,8 @@ def load(
             direction; None: y down with a capture, y up for meshes alone. Other files are read as they are.
         incident: Whether to read the incident light of a .ply that has some (R3DG's ``incidents_*``): it is that of the
             photographs, and lights nothing here.
+        lod: Of a streamed SOG: the level of detail, 0 is the finest; None: 0, or what ``budget`` says.
+        budget: Of a streamed SOG: its finest level of no more Gaussians than this; None: no limit.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
@@ -91,7 +96,7 @@ def load(
 
     try:
         with references_outside(allow_outside):
-            options = formats.LoadOptions(drop_invalid, crease_angle, up, progress, incident)
+            options = formats.LoadOptions(drop_invalid, crease_angle, up, progress, incident, lod, budget)
             load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
             loaded = formats.read(Path(path), load_asset, options)
         if isinstance(loaded, SplatColumns):

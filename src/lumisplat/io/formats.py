@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from lumisplat.errors import ConfigError, FormatError
-from lumisplat.io.files.format import format_of
+from lumisplat.io.files.format import STREAMED_SOG, format_of
 from lumisplat.io.files.source import PathLike
 
 if TYPE_CHECKING:
@@ -40,17 +40,22 @@ class LoadOptions(NamedTuple):
     """Of PLYs."""
     incident: bool
     """Of PLYs."""
+    lod: int | None
+    """Of streamed SOGs."""
+    budget: int | None
+    """Of streamed SOGs: Gaussians."""
 
 
 _READERS = {
     ".spz": "splats.spz.read_spz",
+    ".splat": "splats.splat.read_splat",
     ".sog": "splats.sog.reader.read_sog",
     ".obj": "meshes.obj.read_obj",
     ".stl": "meshes.stl.read_stl",
     ".glb": "gltf.scene.read_gltf",
     ".gltf": "gltf.scene.read_gltf",
 }
-"""Besides these, .ply is read by its header, and .toml by what it names."""
+"""Besides these, .ply is read by its header, .toml by what it names, and a streamed SOG at a level."""
 
 _OURS = "lumisplat"
 _PLY_WRITERS = {_OURS: "splats.splat_ply.write_splat_ply", "r3dg": "splats.r3dg_ply.write_r3dg_ply"}
@@ -71,7 +76,10 @@ _SCENE_WRITERS = {
 }
 """Writers of scenes with their cameras, to which captures and meshes are scenes, too."""
 
-READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
+READABLE = (
+    ".ply, .compressed.ply, .spz, .splat, .sog, a SOG folder or its meta.json or lod-meta.json, .obj, .stl, "
+    ".glb, .gltf, .toml"
+)
 WRITABLE = ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, or meta.json in a folder (SOG)"
 
 
@@ -91,6 +99,8 @@ def read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: Loa
         return _import("ply_files.read_ply")(path, options.progress, incident=options.incident)
     if extension == ".toml":
         return _import("scene_toml.scene_file.read_scene_file")(path, load, options.up)
+    if extension == STREAMED_SOG:
+        return _import("splats.sog.streamed.read_streamed_sog")(path, options.lod, options.budget)
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     reader: Callable[..., Loaded] = _import(_READERS[extension])

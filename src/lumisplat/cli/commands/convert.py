@@ -39,8 +39,8 @@ class Convert(LoadingCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
-    """.ply, .compressed.ply, .spz, .sog, a SOG folder, or a .glb or .gltf with captures. Without -o, there are two, and
-    the second is written."""
+    """.ply, .compressed.ply, .spz, .splat, .sog, a SOG folder, or a .glb or .gltf with captures. Without -o, there are
+    two, and the second is written."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
     """.ply, .compressed.ply, .spz, .sog or meta.json (a SOG folder), .glb or .gltf, which have y up and are turned as
     .spz is; - is standard output, in PLY. Needed to join captures."""

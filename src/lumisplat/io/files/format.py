@@ -14,12 +14,12 @@ _INNER_LISTED = 8
 
 
 def format_of(path: Path) -> str:
-    """The extension of a file that exists, ``.sog`` for a SOG folder or its meta.json."""
+    """The extension of a file that exists; ``.sog`` for a SOG folder or its meta.json, `STREAMED_SOG` if streamed."""
     if path.is_dir():
         if (path / "meta.json").is_file():
             return ".sog"
         if (path / STREAMED_SOG).is_file():
-            raise _streamed(path, path)
+            return STREAMED_SOG
         given = f": give one of the captures in it, {inner}" if (inner := _inner_sog(path)) else ""
         raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{given}")
     if not path.exists():
@@ -28,16 +28,8 @@ def format_of(path: Path) -> str:
     if path.stat().st_size == 0:
         raise FormatError(path, "is empty: zero bytes")
     if path.name == STREAMED_SOG:
-        raise _streamed(path, path.parent)
+        return STREAMED_SOG
     return ".sog" if path.name == "meta.json" else path.suffix.lower()
-
-
-def _streamed(path: Path, folder: Path) -> FormatError:
-    """What to do with a streamed SOG, whose levels and chunks are captures of their own."""
-    chunks = f", or give one of its chunks: {inner}" if (inner := _inner_sog(folder)) else ""
-    return FormatError(
-        path, f"is a streamed SOG, which is not supported yet: convert it to one .sog with splat-transform{chunks}"
-    )
 
 
 def _inner_sog(folder: Path) -> str:

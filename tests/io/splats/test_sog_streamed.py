@@ -1,0 +1,141 @@
+"""Streamed SOG: which rows are read at a level and within a budget; .splat."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.scene.gaussians import Gaussians
+from support.files.splat_files import capture, load_gaussians, sog_files, splat_rows, unpacked
+from support.kinds import expect_kind
+
+
+def rows(file: int, offset: int, count: int) -> dict[str, int]:
+    """An entry of a leaf."""
+    return {"file": file, "offset": offset, "count": count}
+
+
+def streamed(folder: Path, **changed: Any) -> Path:
+    """Two leaves with three levels, the second of which lacks level 1; captures of degree 1, 1 and 0."""
+    for name, (count, degree) in {"0_0": (50, 1), "1_0": (20, 1), "2_0": (8, 0)}.items():
+        unpacked(folder / name, sog_files(capture(count, degree, seed=count), linear=False))
+    first = {"0": rows(0, 0, 30), "1": rows(1, 0, 20), "2": rows(2, 0, 5)}
+    second = {"0": rows(0, 30, 20), "2": rows(2, 5, 3)}
+    tree = {"children": [{"lods": first}, {"children": [{"lods": second}]}]}
+    names = ["0_0/meta.json", "1_0/meta.json", "2_0/meta.json"]
+    meta = {"lodLevels": 3, "environment": None, "filenames": names, "tree": tree} | changed
+    (folder / "lod-meta.json").write_text(json.dumps(meta))
+    return folder / "lod-meta.json"
+
+
+def test_levels(tmp_path: Path) -> None:
+    """Level 0 is all of the finest capture; a leaf without a level shows its next coarser one, without harmonics."""
+    path = streamed(tmp_path)
+    finest, middle, coarsest = (load_gaussians(tmp_path / name) for name in ("0_0", "1_0", "2_0"))
+    for source in (path, tmp_path):
+        np.testing.assert_array_equal(expect_kind(Gaussians, ls.load(source)).means, finest.means)
+    one = expect_kind(Gaussians, ls.load(path, lod=1))
+    np.testing.assert_array_equal(one.means, np.concatenate([middle.means, coarsest.means[5:]]))
+    np.testing.assert_array_equal(one.sh[:20], middle.sh)
+    np.testing.assert_array_equal(one.sh[20:, :1], coarsest.sh[5:])
+    np.testing.assert_array_equal(one.sh[20:, 1:], 0.0)
+    np.testing.assert_array_equal(expect_kind(Gaussians, ls.load(path, lod=2)).means, coarsest.means)
+
+
+@pytest.mark.parametrize(("budget", "count"), [(10**6, 50), (50, 50), (49, 23), (23, 23), (22, 8), (8, 8), (7, 8)])
+def test_budgets(tmp_path: Path, budget: int, count: int, caplog: pytest.LogCaptureFixture) -> None:
+    """The finest level within the budget is read; if there is none, the coarsest, which a line says."""
+    assert expect_kind(Gaussians, ls.load(streamed(tmp_path), budget=budget)).count == count
+    assert any("no level has 7 Gaussians or fewer" in r.getMessage() for r in caplog.records) == (budget == 7)
+
+
+def test_the_environment_is_always_there(tmp_path: Path) -> None:
+    """What surrounds all leaves is added at each level."""
+    unpacked(tmp_path / "sky", sog_files(capture(11), linear=False))
+    path = streamed(tmp_path, environment="sky/meta.json")
+    assert expect_kind(Gaussians, ls.load(path, lod=2)).count == 8 + 11
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"lodLevels": 0}, "has 0 levels"),
+        ({"lodLevels": 10**9}, "has 1000000000 levels"),
+        ({"tree": {}}, "zero Gaussians at level 0"),
+        ({"tree": {"lods": {}}}, "a leaf has no level"),
+        ({"tree": {"lods": {"0": rows(3, 0, 1)}}}, "of 3 levels and 3 files"),
+        ({"tree": {"lods": {"7": rows(0, 0, 1)}}}, "damaged: level 7"),
+        ({"tree": {"lods": {"0": rows(0, -1, 1)}}}, "damaged: level 0"),
+        ({"tree": {"lods": {"0": rows(0, 40, 11)}}}, "rows 40 to 51 of 0_0/meta.json, which holds 50"),
+        ({"tree": {"children": [{"lods": {"0": rows(0, 0, 50)}}] * 9}}, "another leaf has some"),
+        ({"tree": None}, "damaged, or not a streamed SOG"),
+        ({"filenames": ["../../x/meta.json"] * 3}, "not in its folder"),
+        ({"filenames": ["gone/meta.json"] * 3}, "no such file"),
+    ],
+)
+def test_damaged_metadata(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
+    """What is wrong is one line."""
+    with pytest.raises(FormatError, match=message) as error:
+        ls.load(streamed(tmp_path, **changed))
+    assert "\n" not in str(error.value)
+
+
+def test_no_such_level(tmp_path: Path) -> None:
+    """The message says which levels there are."""
+    with pytest.raises(FormatError, match=r"has no level 3: its levels are 0 \(finest\) to 2"):
+        ls.load(streamed(tmp_path), lod=3)
+
+
+@pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
+def test_mutations(tmp_path: Path, count: int) -> None:
+    """With characters changed, or its end lost, a file loads or is refused in one line."""
+    path = streamed(tmp_path)
+    original = path.read_bytes()
+    rng = np.random.default_rng(5)
+    for _ in range(count):
+        data = bytearray(original)
+        for position in rng.integers(0, len(data), 3):
+            data[position] = rng.integers(32, 127)
+        path.write_bytes(data if rng.random() < 0.8 else data[: rng.integers(1, len(data))])
+        try:
+            ls.load(path, drop_invalid=True)
+        except SceneError as error:
+            assert "\n" not in str(error)
+
+
+@pytest.mark.data
+def test_playbot(data_dir: Path) -> None:
+    """PlayCanvas's scene: the finest level has the counts of its tree; coarser ones fill the same room."""
+    folder = data_dir / "splats" / "playbot"
+    some = expect_kind(Gaussians, ls.load(folder, budget=20_000))
+    other = expect_kind(Gaussians, ls.load(folder / "lod-meta.json", lod=4))
+    assert (some.count, other.count) == (8_406, 8_406)
+    low, high = some.bounds()
+    bound = json.loads((folder / "lod-meta.json").read_text())["tree"]["bound"]
+    assert (low > np.array(bound["min"]) - 0.05).all() and (high < np.array(bound["max"]) + 0.05).all()
+
+
+def test_splat(tmp_path: Path) -> None:
+    """A .splat has exact positions and scales, and colours, opacities and rotations of a byte."""
+    base = capture(100, 0)
+    (tmp_path / "a.splat").write_bytes(splat_rows(base))
+    loaded = load_gaussians(tmp_path / "a.splat")
+    np.testing.assert_array_equal(loaded.means, base.means)
+    np.testing.assert_array_equal(loaded.scales, base.scales)
+    np.testing.assert_allclose(loaded.opacities, base.opacities, atol=0.5001 / 255)
+    np.testing.assert_allclose(loaded.sh, base.sh, atol=0.5001 / 255 / 0.28209)
+    cosines = np.abs(np.einsum("ij,ij->i", loaded.rotations_wxyz, base.rotations_wxyz))
+    assert cosines.min() > 1 - 2 * (1 / 128) ** 2  # four components, each half a step off, or a whole one at 1
+
+
+def test_splat_of_another_size(tmp_path: Path) -> None:
+    """A part of a row is noticed."""
+    (tmp_path / "a.splat").write_bytes(splat_rows(capture(3, 0))[:-1])
+    with pytest.raises(FormatError, match="95 bytes are no whole number of 32 a Gaussian"):
+        ls.load(tmp_path / "a.splat")
