@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -197,3 +198,32 @@ def test_mistakes_are_said_in_a_line(work, arguments, message):
     assert done.status == 2 and done.out == ""
     assert message in done.err and done.err.count("\n") == 1
     assert not work.path("a.toml").exists()
+
+
+def test_colours_of_a_capture_go_into_a_file_beside_it(work):
+    """A capture that is darker than in the photograph: the scene that is written names one of the right colours."""
+    mesh = ls.load(work.path("box.obj"))
+    assert isinstance(mesh, ls.Mesh)
+    gaussians = ls.gaussians_from_mesh(mesh, 150)
+    assert gaussians.albedo is not None
+    entry = (
+        '[[splats]]\npath = "{}.ply"\nname = "chest"\nposition = [1.5, 0.0, 0.5]\nmaterial = {{ roughness = 1.0 }}\n'
+    )
+    for name, red in (("light", 0.6), ("dark", 0.3)):
+        albedo = np.full_like(gaussians.albedo, 0.4)
+        albedo[:, 0] = red
+        ls.save(work.path(f"{name}.ply"), replace(gaussians, albedo=albedo))
+        work.path(f"{name}.toml").write_text(work.path("truth.toml").read_text() + entry.format(name))
+    scene, camera = ls.load(work.path("light.toml")), ls.load_cameras(work.path("light.toml"))[0]
+    assert isinstance(scene, ls.Scene)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=1)
+    ls.render(scene, camera, config, device="cpu").save(work.path("door.png"))
+    options = ("--base-colors", "chest", "--no-intensities", "--pipeline", "hybrid", *FIT[2:])
+    done = work.run("fit", "@dark.toml", "@door.png", "--camera", "door", "-o", "@fitted.toml", *options)
+    assert done.status == 0, done.err
+    fitted = ls.load(work.path("fitted.toml"))
+    assert isinstance(fitted, ls.Scene) and work.path("fitted.assets/dark.ply").exists()
+    assert fitted.splats[0].gaussians.albedo is not None and fitted.splats[0].name == "chest"
+    np.testing.assert_allclose(fitted.splats[0].gaussians.albedo.mean(axis=0), (0.6, 0.4, 0.4), atol=0.01)
+    before = ls.load(work.path("dark.ply"))
+    assert isinstance(before, ls.Gaussians) and before.albedo is not None and before.albedo[0, 0] == np.float32(0.3)

@@ -29,6 +29,7 @@ from support.scenes.fit_rooms import (
     view,
 )
 
+SMALL = view(64, 48)
 SOFT = ls.RenderConfig(shadows=ls.Shadows.SOFT, samples=16)
 
 
@@ -102,8 +103,8 @@ def test_a_spot_turns_and_narrows():
     """Where it shines, and into which cone: the edge of its light says it."""
     spot = ls.LightSpot((2.0, 2.8, 2.6), (0.2, -1.0, -0.3), (1.0, 0.9, 0.7), 8.0, inner_angle=0.35, outer_angle=0.6)
     start = replace(spot, direction=(0.05, -1.0, -0.1), inner_angle=0.25, outer_angle=0.75, intensity=3.0)
-    photograph = taken(closed(spot), view())
-    found = fitted(closed(start), view(), photograph, positions=True, angles=True)
+    photograph = taken(closed(spot), SMALL)
+    found = fitted(closed(start), SMALL, photograph, positions=True, angles=True)
     (light,) = found.lights
     assert isinstance(light, ls.LightSpot)
     assert math.degrees(math.acos(min(1.0, float(np.dot(light.direction, spot.direction))))) < 1.0
@@ -115,8 +116,8 @@ def test_a_sun_turns():
     """Parallel light whose direction is found, with what it casts."""
     sun = ls.LightDirectional((0.5, -1.0, -0.35), (1.0, 0.95, 0.8), 2.0)
     start = replace(sun, direction=(0.2, -1.0, 0.1), intensity=1.0)
-    photograph = taken(open_above(sun), view())
-    found = fitted(open_above(start), view(), photograph, positions=True)
+    photograph = taken(open_above(sun), SMALL)
+    found = fitted(open_above(start), SMALL, photograph, positions=True)
     (light,) = found.lights
     assert isinstance(light, ls.LightDirectional)
     assert math.degrees(math.acos(min(1.0, float(np.dot(light.direction, sun.direction))))) < 0.5

@@ -90,8 +90,9 @@ SEARCH_STEPS = 25
 DAMPING_START, DAMPING_MAX = 1e-3, 1e4
 """Of Levenberg and Marquardt, relative to the diagonal: with the largest, a step is too short to be worth it."""
 
-SMOOTH_RADIUS = 4
-"""Pixels to each side over which light that has bounced is averaged: a thirtieth of the picture."""
+SMOOTH_REACH = 1.0 / 32.0
+"""How far to each side light that has bounced is averaged, of the longer side of the picture: as far in the scene,
+whatever the picture's size. With twice that, at 64 pixels, a lamp of a bounced room was off by 2.8 % instead of 1.4."""
 
 SMOOTH_COSINE_MIN = 0.9
 """Cosine between normals from which on neighbours are on one surface."""

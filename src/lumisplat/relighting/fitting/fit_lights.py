@@ -84,8 +84,10 @@ def fit_lights(
         positions: Whether to find positions of lights, and directions of spots and suns.
         radii: Whether to find radii of points, spots and spheres that have one.
         angles: Whether to find cones of spots.
-        base_colors: Whether to find the base colours of meshes' materials: all, or those of these names (of a material,
-            else of its instance or mesh), the others being known.
+        base_colors: Whether to find base colours: of meshes' materials, and one factor a channel for the colours of
+            each capture whose material reflects and does not shine. All, or those of these names (of a material, else
+            of its instance or mesh; of a capture's instance, else "capture 0" by its number), the others being known.
+            Not found: roughness, textures, and colours of single Gaussians.
         exposure: Of the photographs, stops: one, or one for each, or ``"fit"``; None: those of the cameras.
         linear: Whether arrays hold linear light; None: they do not.
         tone_map: What display-referred photographs went through.

@@ -110,7 +110,7 @@ class Guesser:
 
     def _guess(self, scene: Scene, gains: Doubles, before: Guess | None) -> Guess:
         task = self.task
-        held = before if before is not None and before.scene.meshes == scene.meshes else None
+        held = before if before is not None and _look_alike(before.scene, scene) else None
         fixed = self.layers.picture(scene, (), self.photographs) if held is None else held.fixed
         lights: dict[int, Doubles] = {}
         for number in task.lights:
@@ -164,6 +164,11 @@ class Guesser:
             return None
         color = np.array(scene.lights[number].color, np.float64)
         return color / color.max() if color.any() else np.ones(3)
+
+
+def _look_alike(scene: Scene, other: Scene) -> bool:
+    """Whether nothing but their lights is different."""
+    return scene.meshes == other.meshes and scene.splats == other.splats
 
 
 def _expected_noise(photograph: FitPhotograph) -> Doubles:

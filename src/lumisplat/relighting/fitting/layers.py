@@ -20,10 +20,11 @@ from lumisplat.relighting.fitting.photographs import FitPhotograph
 from lumisplat.relighting.fitting.smooth_light import SmoothLight
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.lights import Light, LightPoint
-from lumisplat.scene.scene import MeshInstance, Scene
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 Layer = Callable[[Scene, Frame], Doubles]
 """What is taken of a frame, shape (H, W, 3)."""
+_Things = tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]]
 _PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
 _NOTHING = LightPoint((0.0, 0.0, 0.0), enabled=False)
 """Keeps the headlight away from scenes without lights."""
@@ -52,8 +53,8 @@ class LightLayers:
         self.config = replace(base, **settled, **without)
         self._device = device
         self._renderers: list[Renderer] = []
-        self._smooth: dict[tuple[object, ...], tuple[tuple[MeshInstance, ...], SmoothLight]] = {}
-        """By view: the meshes of the last scene, and which pixels are on one surface."""
+        self._smooth: dict[tuple[object, ...], tuple[_Things, SmoothLight]] = {}
+        """By view: the things of the last scene, and which pixels are on one surface."""
         self._is_random = self.is_path or base.raster.strategy is RasterStrategy.STOCHASTIC
 
     def shown(self, scene: Scene, photographs: Sequence[FitPhotograph]) -> Flags:
@@ -118,9 +119,10 @@ class LightLayers:
 
     def _averaged(self, scene: Scene, frame: Frame, bounced: Doubles) -> Doubles:
         key = (frame.camera.width, frame.camera.height, frame.camera.camera_from_world.tobytes())
+        things = scene.splats, scene.meshes
         held = self._smooth.get(key)
-        if held is None or held[0] != scene.meshes:
-            held = self._smooth[key] = scene.meshes, SmoothLight.of(scene, frame)
+        if held is None or held[0] != things:
+            held = self._smooth[key] = things, SmoothLight.of(scene, frame)
         return held[1].averaged(bounced)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from lumisplat.relighting.fitting.guess import Guess, Guesser
 from lumisplat.relighting.fitting.harmonics import NAME
+from lumisplat.relighting.fitting.paints import share_at_white
 from lumisplat.relighting.fitting.task import FitOptions
 from lumisplat.relighting.fitting.told_apart import Certainty, light_name
 from lumisplat.scene.lights import LightEnvironment
@@ -17,6 +18,8 @@ _CLIPPED = 0.2
 """Share of a photograph's pixels from which on it is said that they are clipped."""
 _UNEXPLAINED = 0.1
 """Share of what counts from which on it is said that nothing explains it."""
+_WHITE = 0.01
+"""Share of a capture's Gaussians from which on it is said that they have become white."""
 _OFF = 1e-6
 """Share of the light below which a light is off."""
 
@@ -27,6 +30,7 @@ def remarks_of(
     """The lines; arguments as of ``result_of``."""
     return (
         *_held(given, options, guesser),
+        *_colors(guesser, guess),
         *_lights(guesser, guess, certainty),
         *_photographs(guesser, guess),
     )
@@ -48,6 +52,14 @@ def _held(given: Scene, options: FitOptions, guesser: Guesser) -> Iterator[str]:
             "base colours and lights are known up to a factor in each channel: the product of the base colours stays "
             "as the scene has it (name those that are unknown, and the others fix it)"
         )
+
+
+def _colors(guesser: Guesser, guess: Guess) -> Iterator[str]:
+    """Captures that cannot be as bright as asked for."""
+    for paint in guesser.task.paints:
+        share = share_at_white(guess.scene, paint)
+        if share > _WHITE:
+            yield f"{paint.name}: {share:.0%} of its Gaussians have become white, and can be no brighter"
 
 
 def _lights(guesser: Guesser, guess: Guess, certainty: Certainty) -> Iterator[str]:

@@ -58,7 +58,7 @@ class LightFit:
     environment: EnvironmentProbe | None
     """The harmonics that were found; None: none were asked for."""
     base_colors: dict[str, tuple[float, float, float]]
-    """Those that were fitted, linear, by the names of materials."""
+    """Those that were fitted, linear, by the names of materials; of captures, the mean over their Gaussians."""
     exposures: Doubles
     """Of the photographs, stops, shape (V,)."""
     views: tuple[FittedView, ...]

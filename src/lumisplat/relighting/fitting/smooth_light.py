@@ -16,7 +16,7 @@ from lumisplat.constants.light_fit import (
     SMOOTH_ALBEDO_MIN,
     SMOOTH_COSINE_MIN,
     SMOOTH_PLANE,
-    SMOOTH_RADIUS,
+    SMOOTH_REACH,
     SMOOTH_ROUGHNESS_MIN,
 )
 from lumisplat.frame.frame import Frame
@@ -42,7 +42,8 @@ class SmoothLight:
     def of(cls, scene: Scene, frame: Frame) -> SmoothLight:
         """Of a frame with albedo."""
         assert frame.albedo is not None
-        reach = range(-SMOOTH_RADIUS, SMOOTH_RADIUS + 1)
+        radius = max(1, round(SMOOTH_REACH * max(frame.camera.width, frame.camera.height)))
+        reach = range(-radius, radius + 1)
         offsets = tuple((down, across) for down in reach for across in reach)
         position, normal = np.asarray(frame.position, np.float64), np.asarray(frame.normal, np.float64)
         surface = _matt_surfaces(scene, np.asarray(frame.instance_index))

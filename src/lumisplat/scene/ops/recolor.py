@@ -59,6 +59,13 @@ def scale_light_of(subject: Subject, factors: npt.NDArray[np.floating]) -> Subje
     return subject if scaled is subject.gaussians else replace(subject, gaussians=scaled)
 
 
+def base_colors(gaussians: Gaussians) -> npt.NDArray[np.float64]:
+    """What Gaussians reflect by, linear, shape (N, 3): their albedo, else the mean of what was captured, decoded."""
+    if gaussians.albedo is not None:
+        return gaussians.albedo.astype(np.float64)
+    return decode_srgb(np.maximum(SH_C0 * gaussians.sh[:, 0].astype(np.float64) + 0.5, 0.0)).astype(np.float64)
+
+
 def _scale_sh(sh: FloatArray, factors: FloatArray) -> FloatArray:
     """SH, shape (M, K, 3), under light scaled by ``factors``, shape (M, 3)."""
     wide = sh.astype(np.float64)

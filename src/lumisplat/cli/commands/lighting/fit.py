@@ -65,7 +65,8 @@ class Fit(LoadingCommand, DeviceCommand):
     angles: Flag = False
     """Find the cones of spots."""
     base_colors: Annotated[str | None, arg(metavar="all|NAMES", help_behavior_hint="")] = None
-    """Find the base colours of all materials of meshes, or of these (names with commas), the others being known."""
+    """Find the base colours of all materials of meshes, and one factor a channel for those of each capture, or of these
+    (names with commas), the others being known."""
     exposure: Annotated[str | None, setting("STOPS|fit", "that of the cameras")] = None
     """Of the photographs; fit: it is unknown."""
     tone_map: Literal["none", "neutral", "agx"] = "none"

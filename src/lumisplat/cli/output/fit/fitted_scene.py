@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import lumisplat as ls
-from lumisplat.cli.output.pictures import make_folder
+from lumisplat.cli.output.pictures import file_stems, make_folder
 
 
 def fitted_document(document: ls.SceneDocument, fit: ls.LightFit, output: Path) -> tuple[ls.SceneDocument, list[str]]:
     """The document in the light that was found, and a line for each base colour that it cannot hold.
 
-    An environment of harmonics is written as ``NAME.assets/environment.exr``.
+    An environment of harmonics is written as ``NAME.assets/environment.exr``, captures of other base colours beside it
+    as ``.ply``.
 
     Args:
         document: Of the scene that was fitted.
@@ -20,9 +21,11 @@ def fitted_document(document: ls.SceneDocument, fit: ls.LightFit, output: Path) 
         output: The scene file that is to be written.
 
     Raises:
-        FormatError: The image of the environment cannot be written.
+        FormatError: The image of the environment, or a capture, cannot be written.
     """
     document, remarks = _with_colors(document, fit)
+    document, more = _with_captures(document, fit, output)
+    remarks += more
     image = {}
     for entry in document.entries:
         if entry.kind in ("lights", "environment") and entry.table.get("enabled", True):
@@ -51,11 +54,34 @@ def _sky_table(light: ls.LightEnvironment) -> dict[str, Any]:
 def _written(fit: ls.LightFit, output: Path) -> Path:
     """The file of the harmonics' image."""
     assert fit.environment is not None
-    folder = output.with_name(f"{output.stem}.assets")
-    make_folder(folder)
-    path = (folder / "environment.exr").absolute()
+    path = _assets_of(output) / "environment.exr"
     fit.environment.save(path, rotation_wxyz=fit.scene.upright_wxyz, height=32)
     return path
+
+
+def _assets_of(output: Path) -> Path:
+    """The folder for what a scene file names."""
+    folder = output.with_name(f"{output.stem}.assets").absolute()
+    make_folder(folder)
+    return folder
+
+
+def _with_captures(document: ls.SceneDocument, fit: ls.LightFit, output: Path) -> tuple[ls.SceneDocument, list[str]]:
+    """The document with captures of the base colours that were found, each a file of its own."""
+    before, after = document.scene(), fit.scene
+    entries = [document.owner(number) for number in range(len(before.splats))]
+    changed = [n for n, (old, new) in enumerate(zip(before.splats, after.splats, strict=True)) if old is not new]
+    stems = file_stems([Path(entries[number].table.get("path", "")).stem for number in changed])
+    remarks: list[str] = []
+    for number, stem in zip(changed, stems, strict=True):
+        entry = entries[number]
+        if entry.kind != "splats" or sum(one.id == entry.id for one in entries) > 1:
+            remarks.append(f"{entry.name} is no file of one capture: its colours stay")
+            continue
+        path = _assets_of(output) / f"{stem}.ply"
+        ls.save(path, after.splats[number].gaussians)
+        document = document.changed(entry.id, path=str(path))
+    return document, remarks
 
 
 def _with_colors(document: ls.SceneDocument, fit: ls.LightFit) -> tuple[ls.SceneDocument, list[str]]:

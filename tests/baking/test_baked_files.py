@@ -1,0 +1,74 @@
+"""What other viewers read of a bake: saved as PLY and SPZ and loaded again, it shows the colours that were baked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.math.sh import even_directions, sh_basis
+from support.scenes.path_scenes import ball
+
+STEPS = np.array([2.0 / 0.15 / 2.0 / 255.0] + 15 * [2.0 / 256.0])
+"""Of SPZ's coefficients: 8 bits within +-3.33, and within +-1 (`lumisplat.io.splats.spz`)."""
+COLORS = ls.RenderConfig(pipeline=ls.Pipeline.RASTER)
+
+
+@pytest.fixture(scope="module")
+def baked() -> ls.Gaussians:
+    """A glossy ball between two coloured lamps, in their direct light."""
+    shiny = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)
+    lamps = [
+        ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
+        ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
+    ]
+    instance = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, shiny), 200), material=shiny)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
+    return ls.bake(ls.Scene([instance], lights=lamps), config, device="cpu").splats[0].gaussians
+
+
+def loaded(baked: ls.Gaussians, path: Path) -> ls.Gaussians:
+    """Saved, and loaded again."""
+    ls.save(path, baked)
+    gaussians = ls.load(path)
+    assert isinstance(gaussians, ls.Gaussians)
+    return gaussians
+
+
+def frames(gaussians: ls.Gaussians) -> np.ndarray:
+    """As captured, from four sides, below each other."""
+    scene = ls.Scene([ls.SplatInstance(gaussians)])
+    eyes = [(0.0, 0.3, -3.5), (3.2, 1.4, 0.7), (-1.8, -0.7, 3.1), (-3.1, 2.1, -1.4)]
+    cameras = [ls.Camera.look_at(eye, (0, 0, 0), (0, 1, 0), width=64, height=64, fov_y=0.7) for eye in eyes]
+    return np.concatenate([ls.render(scene, camera, COLORS, device="cpu").color for camera in cameras])
+
+
+def test_a_ply_is_the_bake(baked, tmp_path):
+    """Coefficients are the same to the bit, and frames to what float32 makes of shapes that are saved as logarithms."""
+    again = loaded(baked, tmp_path / "baked.ply")
+    np.testing.assert_array_equal(again.sh, baked.sh)
+    assert np.abs(baked.sh[:, 1:]).max() > 0.05  # there is something to be lost
+    np.testing.assert_allclose(frames(again), frames(baked), atol=2e-5)
+
+
+def test_an_spz_is_the_bake_to_its_steps(baked, tmp_path):
+    """From each direction, a Gaussian's colour is off by at most half a step of each coefficient."""
+    again = loaded(baked, tmp_path / "baked.spz")
+    basis = sh_basis(even_directions(200), 3)
+    colors, expected = (np.einsum("dk,nkc->ndc", basis, one.sh) for one in (again, baked))
+    bound = 0.5 * np.abs(basis) @ STEPS
+    off = np.abs(colors - expected).max(axis=(0, 2))
+    assert (off <= bound + 1e-6).all()
+    assert off.max() > 0.5 * 0.5 * SH_C0 * STEPS[0]  # it is quantised at all
+    # So are frames of them by the shapes that were baked, as blends of these colours.
+    same_shapes = frames(replace(baked, sh=again.sh))
+    assert np.abs(same_shapes - frames(baked)).max() <= bound.max() + 1e-6
+
+
+def test_frames_of_an_spz_are_near(baked, tmp_path):
+    """Positions, sizes, turns and opacities in their bits, too: 45 dB and more (docs/guide/bake.md)."""
+    assert ls.psnr(frames(loaded(baked, tmp_path / "baked.spz")), frames(baked)) > 45.0

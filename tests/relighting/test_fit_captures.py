@@ -1,0 +1,97 @@
+"""Captures in photographs whose lights are looked for: what keeps its look does not count, and their colours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.ops.recolor import base_colors
+from support.scenes.fit_rooms import DIRECT, assert_powers, closed, noisy, taken, three_lamps, unknown, view
+
+HYBRID = replace(DIRECT, pipeline=ls.Pipeline.HYBRID)
+GAINS = np.array([0.5, 0.9, 1.4])
+"""By which a capture is thought to be of another colour, channel by channel."""
+SMALL = view(64, 48)
+
+
+def room_with_capture(*, has_albedo: bool = True) -> ls.Scene:
+    """The closed room, its ball a capture, orange on one side and blue on the other."""
+    room = closed(*three_lamps())
+    ball = ls.gaussians_from_mesh(room.meshes[-2].mesh, 250)
+    left = ball.means[:, :1] < ball.means[:, 0].mean()
+    colors = np.where(left, (0.6, 0.4, 0.2), (0.2, 0.3, 0.6))
+    sh = (encode_srgb(colors)[:, None] - 0.5) / SH_C0
+    gaussians = replace(ball, sh=sh, albedo=colors) if has_albedo else replace(ball, sh=sh, albedo=None)
+    capture = ls.SplatInstance(gaussians, material=ls.MaterialPbr(roughness=1.0, specular=0.0), name="ball")
+    return replace(room, splats=(capture,), meshes=(*room.meshes[:-2], room.meshes[-1]))
+
+
+def recolored(scene: ls.Scene, gains: np.ndarray) -> ls.Scene:
+    """With the colours of its capture times a factor a channel."""
+    (capture,) = scene.splats
+    given = capture.gaussians
+    if given.albedo is None:
+        return replace(scene, splats=(replace(capture, gaussians=ls.scale_light(given, [gains] * given.count)),))
+    return replace(scene, splats=(replace(capture, gaussians=replace(given, albedo=given.albedo * gains)),))
+
+
+def fitted(scene: ls.Scene, photograph: np.ndarray, **options) -> ls.LightFit:
+    """A fit in light that does not bounce."""
+    options = {"config": HYBRID, "environment_degree": None, "device": "cpu"} | options
+    return ls.fit_lights(scene, SMALL, photograph, **options)
+
+
+@pytest.mark.parametrize("has_albedo", [True, False])
+def test_colours_of_a_capture_have_one_factor_a_channel(has_albedo):
+    """The capture is thought to be half as red and more blue: its own two colours are found, and the lamps beside."""
+    truth = room_with_capture(has_albedo=has_albedo)
+    photograph = taken(truth, SMALL, HYBRID)
+    thought = replace(recolored(truth, GAINS), lights=unknown(*three_lamps()))
+    found = fitted(thought, photograph, base_colors=["ball"])
+    assert_powers(found.lights, three_lamps(), 0.01)
+    own, expected = (base_colors(scene.splats[0].gaussians) for scene in (found.scene, truth))
+    np.testing.assert_allclose(own, expected, atol=0.01)
+    np.testing.assert_allclose(found.base_colors["ball"], expected.mean(axis=0), atol=0.01)
+    assert np.abs(base_colors(thought.splats[0].gaussians) - expected).max() > 0.2
+    for name in ("means", "rotations_wxyz", "scales", "opacities", "normals"):
+        assert getattr(found.scene.splats[0].gaussians, name) is getattr(truth.splats[0].gaussians, name)
+    assert not found.remarks
+
+
+def test_a_capture_is_one_of_all_base_colours():
+    """If all are asked for, only products are known; a capture without a material has no colour to be found."""
+    truth = room_with_capture()
+    kept = replace(truth, splats=(*truth.splats, replace(truth.splats[0], material=None, name="kept")))
+    found = fitted(kept, taken(kept, SMALL, HYBRID), base_colors=True, size=24)
+    assert "ball" in found.base_colors and "kept" not in found.base_colors
+    assert any("up to a factor" in line for line in found.remarks)
+    assert found.scene.splats[1] is kept.splats[1]
+
+
+def test_a_capture_gets_no_brighter_than_white():
+    """Its photograph shows more than it can reflect: Gaussians end at 1, and it is said how many."""
+    truth = room_with_capture()
+    bright = replace(truth, lights=[replace(lamp, intensity=3.0 * lamp.intensity) for lamp in three_lamps()])
+    linear = ls.render(bright, SMALL, HYBRID, device="cpu").color
+    found = fitted(truth, linear, linear=True, intensities=False, base_colors=["ball"])
+    albedo = found.scene.splats[0].gaussians.albedo
+    assert albedo is not None and albedo.max() == 1.0
+    assert any(line.startswith("ball: ") and "become white" in line for line in found.remarks)
+
+
+def test_lamps_light_captures_and_what_keeps_its_look_does_not_count():
+    """A relit ball beside a box that shows what was captured, whatever the lamps: they are within 5 %, with noise."""
+    truth = room_with_capture()
+    box = ls.gaussians_from_mesh(truth.meshes[-1].mesh, 300)
+    shown = replace(truth, splats=(*truth.splats, ls.SplatInstance(box)), meshes=truth.meshes[:-1])
+    photograph = noisy(taken(shown, SMALL, HYBRID), 0.01)
+    found = fitted(replace(shown, lights=unknown(*three_lamps())), photograph)
+    assert_powers(found.lights, three_lamps(), 0.05)
+    kept = ls.render(shown, SMALL, HYBRID, device="cpu").captured_weight
+    assert kept is not None and (kept > 0.5).mean() > 0.02
+    assert (found.views[0].weights[kept > 0.5] == 0.0).all()
