@@ -56,6 +56,7 @@ COORDINATES = ("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
 are not supported."""
 
 
+@np.errstate(all="ignore")  # NaN that signals, of version 1, is refused later
 def read_spz(path: PathLike) -> SplatColumns:
     """Reads an SPZ file of any version.
 

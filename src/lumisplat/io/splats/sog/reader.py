@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import json
 import lzma
+import struct
 import warnings
 import zipfile
 import zlib
@@ -76,7 +77,7 @@ def _open_source(path: PathLike) -> Generator[Callable[[str], bytes]]:
     try:
         with zipfile.ZipFile(archive) as bundle:
             yield lambda name: _read_member(path, bundle, name)
-    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, OSError) as error:
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, OSError, UnicodeError, struct.error) as error:
         raise FormatError(path, f"damaged or truncated, expected a zip archive: {error}") from None
 
 
