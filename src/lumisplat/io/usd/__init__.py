@@ -1,0 +1,1 @@
+"""OpenUSD files, read and written by usd-core: .usda, .usdc and .usdz."""

@@ -1,0 +1,113 @@
+"""Particle fields: Gaussian splats of OpenUSD 26.03 and later (UsdVol.ParticleField3DGaussianSplat).
+
+Attributes exist as floats and, with an h behind their name, as halves; floats win. What is too long is cut, what is too
+short is not used: no rotation, unit scale, opaque, grey. The order of harmonics is that of captures, all coefficients
+of a particle together; the schema says nothing of their signs and colour space, and writers store what captures have.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, KERNEL_DEGREE_MAX, SCALE_MIN, SH_DEGREE_MAX
+from lumisplat.io.splats.columns import SplatColumns
+from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.stage import HINT, UsdFile
+from lumisplat.io.usd.values import array, number
+
+_TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaussianSplat")
+"""The second is described by applied schemas; the third is the name that Nuke 17.0 wrote."""
+_KERNEL = "ParticleFieldKernel"
+_ELLIPSOID, _SURFLET = "ParticleFieldKernelGaussianEllipsoidAPI", "ParticleFieldKernelGaussianSurfletAPI"
+PRIMVARS = {"normals": 3, "albedo": 3, "roughness": 1, "metallic": 1}
+"""Of relightable captures, one value for each particle: names of primvars, which are our fields, and their columns."""
+_DEGREE_MAX = 10
+"""Of harmonics; those above ours are left out."""
+
+Floats = npt.NDArray[np.float32]
+
+
+def is_field(prim: Any) -> bool:
+    """Whether a prim is a field of particles, whatever its kernel."""
+    return str(prim.GetTypeName()) in _TYPES
+
+
+def read_particles(file: UsdFile, prim: Any) -> SplatColumns | None:
+    """The Gaussians of a field; None, with a remark, if its particles are no Gaussians, or there are none.
+
+    Raises:
+        FormatError: An attribute is no array of its kind.
+    """
+    kernels = [str(name) for name in prim.GetAppliedSchemas() if str(name).startswith(_KERNEL)]
+    own = [name for name in kernels if name != "ParticleFieldKernelBaseAPI"]
+    flat = own == [_SURFLET]
+    if not flat and own not in ([], [_ELLIPSOID]):
+        shapes = " and ".join(name.removeprefix(_KERNEL).removesuffix("API") for name in own)
+        file.remarks.add(f"particles of kernel {shapes}, expected GaussianEllipsoid", str(prim.GetPath()))
+        return None
+    means = _either(file, prim, "positions", 3)
+    if means is None:
+        file.remarks.add("fields without particles", str(prim.GetPath()))
+        return None
+    count = len(means)
+    rotations = _sized(_either(file, prim, "orientations", 4), count, (0.0, 0.0, 0.0, 1.0))[:, [3, 0, 1, 2]]
+    scales = np.abs(_sized(_either(file, prim, "scales", 3), count, (1.0, 1.0, 1.0)))
+    if flat:
+        file.remarks.add("surflets, which become flat Gaussians", str(prim.GetPath()))
+        scales[:, 2] = FLAT_THICKNESS * scales[:, :2].min(axis=1)
+    hints: dict[str, Any] = prim.GetCustomData().get(HINT, {})
+    return SplatColumns(
+        means=means,
+        rotations_wxyz=rotations,
+        log_scales=np.maximum(scales, np.float32(SCALE_MIN)),
+        opacities=_sized(_either(file, prim, "opacities", 1), count, 1.0),
+        sh=_harmonics(file, prim, count),
+        **_materials(file, prim, count),
+        scales_are_logarithms=False,
+        opacities_are_logits=False,
+        antialiased=bool(hints.get("antialiased", False)),
+        kernel_degree=int(np.clip(hints.get("kernelDegree", KERNEL_DEGREE), 0, KERNEL_DEGREE_MAX)),
+        comments=tuple(str(line) for line in hints.get("comments", ())),
+    )
+
+
+def _either(file: UsdFile, prim: Any, name: str, columns: int) -> Floats | None:
+    """An attribute as floats, else as halves."""
+    found = array(file, prim, name, columns)
+    return array(file, prim, name + "h", columns) if found is None else found
+
+
+def _sized(values: Floats | None, count: int, default: Any) -> Floats:
+    """As many rows as there are particles: of longer arrays the first; the default if there are fewer."""
+    if values is None or len(values) < count:
+        return np.tile(np.array(default, np.float32), (count, 1) if np.ndim(default) else count)
+    return values[:count]
+
+
+def _harmonics(file: UsdFile, prim: Any, count: int) -> Floats:
+    """SH, shape (N, K, 3)."""
+    degree = number(file, prim, "radiance:sphericalHarmonicsDegree", SH_DEGREE_MAX)
+    stored = _either(file, prim, "radiance:sphericalHarmonicsCoefficients", 3)
+    size = int(degree + 1) ** 2 if 0.0 <= degree <= _DEGREE_MAX else 0
+    if stored is None or size == 0 or len(stored) < count * size:
+        if stored is not None:
+            file.remarks.add("too few harmonics for their degree, so that particles are grey", str(prim.GetPath()))
+        return np.zeros((count, 1, 3), np.float32)  # the colour is 0.5 more
+    kept = min(size, (SH_DEGREE_MAX + 1) ** 2)
+    if kept < size:
+        file.remarks.add(f"harmonics above degree {SH_DEGREE_MAX}", str(prim.GetPath()))
+    return stored[: count * size].reshape(count, size, 3)[:, :kept]
+
+
+def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Floats]:
+    """Normals and materials of relightable captures, as far as there is a value for each particle."""
+    primvars, found = pxr().UsdGeom.PrimvarsAPI(prim), dict[str, Floats]()
+    for name, columns in PRIMVARS.items():
+        primvar = primvars.GetPrimvar(name)
+        held = array(file, prim, f"primvars:{name}", columns) if primvar and primvar.HasAuthoredValue() else None
+        if held is not None and len(held) >= count and not primvar.IsIndexed():
+            found[name] = held[:count]
+    return found

@@ -1,0 +1,116 @@
+"""A USD file that is open: its stage, the time that is shown, and its axes and units against ours."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.native import utf8_path
+from lumisplat.io.usd.guards import check_layers
+from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.remarks import Remarks
+from lumisplat.math.arrays import Doubles, finite_numbers
+from lumisplat.math.rotations import axis_rotation
+from lumisplat.scene.up import Vector, front_vector, up_vector
+
+HINT = "lumisplat"
+"""Dictionary of a layer's own data in which we note what the format has no place for."""
+UNIT_ERROR = 1e-9
+"""Error of a unit of length that is none, relative."""
+
+
+@dataclass(slots=True)
+class UsdFile:
+    """An open file."""
+
+    path: Path
+    stage: Any
+    time: Any
+    """The time code that is shown."""
+    world_from_stage: Doubles
+    """Ours has metres, and y up unless the file is ours and says otherwise; shape (4, 4)."""
+    up: Vector
+    """Up of the world."""
+    says_up: bool
+    """Whether the file is ours and says which way was up in the scene that it was written from."""
+    remarks: Remarks
+
+    def place_of(self, matrix: Any) -> Doubles:
+        """``world_from_prim``, shape (4, 4), from a matrix of the library, which is for row vectors."""
+        return self.world_from_stage @ np.array(matrix, dtype=np.float64).T
+
+
+def open_usd(path: Path) -> UsdFile:
+    """Opens a file, with all that it is composed of.
+
+    Raises:
+        FormatError: The file, or a layer that it names, is damaged, names a file outside of its folder, or says units
+            or axes that do not exist.
+    """
+    px = pxr()
+    check_layers(path)
+    with utf8_path(path) as text:
+        stage = px.Usd.Stage.Open(text)
+    if not stage:
+        raise FormatError(path, "damaged, or not a USD file")
+    remarks = Remarks(path, "not read, or read otherwise")
+    for error in stage.GetCompositionErrors():
+        remarks.add("layers that cannot be composed", _first_line(str(error), path))
+    hint = _hinted_up(stage)
+    world_from_stage, up = _frame(path, stage, remarks, hint)
+    return UsdFile(path, stage, _shown_time(stage), world_from_stage, up, hint is not None, remarks)
+
+
+def upright(up: Vector) -> Doubles:
+    """The rotation that stands a scene upright in a stage with y up, shape (3, 3): half a turn about x for y down."""
+    upward = np.array(up)
+    front = front_vector(upward)
+    # As for glTF, whose front is seen along -z.
+    return np.stack([np.cross(upward, front), upward, front])
+
+
+def _shown_time(stage: Any) -> Any:
+    """The first time code of a stage that says its times, else that of the first key of each value."""
+    code = pxr().Usd.TimeCode
+    return code(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else code.EarliestTime()
+
+
+def _hinted_up(stage: Any) -> Vector | None:
+    """Up of the scene that a file of ours was written from; None: the file is not ours, or says nothing."""
+    data: dict[str, Any] = stage.GetRootLayer().customLayerData.get(HINT, {})
+    said = finite_numbers(data.get("up"), (3,))
+    return up_vector(said) if said is not None and said.any() else None
+
+
+def _frame(path: Path, stage: Any, remarks: Remarks, hint: Vector | None) -> tuple[Doubles, Vector]:
+    """``world_from_stage``, shape (4, 4), and up of the world."""
+    geom, matrix = pxr().UsdGeom, np.eye(4)
+    axis, up = str(geom.GetStageUpAxis(stage)), up_vector("y-up")
+    if axis not in ("Y", "Z"):
+        raise FormatError(path, f"has upAxis {axis!r}, expected Y or Z")
+    if axis == "Z":
+        matrix[:3, :3] = axis_rotation((1.0, 0.0, 0.0), -0.5 * math.pi).round()
+    if hint is not None:
+        turned = upright(hint).T if axis == "Y" else np.eye(3)
+        matrix[:3, :3], up = turned, hint
+    elif axis == "Z":
+        remarks.add("z is up in it: turned, so that y is")
+    if geom.StageHasAuthoredMetersPerUnit(stage):
+        unit = float(geom.GetStageMetersPerUnit(stage))
+        if not 0.0 < unit < math.inf:
+            raise FormatError(path, f"has metersPerUnit {unit:g}, expected a length above 0")
+        if abs(unit - 1.0) > UNIT_ERROR:
+            matrix[:3, :3] *= unit
+            remarks.add(f"its unit is {unit:g} m: scaled to metres")
+    return matrix, up
+
+
+def _first_line(text: str, path: Path) -> str:
+    said = " ".join(text.replace(os.fspath(path), "it").split())
+    return said[:120]

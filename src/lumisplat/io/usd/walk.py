@@ -1,0 +1,128 @@
+"""What is shown of a stage, prim by prim: placed in the world, instances and point instancers included."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lumisplat.constants.usd import USD_INSTANCES_MAX
+from lumisplat.errors import FormatError
+from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.stage import UsdFile
+from lumisplat.math.arrays import Doubles
+
+
+class Placed(NamedTuple):
+    """A prim, once for each place at which it is shown."""
+
+    prim: Any
+    world_from_prim: Doubles
+    """Shape (4, 4)."""
+    name: str
+    visible: bool
+    """Whether it is shown: lights that are not are turned off, cameras take pictures all the same."""
+    animated: bool = False
+    """Whether its place changes with time."""
+
+    @property
+    def asset(self) -> str:
+        """What it shows: the same text for all instances of a prim."""
+        shared = self.prim.GetPrimInPrototype() if self.prim.IsInstanceProxy() else self.prim
+        return str(shared.GetPath())
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether its place has no volume: files hide things by scaling them to nothing."""
+        linear = self.world_from_prim[:3, :3]
+        size = np.abs(linear).max()
+        return not np.isfinite(size) or size == 0.0 or abs(np.linalg.det(linear / size)) < 1e-9  # noqa: PLR2004
+
+
+def placed_prims(file: UsdFile) -> Iterator[Placed]:
+    """All prims of a file that are active and defined, parents first, each in all its places.
+
+    Raises:
+        FormatError: There are too many instances.
+    """
+    places = pxr().UsdGeom.XformCache(file.time)
+    root = file.stage.GetPseudoRoot()
+    for count, placed in enumerate(_below(file, root, places, file.world_from_stage, ())):
+        if count >= USD_INSTANCES_MAX:
+            raise FormatError(file.path, f"shows more than {USD_INSTANCES_MAX:,} prims: instances of instances")
+        yield placed
+
+
+def prim_name(prim: Any) -> str:
+    """The name that people gave a prim, else that of its path."""
+    return str(prim.GetDisplayName() or prim.GetName())
+
+
+def _below(
+    file: UsdFile, root: Any, places: Any, world_from_base: Doubles, inside: tuple[Any, ...]
+) -> Iterator[Placed]:
+    """The prims at and below ``root``.
+
+    Args:
+        file: Their file.
+        root: A prim.
+        places: Transforms of prims.
+        world_from_base: The world from the space in which those transforms end, shape (4, 4).
+        inside: Paths of the point instancers around: those that show themselves end here.
+    """
+    px = pxr()
+    walk = iter(px.Usd.PrimRange(root, px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)))
+    for prim in walk:
+        imageable = px.UsdGeom.Imageable(prim)
+        if not imageable:
+            continue
+        base_from_prim = np.array(places.GetLocalToWorldTransform(prim), dtype=np.float64).T
+        world_from_prim = world_from_base @ base_from_prim
+        visible = imageable.ComputeVisibility(file.time) != "invisible"
+        visible = visible and imageable.ComputePurpose() in ("default", "render")
+        if not prim.IsA(px.UsdGeom.PointInstancer):
+            yield Placed(prim, world_from_prim, prim_name(prim), visible, _moves(prim))
+            continue
+        walk.PruneChildren()  # its prototypes, which are not shown by themselves
+        if visible and prim.GetPath() not in inside:
+            yield from _instanced(file, prim, places, world_from_prim, (*inside, prim.GetPath()))
+
+
+def _instanced(
+    file: UsdFile, prim: Any, places: Any, world_from_prim: Doubles, inside: tuple[Any, ...]
+) -> Iterator[Placed]:
+    """What a point instancer shows."""
+    px = pxr()
+    instancer = px.UsdGeom.PointInstancer(prim)
+    prototypes = [file.stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
+    indices = np.array(instancer.GetProtoIndicesAttr().Get(file.time) or (), dtype=np.int64)
+    mask = list(instancer.ComputeMaskAtTime(file.time))
+    transforms = instancer.ComputeInstanceTransformsAtTime(
+        file.time, file.time, px.UsdGeom.PointInstancer.ExcludeProtoXform, px.UsdGeom.PointInstancer.IgnoreMask
+    )
+    if len(transforms) != len(indices):
+        raise FormatError(file.path, f"{prim.GetPath()} has {len(indices):,} instances, but {len(transforms):,} places")
+    for number, (which, transform) in enumerate(zip(indices, transforms, strict=True)):
+        if mask and not mask[number]:
+            continue
+        if not 0 <= which < len(prototypes) or not prototypes[which]:
+            raise FormatError(file.path, f"{prim.GetPath()} shows prototype {which} of {len(prototypes)}")
+        root = prototypes[which]
+        # Where the prototype lies in the file does not matter: its own transform does, those above it do not.
+        above = np.array(places.GetParentToWorldTransform(root), dtype=np.float64).T
+        placed = world_from_prim @ np.array(transform, dtype=np.float64).T @ np.linalg.inv(above)
+        yield from _below(file, root, places, placed, inside)
+
+
+def _moves(prim: Any) -> bool:
+    """Whether the transform of a prim, or of one above it, changes with time."""
+    px = pxr()
+    while prim and not prim.IsPseudoRoot():
+        xformable = px.UsdGeom.Xformable(prim)
+        if xformable and xformable.TransformMightBeTimeVarying():
+            return True
+        if xformable and xformable.GetResetXformStack():
+            return False
+        prim = prim.GetParent()
+    return False
