@@ -49,6 +49,7 @@ LAYERS = (
     "io.splats",
     "io.meshes",
     "io.gltf",
+    "io.usd",
     "io.scene_toml",
     "io",
     "io.document",

@@ -11,7 +11,7 @@ USD_LAYERS_MAX = 10_000
 """Most layers of a stage."""
 
 USD_POINT_RADIUS = 1e-3
-"""Radius of the sphere that a point light is written as, metres; readers that know ``treatAsPoint`` do not use it."""
+"""Radius of the sphere that a point light is written as, metres; who reads ``treatAsPoint`` does not use it."""
 
 USD_FILM_WIDTH = 0.036
 """Width of the film of cameras that are written, metres: that of small-format film, by which focal lengths are known."""

@@ -20,6 +20,10 @@ def read_cameras(path: PathLike, width: int | None = None, height: int | None = 
         from lumisplat.io.gltf.cameras import read_gltf_cameras
 
         return unique_names(read_gltf_cameras(path, width, height))
+    if suffix in (".usd", ".usda", ".usdc", ".usdz"):
+        from lumisplat.io.usd.cameras import read_usd_cameras
+
+        return unique_names(read_usd_cameras(path, width, height))
     if suffix == ".toml":
         from lumisplat.io.scene_toml.cameras import read_scene_cameras
         from lumisplat.io.scene_toml.scene_file import read_document

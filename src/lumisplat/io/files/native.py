@@ -12,7 +12,7 @@ from pathlib import Path
 
 from lumisplat.io.files.source import PathLike
 
-_silence = threading.Lock()
+_silence = threading.RLock()
 
 
 @contextmanager

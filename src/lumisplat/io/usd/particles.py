@@ -15,8 +15,8 @@ import numpy.typing as npt
 from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, KERNEL_DEGREE_MAX, SCALE_MIN, SH_DEGREE_MAX
 from lumisplat.io.splats.columns import SplatColumns
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.stage import HINT, UsdFile
-from lumisplat.io.usd.values import array, number
+from lumisplat.io.usd.stage import UsdFile
+from lumisplat.io.usd.values import array, hints_of, number
 
 _TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaussianSplat")
 """The second is described by applied schemas; the third is the name that Nuke 17.0 wrote."""
@@ -58,7 +58,7 @@ def read_particles(file: UsdFile, prim: Any) -> SplatColumns | None:
     if flat:
         file.remarks.add("surflets, which become flat Gaussians", str(prim.GetPath()))
         scales[:, 2] = FLAT_THICKNESS * scales[:, :2].min(axis=1)
-    hints: dict[str, Any] = prim.GetCustomData().get(HINT, {})
+    hints = hints_of(prim)
     return SplatColumns(
         means=means,
         rotations_wxyz=rotations,

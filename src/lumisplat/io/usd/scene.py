@@ -4,64 +4,153 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.io.splats.columns import gaussians_from_columns
 from lumisplat.io.usd.library import pxr, reading_usd
+from lumisplat.io.usd.lights import is_light, read_light
+from lumisplat.io.usd.materials import UsdMaterials
+from lumisplat.io.usd.meshes import UsdMeshes
 from lumisplat.io.usd.particles import is_field, read_particles
 from lumisplat.io.usd.stage import UsdFile, open_usd
+from lumisplat.io.usd.values import hints_of
 from lumisplat.io.usd.walk import Placed, placed_prims
-from lumisplat.math.arrays import Doubles
 from lumisplat.scene.editing.affine import under_affine
 from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import Scene, SplatInstance, check_similarity
+from lumisplat.scene.lights import Light, LightEnvironment
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
+from lumisplat.scene.up import up_vector
 
 _Y_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: captures have y down."""
 
 
 def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
-    """Reads what a stage shows at its first time."""
+    """Reads what a stage shows at its first time: particle fields, meshes and lights, with their materials.
+
+    A stage that holds one field of particles and nothing else is a capture, with y down as captures have it. Scenes are
+    in metres, and have y up; but files that we have written stand as the scene did that they were written from.
+
+    Args:
+        path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
+        drop_invalid: Leave out Gaussians with invalid values, instead of refusing the file.
+
+    Raises:
+        FormatError: The file, or one that it names, is missing or damaged, or nothing in it can be read.
+        MissingExtraError: usd-core is not installed.
+    """
     path = Path(path)
     pxr()
     with reading_usd(path):
         file = open_usd(path)
-        found = _read(file, drop_invalid)
+        found = Reading(file, drop_invalid).run()
+        loaded = found.as_capture() or found.scene()
     file.remarks.report()
-    return found
+    return loaded
 
 
 @dataclass(slots=True)
-class _Found:
+class Reading:
+    """What is found on the way through a stage."""
+
+    file: UsdFile
+    drop_invalid: bool = False
     splats: list[SplatInstance] = field(default_factory=list[SplatInstance])
+    meshes: list[MeshInstance] = field(default_factory=list[MeshInstance])
+    lights: list[Light] = field(default_factory=list[Light])
+    moving: dict[str, list[SplatInstance | MeshInstance]] = field(
+        default_factory=dict[str, "list[SplatInstance | MeshInstance]"]
+    )
+    """Of those, what changes its place with time, by the paths of prims."""
+    has_cameras: bool = False
+    _captures: dict[str, Gaussians | None] = field(default_factory=dict[str, "Gaussians | None"])
 
+    def run(self) -> Reading:
+        """Finds everything.
 
-def _read(file: UsdFile, drop_invalid: bool) -> Gaussians | Scene:
-    found, captures = _Found(), dict[str, Gaussians | None]()
-    for placed in placed_prims(file):
-        if is_field(placed.prim) and placed.visible and not placed.is_flat:
-            if placed.asset not in captures:
-                columns = read_particles(file, placed.prim)
-                captures[placed.asset] = columns and gaussians_from_columns(file.path, columns, drop_invalid=drop_invalid)
-            gaussians = captures[placed.asset]
-            if gaussians is not None:
-                found.splats.append(_splat(file, placed, gaussians))
-    if len(found.splats) == 1:
-        only = found.splats[0]
-        turn = np.eye(4) if file.says_up else _Y_DOWN
-        place = turn @ only.transform
-        return only.gaussians if np.array_equal(place, np.eye(4)) else transform(only.gaussians, place)
-    return Scene(splats=found.splats, up=file.up)
+        Raises:
+            FormatError: Something cannot be read, or there is nothing.
+        """
+        file, sieve = self.file, TriangleSieve(self.file.path)
+        materials = UsdMaterials(file)
+        meshes = UsdMeshes(file, materials, sieve)
+        for placed in placed_prims(file):
+            prim, kind = placed.prim, str(placed.prim.GetTypeName())
+            if kind == "Camera":
+                self.has_cameras = True
+            elif is_light(prim):
+                self._add_light(placed)
+            elif not placed.visible or placed.is_flat:
+                continue
+            elif is_field(prim):
+                self._note(placed, self.splats, self._splats(placed, materials))
+            elif meshes.reads(prim):
+                self._note(placed, self.meshes, meshes.placed(placed))
+            elif prim.IsA(pxr().UsdGeom.Gprim):
+                file.remarks.add(f"prims of type {kind}", str(prim.GetPath()))
+        if not (self.splats or self.meshes or self.lights or self.has_cameras or sieve.problems):
+            said = "; ".join(file.remarks.names)
+            raise FormatError(
+                file.path, "shows no particle field, mesh, light or camera" + (f" ({said})" if said else "")
+            )
+        sieve.report(anything_left=bool(self.splats or self.meshes or self.lights or self.has_cameras))
+        return self
 
+    def scene(self) -> Scene:
+        """All of it."""
+        return Scene(self.splats, self.meshes, self.lights, up=self.file.up)
 
-def _splat(file: UsdFile, placed: Placed, gaussians: Gaussians) -> SplatInstance:
-    """A capture at its place; what an instance cannot be, the Gaussians become."""
-    try:
-        check_similarity(placed.world_from_prim[:3, :3])
-    except SceneError:
-        return SplatInstance(under_affine(gaussians, placed.world_from_prim), name=placed.name)
-    return SplatInstance(gaussians, placed.world_from_prim, name=placed.name)
+    def as_capture(self) -> Gaussians | None:
+        """The Gaussians, if there is one field of them, and nothing else."""
+        if len(self.splats) != 1 or self.meshes or self.lights or self.has_cameras:
+            return None
+        only, file = self.splats[0], self.file
+        place = (np.eye(4) if file.says_up else _Y_DOWN) @ only.transform
+        if np.array_equal(place, np.eye(4)) and only.material is None and self._up_of_captures():
+            return only.gaussians
+        # What we have written otherwise than by itself was part of a scene.
+        return None if file.says_up or only.material is not None else transform(only.gaussians, place)
+
+    def _up_of_captures(self) -> bool:
+        """Whether y is down, once the axes of a file of others are turned to those of captures."""
+        return not self.file.says_up or self.file.up == up_vector("y-down")
+
+    def _note(self, placed: Placed, kept: list[Any], instances: list[Any]) -> None:
+        kept.extend(instances)
+        if placed.animated and instances:
+            self.moving.setdefault(str(placed.prim.GetPath()), []).extend(instances)
+
+    def _splats(self, placed: Placed, materials: UsdMaterials) -> list[SplatInstance]:
+        """A capture at its place; what an instance cannot be, the Gaussians become."""
+        if placed.asset not in self._captures:
+            columns = read_particles(self.file, placed.prim)
+            self._captures[placed.asset] = columns and gaussians_from_columns(
+                self.file.path, columns, drop_invalid=self.drop_invalid
+            )
+        gaussians, matrix = self._captures[placed.asset], placed.world_from_prim
+        if gaussians is None:
+            return []
+        try:
+            check_similarity(matrix[:3, :3])
+        except SceneError:
+            gaussians, matrix = under_affine(gaussians, matrix), np.eye(4)
+        bound = materials.bound_to(placed.prim)
+        own = hints_of(placed.prim)
+        settings = {name: own[name] for name in ("sh_degree", "shadow_only") if name in own}
+        return [SplatInstance(gaussians, matrix, bound and bound.material, name=placed.name, **settings)]
+
+    def _add_light(self, placed: Placed) -> None:
+        light = None if placed.is_flat else read_light(self.file, placed)
+        if light is None:
+            return
+        has_sky = any(isinstance(one, LightEnvironment) and one.enabled for one in self.lights)
+        if isinstance(light, LightEnvironment) and light.enabled and has_sky:
+            self.file.remarks.add("all skies but the first", str(placed.prim.GetPath()))
+            return
+        self.lights.append(light)

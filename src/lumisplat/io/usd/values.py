@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
-from lumisplat.io.usd.stage import UsdFile
+from lumisplat.io.usd.stage import HINT, UsdFile
 
 
 def value(file: UsdFile, prim: Any, name: str, default: Any = None) -> Any:
@@ -16,6 +16,18 @@ def value(file: UsdFile, prim: Any, name: str, default: Any = None) -> Any:
     attribute = prim.GetAttribute(name)
     found = attribute.Get(file.time) if attribute else None
     return default if found is None else found
+
+
+def shortest(found: float) -> float:
+    """A number; of one that has 32 bits, the shortest decimal that it stands for: 0.4, not 0.4000000059604645."""
+    single = np.float32(found)
+    return float(str(single)) if float(single) == found else float(found)
+
+
+def hints_of(prim: Any) -> dict[str, Any]:
+    """What we have noted at a prim, in files of ours."""
+    found = prim.GetCustomDataByKey(HINT)
+    return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
 
 
 def number(file: UsdFile, prim: Any, name: str, default: float) -> float:
@@ -26,7 +38,7 @@ def number(file: UsdFile, prim: Any, name: str, default: float) -> float:
     """
     found = value(file, prim, name, default)
     try:
-        return float(found)
+        return shortest(float(found))
     except (TypeError, ValueError):
         raise FormatError(file.path, f"{prim.GetPath()}.{name} is {str(found)[:40]!r}, expected a number") from None
 

@@ -37,7 +37,7 @@ class Placed(NamedTuple):
         """Whether its place has no volume: files hide things by scaling them to nothing."""
         linear = self.world_from_prim[:3, :3]
         size = np.abs(linear).max()
-        return not np.isfinite(size) or size == 0.0 or abs(np.linalg.det(linear / size)) < 1e-9  # noqa: PLR2004
+        return not np.isfinite(size) or size == 0.0 or abs(np.linalg.det(linear / size)) < 1e-9
 
 
 def placed_prims(file: UsdFile) -> Iterator[Placed]:
@@ -55,7 +55,12 @@ def placed_prims(file: UsdFile) -> Iterator[Placed]:
 
 
 def prim_name(prim: Any) -> str:
-    """The name that people gave a prim, else that of its path."""
+    """The name that people gave a prim, else that of its path; of the only prim in an instance, that of the instance."""
+    px, parent = pxr(), prim.GetParent()
+    if prim.IsInstanceProxy() and parent.IsInstance():
+        everything = px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)
+        if len(parent.GetFilteredChildren(everything)) == 1:
+            prim = parent
     return str(prim.GetDisplayName() or prim.GetName())
 
 

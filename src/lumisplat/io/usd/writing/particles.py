@@ -10,7 +10,6 @@ import numpy.typing as npt
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.particles import PRIMVARS
-from lumisplat.io.usd.stage import HINT
 from lumisplat.io.usd.writing.stage import StageWriter
 from lumisplat.scene.gaussians import Gaussians
 
@@ -68,14 +67,11 @@ def _write_materials(prim: Any, gaussians: Gaussians) -> None:
 
 def _write_hints(writer: StageWriter, prim: Any, gaussians: Gaussians) -> None:
     """What only we read: how the capture was trained, and the comments of its file."""
-    hints: dict[str, Any] = {}
     if gaussians.antialiased:
-        hints["antialiased"] = True
+        writer.hint(prim, antialiased=True)
         writer.remarks.add("that a capture was trained antialiased, which only Lumisplat will know")
     if gaussians.kernel_degree != KERNEL_DEGREE:
-        hints["kernelDegree"] = gaussians.kernel_degree
+        writer.hint(prim, kernelDegree=gaussians.kernel_degree)
         writer.remarks.add(f"kernel degree {gaussians.kernel_degree}, which only Lumisplat will know")
     if gaussians.comments:
-        hints["comments"] = pxr().Vt.StringArray(list(gaussians.comments))
-    if hints:
-        prim.SetCustomData({HINT: hints})
+        writer.hint(prim, comments=pxr().Vt.StringArray(list(gaussians.comments)))

@@ -1,4 +1,4 @@
-"""Captures, scenes and animations as OpenUSD files."""
+"""Captures and scenes as OpenUSD files."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ from pathlib import Path
 
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.library import pxr, writing_usd
+from lumisplat.io.usd.writing.assets import AssetWriter
+from lumisplat.io.usd.writing.cameras import write_cameras
+from lumisplat.io.usd.writing.lights import write_light
+from lumisplat.io.usd.writing.materials import MaterialWriter
 from lumisplat.io.usd.writing.package import write_files
-from lumisplat.io.usd.writing.particles import define_field
 from lumisplat.io.usd.writing.stage import StageWriter
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 
-def write_usd(path: PathLike, subject: Gaussians | Scene, cameras: Sequence[Camera] = ()) -> None:
-    """Writes a capture or a scene.
+def write_usd(path: PathLike, subject: Gaussians | Mesh | Scene, cameras: Sequence[Camera] = ()) -> None:
+    """Writes a capture, a mesh or a scene. One log line lists what OpenUSD has no place for.
 
     Args:
         path: ``.usda`` is text, ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package with its textures.
@@ -28,12 +32,24 @@ def write_usd(path: PathLike, subject: Gaussians | Scene, cameras: Sequence[Came
         MissingExtraError: usd-core is not installed.
     """
     pxr()
-    scene = subject if isinstance(subject, Scene) else Scene(splats=(SplatInstance(subject),))
+    scene = _as_scene(subject)
     with writing_usd(path):
         writer = StageWriter(Path(path), scene.up_direction)
-        for splat in scene.splats:
-            place = writer.path_of(splat.name or "gaussians")
-            prim = define_field(writer, place, splat.gaussians)
-            writer.place(prim, splat.transform)
+        assets = AssetWriter(writer, MaterialWriter(writer))
+        assets.write((*scene.splats, *scene.meshes))
+        for light in scene.lights:
+            write_light(writer, light)
+        write_cameras(writer, cameras)
         write_files(writer)
     writer.remarks.report()
+
+
+def _as_scene(subject: Gaussians | Mesh | Scene) -> Scene:
+    """A scene as it is; one of a single asset has it at the origin."""
+    match subject:
+        case Gaussians():
+            return Scene(splats=(SplatInstance(subject),))
+        case Mesh():
+            return Scene(meshes=(MeshInstance(subject),))
+        case _:
+            return subject

@@ -48,6 +48,7 @@ class StageWriter:
         is_z_up = self.up == up_vector("z-up")
         px.UsdGeom.SetStageUpAxis(self.stage, "Z" if is_z_up else "Y")
         px.UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
+        self._paths.add(f"{ROOT}/Materials")
         root = px.UsdGeom.Xform.Define(self.stage, ROOT)
         self.stage.SetDefaultPrim(root.GetPrim())
         turn = np.eye(4)
@@ -65,6 +66,19 @@ class StageWriter:
             path = f"{parent}/{stem}_{count}"
         self._paths.add(path)
         return path
+
+    @property
+    def materials(self) -> str:
+        """Path of the prim above all materials, which is made when it is first asked for."""
+        path = f"{ROOT}/Materials"
+        if not self.stage.GetPrimAtPath(path):
+            pxr().UsdGeom.Scope.Define(self.stage, path)
+        return path
+
+    def hint(self, prim: Any, **noted: Any) -> None:
+        """Notes at a prim what only we read."""
+        for key, held in noted.items():
+            prim.SetCustomDataByKey(f"{HINT}:{key}", held)
 
     def name(self, prim: Any, name: str) -> None:
         """Keeps the name of a prim whose path cannot be it."""

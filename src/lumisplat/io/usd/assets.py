@@ -1,0 +1,45 @@
+"""Files that a stage names besides its layers: textures and skies, beside it or in its package."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from lumisplat.constants import FILE_BYTES_MAX
+from lumisplat.errors import FormatError
+from lumisplat.io.files.references import read_reference
+from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.stage import UsdFile
+
+
+def asset_name(asset: Any) -> str:
+    """The path of an asset, as the layer has it."""
+    return str(getattr(asset, "path", asset))
+
+
+def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
+    """The contents of a file that a value names.
+
+    Args:
+        file: The open file.
+        asset: A path of the library, which knows what it was resolved to.
+        label: What names it, for messages.
+
+    Raises:
+        FormatError: There is no such file, it leaves the folder of the stage, or it cannot be read.
+    """
+    ar, name = pxr().Ar, asset_name(asset)
+    found = str(getattr(asset, "resolvedPath", "")) or name
+    if not ar.IsPackageRelativePath(found):
+        return read_reference(file.path, found)
+    package, inner = ar.SplitPackageRelativePathOuter(found)
+    try:
+        # A package in a package is not unpacked: USD advises against them.
+        with zipfile.ZipFile(package) as held:
+            entry = held.getinfo(inner)
+            if entry.file_size > FILE_BYTES_MAX or entry.compress_type != zipfile.ZIP_STORED:
+                raise FormatError(file.path, f"{label} names {name[:200]!r}, which is packed or too large")
+            return held.read(entry)
+    except (KeyError, OSError, zipfile.BadZipFile):
+        raise FormatError(file.path, f"{label} names {name[:200]!r}, which {Path(package).name} lacks") from None

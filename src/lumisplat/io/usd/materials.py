@@ -1,0 +1,261 @@
+"""Materials of OpenUSD files: UsdPreviewSurface and its textures, as `MaterialPbr`."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.files.limits import TextureBytes
+from lumisplat.io.images.texture import decode_texture
+from lumisplat.io.usd.assets import asset_bytes, asset_name
+from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.shaders import Placement, PreviewSurface, TextureInput, surface_of
+from lumisplat.io.usd.stage import UsdFile
+from lumisplat.io.usd.walk import prim_name
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.materials import AlphaMode, MaterialPbr
+from lumisplat.scene.textures import Texture, WrapPair
+
+GREY = 0.18
+"""Base colour of what has no material: the diffuse colour of a UsdPreviewSurface that says nothing."""
+
+_Texels = npt.NDArray[np.uint8]
+
+
+class ReadMaterial(NamedTuple):
+    """A material, and what meshes of it need."""
+
+    material: MaterialPbr
+    placement: Placement = Placement()
+    """Of its textures."""
+    color_primvar: str = ""
+    """Primvar of the mesh that is its base colour; empty: none."""
+
+
+class UsdMaterials:
+    """The materials of a file, each decoded once.
+
+    Args:
+        file: The open file.
+    """
+
+    def __init__(self, file: UsdFile) -> None:
+        self._file = file
+        self._known: dict[str, ReadMaterial | None] = {}
+        self._images: dict[str, _Texels] = {}
+        self._total = TextureBytes(file.path)
+
+    def bound_to(self, prim: Any) -> ReadMaterial | None:
+        """The material that is bound to a prim; None if there is none that is known.
+
+        Raises:
+            FormatError: A value is out of range, or a texture is missing or corrupt.
+        """
+        material = pxr().UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        if not material:
+            return None
+        # Of instances, one material of the prototype has a path in each of them.
+        own = material.GetPrim()
+        key = str((own.GetPrimInPrototype() if own.IsInstanceProxy() else own).GetPath())
+        if key not in self._known:
+            surface = surface_of(self._file, material)
+            try:
+                self._known[key] = surface and _Decoder(self, surface).decode(prim_name(own))
+            except FormatError:
+                raise
+            except SceneError as error:
+                raise FormatError(self._file.path, f"{material.GetPath()}: {error}") from None
+        return self._known[key]
+
+    def texels(self, texture: TextureInput) -> _Texels:
+        """The texels of a texture as stored, shape (H, W, 3 or 4)."""
+        name = str(getattr(texture.asset, "resolvedPath", "")) or asset_name(texture.asset)
+        if name not in self._images:
+            data = asset_bytes(self._file, texture.asset, texture.label)
+            self._images[name] = decode_texture(data, self._file.path, asset_name(texture.asset), self._total)
+        return self._images[name]
+
+    def remark(self, text: str, label: str) -> None:
+        """Notes what is left out of a material."""
+        self._file.remarks.add(text, label)
+
+
+class _Decoder:
+    """One material, while it is decoded."""
+
+    def __init__(self, materials: UsdMaterials, surface: PreviewSurface) -> None:
+        self._materials, self._surface = materials, surface
+        self._values: dict[str, Any] = {}
+        self._placement: Placement | None = None
+        self._wraps: dict[str, WrapPair] = {}
+
+    def decode(self, name: str) -> ReadMaterial:
+        surface = self._surface
+        primvar = surface.read("diffuseColor").primvar
+        self._values |= {
+            "base_color": _unit(surface.color("diffuseColor", (GREY,) * 3)) if not primvar else (1.0, 1.0, 1.0),
+            "metallic": surface.number("metallic", 0.0),
+            "roughness": surface.number("roughness", 0.5),
+            "ior": surface.number("ior", 1.5, 1.0, np.inf),
+            "emissive": surface.color("emissiveColor", (0.0, 0.0, 0.0)),
+            "clearcoat": surface.number("clearcoat", 0.0),
+            "clearcoat_roughness": surface.number("clearcoatRoughness", 0.01),
+        }
+        if self._values["clearcoat"] == 0.0:
+            self._values["clearcoat_roughness"] = 0.0
+        if surface.number("useSpecularWorkflow", 0.0) > 0.0:
+            self._materials.remark("colours of highlights (useSpecularWorkflow)", name)
+            self._values["metallic"] = 0.0
+        if surface.read("displacement").texture:
+            self._materials.remark("displacement", name)
+        self._base_color()
+        self._emission()
+        self._metallic_roughness()
+        self._normals_and_occlusion()
+        self._coat()
+        self._opacity()
+        return ReadMaterial(
+            MaterialPbr(**self._values, **self._wrap_values(), name=name), self._placement or Placement(), primvar
+        )
+
+    def _take(self, name: str) -> TextureInput | None:
+        """The texture of an input, unless its coordinates are others than those of the textures before it."""
+        texture = self._surface.read(name).texture
+        if texture is None:
+            return None
+        if self._placement is None:
+            self._placement = texture.placement
+        if texture.placement != self._placement:
+            self._materials.remark("textures with other coordinates than the first of their material", texture.label)
+            return None
+        return texture
+
+    def _set(self, name: str, texture: TextureInput, texels: Texture) -> None:
+        self._values[name], self._wraps[name] = texels, texture.wraps
+
+    def _base_color(self) -> None:
+        texture = self._take("diffuseColor")
+        if texture is not None:
+            self._values["base_color"] = _unit(texture.scale[:3])
+            self._set("base_color_texture", texture, self._colors(texture))
+
+    def _emission(self) -> None:
+        texture = self._take("emissiveColor")
+        if texture is not None:
+            self._values["emissive"] = tuple(np.maximum(texture.scale[:3], 0.0).tolist())
+            self._set("emissive_texture", texture, self._colors(texture))
+
+    def _colors(self, texture: TextureInput) -> Texture:
+        """Texels in sRGB, three channels."""
+        texels = self._materials.texels(texture)
+        texels = texels[:, :, :3] if texture.channel is None else np.repeat(_channel(texels, texture)[:, :, None], 3, 2)
+        if texture.bias[:3].any():
+            self._materials.remark("biases of textures of colour", texture.label)
+        if texture.color_space != "raw":
+            return texels
+        table = np.round(255.0 * encode_srgb(np.arange(256) / 255.0)).astype(np.uint8)
+        return table[texels]
+
+    def _metallic_roughness(self) -> None:
+        """One texture of both: roughness in green, metallic in blue."""
+        planes: dict[int, _Texels] = {}
+        for name, plane in (("roughness", 1), ("metallic", 2)):
+            texture = self._take(name)
+            if texture is None:
+                continue
+            texels = self._plane(texture, plane)
+            if planes and texels.shape[:2] != next(iter(planes.values())).shape[:2]:
+                self._materials.remark("textures of roughness and metallic of two sizes", texture.label)
+                continue
+            self._values[name] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
+            planes[plane] = texels
+            self._wraps["metallic_roughness_texture"] = texture.wraps
+        if planes:
+            held = list(planes.values())
+            both = held[0] if len(held) == 1 or held[0] is held[1] else np.full_like(held[0], 255)
+            for plane, texels in planes.items():
+                if both is not texels:
+                    both[:, :, plane] = texels[:, :, plane]
+            if len(planes) == 1:  # the other one is a number
+                both = both.copy()
+                both[:, :, 2 if 1 in planes else 1] = 255
+            self._values["metallic_roughness_texture"] = both
+
+    def _plane(self, texture: TextureInput, wanted: int) -> _Texels:
+        """Three channels, of which one, at ``wanted``, feeds the input: those of the image, if that is how it is."""
+        texels, channel = self._materials.texels(texture), texture.channel or 0
+        if channel == wanted:
+            return texels[:, :, :3] if texels.shape[2] > 3 else texels
+        return np.repeat(_channel(texels, texture)[:, :, None], 3, axis=2)
+
+    def _normals_and_occlusion(self) -> None:
+        texture = self._take("normal")
+        if texture is not None:
+            # Files of 8 bits need scale 2 and bias -1; some lack them, and mean the same.
+            scale = float(texture.scale[0]) / 2.0 if texture.bias[:3].any() else 1.0
+            self._values["normal_scale"] = scale
+            self._set("normal_texture", texture, self._materials.texels(texture)[:, :, :3])
+        texture = self._take("occlusion")
+        if texture is not None:
+            self._values["occlusion_strength"] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
+            self._set("occlusion_texture", texture, self._plane(texture, 0))
+
+    def _coat(self) -> None:
+        for theirs, ours, plane in (("clearcoat", "clearcoat", 0), ("clearcoatRoughness", "clearcoat_roughness", 1)):
+            texture = self._take(theirs)
+            if texture is not None:
+                self._values[ours] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
+                self._set(f"{ours}_texture", texture, self._plane(texture, plane))
+
+    def _opacity(self) -> None:
+        """Alpha, or glass: what is not opaque, smooth, and says so of all of itself, lets light through."""
+        surface, cutoff = self._surface, self._surface.number("opacityThreshold", 0.0)
+        texture, opacity = self._take("opacity"), surface.number("opacity", 1.0)
+        mode = str(surface.read("opacityMode").value or "")
+        if texture is None and cutoff == 0.0 and opacity < 1.0 and mode != "presence":
+            if mode == "transparent" or self._values["roughness"] == 0.0:
+                self._values["transmission"] = 1.0 - opacity
+                return
+        if texture is None and opacity == 1.0:
+            return
+        self._values["alpha_mode"] = AlphaMode.MASK if cutoff > 0.0 else AlphaMode.BLEND
+        if cutoff > 0.0:
+            self._values["alpha_cutoff"] = cutoff
+        self._values["alpha"] = opacity
+        if texture is not None:
+            self._values["alpha"] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
+            self._add_alpha(texture)
+
+    def _add_alpha(self, texture: TextureInput) -> None:
+        """The texels of the base colour with those of opacity as their fourth channel."""
+        plane = _channel(self._materials.texels(texture), texture)
+        colors = self._values.get("base_color_texture")
+        if colors is None:
+            colors = np.full((*plane.shape, 3), 255, np.uint8)
+            self._wraps["base_color_texture"] = texture.wraps
+        if colors.shape[:2] != plane.shape:
+            self._materials.remark("textures of opacity of another size than those of colour", texture.label)
+            return
+        self._values["base_color_texture"] = np.concatenate([colors[:, :, :3], plane[:, :, None]], axis=2)
+
+    def _wrap_values(self) -> dict[str, Any]:
+        """How the textures wrap: as the first of them, but for those that are named."""
+        if not self._wraps:
+            return {}
+        first = next(iter(self._wraps.values()))
+        others = {name: wrap for name, wrap in self._wraps.items() if wrap != first}
+        return {"wrap_u": first[0], "wrap_v": first[1], "texture_wraps": others or None}
+
+
+def _channel(texels: _Texels, texture: TextureInput) -> _Texels:
+    """The channel of a texture that feeds an input, shape (H, W); opaque where an image has no alpha."""
+    channel = texture.channel or 0
+    return texels[:, :, channel] if channel < texels.shape[2] else np.full(texels.shape[:2], 255, np.uint8)
+
+
+def _unit(color: Any) -> tuple[float, ...]:
+    """A colour within 0..1."""
+    return tuple(np.clip(np.asarray(color, np.float64), 0.0, 1.0).tolist())

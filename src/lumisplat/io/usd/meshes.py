@@ -1,0 +1,168 @@
+"""Meshes of OpenUSD files: polygons, their attributes and materials, and simple shapes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v
+from lumisplat.io.usd.corners import Attribute, Polygons
+from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.materials import GREY, ReadMaterial, UsdMaterials
+from lumisplat.io.usd.stage import UsdFile
+from lumisplat.io.usd.values import array, hints_of, number, rows, value, whole_numbers
+from lumisplat.io.usd.walk import Placed
+from lumisplat.math.arrays import Flags, FloatArray, IntArray, Rows, read_only_view
+from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.ops.smooth_normals import smooth_normals
+from lumisplat.scene.primitives import box, plane, sphere
+from lumisplat.scene.scene import MeshInstance
+
+_SHAPES = ("Cube", "Sphere", "Plane")
+
+
+class UsdMeshes:
+    """The meshes of a file, each read once, whatever the number of its instances.
+
+    Args:
+        file: The open file.
+        materials: Its materials.
+        sieve: Counts triangles that are of no use.
+    """
+
+    def __init__(self, file: UsdFile, materials: UsdMaterials, sieve: TriangleSieve) -> None:
+        self._file, self._materials, self._sieve = file, materials, sieve
+        self._known: dict[tuple[str, int], list[Mesh]] = {}
+
+    @staticmethod
+    def reads(prim: Any) -> bool:
+        """Whether a prim is a mesh, or a shape that becomes one."""
+        return str(prim.GetTypeName()) in ("Mesh", *_SHAPES)
+
+    def placed(self, placed: Placed) -> list[MeshInstance]:
+        """The meshes of a prim at its place, one for each of its materials."""
+        bound = self._materials.bound_to(placed.prim)
+        key = placed.asset, id(bound)
+        if key not in self._known:
+            is_mesh = str(placed.prim.GetTypeName()) == "Mesh"
+            self._known[key] = self._read(placed, bound) if is_mesh else [self._shape(placed, bound)]
+        return [MeshInstance(mesh, placed.world_from_prim, name=placed.name) for mesh in self._known[key]]
+
+    def _read(self, placed: Placed, bound: ReadMaterial | None) -> list[Mesh]:
+        file, prim = self._file, placed.prim
+        positions = array(file, prim, "points", 3)
+        counts, indices = whole_numbers(file, prim, "faceVertexCounts"), whole_numbers(file, prim, "faceVertexIndices")
+        if positions is None or not len(counts):
+            return []
+        meshes: list[Mesh] = []
+        for faces, material in self._groups(prim, len(counts), bound):
+            polygons = Polygons(file.path, str(prim.GetPath()), positions, counts, indices)
+            mesh = self._group(placed, polygons, faces, material)
+            if mesh is not None:
+                meshes.append(mesh)
+        return meshes
+
+    def _groups(self, prim: Any, count: int, bound: ReadMaterial | None) -> list[tuple[Flags, ReadMaterial | None]]:
+        """The faces of each material, shape (P,): those of subsets, then all others."""
+        rest = np.ones(count, bool)
+        holes = whole_numbers(self._file, prim, "holeIndices")
+        rest[holes[(holes >= 0) & (holes < count)]] = False
+        groups: list[tuple[Flags, ReadMaterial | None]] = []
+        for subset in pxr().UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+            numbers = whole_numbers(self._file, subset.GetPrim(), "indices")
+            faces = np.zeros(count, bool)
+            faces[numbers[(numbers >= 0) & (numbers < count)]] = True
+            faces &= rest
+            rest &= ~faces
+            groups.append((faces, self._materials.bound_to(subset.GetPrim())))
+        return [group for group in (*groups, (rest, bound)) if group[0].any()]
+
+    def _group(self, placed: Placed, polygons: Polygons, faces: Flags, read: ReadMaterial | None) -> Mesh | None:
+        """The faces of one material as a mesh; None if none of their triangles is usable."""
+        file, prim = self._file, placed.prim
+        subdivided = value(file, prim, "subdivisionScheme", "catmullClark") != "none"
+        polygons.add("normals", _normals(file, prim))
+        polygons.add("uvs", _primvar(file, prim, "st" if read is None else read.placement.primvar, 2))
+        # Ours multiply by the colours of vertices, for which shaders have no place where there is a texture.
+        own = hints_of(prim).get("multipliesColors", False)
+        colored = "displayColor" if read is None or own else read.color_primvar
+        polygons.add("colors", _primvar(file, prim, colored, 3) if colored else None)
+        corner_vertex, arrays = polygons.vertices()
+        triangles = fan_triangles(polygons.counts)
+        triangles = triangles[np.repeat(faces, np.maximum(polygons.counts - 2, 0))]
+        if value(file, prim, "orientation", "rightHanded") == "leftHanded":
+            triangles = triangles[:, ::-1]
+        triangles = corner_vertex[triangles]
+        triangles = triangles[self._sieve.usable(arrays["positions"], triangles)]
+        if not len(triangles):
+            return None
+        if not faces.all():
+            triangles, arrays = _used(triangles, arrays)
+        material = MaterialPbr(base_color=(1.0,) * 3 if "colors" in arrays else (GREY,) * 3)
+        if read is not None:
+            material = read.material
+            if "uvs" in arrays:
+                arrays["uvs"] = flip_v(read.placement.transform(arrays["uvs"]))
+        if "colors" in arrays:
+            arrays["colors"] = np.clip(arrays["colors"], 0.0, 1.0)
+        shown = {name: read_only_view(values) for name, values in arrays.items() if name != "positions"}
+        mesh = Mesh(read_only_view(arrays["positions"]), triangles, material=material, name=placed.name, **shown)
+        if subdivided:
+            file.remarks.add("subdivision surfaces, read as the meshes that control them", str(prim.GetPath()))
+            mesh = mesh if mesh.normals is not None else smooth_normals(mesh, math.pi)
+        return drop_unplaced_textures(file.path, mesh)
+
+    def _shape(self, placed: Placed, read: ReadMaterial | None) -> Mesh:
+        """A cube, sphere or plane as a mesh; ours have y up."""
+        file, prim = self._file, placed.prim
+        material = MaterialPbr(base_color=(GREY,) * 3) if read is None else read.material
+        match str(prim.GetTypeName()):
+            case "Cube":
+                mesh = box(number(file, prim, "size", 2.0), material=material)
+            case "Sphere":
+                mesh = sphere(number(file, prim, "radius", 1.0), material=material)
+            case _:
+                width, length = number(file, prim, "width", 2.0), number(file, prim, "length", 2.0)
+                mesh = _turned(plane(width, length, material=material), str(value(file, prim, "axis", "Z")))
+        return drop_unplaced_textures(file.path, replace(mesh, name=placed.name))
+
+
+def _turned(mesh: Mesh, axis: str) -> Mesh:
+    """A plane that faces +y, turned to face another axis: its width is along x, or z if it faces x."""
+    order, signs = {"X": ([1, 2, 0], (1, 1, 1)), "Z": ([0, 2, 1], (1, -1, 1))}.get(axis, ([0, 1, 2], (1, 1, 1)))
+    assert mesh.normals is not None
+    return replace(mesh, positions=mesh.positions[:, order] * signs, normals=mesh.normals[:, order] * signs)
+
+
+def _normals(file: UsdFile, prim: Any) -> Attribute | None:
+    """Normals as a primvar, else those of the mesh."""
+    found = _primvar(file, prim, "normals", 3)
+    if found is not None:
+        return found
+    values = array(file, prim, "normals", 3)
+    how = str(pxr().UsdGeom.PointBased(prim).GetNormalsInterpolation())
+    return None if values is None else Attribute(values, how, f"{prim.GetPath()}.normals")
+
+
+def _primvar(file: UsdFile, prim: Any, name: str, columns: int) -> Attribute | None:
+    """A primvar, its indices resolved; None if the mesh does not have it."""
+    primvar = pxr().UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+    if not primvar or not primvar.HasValue():
+        return None
+    label = f"{prim.GetPath()}.primvars:{name}"
+    values = rows(file, label, primvar.ComputeFlattened(file.time), columns)
+    return None if values is None else Attribute(values, str(primvar.GetInterpolation()), label)
+
+
+def _used(triangles: Rows, arrays: dict[str, FloatArray]) -> tuple[IntArray, dict[str, FloatArray]]:
+    """Triangles and attributes with the vertices that the triangles have; as they are if those are all."""
+    used = np.zeros(len(arrays["positions"]), bool)
+    used[triangles] = True
+    if used.all():
+        return triangles.astype(np.int32), arrays
+    renumbered = (np.cumsum(used) - 1).astype(np.int32)
+    return renumbered[triangles], {name: values[used] for name, values in arrays.items()}
