@@ -339,6 +339,11 @@ def load_animation(
     """
     from lumisplat.io.scene_toml.animation import read_animation
 
+    if Path(path).suffix.lower() in formats.USD:
+        from lumisplat.io.usd.animation import read_usd_animation
+
+        with references_outside(allow_outside):
+            return read_usd_animation(path, drop_invalid)
     with references_outside(allow_outside):
         load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
         return read_animation(path, load_asset, load_cameras)

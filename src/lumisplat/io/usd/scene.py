@@ -30,6 +30,9 @@ from lumisplat.scene.up import up_vector
 _Y_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: captures have y down."""
 
+_SHAPES = ("points", "positions", "positionsh")
+"""Attributes that change with time where something deforms."""
+
 
 def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
     """Reads what a stage shows at its first time: particle fields, meshes and lights, with their materials.
@@ -123,6 +126,8 @@ class Reading:
 
     def _note(self, placed: Placed, kept: list[Any], instances: list[Any]) -> None:
         kept.extend(instances)
+        if any(placed.prim.GetAttribute(name).GetNumTimeSamples() > 1 for name in _SHAPES if instances):
+            self.file.remarks.add("shapes that change with time, of which the first is shown", placed.name)
         if placed.animated and instances:
             self.moving.setdefault(str(placed.prim.GetPath()), []).extend(instances)
 

@@ -87,7 +87,7 @@ def _below(
         visible = imageable.ComputeVisibility(file.time) != "invisible"
         visible = visible and imageable.ComputePurpose() in ("default", "render")
         if not prim.IsA(px.UsdGeom.PointInstancer):
-            yield Placed(prim, world_from_prim, prim_name(prim), visible, _moves(prim))
+            yield Placed(prim, world_from_prim, prim_name(prim), visible, not inside and _moves(prim))
             continue
         walk.PruneChildren()  # its prototypes, which are not shown by themselves
         if visible and prim.GetPath() not in inside:

@@ -28,9 +28,7 @@ def write_cameras(writer: StageWriter, cameras: Sequence[Camera]) -> None:
         if camera.model is CameraModel.FISHEYE:
             writer.remarks.add("fisheye cameras", camera.name)
             continue
-        prim = _define(writer, camera)
-        writer.place(prim, camera.world_from_camera @ _Y_UP)
-        _order(writer, camera, prim)
+        writer.place(define_camera(writer, camera), camera_place(camera))
 
 
 def camera_place(camera: Camera) -> Doubles:
@@ -38,34 +36,38 @@ def camera_place(camera: Camera) -> Doubles:
     return camera.world_from_camera @ _Y_UP
 
 
-def _define(writer: StageWriter, camera: Camera) -> Any:
-    px = pxr()
-    prim = px.UsdGeom.Camera.Define(writer.stage, writer.path_of(camera.name or "camera")).GetPrim()
+def define_camera(writer: StageWriter, camera: Camera) -> Any:
+    """Writes a camera, without its place; its prim."""
+    prim = pxr().UsdGeom.Camera.Define(writer.stage, writer.path_of(camera.name or "camera")).GetPrim()
     writer.name(prim, camera.name)
     if camera.is_distorted:
         writer.remarks.add("lens distortion", camera.name)
     if camera.camera_from_world_end is not None:
         writer.remarks.add("rolling shutters", camera.name)
+    for name, value in camera_values(camera).items():
+        prim.GetAttribute(name).Set(value)
+    _order(writer, camera, prim)
+    return prim
+
+
+def camera_values(camera: Camera) -> dict[str, Any]:
+    """The attributes of a camera, whose film has a known width behind a lens; of parallel rays, that of what it sees."""
     parallel = camera.model is CameraModel.ORTHOGRAPHIC
-    # A film of a known width behind a lens; of parallel rays, the film is as large as what it sees.
     film = camera.width / camera.fx if parallel else USD_FILM_WIDTH
     focal = USD_FILM_WIDTH if parallel else film * camera.fx / camera.width
     pixel_x, pixel_y = film / camera.width, film * camera.fx / camera.fy / camera.width
-    values = {
+    return {
         "projection": "orthographic" if parallel else "perspective",
         "focalLength": focal / FILM_UNIT,
         "horizontalAperture": film / FILM_UNIT,
         "verticalAperture": pixel_y * camera.height / FILM_UNIT,
         "horizontalApertureOffset": (0.5 * camera.width - camera.cx) * pixel_x / FILM_UNIT,
         "verticalApertureOffset": (camera.cy - 0.5 * camera.height) * pixel_y / FILM_UNIT,
-        "clippingRange": px.Gf.Vec2f(camera.near, max(_FAR, 2.0 * camera.near)),
+        "clippingRange": pxr().Gf.Vec2f(camera.near, max(_FAR, 2.0 * camera.near)),
         "focusDistance": camera.focus_distance,
         "fStop": 0.5 * focal / camera.aperture if camera.aperture > 0.0 else 0.0,
         "exposure": camera.exposure,
     }
-    for name, value in values.items():
-        prim.GetAttribute(name).Set(value)
-    return prim
 
 
 def _order(writer: StageWriter, camera: Camera, prim: Any) -> None:

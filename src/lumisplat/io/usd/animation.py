@@ -1,0 +1,157 @@
+"""Animations of OpenUSD files: what changes its place with time becomes actors, cameras that do become paths."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lumisplat.constants import ANIMATION_FRAMES_MAX
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.files.source import PathLike
+from lumisplat.io.usd.cameras import cameras_of
+from lumisplat.io.usd.library import pxr, reading_usd
+from lumisplat.io.usd.scene import Reading
+from lumisplat.io.usd.stage import UsdFile, open_usd
+from lumisplat.io.usd.walk import prim_name
+from lumisplat.math.arrays import Doubles
+from lumisplat.math.rotations import quaternions_from_matrices
+from lumisplat.scene.animation.actors import Actor, Animation, Instance
+from lumisplat.scene.animation.camera_path import CameraPath
+from lumisplat.scene.animation.keyframes import Keyframes
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import MeshInstance, Scene, check_similarity
+
+
+def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
+    """Reads a stage with its times: frames from its first time code to its last, at its rate.
+
+    Places are sampled where they have samples. What deforms keeps its first shape, with a log line.
+
+    Args:
+        path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
+        drop_invalid: Leave out Gaussians with invalid values, instead of refusing the file.
+
+    Raises:
+        FormatError: The file cannot be read, or its times are no times.
+        MissingExtraError: usd-core is not installed.
+    """
+    path = Path(path)
+    pxr()
+    with reading_usd(path):
+        file = open_usd(path)
+        animation = _read(file, drop_invalid)
+    file.remarks.report()
+    return animation
+
+
+def _read(file: UsdFile, drop_invalid: bool) -> Animation:
+    reading = Reading(file, drop_invalid).run()
+    stage = file.stage
+    rate, fps = float(stage.GetTimeCodesPerSecond()), float(stage.GetFramesPerSecond())
+    if not (0.0 < rate < np.inf and 0.0 < fps < np.inf):
+        raise FormatError(file.path, f"has {rate:g} time codes and {fps:g} frames a second, expected rates above 0")
+    codes = {key: _sampled_codes(stage.GetPrimAtPath(key)) for key in reading.moving}
+    moving_cameras = [one for one in _cameras(file) if _sampled_codes(one).size]
+    first, last = _range(file, [*codes.values(), *map(_sampled_codes, moving_cameras)])
+    actors = [
+        actor
+        for key, instances in reading.moving.items()
+        for actor in _actors(file, stage.GetPrimAtPath(key), instances, codes[key], first, rate)
+    ]
+    still = [one for instances in reading.moving.values() for one in instances]
+    scene = Scene(
+        [one for one in reading.splats if not any(one is other for other in still)],
+        [one for one in reading.meshes if not any(one is other for other in still)],
+        reading.lights,
+        up=file.up,
+    )
+    frames = (last - first) / rate * fps
+    if not 0.0 <= frames < ANIMATION_FRAMES_MAX:
+        asked = f"time codes {first:g} to {last:g}"
+        raise FormatError(
+            file.path, f"has {asked}, expected at most {ANIMATION_FRAMES_MAX:,} frames, from first to last"
+        )
+    cameras = cameras_of(file)
+    path = _camera_path(file, moving_cameras, first, rate)
+    return Animation(scene, actors, cameras, fps=fps, frame_count=round(frames) + 1, camera_path=path)
+
+
+def _cameras(file: UsdFile) -> Iterator[Any]:
+    return (prim for prim in file.stage.Traverse() if str(prim.GetTypeName()) == "Camera")
+
+
+def _sampled_codes(prim: Any) -> Doubles:
+    """The time codes at which the place of a prim has samples, its own or those of prims above it, shape (K,)."""
+    xformable, found = pxr().UsdGeom.Xformable, set[float]()
+    while prim and not prim.IsPseudoRoot():
+        own = xformable(prim)
+        if own:
+            found.update(own.GetTimeSamples())
+            if own.GetResetXformStack():
+                break
+        prim = prim.GetParent()
+    return np.array(sorted(found))
+
+
+def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
+    """First and last time code: those that the stage says, else those of all samples."""
+    if file.stage.HasAuthoredTimeCodeRange():
+        return float(file.stage.GetStartTimeCode()), float(file.stage.GetEndTimeCode())
+    sampled = np.concatenate([np.zeros(0), *codes])
+    return (float(sampled.min()), float(sampled.max())) if sampled.size else (0.0, 0.0)
+
+
+def _places(file: UsdFile, prim: Any, codes: Doubles) -> Doubles:
+    """``world_from_prim`` at time codes, shape (K, 4, 4)."""
+    px = pxr()
+    caches = (px.UsdGeom.XformCache(px.Usd.TimeCode(float(code))) for code in codes)
+    return np.array([file.place_of(cache.GetLocalToWorldTransform(prim)) for cache in caches])
+
+
+def _actors(
+    file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles, first: float, rate: float
+) -> Iterator[Actor]:
+    """The instances of a prim as actors, one for each of its materials."""
+    places = _places(file, prim, codes)
+    rest = np.eye(4)
+    try:
+        for place in places:
+            check_similarity(place[:3, :3])
+    except SceneError:  # stretched alike at all times, and moved by what is left
+        rest = places[0]
+        places = places @ np.linalg.inv(rest)
+    motion = Keyframes((codes - first) / rate, places[:, :3, 3], *_rotations_and_scales(file, prim, places))
+    for instance in instances:
+        if isinstance(instance, MeshInstance):
+            yield Actor(instance.mesh, motion, rest, name=instance.name)
+        else:  # Gaussians that are stretched are where they stand already
+            yield Actor(instance.gaussians, motion, name=instance.name)
+
+
+def _rotations_and_scales(file: UsdFile, prim: Any, places: Doubles) -> tuple[Doubles, Doubles]:
+    """Quaternions, shape (K, 4), and uniform scales, shape (K,), of transforms; a remark if they stretch."""
+    linear = places[:, :3, :3]
+    left, factors, right = np.linalg.svd(linear)
+    if (factors[:, 0] > factors[:, 2] * (1.0 + 1e-3)).any() or (np.linalg.det(linear) < 0.0).any():
+        file.remarks.add("motion that stretches or mirrors", str(prim.GetPath()))
+    turns = left @ right
+    turns = turns * np.sign(np.linalg.det(turns))[:, None, None]
+    return quaternions_from_matrices(turns), np.maximum(np.cbrt(factors.prod(axis=1)), 1e-9)
+
+
+def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) -> CameraPath | None:
+    """The first camera that moves, as a path through its samples."""
+    if not moving:
+        return None
+    px, codes, at_start = pxr(), _sampled_codes(moving[0]), file.time
+    keys: list[Camera] = []
+    for code in codes:
+        file.time = px.Usd.TimeCode(float(code))
+        keys += [one for one in cameras_of(file) if one.name == prim_name(moving[0])][:1]
+    file.time = at_start
+    if len(moving) > 1:
+        file.remarks.add("all moving cameras but the first", str(moving[1].GetPath()))
+    return CameraPath(keys, (codes - first) / rate)
