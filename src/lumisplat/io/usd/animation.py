@@ -59,7 +59,7 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
     actors = [
         actor
         for key, instances in reading.moving.items()
-        for actor in _actors(file, stage.GetPrimAtPath(key), instances, codes[key], first, rate)
+        for actor in _actors(file, stage.GetPrimAtPath(key), instances, codes[key], (codes[key] - first) / rate)
     ]
     still = [one for instances in reading.moving.values() for one in instances]
     scene = Scene(
@@ -111,10 +111,8 @@ def _places(file: UsdFile, prim: Any, codes: Doubles) -> Doubles:
     return np.array([file.place_of(cache.GetLocalToWorldTransform(prim)) for cache in caches])
 
 
-def _actors(
-    file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles, first: float, rate: float
-) -> Iterator[Actor]:
-    """The instances of a prim as actors, one for each of its materials."""
+def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles, seconds: Doubles) -> Iterator[Actor]:
+    """The instances of a prim as actors, one for each of its materials; ``seconds`` are the times of its samples."""
     places = _places(file, prim, codes)
     rest = np.eye(4)
     try:
@@ -122,8 +120,8 @@ def _actors(
             check_similarity(place[:3, :3])
     except SceneError:  # stretched alike at all times, and moved by what is left
         rest = places[0]
-        places = places @ np.linalg.inv(rest)
-    motion = Keyframes((codes - first) / rate, places[:, :3, 3], *_rotations_and_scales(file, prim, places))
+        places = np.asarray(places @ np.linalg.inv(rest), np.float64)
+    motion = Keyframes(seconds, places[:, :3, 3], *_rotations_and_scales(file, prim, places))
     for instance in instances:
         if isinstance(instance, MeshInstance):
             yield Actor(instance.mesh, motion, rest, name=instance.name)
@@ -139,7 +137,7 @@ def _rotations_and_scales(file: UsdFile, prim: Any, places: Doubles) -> tuple[Do
         file.remarks.add("motion that stretches or mirrors", str(prim.GetPath()))
     turns = left @ right
     turns = turns * np.sign(np.linalg.det(turns))[:, None, None]
-    return quaternions_from_matrices(turns), np.maximum(np.cbrt(factors.prod(axis=1)), 1e-9)
+    return quaternions_from_matrices(turns).astype(np.float64), np.maximum(np.cbrt(factors.prod(axis=1)), 1e-9)
 
 
 def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) -> CameraPath | None:

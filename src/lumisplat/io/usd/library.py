@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
@@ -17,6 +19,9 @@ from lumisplat.io.files.source import PathLike, parsing
 _MODULES = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdRender", "UsdShade", "UsdVol", "Vt")
 _REASON_MAX = 160
 """Longest reason of the library that a message quotes, characters."""
+
+_INTERNAL = re.compile(r"pxrInternal_\w+?__(::)?")
+"""Namespaces of the library."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -66,9 +71,12 @@ def writing_usd(path: PathLike) -> Generator[None]:
 
 def _reason(error: Exception, path: PathLike) -> str:
     """What the library says about an error, in a line, after a colon; without the places in its own source."""
-    lines = [line.strip() for line in str(error).splitlines() if " -- " in line] or [str(error).strip()]
-    said = lines[0].rpartition(" -- ")[2].replace(str(path), "it")
-    said = " ".join(said.split())
+    first: object = error.args[0] if error.args else ""
+    said = " ".join(str(getattr(first, "commentary", first)).split())
+    unparsed = re.match(r".*?:(\d+):\d+: parse error", said)
+    if unparsed:
+        return f": line {unparsed[1]} of its text, or the block that begins there, does not parse"
+    said = _INTERNAL.sub("", said.replace(os.fspath(path), "it"))
     return f": {said[:_REASON_MAX]}" if said else ""
 
 

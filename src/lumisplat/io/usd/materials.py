@@ -96,7 +96,7 @@ class _Decoder:
         surface = self._surface
         primvar = surface.read("diffuseColor").primvar
         self._values |= {
-            "base_color": _unit(surface.color("diffuseColor", (GREY,) * 3)) if not primvar else (1.0, 1.0, 1.0),
+            "base_color": _unit(surface.color("diffuseColor", (GREY, GREY, GREY))) if not primvar else (1.0, 1.0, 1.0),
             "metallic": surface.number("metallic", 0.0),
             "roughness": surface.number("roughness", 0.5),
             "ior": surface.number("ior", 1.5, 1.0, np.inf),

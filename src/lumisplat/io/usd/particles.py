@@ -102,7 +102,7 @@ def _harmonics(file: UsdFile, prim: Any, count: int) -> Floats:
     return stored[: count * size].reshape(count, size, 3)[:, :kept]
 
 
-def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Floats]:
+def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Any]:
     """Normals and materials of relightable captures, as far as there is a value for each particle."""
     primvars, found = pxr().UsdGeom.PrimvarsAPI(prim), dict[str, Floats]()
     for name, columns in PRIMVARS.items():

@@ -55,7 +55,7 @@ def placed_prims(file: UsdFile) -> Iterator[Placed]:
 
 
 def prim_name(prim: Any) -> str:
-    """The name that people gave a prim, else that of its path; of the only prim in an instance, that of the instance."""
+    """The name that people gave a prim, else that of its path; that of an instance for the only prim in it."""
     px, parent = pxr(), prim.GetParent()
     if prim.IsInstanceProxy() and parent.IsInstance():
         everything = px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)
@@ -79,19 +79,25 @@ def _below(
     px = pxr()
     walk = iter(px.Usd.PrimRange(root, px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)))
     for prim in walk:
-        imageable = px.UsdGeom.Imageable(prim)
-        if not imageable:
+        # Types that the library does not know have no visibility of their own; one of them we read.
+        imageable = px.UsdGeom.Imageable(prim if px.UsdGeom.Imageable(prim) else prim.GetParent())
+        if not imageable and not _is_unknown_field(prim):
             continue
-        base_from_prim = np.array(places.GetLocalToWorldTransform(prim), dtype=np.float64).T
-        world_from_prim = world_from_base @ base_from_prim
-        visible = imageable.ComputeVisibility(file.time) != "invisible"
-        visible = visible and imageable.ComputePurpose() in ("default", "render")
+        world_from_prim = world_from_base @ np.array(places.GetLocalToWorldTransform(prim), dtype=np.float64).T
+        visible = not imageable or (
+            imageable.ComputeVisibility(file.time) != "invisible"
+            and imageable.ComputePurpose() in ("default", "render")
+        )
         if not prim.IsA(px.UsdGeom.PointInstancer):
             yield Placed(prim, world_from_prim, prim_name(prim), visible, not inside and _moves(prim))
             continue
         walk.PruneChildren()  # its prototypes, which are not shown by themselves
         if visible and prim.GetPath() not in inside:
             yield from _instanced(file, prim, places, world_from_prim, (*inside, prim.GetPath()))
+
+
+def _is_unknown_field(prim: Any) -> bool:
+    return str(prim.GetTypeName()).startswith("ParticleField") and not pxr().UsdGeom.Imageable(prim)
 
 
 def _instanced(

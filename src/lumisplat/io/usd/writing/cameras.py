@@ -51,7 +51,7 @@ def define_camera(writer: StageWriter, camera: Camera) -> Any:
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
-    """The attributes of a camera, whose film has a known width behind a lens; of parallel rays, that of what it sees."""
+    """The attributes of a camera: its film has a known width, or, of parallel rays, that of what it sees."""
     parallel = camera.model is CameraModel.ORTHOGRAPHIC
     film = camera.width / camera.fx if parallel else USD_FILM_WIDTH
     focal = USD_FILM_WIDTH if parallel else film * camera.fx / camera.width

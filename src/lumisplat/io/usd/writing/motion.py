@@ -108,9 +108,8 @@ def _keyed(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
     """Instances by what stays of them from frame to frame: their kind, their material, and the how many-th it is."""
     counts: Counter[tuple[str, int]] = Counter()
     for instance in instances:
-        is_mesh = isinstance(instance, MeshInstance)
-        own = ("mesh", id(instance.mesh.material)) if is_mesh else ("splats", 0)
-        yield (*own, counts[own]), instance
+        own = ("mesh", id(instance.mesh.material)) if isinstance(instance, MeshInstance) else ("splats", 0)
+        yield (own[0], own[1], counts[own]), instance
         counts[own] += 1
 
 

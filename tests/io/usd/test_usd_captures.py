@@ -1,0 +1,249 @@
+"""Captures as particle fields of OpenUSD: exact round trips, and what other writers do."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.errors import FormatError
+from lumisplat.math.rotations import matrices_from_quaternions
+from support.files.splat_files import capture, load_gaussians
+from support.files.usd_files import EXTENSIONS, field, usd_core, validation_messages, write_usda
+from support.kinds import expect_kind
+
+Z_UP = 'upAxis = "Z"'
+SH_1 = "[" + ", ".join(f"({k}, {k + 0.25}, {k + 0.5})" for k in range(8)) + "]"
+
+
+def relightable(count: int = 60) -> ls.Gaussians:
+    """A capture with everything that one can have."""
+    rng = np.random.default_rng(5)
+    return capture(
+        count,
+        3,
+        normals=rng.normal(size=(count, 3)),
+        albedo=rng.random((count, 3)),
+        roughness=rng.random(count),
+        metallic=rng.random(count),
+        antialiased=True,
+        kernel_degree=3,
+        comments=("a comment", "another"),
+    )
+
+
+@pytest.mark.parametrize("extension", EXTENSIONS)
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_round_trip_is_exact(tmp_path: Path, extension: str, degree: int) -> None:
+    """All floats come back to the bit, in binary and in text, with any degree of harmonics."""
+    usd_core()
+    saved, path = capture(50, degree), tmp_path / f"capture{extension}"
+    ls.save(path, saved)
+    loaded = load_gaussians(path)
+    for name, values in saved.arrays().items():
+        np.testing.assert_array_equal(getattr(loaded, name), values, err_msg=name)
+
+
+def test_relightable_captures_keep_their_materials(tmp_path: Path) -> None:
+    """Normals, albedo, roughness and metallic are primvars; the training's settings and comments come back, too."""
+    usd_core()
+    saved, path = relightable(), tmp_path / "capture.usdc"
+    ls.save(path, saved)
+    loaded = load_gaussians(path)
+    assert loaded.arrays().keys() == saved.arrays().keys()
+    for name, values in saved.arrays().items():
+        np.testing.assert_array_equal(getattr(loaded, name), values, err_msg=name)
+    assert (loaded.antialiased, loaded.kernel_degree, loaded.comments) == (True, 3, ("a comment", "another"))
+    stage = usd_core().Stage.Open(str(path))
+    primvar = stage.GetPrimAtPath("/World/gaussians").GetAttribute("primvars:albedo")
+    assert primvar.GetTypeName() == "color3f[]" and primvar.GetMetadata("interpolation") == "vertex"
+
+
+@pytest.mark.parametrize("extension", EXTENSIONS)
+def test_validators_are_content(tmp_path: Path, extension: str) -> None:
+    """The validators of usd-core have nothing against our captures."""
+    usd_core()
+    ls.save(tmp_path / f"capture{extension}", relightable())
+    assert not validation_messages(tmp_path / f"capture{extension}")
+
+
+def test_what_others_see_stands_upright(tmp_path: Path) -> None:
+    """A capture with y down is turned by its root: in the stage, what was at -y is at +y; its units are metres."""
+    usd_core()
+    ls.save(tmp_path / "capture.usdc", capture(5))
+    stage = usd_core().Stage.Open(str(tmp_path / "capture.usdc"))
+    geom = usd_core("UsdGeom")
+    place = geom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/World/gaussians"))
+    assert list(place.Transform(usd_core("Gf").Vec3d(1, -2, 3))) == [1, 2, -3]
+    assert geom.GetStageUpAxis(stage) == "Y" and geom.GetStageMetersPerUnit(stage) == 1.0
+
+
+def test_quaternions_are_scalar_first_in_text_and_last_in_memory(tmp_path: Path) -> None:
+    """The text (w, x, y, z) = (0.6, 0, 0, 0.8) is a turn about z; the file of others has y up, so that x turns it."""
+    turn = "[(0.6, 0, 0, 0.8), (1, 0, 0, 0)]"
+    path = write_usda(
+        tmp_path / "a.usda", field({"quatf[] orientations": turn, "float3[] scales": "[(1,2,3),(1,1,1)]"})
+    )
+    loaded = load_gaussians(path)
+    expected = np.diag([1.0, -1.0, -1.0]) @ matrices_from_quaternions(np.array([[0.6, 0.0, 0.0, 0.8]]))[0]
+    np.testing.assert_allclose(matrices_from_quaternions(loaded.rotations_wxyz)[0], expected, atol=1e-6)
+
+
+def test_harmonics_are_those_of_one_particle_after_the_other(tmp_path: Path) -> None:
+    """Four coefficients of the first particle, then four of the second; the stage is z up, and so not turned by us."""
+    sh = {
+        "uniform int radiance:sphericalHarmonicsDegree": "1",
+        "float3[] radiance:sphericalHarmonicsCoefficients": SH_1,
+    }
+    two = field(sh) + "\n" + field(sh, name="other")
+    scene = expect_kind(ls.Scene, ls.load(write_usda(tmp_path / "a.usda", two)))
+    stored = np.arange(8.0)[:, None] + np.array([0.0, 0.25, 0.5])
+    np.testing.assert_array_equal(scene.splats[0].gaussians.sh, stored.reshape(2, 4, 3))
+
+
+def test_halves_are_read_and_floats_win(tmp_path: Path) -> None:
+    """The attributes with an h are used where the others are missing, and only there."""
+    halves = {
+        "point3f[] positions": "",
+        "point3h[] positionsh": "[(1, 2, 3), (4, 5, 6)]",
+        "half3[] scalesh": "[(9, 9, 9), (9, 9, 9)]",
+        "float3[] scales": "[(0.5, 1, 2), (1, 1, 1)]",
+        "half[] opacitiesh": "[0.25, 0.5]",
+        "quath[] orientationsh": "[(1, 0, 0, 0), (1, 0, 0, 0)]",
+        "half3[] radiance:sphericalHarmonicsCoefficientsh": "[(1, 2, 3), (0, 0, 0)]",
+        "uniform int radiance:sphericalHarmonicsDegree": "0",
+    }
+    loaded = load_gaussians(write_usda(tmp_path / "a.usda", field(halves)))
+    np.testing.assert_array_equal(loaded.means, [(1, -2, -3), (4, -5, -6)])
+    np.testing.assert_array_equal(loaded.scales[0], (0.5, 1.0, 2.0))
+    np.testing.assert_array_equal(loaded.opacities, (0.25, 0.5))
+    np.testing.assert_allclose(loaded.sh[0, 0], (1.0, 2.0, 3.0), atol=1e-6)
+
+
+def test_what_is_missing_or_too_short_has_its_default(tmp_path: Path) -> None:
+    """No opacities: opaque; too few rotations and scales: none, and 1; too few harmonics: grey; too long: cut."""
+    odd = {
+        "quatf[] orientations": "[(0, 1, 0, 0)]",
+        "float3[] scales": "[(5, 5, 5)]",
+        "float3[] radiance:sphericalHarmonicsCoefficients": "[(1, 1, 1)]",
+    }
+    loaded = load_gaussians(write_usda(tmp_path / "a.usda", field(odd)))
+    assert loaded.sh.shape == (2, 1, 3) and not loaded.sh.any()
+    np.testing.assert_array_equal(loaded.scales, np.ones((2, 3)))
+    np.testing.assert_array_equal(loaded.opacities, (1.0, 1.0))
+    np.testing.assert_array_equal(np.abs(loaded.rotations_wxyz), [(0, 1, 0, 0)] * 2)  # turned to y down
+    long = {"float[] opacities": "[0.25, 0.5, 0.75]"}
+    loaded = load_gaussians(write_usda(tmp_path / "b.usda", field(long)))
+    np.testing.assert_array_equal(loaded.opacities, (0.25, 0.5))
+
+
+def test_degrees_above_three_are_cut(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Of 25 coefficients of degree 4, the first 16 stay."""
+    values = "[" + ", ".join(f"({k}, 0, 0)" for k in range(50)) + "]"
+    four = {
+        "uniform int radiance:sphericalHarmonicsDegree": "4",
+        "float3[] radiance:sphericalHarmonicsCoefficients": values,
+    }
+    scene = expect_kind(ls.Scene, ls.load(write_usda(tmp_path / "a.usda", field(four) + "\n" + field(name="b"))))
+    np.testing.assert_array_equal(scene.splats[0].gaussians.sh[1, :, 0], np.arange(25.0, 41.0))
+    assert "harmonics above degree 3 (/splats)" in caplog.text
+
+
+def test_kernels_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Discs of constant opacity are no Gaussians, and refused by name; discs of Gaussians become flat ones."""
+    kernel = '"ParticleFieldPositionAttributeAPI", "ParticleFieldScaleAttributeAPI", "ParticleFieldKernel{}API"'
+    constant = field(kind="ParticleField", schemas=kernel.format("ConstantSurflet"))
+    with pytest.raises(FormatError, match="kernel ConstantSurflet, expected GaussianEllipsoid"):
+        ls.load(write_usda(tmp_path / "a.usda", constant))
+    scales = {"float3[] scales": "[(1, 0.5, 7), (1, 1, 7)]"}
+    flat = field(scales, kind="ParticleField", schemas=kernel.format("GaussianSurflet"))
+    loaded = load_gaussians(write_usda(tmp_path / "b.usda", flat))
+    np.testing.assert_allclose(loaded.scales, [(1, 0.5, 0.0005), (1, 1, 0.001)], rtol=1e-6)
+    assert "surflets, which become flat Gaussians (/splats)" in caplog.text
+
+
+def test_older_name_of_the_type_is_read(tmp_path: Path) -> None:
+    """Nuke 17.0 wrote it with an underscore."""
+    path = write_usda(tmp_path / "a.usda", field(kind="ParticleField_3DGaussianSplat"))
+    assert load_gaussians(path).count == 2
+
+
+def test_axes_and_units_of_the_stage(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A stage in centimetres with z up: (1, 2, 3) cm, z up, is (0.01, 0.03, -0.02) m, y up; the line says both."""
+    one = field({"point3f[] positions": "[(1, 2, 3)]"}, count=1)
+    path = write_usda(tmp_path / "a.usda", one + "\n" + field(name="b"), f"{Z_UP}\nmetersPerUnit = 0.01")
+    scene = expect_kind(ls.Scene, ls.load(path))
+    np.testing.assert_allclose(scene.splats[0].world_means, [(0.01, 0.03, -0.02)], atol=1e-9)
+    assert scene.up_direction == (0.0, 1.0, 0.0)
+    assert "z is up in it: turned, so that y is; its unit is 0.01 m: scaled to metres" in caplog.text
+    alone = load_gaussians(write_usda(tmp_path / "b.usda", one, Z_UP))
+    np.testing.assert_allclose(alone.means, [(1.0, -3.0, 2.0)], atol=1e-6)
+
+
+def test_nested_places_turn_and_stretch(tmp_path: Path) -> None:
+    """A field below a turned and stretched prim: covariances are M Sigma M^T, harmonics turn with it."""
+    sh = {
+        "uniform int radiance:sphericalHarmonicsDegree": "1",
+        "float3[] radiance:sphericalHarmonicsCoefficients": SH_1,
+    }
+    inner = field({**sh, "float3[] scales": "[(1, 2, 3), (1, 1, 1)]"})
+    body = f"""def Xform "turned" {{
+        double xformOp:rotateZ = 90
+        uniform token[] xformOpOrder = ["xformOp:rotateZ"]
+        def Xform "stretched" {{
+            double3 xformOp:scale = (2, 1, 1)
+            uniform token[] xformOpOrder = ["xformOp:scale"]
+            {inner}
+        }}
+    }}
+    {field(name="plain")}"""
+    scene = expect_kind(ls.Scene, ls.load(write_usda(tmp_path / "a.usda", body)))
+    splat = scene.splats[0]
+    np.testing.assert_allclose(splat.world_means, [(0, 0, 0), (0, 2, 0)], atol=1e-6)
+    gaussians, placed = splat.gaussians, splat.transform[:3, :3]
+    axes = (
+        placed @ matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64)) * gaussians.scales[:, None, :]
+    )
+    matrix = np.array([(0.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+    np.testing.assert_allclose(
+        (axes @ axes.transpose(0, 2, 1))[0], matrix @ np.diag([1.0, 4.0, 9.0]) @ matrix.T, atol=1e-5
+    )
+    # Basis functions of degree 1 are -y, z, -x: what was along x is along y, what was along y is along -x.
+    seen = expect_kind(ls.Scene, ls.load(tmp_path / "a.usda")).splats[0].gaussians.sh[0, :, 0]
+    np.testing.assert_allclose(seen, (0.0, 3.0, 2.0, -1.0), atol=1e-6)
+
+
+def test_invalid_particles_are_counted_and_dropped_on_demand(tmp_path: Path) -> None:
+    """A scale that is not finite is refused with what to do; drop_invalid leaves its particle out."""
+    path = write_usda(tmp_path / "a.usda", field({"float3[] scales": "[(1, nan, 1), (1, 1, 1)]"}))
+    with pytest.raises(FormatError, match=r"in 1 of 2 Gaussians; --drop-invalid"):
+        ls.load(path)
+    assert load_gaussians(path, drop_invalid=True).count == 1
+
+
+def test_hidden_fields_and_guides_are_not_shown(tmp_path: Path) -> None:
+    """Invisible prims, those for guides and proxies, and those that are scaled to nothing do not appear."""
+    hidden = field(name="a", place='token visibility = "invisible"')
+    guide = field(name="b", place='uniform token purpose = "guide"')
+    nothing = 'double3 xformOp:scale = (0, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    path = write_usda(
+        tmp_path / "a.usda", "\n".join([hidden, guide, field(name="c", place=nothing), field(count=3, name="d")])
+    )
+    assert load_gaussians(path).count == 3
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("extension", [".usdc", ".usdz"])
+def test_a_real_capture(tmp_path: Path, data_dir: Path, extension: str, caplog: pytest.LogCaptureFixture) -> None:
+    """The biker comes back to the bit, and so do its pictures; nothing is said of it."""
+    usd_core()
+    saved, path = load_gaussians(data_dir / "splats" / "biker.spz"), tmp_path / f"biker{extension}"
+    caplog.set_level(logging.WARNING)
+    ls.save(path, saved)
+    loaded = load_gaussians(path)
+    for name, values in saved.arrays().items():
+        np.testing.assert_array_equal(getattr(loaded, name), values, err_msg=name)
+    assert not caplog.text

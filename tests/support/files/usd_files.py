@@ -1,0 +1,50 @@
+"""OpenUSD files written as text, and the library that checks them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+EXTENSIONS = (".usda", ".usdc", ".usdz", ".usd")
+
+
+def usd_core(module: str = "Usd") -> Any:
+    """A module of usd-core; without it, the test is skipped."""
+    pytest.importorskip("pxr", reason="needs usd-core: pip install 'lumisplat[usd]'")
+    return pytest.importorskip(f"pxr.{module}")
+
+
+def write_usda(path: Path, body: str, head: str = 'upAxis = "Y"') -> Path:
+    """Writes a layer of text with that content."""
+    usd_core()
+    path.write_text(f"#usda 1.0\n(\n{head}\n)\n{body}\n")
+    return path
+
+
+def field(
+    values: Mapping[str, str] | None = None,
+    *,
+    count: int = 2,
+    place: str = "",
+    kind: str = "ParticleField3DGaussianSplat",
+    name: str = "splats",
+    schemas: str = "",
+) -> str:
+    """A particle field as text: ``count`` particles 1 apart along x, unless ``values`` say otherwise."""
+    positions = ", ".join(f"({k}, 0, 0)" for k in range(count))
+    given = {"point3f[] positions": f"[{positions}]", **(values or {})}
+    lines = "\n".join(f"    {key} = {held}" for key, held in given.items() if held)
+    applied = f"( prepend apiSchemas = [{schemas}] )\n" if schemas else ""
+    return f'def {kind} "{name}" {applied}{{\n{lines}\n    {place}\n}}'
+
+
+def validation_messages(path: Path) -> list[str]:
+    """What the validators of usd-core say against a file."""
+    usd, validation = usd_core(), usd_core("UsdValidation")
+    validators = validation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) >= 20
+    errors = validation.ValidationContext(validators).Validate(usd.Stage.Open(str(path)))
+    return [str(error.GetMessage()) for error in errors]
