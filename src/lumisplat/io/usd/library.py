@@ -73,10 +73,11 @@ def _reason(error: Exception, path: PathLike) -> str:
     """What the library says about an error, in a line, after a colon; without the places in its own source."""
     first: object = error.args[0] if error.args else ""
     said = " ".join(str(getattr(first, "commentary", first)).split())
-    unparsed = re.match(r".*?:(\d+):\d+: parse error", said)
-    if unparsed:
-        return f": line {unparsed[1]} of its text, or the block that begins there, does not parse"
     said = _INTERNAL.sub("", said.replace(os.fspath(path), "it"))
+    at = re.match(r"it:(\d+):\d+: (.*)", said)
+    if at:
+        does_not_parse = at[2].startswith("parse error")
+        said = f"line {at[1]}: " + ("it, or the block that begins there, does not parse" if does_not_parse else at[2])
     return f": {said[:_REASON_MAX]}" if said else ""
 
 
