@@ -1,0 +1,173 @@
+"""Lights of OpenUSD files: units worked out by hand."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.images.exr import write_exr
+from support.files.usd_files import usd_core, write_usda
+from support.kinds import expect_kind
+
+AT = """double3 xformOp:translate = (1, 2, 3)
+        uniform token[] xformOpOrder = ["xformOp:translate"]"""
+
+
+def light(path: Path, kind: str, inputs: str, head: str = 'upAxis = "Y"', schemas: str = "") -> ls.scene.lights.Light:
+    """The light of a stage that has one."""
+    applied = f"( prepend apiSchemas = [{schemas}] )" if schemas else ""
+    body = f'def {kind} "lamp" {applied} {{\n{inputs}\n}}'
+    (found,) = expect_kind(ls.Scene, ls.load(write_usda(path / "a.usda", body, head))).lights
+    assert found.name == "lamp"
+    return found
+
+
+def test_a_sphere_has_its_radiance(tmp_path: Path) -> None:
+    """Intensity 3 with exposure 2 is a radiance of 12."""
+    lamp = expect_kind(
+        ls.LightSphere,
+        light(
+            tmp_path,
+            "SphereLight",
+            f"{AT}\nfloat inputs:intensity = 3\nfloat inputs:exposure = 2\nfloat inputs:radius = 0.25",
+        ),
+    )
+    assert (lamp.intensity, lamp.radius, lamp.position) == (12.0, 0.25, (1.0, 2.0, 3.0))
+
+
+def test_a_sphere_that_normalises(tmp_path: Path) -> None:
+    """Radiance 8 / (4 pi r^2), seen as a disc pi r^2: 2 candela, whatever the radius."""
+    inputs = "float inputs:intensity = 8\nbool inputs:normalize = 1\nfloat inputs:radius = {}"
+    for radius in (0.1, 2.0):
+        lamp = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs.format(radius)))
+        assert lamp.intensity == pytest.approx(2.0) and lamp.radius == radius
+
+
+def test_a_sphere_to_be_taken_for_a_point(tmp_path: Path) -> None:
+    """Radiance 2 of radius 0.5 shines with 2 pi 0.25 candela; in centimetres, with a ten-thousandth of that."""
+    inputs = "float inputs:intensity = 2\nfloat inputs:radius = 0.5\nbool treatAsPoint = 1"
+    lamp = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs))
+    assert lamp.intensity == pytest.approx(2.0 * math.pi * 0.25) and lamp.radius == 0.0
+    small = light(tmp_path, "SphereLight", inputs, 'upAxis = "Y"\nmetersPerUnit = 0.01')
+    assert small.intensity == pytest.approx(2.0 * math.pi * 0.25e-4)
+
+
+def test_a_cone_makes_a_spot(tmp_path: Path) -> None:
+    """It shines along -z, fades within the outer 40 % of 30 degrees, and has the candela of its sphere."""
+    inputs = """float inputs:shaping:cone:angle = 30
+        float inputs:shaping:cone:softness = 0.4
+        float inputs:intensity = 4
+        bool inputs:normalize = 1
+        float3 xformOp:rotateXYZ = (-90, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]"""
+    lamp = expect_kind(ls.LightSpot, light(tmp_path, "SphereLight", inputs, schemas='"ShapingAPI"'))
+    np.testing.assert_allclose(lamp.direction, (0.0, -1.0, 0.0), atol=1e-7)
+    assert lamp.outer_angle == pytest.approx(math.radians(30.0))
+    assert lamp.inner_angle == pytest.approx(math.radians(18.0))
+    assert lamp.intensity == pytest.approx(1.0)
+
+
+def test_the_default_sun(tmp_path: Path) -> None:
+    """50,000 nits over 0.53 degrees give pi sin(0.265 deg)^2 times that; normalised, intensity is lux."""
+    sun = expect_kind(ls.LightDirectional, light(tmp_path, "DistantLight", ""))
+    assert sun.intensity == pytest.approx(50000.0 * math.pi * math.sin(math.radians(0.265)) ** 2)
+    assert sun.angle == pytest.approx(math.radians(0.265)) and sun.direction == (0.0, 0.0, -1.0)
+    lux = "float inputs:intensity = 7\nbool inputs:normalize = 1"
+    assert light(tmp_path, "DistantLight", lux).intensity == pytest.approx(7.0)
+    parallel = "float inputs:intensity = 7\nfloat inputs:angle = 0"
+    assert light(tmp_path, "DistantLight", parallel).intensity == pytest.approx(7.0)
+
+
+def test_rectangles(tmp_path: Path) -> None:
+    """Radiance stays, normalised it is divided by the area in the world; it shines along -z, also where mirrored."""
+    inputs = "float inputs:width = 2\nfloat inputs:height = 3\nfloat inputs:intensity = 12"
+    lamp = expect_kind(ls.LightRect, light(tmp_path, "RectLight", inputs))
+    assert lamp.intensity == 12.0
+    np.testing.assert_allclose(np.cross(lamp.edge_u, lamp.edge_v), (0.0, 0.0, -6.0))
+    place = '\ndouble3 xformOp:scale = (-2, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    mirrored = expect_kind(ls.LightRect, light(tmp_path, "RectLight", f"{inputs}\nbool inputs:normalize = 1{place}"))
+    np.testing.assert_allclose(np.cross(mirrored.edge_u, mirrored.edge_v), (0.0, 0.0, -12.0))
+    assert mirrored.intensity == pytest.approx(1.0)
+
+
+def test_discs_are_squares_of_their_area(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """With a remark."""
+    lamp = expect_kind(ls.LightRect, light(tmp_path, "DiskLight", "float inputs:radius = 2"))
+    assert np.linalg.norm(np.cross(lamp.edge_u, lamp.edge_v)) == pytest.approx(4.0 * math.pi)
+    assert "discs that shine, read as squares of the same area (/lamp)" in caplog.text
+
+
+def test_temperature_and_colour(tmp_path: Path) -> None:
+    """The colour of a black body multiplies the colour; 3,000 K is orange."""
+    inputs = """color3f inputs:color = (1, 0.5, 0.5)
+        bool inputs:enableColorTemperature = 1
+        float inputs:colorTemperature = 3000"""
+    red, green, blue = light(tmp_path, "SphereLight", inputs).color
+    black = usd_core("UsdLux").BlackbodyTemperatureAsRgb(3000.0)
+    np.testing.assert_allclose((red, green, blue), np.multiply(black, (1.0, 0.5, 0.5)), rtol=1e-6)
+    assert red > 2.0 * green > 4.0 * blue
+
+
+@pytest.mark.parametrize(
+    ("head", "kind", "extra", "expected"),
+    [
+        ('upAxis = "Y"', "DomeLight", "", (0.0, 0.0, 1.0)),
+        ('upAxis = "Y"', "DomeLight_1", "", (0.0, 0.0, 1.0)),
+        ('upAxis = "Z"', "DomeLight_1", "", (0.0, 0.0, 1.0)),  # to -y in the stage, +z once it is turned
+        ('upAxis = "Y"', "DomeLight_1", 'uniform token poleAxis = "Z"', (0.0, -1.0, 0.0)),
+    ],
+)
+def test_skies(tmp_path: Path, head: str, kind: str, extra: str, expected: tuple[float, ...]) -> None:
+    """The middle of the image is where OpenEXR has it: +z, with +x to its left, or -y if the pole is z."""
+    usd_core()
+    image = np.zeros((4, 8, 3), np.float32)
+    image[1:3, 3:5] = 5.0
+    write_exr(tmp_path / "sky.exr", {name: image[:, :, k] for k, name in enumerate("RGB")})
+    inputs = f"asset inputs:texture:file = @./sky.exr@\nfloat inputs:intensity = 2\n{extra}"
+    sky = expect_kind(ls.LightEnvironment, light(tmp_path, kind, inputs, head))
+    assert sky.image is not None and sky.intensity == 2.0
+    np.testing.assert_array_equal(sky.image, image)
+    w, x, y, z = np.asarray(sky.rotation_wxyz)
+    forward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    np.testing.assert_allclose(-forward, expected, atol=1e-6)  # our images have -z in the middle
+
+
+def test_left_of_the_middle_of_a_sky(tmp_path: Path) -> None:
+    """A quarter of the width from the left is +x."""
+    usd_core()
+    image = np.zeros((2, 4, 3), np.float32)
+    image[:, :2] = 1.0  # the left half of the sky
+    write_exr(tmp_path / "sky.exr", {name: image[:, :, k] for k, name in enumerate("RGB")})
+    sky = expect_kind(ls.LightEnvironment, light(tmp_path, "DomeLight", "asset inputs:texture:file = @./sky.exr@"))
+    w, x, y, z = np.asarray(sky.rotation_wxyz)
+    right = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    np.testing.assert_allclose(-right, (1.0, 0.0, 0.0), atol=1e-6)  # +x of our skies is to the right of the middle
+
+
+def test_shadows_and_visibility(tmp_path: Path) -> None:
+    """A light that casts no shadows, one whose shadows end, one that is hidden and so turned off."""
+    api = '"ShadowAPI"'
+    assert not light(tmp_path, "SphereLight", "bool inputs:shadow:enable = 0", schemas=api).casts_shadow
+    sun = light(tmp_path, "DistantLight", "float inputs:shadow:distance = 4", schemas=api)
+    assert expect_kind(ls.LightDirectional, sun).shadow_distance == 4.0
+    assert not light(tmp_path, "SphereLight", 'token visibility = "invisible"').enabled
+
+
+def test_what_is_not_read_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One line with all that is left out: kinds of lights, focus, factors."""
+    body = """def CylinderLight "tube" {
+    }
+    def SphereLight "odd" ( prepend apiSchemas = ["ShapingAPI"] ) {
+        float inputs:diffuse = 0.5
+        float inputs:shaping:focus = 3
+    }"""
+    ls.load(write_usda(tmp_path / "a.usda", body))
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert line.endswith(
+        "not read, or read otherwise: lights of type CylinderLight (/tube); the diffuse and specular factors of lights "
+        "(/odd); the focus of lights (/odd)"
+    )

@@ -1,0 +1,175 @@
+"""Scenes in OpenUSD: what is written is read again, others may read it, and what has no place is said."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.errors import FormatError
+from support.files.splat_files import capture
+from support.files.usd_files import EXTENSIONS, usd_core, validation_messages
+from support.kinds import expect_kind
+from support.scenes.usd_scene import full_scene
+
+LIMITS = {"inner_angle": 5e-8, "outer_angle": 5e-8, "angle": 5e-8, "uvs": 2.0**-24, "edge_u": 3e-8, "edge_v": 3e-8}
+"""Angles are stored in degrees, edges as their lengths, in float32; of coordinates, 1 - v is rounded twice."""
+
+
+def difference(saved: Any, loaded: Any) -> float:
+    """Largest absolute difference of two numbers or arrays; inf if they have not the same form."""
+    if np.shape(saved) != np.shape(loaded):
+        return np.inf
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(np.asarray(saved, np.float64) - np.asarray(loaded, np.float64))
+    return float(np.where(np.asarray(saved) == np.asarray(loaded), 0.0, apart).max(initial=0.0))
+
+
+def assert_same(saved: Any, loaded: Any, label: str, moved: float) -> None:
+    """Compares all fields of two objects: data exactly, what the axes of the stage have turned within ``moved``."""
+    assert type(saved) is type(loaded), label
+    for field in fields(saved):
+        a, b, where = getattr(saved, field.name), getattr(loaded, field.name), f"{label}.{field.name}"
+        if field.name in ("mesh", "gaussians", "material") and a is not None:
+            assert_same(a, b, where, moved)
+        elif field.name == "name" and "mesh" in label.split(".")[1:]:
+            continue  # a mesh that stands at one place has the name of its instance
+        elif isinstance(a, np.ndarray) or (isinstance(a, tuple | float) and not isinstance(a, bool)):
+            limit = LIMITS.get(field.name, moved)
+            exact = isinstance(a, np.ndarray) and a.dtype != np.float64 and field.name != "uvs"
+            assert difference(a, b) <= (0.0 if exact else limit), where
+        else:
+            assert a is b or a == b, where
+
+
+@pytest.mark.parametrize(
+    ("extension", "up", "moved"),
+    [(".usda", "y-down", 0.0), (".usdc", "z-up", 0.0), (".usdz", (0.3, 1.0, 0.2), 2e-15), (".usd", "x-down", 0.0)],
+)
+def test_round_trip(tmp_path: Path, extension: str, up: str, moved: float) -> None:
+    """All of a scene comes back, where it was: exactly, if it stood along an axis."""
+    usd_core()
+    saved, path = full_scene(up), tmp_path / f"scene{extension}"
+    ls.save(path, saved)
+    loaded = expect_kind(ls.Scene, ls.load(path))
+    np.testing.assert_array_equal(loaded.up_direction, saved.up_direction)
+    for name in ("splats", "meshes", "lights"):
+        before, after = getattr(saved, name), getattr(loaded, name)
+        assert [one.name for one in after] == [one.name for one in before]
+        for one, other in zip(before, after, strict=True):
+            assert_same(one, other, one.name, max(moved, 3e-8 if name == "lights" else 0.0))
+    assert loaded.splats[0].gaussians is loaded.splats[1].gaussians
+    assert loaded.meshes[-1].mesh is loaded.meshes[-2].mesh is loaded.meshes[-3].mesh
+
+
+@pytest.mark.parametrize("extension", EXTENSIONS)
+def test_validators_are_content(tmp_path: Path, extension: str) -> None:
+    """The validators of usd-core have nothing against all that we write; textures are beside the file, or in it."""
+    usd_core()
+    path = tmp_path / f"scene{extension}"
+    ls.save(path, full_scene("y-down"), cameras=[ls.Camera.look_at((3, 2, 1), (0, 0, 0), name="view")])
+    assert not validation_messages(path)
+    if extension == ".usdz":
+        assert [file.name for file in tmp_path.iterdir()] == ["scene.usdz"]
+        with zipfile.ZipFile(path) as package:
+            assert package.namelist()[0] == "scene.usdc"
+            assert "textures/textures_base_color.png" in package.namelist()
+    else:
+        assert {file.name for file in (tmp_path / "scene_textures").iterdir()} >= {"sky.exr", "textures_normal.png"}
+
+
+def test_what_others_will_not_know_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """All that has no place in OpenUSD, in one line."""
+    usd_core()
+    ls.save(tmp_path / "a.usdc", full_scene("y-down"))
+    (line,) = [record.getMessage() for record in caplog.records]
+    for remark in (
+        "that a capture is relit, which only Lumisplat will know (relit)",
+        "shadow_only and sh_degree of captures, which only Lumisplat will know (relit)",
+        "colours of vertices beside a texture (textures)",
+        "the range of lights (bulb)",
+        "that lights are not seen themselves (visible) (ball, sky)",
+        "parallelograms, which are sheared rectangles (skewed)",
+        "the fall-off of spots between their cones, which is another curve (spot)",
+    ):
+        assert remark in line
+
+
+def test_lost_parts_of_materials_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Sheen, media, thin walls and simple materials have no place."""
+    usd_core()
+    odd = ls.MaterialPbr(name="odd", sheen_color=(1, 0, 0), thin_walled=True, specular=0.5, attenuation_distance=2.0)
+    simple = ls.MaterialSimple(name="simple", emissive=0.25, diffuse=0.5, base_color=(1.0, 0.5, 0.0))
+    ball = full_scene("y-up").meshes[0].mesh
+    ls.save(tmp_path / "a.usdc", ls.Scene(meshes=[replace(ball, material=odd), replace(ball, material=simple)]))
+    text = caplog.text
+    for remark in ("sheen (odd)", "thin walls (odd)", "media inside of meshes (odd)", "reflections (specular) (odd)"):
+        assert remark in text
+    assert "simple materials, of which a diffuse and an emitting part stay (simple)" in text
+    near = expect_kind(ls.Scene, ls.load(tmp_path / "a.usdc")).meshes[1].mesh.material
+    near = expect_kind(ls.MaterialPbr, near)
+    assert near.base_color == (0.5, 0.25, 0.0) and near.emissive == (0.25, 0.125, 0.0)
+
+
+def test_pictures_are_the_same(tmp_path: Path) -> None:
+    """A lit scene that was written and read shows the same picture, through its own camera."""
+    usd_core()
+    camera = ls.Camera.look_at((1.5, -2.0, -6.0), (1, 0, 0), (0, -1, 0), width=48, height=32, name="view")
+    saved = full_scene("y-down")
+    ls.save(tmp_path / "a.usdz", saved, cameras=[camera])
+    loaded = expect_kind(ls.Scene, ls.load(tmp_path / "a.usdz"))
+    config = ls.RenderConfig(pipeline=ls.Pipeline.RASTER, samples=1)
+    before = ls.render(saved, camera, config, device="cpu").pixels_srgb()
+    after = ls.render(loaded, ls.load_cameras(tmp_path / "a.usdz")[0], config, device="cpu").pixels_srgb()
+    assert before.std() > 0.05
+    assert ls.psnr(before, after) > 90.0
+
+
+def test_a_mesh_alone(tmp_path: Path) -> None:
+    """A mesh is a scene of one, with y up."""
+    usd_core()
+    ls.save(tmp_path / "a.usdc", full_scene("y-up").meshes[0].mesh)
+    loaded = expect_kind(ls.Scene, ls.load(tmp_path / "a.usdc"))
+    assert len(loaded.meshes) == 1 and loaded.up_direction == (0.0, 1.0, 0.0)
+
+
+def test_a_placed_capture_stays_a_scene(tmp_path: Path) -> None:
+    """One capture at a place of its own, or with z up, is not taken for a bare capture, whose axes it would lose."""
+    usd_core()
+    for splat, up in (
+        (ls.SplatInstance(capture(5), position=(1, 2, 3)), "y-down"),
+        (ls.SplatInstance(capture(5)), "z-up"),
+    ):
+        ls.save(tmp_path / "a.usdc", ls.Scene([splat], up=up))
+        loaded = expect_kind(ls.Scene, ls.load(tmp_path / "a.usdc"))
+        np.testing.assert_array_equal(loaded.splats[0].transform, splat.transform)
+
+
+def test_names_that_paths_cannot_have(tmp_path: Path) -> None:
+    """Names with any character, equal names, and none are kept; those that prims of ours have are no harm."""
+    usd_core()
+    names = ["", "Materials", "1 ü/ö", "a", "a", "Prototypes"]
+    ball = full_scene("y-up").meshes[0].mesh
+    ls.save(tmp_path / "a.usda", ls.Scene(meshes=[ls.MeshInstance(ball, name=name) for name in names]))
+    loaded = expect_kind(ls.Scene, ls.load(tmp_path / "a.usda"))
+    assert [one.name for one in loaded.meshes][1:] == names[1:]
+
+
+def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If a package cannot be written, the old one stays, and nothing else is left."""
+    usd_core()
+    path = tmp_path / "a.usdz"
+    ls.save(path, capture(5))
+    before = path.read_bytes()
+    monkeypatch.setattr("lumisplat.io.usd.writing.package.USD_PACKAGE_BYTES_MAX", 10)
+    with pytest.raises(FormatError, match=r"more than a package can hold: write a \.usdc"):
+        ls.save(path, full_scene("y-up"))
+    assert path.read_bytes() == before and [file.name for file in tmp_path.iterdir()] == ["a.usdz"]
+    (tmp_path / "b.usdc").mkdir()
+    with pytest.raises(FormatError, match="is a folder, expected the name of a file to write"):
+        ls.save(tmp_path / "b.usdc", capture(5))
