@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import zipfile
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
@@ -51,7 +52,11 @@ def reading_usd(path: PathLike) -> Generator[None]:
     with _lines_held(), parsing(path, "a USD file"), silent_natives():
         try:
             yield
-        except (pxr().Tf.ErrorException, RuntimeError) as error:
+        except FormatError:
+            raise
+        except OSError as error:
+            raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+        except (pxr().Tf.ErrorException, RuntimeError, zipfile.BadZipFile) as error:
             raise FormatError(path, f"damaged, or not a USD file{_reason(error, path)}") from error
 
 

@@ -1,0 +1,244 @@
+"""Damaged and hostile OpenUSD files: one clear line, whatever is wrong, and no file is read that nobody named."""
+
+from __future__ import annotations
+
+import os
+import random
+import struct
+import zipfile
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.errors import FormatError, MissingExtraError
+from lumisplat.io.usd import library
+from support.files.splat_files import capture
+from support.files.usd_files import EXTENSIONS, field, usd_core, write_usda
+from support.scenes.usd_scene import full_scene
+
+WORDS = ["nan", "-1", "1e39", "0", "99999999999", "inf", "x", '"s"', "[]", "()", "None"]
+
+
+def refused(path: Path) -> str:
+    """The message with which loading is refused; it names the path and fits one line."""
+    with pytest.raises(FormatError) as error:
+        ls.load(path)
+    message = str(error.value)
+    assert str(path) in message and "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("extension", EXTENSIONS)
+@pytest.mark.parametrize("fraction", [0.0, 0.001, 0.3, 0.98])
+def test_truncated(tmp_path: Path, extension: str, fraction: float) -> None:
+    """A file that ends early is refused wherever it ends."""
+    usd_core()
+    path = tmp_path / f"a{extension}"
+    ls.save(path, capture(40))
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * fraction)])
+    refused(path)
+
+
+def mutated(data: bytes, chance: random.Random, is_text: bool) -> bytes:
+    """The file with bytes or words changed, cut out, or cut off."""
+    changed, at = bytearray(data), chance.randrange(len(data) - 8)
+    match chance.randrange(5):
+        case 0:
+            changed[at] = chance.randrange(256)
+        case 1:
+            changed[at] ^= 1 << chance.randrange(8)
+        case 2:
+            del changed[at : at + chance.randrange(1, 64)]
+        case 3:
+            changed[at : at + 8] = chance.choice([b"\xff" * 8, b"\0" * 8, b"\x7f" * 8, chance.randbytes(8)])
+        case _ if is_text:
+            words = data.split(b" ")
+            words[chance.randrange(len(words))] = chance.choice(WORDS).encode()
+            return b" ".join(words)
+        case _:
+            changed[at : at + 16] = data[chance.randrange(len(data)) :][:16]
+    return bytes(changed)
+
+
+def check_mutations(tmp_path: Path, extension: str, seeds: range) -> None:
+    """Every mutation is read, or refused in one line, by each of the readers."""
+    path = tmp_path / f"a{extension}"
+    camera = ls.Camera.look_at((3, 2, 1), (0, 0, 0), name="view")
+    ls.save(path, full_scene("y-down"), cameras=[camera])
+    data, read = path.read_bytes(), 0
+    for seed in seeds:
+        path.write_bytes(mutated(data, random.Random(seed), extension == ".usda"))
+        for load in (ls.load, ls.load_cameras, ls.load_animation):
+            try:
+                load(path)
+                read += 1
+            except FormatError as error:
+                assert str(path) in str(error) and "\n" not in str(error), seed
+    assert 0 < read < 3 * len(seeds)
+
+
+@pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
+def test_mutations(tmp_path: Path, extension: str) -> None:
+    """A few of each kind of file."""
+    usd_core()
+    check_mutations(tmp_path, extension, range(25))
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
+def test_many_mutations(tmp_path: Path, extension: str) -> None:
+    """Two thousand of each kind of file."""
+    usd_core()
+    check_mutations(tmp_path, extension, range(2000))
+
+
+def test_counts_that_no_file_can_hold(tmp_path: Path) -> None:
+    """Eleven million prims in 93 bytes would take 20 seconds and 740 MB before the library noticed."""
+    usd_core()
+    path = tmp_path / "a.usdc"
+    ls.save(path, capture(5))
+    data = bytearray(path.read_bytes())
+    (table,) = struct.unpack_from("<q", data, 16)
+    (sections,) = struct.unpack_from("<Q", data, table)
+    starts = {}
+    for number in range(sections):
+        name, start, _ = struct.unpack_from("<16sqq", data, table + 8 + 32 * number)
+        starts[name.rstrip(b"\0")] = start
+    struct.pack_into("<Q", data, starts[b"SPECS"], 11_468_822)
+    path.write_bytes(data)
+    assert "damaged: 11,468,822 entries in " in refused(path)
+    with zipfile.ZipFile(tmp_path / "b.usdz", "w") as package:
+        package.writestr("a.usdc", bytes(data))
+    assert "damaged: 11,468,822 entries in " in refused(tmp_path / "b.usdz")
+
+
+def test_layers_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
+    """A reference, payload, sublayer or clip that leads out of the folder needs the user's trust."""
+    home = tmp_path / "home"
+    home.mkdir()
+    write_usda(tmp_path / "secret.usda", f'def Xform "in" {{\n{field()}\n}}', 'upAxis = "Y"\ndefaultPrim = "in"')
+    clips = "clips = {\n dictionary default = {\n asset[] assetPaths = [@../secret.usda@]\n }\n }"
+    for name, body, head in (
+        ("reference", 'def "a" ( references = @../secret.usda@ ) {\n}', ""),
+        ("payload", 'def "a" ( payload = @../secret.usda@ ) {\n}', ""),
+        (
+            "variant",
+            'def "a" (\n variants = { string v = "x" }\n prepend variantSets = "v"\n) {\n'
+            'variantSet "v" = {\n "x" (references = @../secret.usda@) {\n}\n }\n}',
+            "",
+        ),
+        ("sublayer", 'def "a" {\n}', "subLayers = [@../secret.usda@]"),
+        ("clip", f'def "a" ( {clips} ) {{\n}}', ""),
+        ("absolute", f'def "a" ( references = @{tmp_path}/secret.usda@ ) {{\n}}', ""),
+    ):
+        path = write_usda(home / f"{name}.usda", body, f'upAxis = "Y"\n{head}')
+        assert "which is not in its folder: move it there, or trust the file by --allow-outside" in refused(path), name
+    trusted = ls.load(home / "reference.usda", allow_outside=True)
+    assert isinstance(trusted, ls.Gaussians)
+
+
+def test_textures_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
+    """The image of a sky in another folder, and one that is a pipe."""
+    usd_core()
+    home = tmp_path / "home"
+    home.mkdir()
+    sky = 'def DomeLight "sky" {{\n asset inputs:texture:file = @{}@\n}}'
+    assert "which is not in its folder" in refused(write_usda(home / "a.usda", sky.format("../sky.hdr")))
+    os.mkfifo(home / "pipe.hdr")
+    assert "is a device, a pipe or a socket" in refused(write_usda(home / "b.usda", sky.format("./pipe.hdr")))
+    assert "no such file" in refused(write_usda(home / "c.usda", sky.format("./gone.hdr")))
+
+
+def test_layers_that_are_no_files(tmp_path: Path) -> None:
+    """A reference to a pipe does not wait for somebody to write."""
+    usd_core()
+    os.mkfifo(tmp_path / "pipe.usda")
+    path = write_usda(tmp_path / "a.usda", 'def "a" ( references = @./pipe.usda@ ) {\n}')
+    with pytest.raises(FormatError, match=r"pipe\.usda: is a device, a pipe or a socket"):
+        ls.load(path)
+
+
+def test_missing_layers_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A scene without one of its parts is shown, with a line about the part."""
+    path = write_usda(tmp_path / "a.usda", 'def "a" ( references = @./gone.usda@ ) {\n}\n' + field())
+    assert isinstance(ls.load(path), ls.Gaussians)
+    assert "layers that cannot be composed" in caplog.text and "gone.usda" in caplog.text
+
+
+def test_instances_of_instances_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An instancer that shows itself is not followed; more prims than the limit are refused."""
+    loop = """def PointInstancer "a" {
+        int[] protoIndices = [0, 0]
+        point3f[] positions = [(0, 0, 0), (1, 0, 0)]
+        rel prototypes = [</a>, </b>]
+    }
+    """
+    path = write_usda(tmp_path / "a.usda", loop + field(name="b"))
+    assert isinstance(ls.load(path), ls.Gaussians)
+    monkeypatch.setattr("lumisplat.io.usd.walk.USD_INSTANCES_MAX", 3)
+    many = loop.replace("rel prototypes = [</a>, </b>]", "rel prototypes = </b>").replace("[0, 0]", "[0, 0, 0]")
+    many = many.replace("(1, 0, 0)]", "(1, 0, 0), (2, 0, 0)]")
+    assert "shows more than 3 prims" in refused(write_usda(tmp_path / "b.usda", many + field(name="b")))
+
+
+@pytest.mark.parametrize(
+    ("head", "body", "message"),
+    [
+        ('upAxis = "Y"', "", "shows no particle field, mesh, light or camera"),
+        ('upAxis = "X"', field(), "has upAxis 'X', expected Y or Z"),
+        ('upAxis = "Y"\nmetersPerUnit = 0', field(), "has metersPerUnit 0, expected a length above 0"),
+        ('upAxis = "Y"', field({"point3f[] positions": "[]"}), "fields without particles"),
+        ('upAxis = "Y"', field({"float[] opacities": "[2, 0.5]"}), "opacities: 1 of 2 are outside 0..1"),
+        ('upAxis = "Y"', 'def SphereLight "l" {\n float inputs:intensity = -1\n}', "/l: intensity is -1"),
+        ('upAxis = "Y"', 'def SphereLight "l" {\n float inputs:radius = 0\n}', "/l: radius is 0"),
+    ],
+)
+def test_wrong_values(tmp_path: Path, head: str, body: str, message: str) -> None:
+    """What is wrong is named."""
+    assert message in refused(write_usda(tmp_path / "a.usda", body, head))
+
+
+def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading and writing say how to install it; nothing is written."""
+
+    def missing(name: str) -> ModuleType:
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr(library, "import_module", missing)
+    library.pxr.cache_clear()
+    try:
+        with pytest.raises(MissingExtraError, match=r"USD needs .*: pip install 'lumisplat\[usd\]'"):
+            ls.save(tmp_path / "a.usdc", capture(3))
+        (tmp_path / "b.usda").write_text("#usda 1.0\n")
+        for load in (ls.load, ls.load_cameras, ls.load_animation):
+            with pytest.raises(MissingExtraError, match=r"pip install 'lumisplat\[usd\]'"):
+                load(tmp_path / "b.usda")
+        assert not (tmp_path / "a.usdc").exists()
+    finally:
+        library.pxr.cache_clear()
+
+
+def test_the_library_is_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """It writes nothing of its own to the terminal, of files that are damaged and of those that are not."""
+    usd_core()
+    path = write_usda(tmp_path / "a.usda", 'def "a" ( references = @./gone.usda@ ) {\n}\n' + field())
+    ls.load(path)
+    write_usda(tmp_path / "b.usda", "def {")
+    refused(tmp_path / "b.usda")
+    ls.save(tmp_path / "c.usdz", capture(3))
+    out, err = capfd.readouterr()
+    assert not out and "Warning" not in err and "Error" not in err
+
+
+def test_changed_files_are_read_again(tmp_path: Path) -> None:
+    """The library keeps layers that it has open; ours are closed, so that a file that was changed is read as it is."""
+    usd_core()
+    for count in (3, 5):
+        ls.save(tmp_path / "a.usdc", capture(count))
+        loaded = ls.load(tmp_path / "a.usdc")
+        assert isinstance(loaded, ls.Gaussians) and loaded.count == count
+        assert np.isfinite(loaded.means).all()
