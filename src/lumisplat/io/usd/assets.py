@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,8 @@ def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
     """
     ar, name = pxr().Ar, asset_name(asset)
     found = str(getattr(asset, "resolvedPath", "")) or name
+    if found == name and file.path.suffix.lower() == ".usdz":  # not found by the library: perhaps it is there
+        found = ar.JoinPackageRelativePath([os.fspath(file.path), os.path.normpath(name)])
     if not ar.IsPackageRelativePath(found):
         return read_reference(file.path, found)
     package, inner = ar.SplitPackageRelativePathOuter(found)

@@ -23,8 +23,12 @@ _COUNTED = (b"TOKENS", b"STRINGS", b"FIELDS", b"FIELDSETS", b"PATHS", b"SPECS")
 """Sections of a binary layer that begin with the number of their entries."""
 
 
-def check_layers(path: Path) -> None:
+def check_layers(path: Path, text: str) -> None:
     """Checks a file and all layers that it is composed of.
+
+    Args:
+        path: The file.
+        text: A path of it that is UTF-8, as the library needs.
 
     Raises:
         FormatError: A layer claims more content than it can hold, is no regular file, or is named by a path that leaves
@@ -39,7 +43,9 @@ def check_layers(path: Path) -> None:
         if not file.exists():
             continue  # composed without it; a remark says so
         _check_file(file)
-        layer = px.Sdf.Layer.FindOrOpen(os.fspath(file))
+        layer = px.Sdf.Layer.FindOrOpen(text if file is path else os.fspath(file))
+        if layer:
+            layer.Reload()  # one that something still holds may have changed since
         for name in _named_layers(layer) if layer else ():
             found = px.Sdf.ComputeAssetPathRelativeToLayer(layer, name)
             if px.Ar.IsPackageRelativePath(found):

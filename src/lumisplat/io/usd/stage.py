@@ -54,8 +54,8 @@ def open_usd(path: Path) -> UsdFile:
             or axes that do not exist.
     """
     px = pxr()
-    check_layers(path)
     with utf8_path(path) as text:
+        check_layers(path, text)
         stage = px.Usd.Stage.Open(text)
     if not stage:
         raise FormatError(path, "damaged, or not a USD file")

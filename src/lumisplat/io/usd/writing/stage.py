@@ -105,7 +105,8 @@ class StageWriter:
 
 def folder_of(path: PathLike) -> str:
     """The folder of the files beside a layer: in a package, that of its own; else one that is named after the layer."""
-    return "textures" if Path(path).suffix.lower() == ".usdz" else f"{Path(path).stem}_textures"
+    stem = Path(path).stem.encode(errors="replace").decode()  # layers hold UTF-8
+    return "textures" if Path(path).suffix.lower() == ".usdz" else f"{stem}_textures"
 
 
 def matrix(target_from_source: Doubles) -> Any:
