@@ -10,6 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.images.exr import write_exr
+from lumisplat.scene.lights import Light
 from support.files.usd_files import usd_core, write_usda
 from support.kinds import expect_kind
 
@@ -17,7 +18,7 @@ AT = """double3 xformOp:translate = (1, 2, 3)
         uniform token[] xformOpOrder = ["xformOp:translate"]"""
 
 
-def light(path: Path, kind: str, inputs: str, head: str = 'upAxis = "Y"', schemas: str = "") -> ls.scene.lights.Light:
+def light(path: Path, kind: str, inputs: str, head: str = 'upAxis = "Y"', schemas: str = "") -> Light:
     """The light of a stage that has one."""
     applied = f"( prepend apiSchemas = [{schemas}] )" if schemas else ""
     body = f'def {kind} "lamp" {applied} {{\n{inputs}\n}}'

@@ -125,6 +125,7 @@ def test_indexed_primvars(tmp_path: Path) -> None:
 def test_subdivision_surfaces_are_smooth(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A surface of which this is the control mesh (which is the default) gets smooth normals, and a remark."""
     quad = load_scene(tmp_path, mesh(geometry=QUAD.replace('"none"', '"catmullClark"'))).meshes[0].mesh
+    assert quad.normals is not None
     np.testing.assert_allclose(quad.normals, [(0, 0, 1)] * 4, atol=1e-6)
     assert "subdivision surfaces, read as the meshes that control them (/quad)" in caplog.text
 
@@ -312,6 +313,7 @@ def test_simple_shapes(tmp_path: Path) -> None:
     np.testing.assert_allclose(extents["s"], (4, 4, 4), atol=0.1)
     np.testing.assert_allclose(extents["p"], (0, 6, 4), atol=1e-5)
     plane = next(m.mesh for m in scene.meshes if m.name == "p")
+    assert plane.normals is not None
     np.testing.assert_allclose(plane.normals, [(1, 0, 0)] * 4, atol=1e-6)
     corners = plane.positions[plane.indices[0]]
     assert np.cross(corners[1] - corners[0], corners[2] - corners[0])[0] > 0.0

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.scene.lights import Light
 from lumisplat.scene.primitives import box, sphere
 from support.files.splat_files import capture
 
@@ -53,7 +54,7 @@ def materials() -> list[ls.MaterialPbr]:
     ]
 
 
-def lights() -> list[ls.scene.lights.Light]:
+def lights() -> list[Light]:
     """One of each kind, and more."""
     sky = np.random.default_rng(4).random((8, 16, 3)).astype(np.float32)
     return [

@@ -1,0 +1,145 @@
+"""Animations in OpenUSD: what moves has time samples, and is read as keyframes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.scene.primitives import box
+from support.files.rig_files import BEND, TubeRig
+from support.files.splat_files import capture
+from support.files.usd_files import usd_core, validation_messages, write_usda
+from support.kinds import expect_kind
+
+KEYS = ls.Keyframes(
+    [0.0, 0.5, 1.0], [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(1, 0, 0, 0), (0.7, 0.7, 0, 0), (0.7, 0, 0.7, 0)], [1, 2, 1]
+)
+LATE = ls.Keyframes([0.5, 1.0], [(0, 0, 0), (3, 0, 0)])
+"""At rest for half of the time."""
+
+
+def camera(step: int) -> ls.Camera:
+    """One of the cameras of a path, which comes nearer and zooms."""
+    return ls.Camera.look_at((3, 2, 1 + step), (0, 0, 0), width=64, height=36, fov_y=0.7 - 0.1 * step, name="moving")
+
+
+def animation(up: str = "y-down") -> ls.Animation:
+    """A capture that moves, a stretched mesh that does so late, one that stands, and a camera."""
+    stretched = np.diag([1.0, 2.0, 3.0, 1.0])
+    return ls.Animation(
+        ls.Scene([ls.SplatInstance(capture(5), name="still")], up=up),
+        [ls.Actor(capture(4, seed=3), KEYS, name="flies"), ls.Actor(box(0.5), LATE, stretched, name="slides")],
+        fps=10.0,
+        frame_count=11,
+        camera_path=ls.CameraPath([camera(0), camera(1), camera(2)], [0.0, 0.5, 1.0]),
+    )
+
+
+@pytest.mark.parametrize("extension", [".usda", ".usdz"])
+@pytest.mark.parametrize("up", ["y-down", "z-up"])
+def test_round_trip(tmp_path: Path, extension: str, up: str) -> None:
+    """At each frame actors and camera are where they were; what stands still is no actor."""
+    usd_core()
+    saved, path = animation(up), tmp_path / f"walk{extension}"
+    ls.save(path, saved)
+    loaded = ls.load_animation(path)
+    assert (loaded.fps, loaded.frame_count) == (10.0, 11)
+    assert [actor.name for actor in loaded.actors] == ["flies", "slides"]
+    assert [one.name for one in loaded.scene.splats] == ["still"] and not loaded.scene.meshes
+    assert loaded.camera_path is not None and saved.camera_path is not None
+    for time in saved.times:
+        for before, after in zip(saved.actors_at(time), loaded.actors_at(time), strict=True):
+            np.testing.assert_allclose(after.transform, before.transform, atol=1e-12)
+        one, other = saved.camera_path.at(time), loaded.camera_path.at(time)
+        np.testing.assert_allclose(other.camera_from_world, one.camera_from_world, atol=1e-12)
+        assert other.fx == pytest.approx(one.fx, rel=2e-7)
+    flies = expect_kind(ls.Gaussians, loaded.actors[0].subject)
+    np.testing.assert_array_equal(flies.means, capture(4, seed=3).means)
+
+
+def test_samples_are_few_and_hold(tmp_path: Path) -> None:
+    """What rests until 0.5 s has a sample at its beginning and at its end, then one a frame; still prims have none."""
+    usd_core()
+    ls.save(tmp_path / "walk.usdc", animation())
+    stage = usd_core().Stage.Open(str(tmp_path / "walk.usdc"))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0.0, 10.0, 10.0)
+    place = stage.GetPrimAtPath("/World/slides").GetAttribute("xformOp:transform")
+    assert place.GetTimeSamples() == [0.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0]
+    still = stage.GetPrimAtPath("/World/still").GetAttributes()
+    assert not any(attribute.GetNumTimeSamples() for attribute in still)
+    assert not stage.GetPrimAtPath("/World/flies").GetAttribute("positions").GetNumTimeSamples()
+    assert not validation_messages(tmp_path / "walk.usdc")
+
+
+def test_rigs_and_their_gaussians_are_baked(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Points of a skinned mesh, and positions, rotations and scales of Gaussians on it, have samples, exact."""
+    usd_core()
+    rig = ls.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
+    bound = ls.bind_gaussians(rig, 40)
+    saved = ls.Animation(
+        ls.Scene(up="y-up"), [ls.Actor(rig, name="skin"), ls.Actor(bound, name="fur")], fps=4.0, frame_count=4
+    )
+    ls.save(tmp_path / "walk.usdc", saved)
+    stage = usd_core().Stage.Open(str(tmp_path / "walk.usdc"))
+    points = stage.GetPrimAtPath("/World/skin").GetAttribute("points")
+    positions = stage.GetPrimAtPath("/World/fur").GetAttribute("positions")
+    assert points.GetNumTimeSamples() > 1 and positions.GetNumTimeSamples() > 1
+    for frame, time in enumerate(saved.times):
+        mesh = expect_kind(ls.MeshInstance, saved.actors[0].at(time)[0]).mesh
+        np.testing.assert_array_equal(np.array(points.Get(frame)), mesh.positions)
+        fur = expect_kind(ls.SplatInstance, saved.actors[1].at(time)[0]).gaussians
+        np.testing.assert_array_equal(np.array(positions.Get(frame)), fur.means)
+    loaded = ls.load_animation(tmp_path / "walk.usdc")
+    assert not loaded.actors and len(loaded.scene.meshes) == len(loaded.scene.splats) == 1
+    assert "shapes that change with time, of which the first is shown (skin, fur)" in caplog.text
+
+
+def test_the_first_time_is_shown(tmp_path: Path) -> None:
+    """A stage is shown at its first time code, wherever that is; seconds count from there, by codes a second."""
+    body = """def Cube "c" {
+        double3 xformOp:translate.timeSamples = { 48: (1, 0, 0), 72: (3, 0, 0) }
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }"""
+    head = 'upAxis = "Y"\nstartTimeCode = 48\nendTimeCode = 96\ntimeCodesPerSecond = 24\nframesPerSecond = 12'
+    path = write_usda(tmp_path / "a.usda", body, head)
+    scene = expect_kind(ls.Scene, ls.load(path))
+    np.testing.assert_allclose(scene.meshes[0].transform[:3, 3], (1, 0, 0))
+    loaded = ls.load_animation(path)
+    assert (loaded.fps, loaded.frame_count) == (12.0, 25)
+    np.testing.assert_allclose(loaded.actors[0].at(0.5)[0].transform[:3, 3], (2, 0, 0))
+    np.testing.assert_allclose(loaded.actors[0].at(2.0)[0].transform[:3, 3], (3, 0, 0))
+
+
+def test_motion_above_a_prim(tmp_path: Path) -> None:
+    """Samples of a parent move what is below it; samples without a range give one."""
+    body = """def Xform "p" {
+        double xformOp:rotateY.timeSamples = { 0: 0, 24: 90 }
+        uniform token[] xformOpOrder = ["xformOp:rotateY"]
+        def Cube "c" {
+            double3 xformOp:translate = (1, 0, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+        }
+    }"""
+    loaded = ls.load_animation(write_usda(tmp_path / "a.usda", body))
+    assert loaded.frame_count == 25
+    np.testing.assert_allclose(loaded.actors[0].at(1.0)[0].transform[:3, 3], (0, 0, -1), atol=1e-9)
+
+
+def test_times_that_are_none(tmp_path: Path) -> None:
+    """A range that ends before it begins, or has a million frames, is refused."""
+    for times in ("startTimeCode = 5\nendTimeCode = 4", "startTimeCode = 0\nendTimeCode = 1e9"):
+        path = write_usda(tmp_path / "a.usda", 'def Cube "c" {\n}', f'upAxis = "Y"\n{times}')
+        with pytest.raises(ls.FormatError, match="expected at most 1,000,000 frames, from first to last"):
+            ls.load_animation(path)
+
+
+def test_how_actors_are_lit_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """An actor that casts no shadow is an ordinary prim for others."""
+    usd_core()
+    moving = animation()
+    ls.save(tmp_path / "a.usdc", replace(moving, actors=[replace(moving.actors[0], casts_shadow=False)]))
+    assert "how actors are lit (relight, casts_shadow) (flies)" in caplog.text
