@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.io.usd.stage import upright
 from lumisplat.scene.primitives import box
 from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import capture
@@ -42,20 +43,22 @@ def animation(up: str = "y-down") -> ls.Animation:
 @pytest.mark.parametrize("extension", [".usda", ".usdz"])
 @pytest.mark.parametrize("up", ["y-down", "z-up"])
 def test_round_trip(tmp_path: Path, extension: str, up: str) -> None:
-    """At each frame actors and camera are where they were; what stands still is no actor."""
+    """At each frame actors and camera are where they were, upright; what stands still is no actor."""
     usd_core()
     saved, path = animation(up), tmp_path / f"walk{extension}"
     ls.save(path, saved)
     loaded = ls.load_animation(path)
     assert (loaded.fps, loaded.frame_count) == (10.0, 11)
+    turn = np.eye(4)
+    turn[:3, :3] = upright(saved.scene.up_direction)  # it stands with y up
     assert [actor.name for actor in loaded.actors] == ["flies", "slides"]
     assert [one.name for one in loaded.scene.splats] == ["still"] and not loaded.scene.meshes
     assert loaded.camera_path is not None and saved.camera_path is not None
     for time in saved.times:
         for before, after in zip(saved.actors_at(time), loaded.actors_at(time), strict=True):
-            np.testing.assert_allclose(after.transform, before.transform, atol=1e-12)
+            np.testing.assert_allclose(after.transform, turn @ before.transform, atol=1e-12)
         one, other = saved.camera_path.at(time), loaded.camera_path.at(time)
-        np.testing.assert_allclose(other.camera_from_world, one.camera_from_world, atol=1e-12)
+        np.testing.assert_allclose(other.camera_from_world @ turn, one.camera_from_world, atol=1e-12)
         assert other.fx == pytest.approx(one.fx, rel=2e-7)
     flies = expect_kind(ls.Gaussians, loaded.actors[0].subject)
     np.testing.assert_array_equal(flies.means, capture(4, seed=3).means)

@@ -103,7 +103,7 @@ def test_parallel_rays(tmp_path: Path) -> None:
 def test_round_trip(tmp_path: Path, camera: ls.Camera) -> None:
     """Poses come back exactly, focal lengths within the float32 in which films are stored: a part in ten million."""
     usd_core()
-    ls.save(tmp_path / "a.usda", ls.Scene(up="y-down"), cameras=[camera, camera])
+    ls.save(tmp_path / "a.usda", ls.Scene(up="y-up"), cameras=[camera, camera])
     first, second = ls.load_cameras(tmp_path / "a.usda")
     assert first.name == camera.name != second.name
     np.testing.assert_allclose(first.camera_from_world, camera.camera_from_world, atol=1e-12)

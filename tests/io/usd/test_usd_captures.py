@@ -165,6 +165,42 @@ def test_kernels_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
     assert "surflets, which become flat Gaussians (/splats)" in caplog.text
 
 
+@pytest.mark.parametrize("where", ["field", "attribute"])
+def test_linear_colours_are_encoded(tmp_path: Path, where: str) -> None:
+    """Harmonics of linear colours, as their field or they themselves say: 0.5 is shown as 0.735; others stay."""
+    dc = (0.5 - 0.5) / 0.28209479177387814
+    grey = f"[({dc}, {dc}, {dc}), ({dc}, {dc}, {dc})]"
+    space = ' ( colorSpace = "lin_rec709_scene" )' if where == "attribute" else ""
+    values = {
+        "uniform int radiance:sphericalHarmonicsDegree": "0",
+        "float3[] radiance:sphericalHarmonicsCoefficients": grey + space,
+    }
+    own = 'uniform token colorSpace:name = "{}"'
+    linear = own.format("lin_rec709_scene") if where == "field" else own.format("srgb_rec709_display")
+    found = load_gaussians(write_usda(tmp_path / "a.usda", field(values, schemas='"ColorSpaceAPI"', place=linear)))
+    np.testing.assert_allclose(0.5 + 0.28209479177387814 * found.sh[:, 0], 0.7353569, atol=1e-6)
+    values["float3[] radiance:sphericalHarmonicsCoefficients"] = grey
+    shown = own.format("srgb_rec709_display")
+    kept = load_gaussians(write_usda(tmp_path / "b.usda", field(values, schemas='"ColorSpaceAPI"', place=shown)))
+    np.testing.assert_array_equal(kept.sh, 0.0)
+
+
+def test_materials_of_other_renderers_are_no_news(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A field with a material that is no UsdPreviewSurface, as Omniverse has it, shines as captured, without a word."""
+    material = """def Material "m" {
+        token outputs:mdl:surface.connect = </m/s.outputs:out>
+        def Shader "s" {
+            uniform token info:implementationSource = "sourceAsset"
+            uniform asset info:mdl:sourceAsset = @ParticleFieldEmissive.mdl@
+            token outputs:out
+        }
+    }
+    """
+    own = field(schemas='"MaterialBindingAPI"', place="rel material:binding = </m>")
+    assert load_gaussians(write_usda(tmp_path / "a.usda", material + own)).count == 2
+    assert not caplog.text
+
+
 def test_older_name_of_the_type_is_read(tmp_path: Path) -> None:
     """Nuke 17.0 wrote it with an underscore."""
     path = write_usda(tmp_path / "a.usda", field(kind="ParticleField_3DGaussianSplat"))

@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
+from lumisplat.io.usd.stage import upright
+from lumisplat.math.rotations import quaternions_from_matrices, rotation_matrix
+from lumisplat.scene.lights import Light
 from support.files.splat_files import capture
 from support.files.usd_files import EXTENSIONS, usd_core, validation_messages
 from support.kinds import expect_kind
@@ -47,17 +51,43 @@ def assert_same(saved: Any, loaded: Any, label: str, moved: float) -> None:
             assert a is b or a == b, where
 
 
+def turned(light: Light, turn: npt.NDArray[np.float64]) -> Light:
+    """A light under a rotation, shape (3, 3)."""
+    changed: dict[str, Any] = {
+        name: tuple(turn @ getattr(light, name))
+        for name in ("position", "direction", "edge_u", "edge_v")
+        if name in {field.name for field in fields(light)}
+    }
+    if isinstance(light, ls.LightEnvironment):
+        world_from_sky = turn @ rotation_matrix(np.asarray(light.rotation_wxyz))
+        changed["rotation_wxyz"] = quaternions_from_matrices(world_from_sky[None])[0]
+    return replace(light, **changed)
+
+
+def standing(scene: ls.Scene) -> ls.Scene:
+    """The scene, turned so that y is up and its front at +z."""
+    turn = np.eye(4)
+    turn[:3, :3] = upright(scene.up_direction)
+    return ls.Scene(
+        [replace(one, world_from_object=turn @ one.transform) for one in scene.splats],
+        [replace(one, world_from_object=turn @ one.transform) for one in scene.meshes],
+        [turned(light, turn[:3, :3]) for light in scene.lights],
+        up="y-up",
+    )
+
+
 @pytest.mark.parametrize(
     ("extension", "up", "moved"),
     [(".usda", "y-down", 0.0), (".usdc", "z-up", 0.0), (".usdz", (0.3, 1.0, 0.2), 2e-15), (".usd", "x-down", 0.0)],
 )
 def test_round_trip(tmp_path: Path, extension: str, up: str, moved: float) -> None:
-    """All of a scene comes back, where it was: exactly, if it stood along an axis."""
+    """All of a scene comes back, standing upright with y up: exactly, if it stood along an axis."""
     usd_core()
     saved, path = full_scene(up), tmp_path / f"scene{extension}"
     ls.save(path, saved)
     loaded = expect_kind(ls.Scene, ls.load(path))
-    np.testing.assert_array_equal(loaded.up_direction, saved.up_direction)
+    assert loaded.up_direction == (0.0, 1.0, 0.0)
+    saved = standing(saved)
     for name in ("splats", "meshes", "lights"):
         before, after = getattr(saved, name), getattr(loaded, name)
         assert [one.name for one in after] == [one.name for one in before]
@@ -138,16 +168,15 @@ def test_a_mesh_alone(tmp_path: Path) -> None:
     assert len(loaded.meshes) == 1 and loaded.up_direction == (0.0, 1.0, 0.0)
 
 
-def test_a_placed_capture_stays_a_scene(tmp_path: Path) -> None:
-    """One capture at a place of its own, or with z up, is not taken for a bare capture, whose axes it would lose."""
+def test_a_capture_that_is_placed_or_relit(tmp_path: Path) -> None:
+    """One capture alone becomes Gaussians where it stands, with y down; one with a material stays a scene."""
     usd_core()
-    for splat, up in (
-        (ls.SplatInstance(capture(5), position=(1, 2, 3)), "y-down"),
-        (ls.SplatInstance(capture(5)), "z-up"),
-    ):
-        ls.save(tmp_path / "a.usdc", ls.Scene([splat], up=up))
-        loaded = expect_kind(ls.Scene, ls.load(tmp_path / "a.usdc"))
-        np.testing.assert_array_equal(loaded.splats[0].transform, splat.transform)
+    ls.save(tmp_path / "a.usdc", ls.Scene([ls.SplatInstance(capture(5), position=(1, 2, 3))], up="y-down"))
+    loaded = expect_kind(ls.Gaussians, ls.load(tmp_path / "a.usdc"))
+    np.testing.assert_allclose(loaded.means, capture(5).means + np.array((1, 2, 3)), atol=1e-6)
+    ls.save(tmp_path / "b.usdc", ls.Scene([ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))]))
+    scene = expect_kind(ls.Scene, ls.load(tmp_path / "b.usdc"))
+    assert expect_kind(ls.MaterialPbr, scene.splats[0].material).roughness == 0.25
 
 
 def test_names_that_paths_cannot_have(tmp_path: Path) -> None:

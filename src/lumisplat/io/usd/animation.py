@@ -66,7 +66,7 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
         [one for one in reading.splats if not any(one is other for other in still)],
         [one for one in reading.meshes if not any(one is other for other in still)],
         reading.lights,
-        up=file.up,
+        up="y-up",
     )
     frames = (last - first) / rate * fps
     if not 0.0 <= frames < ANIMATION_FRAMES_MAX:

@@ -48,8 +48,8 @@ class UsdMaterials:
         self._images: dict[str, _Texels] = {}
         self._total = TextureBytes(file.path)
 
-    def bound_to(self, prim: Any) -> ReadMaterial | None:
-        """The material that is bound to a prim; None if there is none that is known.
+    def bound_to(self, prim: Any, *, remark: bool = True) -> ReadMaterial | None:
+        """The material that is bound to a prim; None if there is none that is known, with a remark unless not wanted.
 
         Raises:
             FormatError: A value is out of range, or a texture is missing or corrupt.
@@ -61,7 +61,7 @@ class UsdMaterials:
         own = material.GetPrim()
         key = str((own.GetPrimInPrototype() if own.IsInstanceProxy() else own).GetPath())
         if key not in self._known:
-            surface = surface_of(self._file, material)
+            surface = surface_of(self._file, material, remark)
             try:
                 self._known[key] = surface and _Decoder(self, surface).decode(prim_name(own))
             except FormatError:

@@ -2,7 +2,8 @@
 
 Attributes exist as floats and, with an h behind their name, as halves; floats win. What is too long is cut, what is too
 short is not used: no rotation, unit scale, opaque, grey. The order of harmonics is that of captures, all coefficients
-of a particle together; the schema says nothing of their signs and colour space, and writers store what captures have.
+of a particle together; the schema says nothing of their signs, and writers store those of captures. Colours are those
+of the display unless the field, or the attribute, has a linear colour space.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from lumisplat.io.splats.columns import SplatColumns
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.stage import UsdFile
 from lumisplat.io.usd.values import array, hints_of, number
+from lumisplat.scene.ops.display_sh import display_sh
 
 _TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaussianSplat")
 """The second is described by applied schemas; the third is the name that Nuke 17.0 wrote."""
@@ -24,6 +26,9 @@ _KERNEL = "ParticleFieldKernel"
 _ELLIPSOID, _SURFLET = "ParticleFieldKernelGaussianEllipsoidAPI", "ParticleFieldKernelGaussianSurfletAPI"
 PRIMVARS = {"normals": 3, "albedo": 3, "roughness": 1, "metallic": 1}
 """Of relightable captures, one value for each particle: names of primvars, which are our fields, and their columns."""
+COLOR_SPACE = "srgb_rec709_scene"
+"""Colour space of captures, by its name in OpenUSD; others write srgb_rec709_display."""
+_LINEAR = ("lin_rec709", "lin_srgb", "lin_rec709_scene", "lin_rec709_display")
 _DEGREE_MAX = 10
 """Of harmonics; those above ours are left out."""
 
@@ -99,7 +104,19 @@ def _harmonics(file: UsdFile, prim: Any, count: int) -> Floats:
     kept = min(size, (SH_DEGREE_MAX + 1) ** 2)
     if kept < size:
         file.remarks.add(f"harmonics above degree {SH_DEGREE_MAX}", str(prim.GetPath()))
-    return stored[: count * size].reshape(count, size, 3)[:, :kept]
+    sh = stored[: count * size].reshape(count, size, 3)[:, :kept]
+    space = _color_space(prim)
+    if space.startswith("lin") and space not in _LINEAR:
+        file.remarks.add(f"colour space {space}, taken for linear Rec.709", str(prim.GetPath()))
+    return display_sh(sh) if space.startswith("lin") else sh
+
+
+def _color_space(prim: Any) -> str:
+    """Colour space of a field's harmonics, as they or the field say; empty if neither does."""
+    attributes = (prim.GetAttribute(f"radiance:sphericalHarmonicsCoefficients{end}") for end in ("", "h"))
+    said = [str(one.GetColorSpace()) for one in attributes if one and one.HasColorSpace()]
+    own = prim.GetAttribute("colorSpace:name")
+    return said[0] if said else str(own.Get() or "") if own else ""
 
 
 def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Any]:

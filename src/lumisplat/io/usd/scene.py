@@ -25,7 +25,6 @@ from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
-from lumisplat.scene.up import up_vector
 
 _Y_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: captures have y down."""
@@ -37,8 +36,8 @@ _SHAPES = ("points", "positions", "positionsh")
 def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
     """Reads what a stage shows at its first time: particle fields, meshes and lights, with their materials.
 
-    A stage that holds one field of particles and nothing else is a capture, with y down as captures have it. Scenes are
-    in metres, and have y up; but files that we have written stand as the scene did that they were written from.
+    A stage that holds one field of particles and nothing else is a capture, with y down as captures have it. Scenes
+    have y up, and metres.
 
     Args:
         path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
@@ -56,6 +55,22 @@ def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
         loaded = found.as_capture() or found.scene()
     file.remarks.report()
     return loaded
+
+
+def shows_one_capture(path: PathLike) -> bool:
+    """Whether a file shows one field of particles and nothing else, which `read_usd` reads as Gaussians.
+
+    Raises:
+        FormatError: The file cannot be read.
+        MissingExtraError: usd-core is not installed.
+    """
+    path = Path(path)
+    pxr()
+    with reading_usd(path):
+        file = open_usd(path)
+        shown = [one.prim for one in placed_prims(file) if one.visible and not one.is_flat]
+        others = (is_light(one) or UsdMeshes.reads(one) or str(one.GetTypeName()) == "Camera" for one in shown)
+        return len([one for one in shown if is_field(one)]) == 1 and not any(others)
 
 
 @dataclass(slots=True)
@@ -107,22 +122,17 @@ class Reading:
 
     def scene(self) -> Scene:
         """All of it."""
-        return Scene(self.splats, self.meshes, self.lights, up=self.file.up)
+        return Scene(self.splats, self.meshes, self.lights, up="y-up")
 
     def as_capture(self) -> Gaussians | None:
         """The Gaussians, if there is one field of them, and nothing else."""
         if len(self.splats) != 1 or self.meshes or self.lights or self.has_cameras:
             return None
-        only, file = self.splats[0], self.file
-        place = (np.eye(4) if file.says_up else _Y_DOWN) @ only.transform
-        if np.array_equal(place, np.eye(4)) and only.material is None and self._up_of_captures():
-            return only.gaussians
-        # What we have written otherwise than by itself was part of a scene.
-        return None if file.says_up or only.material is not None else transform(only.gaussians, place)
-
-    def _up_of_captures(self) -> bool:
-        """Whether y is down, once the axes of a file of others are turned to those of captures."""
-        return not self.file.says_up or self.file.up == up_vector("y-down")
+        only = self.splats[0]
+        if only.material is not None:
+            return None
+        place = _Y_DOWN @ only.transform
+        return only.gaussians if np.array_equal(place, np.eye(4)) else transform(only.gaussians, place)
 
     def _note(self, placed: Placed, kept: list[Any], instances: list[Any]) -> None:
         kept.extend(instances)
@@ -145,7 +155,8 @@ class Reading:
             check_similarity(matrix[:3, :3])
         except SceneError:
             gaussians, matrix = under_affine(gaussians, matrix), np.eye(4)
-        bound = materials.bound_to(placed.prim)
+        # Fields of others have materials of their renderer, by which they shine as captured.
+        bound = materials.bound_to(placed.prim, remark=False)
         own = hints_of(placed.prim)
         settings = {name: own[name] for name in ("sh_degree", "shadow_only") if name in own}
         return [SplatInstance(gaussians, matrix, bound and bound.material, name=placed.name, **settings)]

@@ -90,11 +90,12 @@ class PreviewSurface:
         return red, green, blue
 
 
-def surface_of(file: UsdFile, material: Any) -> PreviewSurface | None:
-    """The UsdPreviewSurface of a material; None, with a remark, if it has none."""
+def surface_of(file: UsdFile, material: Any, remark: bool) -> PreviewSurface | None:
+    """The UsdPreviewSurface of a material; None, perhaps with a remark, if it has none."""
     shader = material.ComputeSurfaceSource()[0]
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
-        file.remarks.add("materials without a UsdPreviewSurface", str(material.GetPath()))
+        if remark:
+            file.remarks.add("materials without a UsdPreviewSurface", str(material.GetPath()))
         return None
     return PreviewSurface(file, shader)
 

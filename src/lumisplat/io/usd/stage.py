@@ -15,12 +15,12 @@ from lumisplat.io.files.native import utf8_path
 from lumisplat.io.usd.guards import check_layers
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.remarks import Remarks
-from lumisplat.math.arrays import Doubles, finite_numbers
+from lumisplat.math.arrays import Doubles
 from lumisplat.math.rotations import axis_rotation
-from lumisplat.scene.up import Vector, front_vector, up_vector
+from lumisplat.scene.up import Vector, front_vector
 
 HINT = "lumisplat"
-"""Dictionary of a layer's own data in which we note what the format has no place for."""
+"""Dictionary in the custom data of a prim in which we note what the format has no place for."""
 UNIT_ERROR = 1e-9
 """Error of a unit of length that is none, relative."""
 
@@ -34,11 +34,7 @@ class UsdFile:
     time: Any
     """The time code that is shown."""
     world_from_stage: Doubles
-    """Ours has metres, and y up unless the file is ours and says otherwise; shape (4, 4)."""
-    up: Vector
-    """Up of the world."""
-    says_up: bool
-    """Whether the file is ours and says which way was up in the scene that it was written from."""
+    """The world has y up and metres; shape (4, 4)."""
     remarks: Remarks
 
     def place_of(self, matrix: Any) -> Doubles:
@@ -62,9 +58,7 @@ def open_usd(path: Path) -> UsdFile:
     remarks = Remarks(path, "not read, or read otherwise")
     for error in stage.GetCompositionErrors():
         remarks.add("layers that cannot be composed", _first_line(str(error), path))
-    hint = _hinted_up(stage)
-    world_from_stage, up = _frame(path, stage, remarks, hint)
-    return UsdFile(path, stage, _shown_time(stage), world_from_stage, up, hint is not None, remarks)
+    return UsdFile(path, stage, _shown_time(stage), _world_from_stage(path, stage, remarks), remarks)
 
 
 def upright(up: Vector) -> Doubles:
@@ -81,25 +75,14 @@ def _shown_time(stage: Any) -> Any:
     return code(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else code.EarliestTime()
 
 
-def _hinted_up(stage: Any) -> Vector | None:
-    """Up of the scene that a file of ours was written from; None: the file is not ours, or says nothing."""
-    data: dict[str, Any] = stage.GetRootLayer().customLayerData.get(HINT, {})
-    said = finite_numbers(data.get("up"), (3,))
-    return up_vector(said) if said is not None and said.any() else None
-
-
-def _frame(path: Path, stage: Any, remarks: Remarks, hint: Vector | None) -> tuple[Doubles, Vector]:
-    """``world_from_stage``, shape (4, 4), and up of the world."""
+def _world_from_stage(path: Path, stage: Any, remarks: Remarks) -> Doubles:
+    """What turns a stage so that y is up, and scales it to metres, shape (4, 4)."""
     geom, matrix = pxr().UsdGeom, np.eye(4)
-    axis, up = str(geom.GetStageUpAxis(stage)), up_vector("y-up")
+    axis = str(geom.GetStageUpAxis(stage))
     if axis not in ("Y", "Z"):
         raise FormatError(path, f"has upAxis {axis!r}, expected Y or Z")
     if axis == "Z":
         matrix[:3, :3] = axis_rotation((1.0, 0.0, 0.0), -0.5 * math.pi).round()
-    if hint is not None:
-        turned = upright(hint).T if axis == "Y" else np.eye(3)
-        matrix[:3, :3], up = turned, hint
-    elif axis == "Z":
         remarks.add("z is up in it: turned, so that y is")
     if geom.StageHasAuthoredMetersPerUnit(stage):
         unit = float(geom.GetStageMetersPerUnit(stage))
@@ -108,7 +91,7 @@ def _frame(path: Path, stage: Any, remarks: Remarks, hint: Vector | None) -> tup
         if abs(unit - 1.0) > UNIT_ERROR:
             matrix[:3, :3] *= unit
             remarks.add(f"its unit is {unit:g} m: scaled to metres")
-    return matrix, up
+    return matrix
 
 
 def _first_line(text: str, path: Path) -> str:

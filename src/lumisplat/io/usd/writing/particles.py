@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.particles import PRIMVARS
+from lumisplat.io.usd.particles import COLOR_SPACE, PRIMVARS
 from lumisplat.io.usd.writing.stage import StageWriter
 from lumisplat.scene.gaussians import Gaussians
 
@@ -25,6 +25,11 @@ def define_field(writer: StageWriter, path: str, gaussians: Gaussians) -> Any:
     for name, values in particle_values(gaussians).items():
         prim.GetAttribute(name).Set(values)
     prim.GetAttribute(f"{_HARMONICS}Degree").Set(gaussians.sh_degree)
+    # Which the schema leaves open: how many belong together, as others write it, and what the colours are.
+    coefficients = prim.GetAttribute(f"{_HARMONICS}Coefficients")
+    coefficients.SetMetadata("elementSize", gaussians.sh.shape[1])
+    coefficients.SetMetadata("interpolation", "vertex")
+    coefficients.SetColorSpace(COLOR_SPACE)
     prim.GetAttribute("projectionModeHint").Set("perspective")
     prim.GetAttribute("sortingModeHint").Set("zDepth")
     _write_materials(prim, gaussians)

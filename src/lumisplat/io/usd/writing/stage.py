@@ -26,8 +26,7 @@ ROOT = "/World"
 class StageWriter:
     """A stage in memory.
 
-    It has y up, or z up if that is how the scene stands, and metres. The root turns scenes that stand otherwise; the
-    layer notes which way was up, so that we read the scene back where it was.
+    It has y up, or z up if that is how the scene stands, and metres. The root turns scenes that stand otherwise.
     """
 
     path: Path
@@ -54,7 +53,6 @@ class StageWriter:
         turn = np.eye(4)
         turn[:3, :3] = np.eye(3) if is_z_up else upright(self.up)
         self.place(root.GetPrim(), turn)
-        self.stage.GetRootLayer().customLayerData = {HINT: {"up": px.Gf.Vec3d(*self.up)}}
 
     def path_of(self, name: str, parent: str = ROOT) -> str:
         """A path of its own below ``parent`` for something that is called so, as far as paths can be."""
