@@ -6,6 +6,7 @@ import os
 import random
 import struct
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 
@@ -15,6 +16,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.errors import FormatError, MissingExtraError
 from lumisplat.io.usd import library
+from lumisplat.io.usd.crate import check_crate
 from support.files.splat_files import capture
 from support.files.usd_files import EXTENSIONS, field, usd_core, write_usda
 from support.scenes.usd_scene import full_scene
@@ -114,6 +116,42 @@ def test_counts_that_no_file_can_hold(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "b.usdz", "w") as package:
         package.writestr("a.usdc", bytes(data))
     assert "damaged: 11,468,822 entries in " in refused(tmp_path / "b.usdz")
+
+
+def test_paths_that_are_no_tree(tmp_path: Path) -> None:
+    """One byte of the jumps between paths makes the library visit subtrees again and again; whatever it is, it ends."""
+    usd_core()
+    path = tmp_path / "a.usdc"
+    ls.save(path, full_scene("y-down"))
+    data = path.read_bytes()
+    (table,) = struct.unpack_from("<q", data, 16)
+    (sections,) = struct.unpack_from("<Q", data, table)
+    entries = [struct.unpack_from("<16sqq", data, table + 8 + 32 * number) for number in range(sections)]
+    ((start, size),) = [(start, size) for name, start, size in entries if name.startswith(b"PATHS")]
+    messages = set[str]()
+    for back in range(1, 40):
+        damaged = bytearray(data)
+        damaged[start + size - back] ^= 0x1E
+        path.write_bytes(damaged)
+        with suppress(FormatError):
+            ls.load(path)
+            continue
+        messages.add(refused(path))
+    assert any("the paths in its binary layer are no tree" in message for message in messages)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 40, 2000])
+def test_trees_of_any_form_pass(tmp_path: Path, count: int) -> None:
+    """Prims below prims at random, written by the library, are trees by our own decoding of them."""
+    usd, geom, chance = usd_core(), usd_core("UsdGeom"), random.Random(count)
+    stage, paths = usd.Stage.CreateInMemory(".usdc"), ["/a"]
+    for number in range(count):
+        paths.append(f"{chance.choice(paths)}/p{number}")
+        geom.Xform.Define(stage, paths[-1]).AddTranslateOp()
+    path = tmp_path / "a.usdc"
+    stage.GetRootLayer().Export(str(path))
+    with path.open("rb") as file:
+        check_crate(path, file, path.stat().st_size)
 
 
 def test_layers_outside_of_the_folder_are_refused(tmp_path: Path) -> None:

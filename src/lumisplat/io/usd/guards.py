@@ -6,21 +6,17 @@ The library reads every layer that a layer names, wherever it lies, and believes
 from __future__ import annotations
 
 import os
-import struct
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from lumisplat.constants.usd import USD_ENTRIES_A_BYTE, USD_LAYERS_MAX
+from lumisplat.constants.usd import USD_LAYERS_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.references import referenced_file
-from lumisplat.io.files.source import PathLike, check_regular
+from lumisplat.io.files.source import check_regular
+from lumisplat.io.usd.crate import MAGIC, check_crate
 from lumisplat.io.usd.library import pxr
-
-_MAGIC = b"PXR-USDC"
-_COUNTED = (b"TOKENS", b"STRINGS", b"FIELDS", b"FIELDSETS", b"PATHS", b"SPECS")
-"""Sections of a binary layer that begin with the number of their entries."""
 
 
 def check_layers(path: Path, text: str) -> None:
@@ -82,46 +78,12 @@ def _check_file(path: Path) -> None:
     check_regular(path, path.stat())
     with path.open("rb") as file:
         head = file.read(8)
-        if head == _MAGIC:
-            check_counts(path, file, path.stat().st_size)
+        if head == MAGIC:
+            check_crate(path, file, path.stat().st_size)
     if head.startswith(b"PK"):
         with zipfile.ZipFile(path) as package:
             for entry in package.infolist():
                 stored = entry.compress_type == zipfile.ZIP_STORED
                 if stored and entry.filename.lower().endswith((".usd", ".usdc")):
                     with package.open(entry) as file:
-                        check_counts(path, file, entry.file_size)
-
-
-def check_counts(path: PathLike, file: IO[bytes], size: int) -> None:
-    """Checks the numbers of entries of a binary layer: the library takes memory and time for each of them.
-
-    Args:
-        path: Named in errors.
-        file: The layer; one in text passes.
-        size: Its bytes.
-
-    Raises:
-        FormatError: A section has more entries than its bytes can hold, or is not in the file.
-    """
-
-    def unpack(layout: str, at: int) -> tuple[Any, ...]:
-        file.seek(at)
-        return struct.unpack(layout, file.read(struct.calcsize(layout)))
-
-    magic, table = unpack("<8s8xq", 0)
-    if magic != _MAGIC:
-        return
-    if not 0 < table <= size - 8:
-        raise FormatError(path, "truncated: the table of contents of its binary layer is missing")
-    (sections,) = unpack("<Q", table)
-    if sections > (size - table) // 32:
-        raise FormatError(path, f"damaged: its binary layer lists {sections:,} sections")
-    for number in range(sections):
-        name, start, length = unpack("<16sqq", table + 8 + 32 * number)
-        if not (0 <= start and 0 <= length and start + length <= size):
-            raise FormatError(path, "truncated: a section of its binary layer is missing")
-        if name.rstrip(b"\0") in _COUNTED and length >= 8:
-            (count,) = unpack("<Q", start)
-            if count > USD_ENTRIES_A_BYTE * length:
-                raise FormatError(path, f"damaged: {count:,} entries in {length:,} bytes of its binary layer")
+                        check_crate(path, file, entry.file_size)
