@@ -14,7 +14,7 @@ USD_POINT_RADIUS = 1e-3
 """Radius of the sphere that a point light is written as, metres; who reads ``treatAsPoint`` does not use it."""
 
 USD_FILM_WIDTH = 0.036
-"""Width of the film of cameras that are written, metres: that of small-format film, by which focal lengths are known."""
+"""Width of the film of cameras that are written, metres: that of small-format film, whose focal lengths people know."""
 
 USD_PACKAGE_BYTES_MAX = 2**32 - 1
 """Size, bytes, of the largest package and of what is in it: those of zip without its extension, which USD does not

@@ -66,13 +66,13 @@ def load(
     Args:
         path: A Gaussian capture (PLY, compressed PLY, SPZ, .splat, SOG bundle, SOG folder or its
             ``meta.json``, streamed SOG or its ``lod-meta.json``), a mesh (OBJ, STL, PLY with faces) or a scene (glTF,
-            GLB, a ``scene.toml`` that names other files).
+            GLB, OpenUSD, a ``scene.toml`` that names other files).
         drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their
             number, instead of refusing the file.
         crease_angle: Of OBJs without normals, also of those that a ``scene.toml`` names: faces that meet at less are
             shaded smoothly, radians, 0 to pi, see `smooth_normals`; 0: flat; None: 0.9, which is 51.6 degrees.
-        allow_outside: Whether a mesh file may name buffers, materials and textures outside of its own folder, as files
-            that you trust do. A ``scene.toml`` may always name any file.
+        allow_outside: Whether a file may name buffers, layers, materials and textures outside of its own folder, as
+            files that you trust do. A ``scene.toml`` may always name any file.
         up: Of a ``scene.toml`` that does not say it, for what stands upright in it: an axis (``"y-down"``) or a
             direction; None: y down with a capture, y up for meshes alone. Other files are read as they are.
         incident: Whether to read the incident light of a .ply that has some (R3DG's ``incidents_*``): it is that of the
@@ -91,6 +91,7 @@ def load(
             memory than there is. The message names it.
         SceneError: ``up`` is no direction.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
+        MissingExtraError: OpenUSD needs usd-core.
     """
     from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
@@ -114,7 +115,7 @@ def load(
 
 def save(
     path: PathLike,
-    asset: Gaussians | Mesh | Scene,
+    asset: Gaussians | Mesh | Scene | Animation,
     *,
     cameras: Sequence[Camera] = (),
     columns: Literal["lumisplat", "r3dg"] = "lumisplat",
@@ -130,14 +131,20 @@ def save(
     cameras. Its files are y up: captures are turned by half a turn about x, as in SPZ, and what stands upright in the
     scene stands upright there. What glTF cannot hold is logged in one line, such as area lamps and environments.
 
+    OpenUSD (``pip install 'lumisplat[usd]'``) holds the same, and area lights, environments and what moves: captures as
+    ParticleField3DGaussianSplat, exact, materials as UsdPreviewSurface, UsdLux lights, cameras, time samples.
+
     Args:
         path: Of captures ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH;
             changes the order), ``.spz`` (version 4), ``.sog`` (version 2; changes the order; the harmonics of all
             Gaussians become a palette), or ``meta.json``, which writes the files of a SOG beside it. Of all that there
-            is ``.glb`` (lossless, 60 bytes per Gaussian without view-dependent colours), or ``.gltf``, as text.
-        asset: The capture, mesh or scene. Only ``.ply`` and glTF store normals and materials of Gaussians, and ``.spz``
-            and ``.sog`` do not store the kernel degree; values that are left out are logged.
-        cameras: Cameras of the scene, which glTF holds, too.
+            is ``.glb`` (lossless, 60 bytes per Gaussian without view-dependent colours), or ``.gltf``, the same as
+            text; or ``.usda`` (text), ``.usdc``, ``.usd`` or ``.usdz`` (a package with its textures; those of the
+            others are in a folder beside them).
+        asset: The capture, mesh, scene or, for OpenUSD, animation. Only ``.ply``, glTF and OpenUSD store normals and
+            materials of Gaussians, and ``.spz`` and ``.sog`` do not store the kernel degree; values that are left out
+            are logged.
+        cameras: Cameras of the scene, which glTF and OpenUSD hold, too.
         columns: Of a ``.ply``: ours, or those of Relightable 3D Gaussians (``"r3dg"``), for their programs: SH of
             degree 3, albedo within 0.03..0.8, roughness 0.09..0.99, no metals; what that changes is logged.
 
@@ -145,6 +152,7 @@ def save(
         ConfigError: ``columns`` is neither, or R3DG's are asked for of another format.
         FormatError: The extension is unknown, the format cannot store a value, the file cannot be written, or R3DG's
             columns are asked for of a capture without materials.
+        MissingExtraError: OpenUSD needs usd-core.
     """
     formats.write(path, asset, cameras, columns)
 
@@ -171,9 +179,10 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
             and orthophoto, with lens distortion), INRIA's ``cameras.json`` (OpenCV; the principal point is the
             centre), nerfstudio's ``camera_path.json``, or a sparse model of COLMAP: its folder, or one of its
             ``cameras`` and ``images``, .bin or .txt. Or a glTF scene (.glb, .gltf), whose cameras only have an aspect
-            ratio: without ``width`` and ``height`` they get the largest size within 1280 x 720. Or a ``scene.toml``.
+            ratio: without ``width`` and ``height`` they get the largest size within 1280 x 720; or an OpenUSD stage
+            (.usda, .usdc, .usdz, .usd), whose sizes may be those of pictures that it orders. Or a ``scene.toml``.
         width: Image width, pixels, of frames for which neither the file nor an image gives a size; only together with
-            ``height``, except for glTF.
+            ``height``, except for glTF and OpenUSD.
         height: Image height, pixels, of such frames.
 
     Returns:
@@ -324,10 +333,11 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
 def load_animation(
     path: PathLike, *, drop_invalid: bool = False, crease_angle: float | None = None, allow_outside: bool = False
 ) -> Animation:
-    """Loads an animated ``scene.toml``: its scene, cameras, ``[[actors]]`` and ``[animation]``.
+    """Loads an animated ``scene.toml``: its scene, cameras, ``[[actors]]`` and ``[animation]``; or an OpenUSD file.
 
     Args:
-        path: The scene file.
+        path: The scene file. Or ``.usda``, ``.usdc``, ``.usdz`` or ``.usd``, of which what moves without deforming
+            becomes an actor with keyframes, and the first camera that moves a path.
         drop_invalid: As in `load`, for each capture.
         crease_angle: As in `load`, for each OBJ.
         allow_outside: As in `load`, for each mesh and rig.
@@ -336,15 +346,15 @@ def load_animation(
         FormatError: The file, or a file that it names, cannot be read, or an entry is invalid; names the line and the
             key.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
+        MissingExtraError: OpenUSD needs usd-core.
     """
     from lumisplat.io.scene_toml.animation import read_animation
 
-    if Path(path).suffix.lower() in formats.USD:
-        from lumisplat.io.usd.animation import read_usd_animation
-
-        with references_outside(allow_outside):
-            return read_usd_animation(path, drop_invalid)
     with references_outside(allow_outside):
+        if Path(path).suffix.lower() in formats.USD:
+            from lumisplat.io.usd.animation import read_usd_animation
+
+            return read_usd_animation(path, drop_invalid)
         load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
         return read_animation(path, load_asset, load_cameras)
 

@@ -9,6 +9,7 @@ from lumisplat.io.cameras.camera_json import read_camera_json, read_path_rate
 from lumisplat.io.cameras.colmap import is_colmap, read_colmap
 from lumisplat.io.cameras.names import unique_names
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.formats import USD
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.camera import Camera
 
@@ -20,7 +21,7 @@ def read_cameras(path: PathLike, width: int | None = None, height: int | None = 
         from lumisplat.io.gltf.cameras import read_gltf_cameras
 
         return unique_names(read_gltf_cameras(path, width, height))
-    if suffix in (".usd", ".usda", ".usdc", ".usdz"):
+    if suffix in USD:
         from lumisplat.io.usd.cameras import read_usd_cameras
 
         return unique_names(read_usd_cameras(path, width, height))

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from lumisplat.io.splats.columns import SplatColumns
+    from lumisplat.scene.animation.actors import Animation
     from lumisplat.scene.camera import Camera
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.mesh import Mesh
@@ -31,7 +32,7 @@ class LoadOptions(NamedTuple):
     """Options of `lumisplat.io.load` that some readers take."""
 
     drop_invalid: bool
-    """Of glTF files; `SplatColumns` are not checked yet."""
+    """Of glTF and OpenUSD files; `SplatColumns` are not checked yet."""
     crease_angle: float | None
     """Of OBJs."""
     up: str | npt.ArrayLike | None
@@ -46,6 +47,9 @@ class LoadOptions(NamedTuple):
     """Of streamed SOGs: Gaussians."""
 
 
+USD = (".usd", ".usda", ".usdc", ".usdz")
+"""Extensions of OpenUSD."""
+
 _READERS = {
     ".spz": "splats.spz.read_spz",
     ".splat": "splats.splat.read_splat",
@@ -54,6 +58,7 @@ _READERS = {
     ".stl": "meshes.stl.read_stl",
     ".glb": "gltf.scene.read_gltf",
     ".gltf": "gltf.scene.read_gltf",
+    **dict.fromkeys(USD, "usd.scene.read_usd"),
 }
 """Besides these, .ply is read by its header, .toml by what it names, and a streamed SOG at a level."""
 
@@ -73,14 +78,15 @@ _WRITERS = {
 _SCENE_WRITERS = {
     ".glb": "gltf.writing.scene.write_gltf",
     ".gltf": "gltf.writing.scene.write_gltf",
+    **dict.fromkeys(USD, "usd.writing.scene.write_usd"),
 }
 """Writers of scenes with their cameras, to which captures and meshes are scenes, too."""
 
 READABLE = (
     ".ply, .compressed.ply, .spz, .splat, .sog, a SOG folder or its meta.json or lod-meta.json, .obj, .stl, "
-    ".glb, .gltf, .toml"
+    ".glb, .gltf, .usda, .usdc, .usdz, .usd, .toml"
 )
-WRITABLE = ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, or meta.json in a folder (SOG)"
+WRITABLE = ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, .usda, .usdc, .usdz, .usd, or meta.json in a folder (SOG)"
 
 
 def read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: LoadOptions) -> Loaded:
@@ -104,7 +110,7 @@ def read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: Loa
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     reader: Callable[..., Loaded] = _import(_READERS[extension])
-    if extension in (".glb", ".gltf"):
+    if extension in (".glb", ".gltf", *USD):
         return reader(path, drop_invalid=options.drop_invalid)
     if extension == ".obj" and options.crease_angle is not None:
         return reader(path, options.crease_angle)
@@ -129,7 +135,9 @@ def check_written(path: PathLike, *, scene: bool = False) -> str:
     return writer
 
 
-def write(path: PathLike, asset: Gaussians | Mesh | Scene, cameras: Sequence[Camera], columns: str) -> None:
+def write(
+    path: PathLike, asset: Gaussians | Mesh | Scene | Animation, cameras: Sequence[Camera], columns: str
+) -> None:
     """Writes a file in the format of its extension; see `lumisplat.io.save`.
 
     Args:
@@ -142,12 +150,17 @@ def write(path: PathLike, asset: Gaussians | Mesh | Scene, cameras: Sequence[Cam
         ConfigError: There are no such columns, or the file is no .ply.
         FormatError: The extension is unknown or cannot hold that, or the file cannot be written.
     """
+    from lumisplat.scene.animation.actors import Animation
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.scene import Scene
 
-    if not isinstance(cast("object", asset), Gaussians | Mesh | Scene):
-        raise FormatError(path, f"only Gaussians, meshes and scenes can be saved, got {type(asset).__name__}")
+    if not isinstance(cast("object", asset), Gaussians | Mesh | Scene | Animation):
+        raise FormatError(
+            path, f"only Gaussians, meshes, scenes and animations can be saved, got {type(asset).__name__}"
+        )
+    if isinstance(asset, Animation) and Path(path).suffix.lower() not in USD:
+        raise FormatError(path, f"cannot hold what moves: animations can be saved as {', '.join(USD)}")
     writer = check_written(path, scene=bool(cameras) or not isinstance(asset, Gaussians))
     if columns not in _PLY_WRITERS:
         raise ConfigError(f"columns is {columns!r}, expected {' or '.join(map(repr, _PLY_WRITERS))}")
@@ -158,7 +171,7 @@ def write(path: PathLike, asset: Gaussians | Mesh | Scene, cameras: Sequence[Cam
     if writer not in _SCENE_WRITERS.values():
         _import(writer)(path, asset)
         return
-    if not isinstance(asset, Scene):
+    if isinstance(asset, Gaussians | Mesh):
         asset = Scene(splats=[asset]) if isinstance(asset, Gaussians) else Scene(meshes=[asset])
     _import(writer)(path, asset, cameras)
 

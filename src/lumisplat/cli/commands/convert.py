@@ -23,7 +23,7 @@ _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(LoadingCommand):
-    """Write captures anew: .ply or .glb (exact), .compressed.ply, .spz or .sog (small). Several are joined.
+    """Write captures anew: .ply, .glb, .usdz (exact), .compressed.ply, .spz, .sog (small). Several are joined.
 
     Smaller: lumisplat convert garden.ply garden.spz
 
@@ -39,11 +39,11 @@ class Convert(LoadingCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
-    """.ply, .compressed.ply, .spz, .splat, .sog, a SOG folder, or a .glb or .gltf with captures. Without -o, there are
-    two, and the second is written."""
+    """.ply, .compressed.ply, .spz, .splat, .sog, a SOG folder, or a .glb, .gltf, .usda, .usdc or .usdz with captures.
+    Without -o, there are two, and the second is written."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """.ply, .compressed.ply, .spz, .sog or meta.json (a SOG folder), .glb or .gltf, which have y up and are turned as
-    .spz is; - is standard output, in PLY. Needed to join captures."""
+    """.ply, .compressed.ply, .spz, .sog or meta.json (a SOG folder), .glb, .gltf, .usda, .usdc or .usdz; glTF and
+    OpenUSD have y up, to which it is turned, as .spz is. - is standard output, in PLY. Needed to join captures."""
     box: Annotated[str | None, arg(metavar="X,Y,Z,X,Y,Z", help_behavior_hint="")] = None
     """Keep what lies between two corners, with its mean."""
     sphere: Annotated[str | None, arg(metavar="X,Y,Z,R", help_behavior_hint="")] = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,10 +12,11 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.options.command import LoadingCommand
 from lumisplat.cli.options.up import UpOption, upright
-from lumisplat.cli.output.console import byte_size, counted, progress_bars
+from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_writable
 
-_WITH_CAMERAS = (".toml", ".glb", ".gltf")
+_USD = (".usd", ".usda", ".usdc", ".usdz")
+_WITH_CAMERAS = (".toml", ".glb", ".gltf", *_USD)
 """Files of scenes, which may have cameras."""
 
 
@@ -27,14 +28,17 @@ class Export(LoadingCommand):
 
     Files as one scene: lumisplat export garden.ply statue.glb --cameras transforms.json -o garden.glb
 
-    Files of glTF have y up: what stands upright in the scene stands upright there. What they cannot hold, such as area
-    lamps and environments, is said in a line. Light on captures goes with them if they are baked: lumisplat bake.
+    For film and simulation, with area lamps, the sky and what moves: lumisplat export scene.toml -o scene.usdz
+
+    Files of glTF and OpenUSD have y up: what stands upright in the scene stands upright there. What they cannot hold,
+    such as area lamps in glTF, is said in a line. Light on captures goes with them if they are baked: lumisplat bake.
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """A scene.toml, or captures and meshes of any format that is read; actors are where they are at time 0."""
+    """A scene.toml, or captures and meshes of any format that is read; actors are where they are at time 0, but
+    move in OpenUSD."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.glb, or .gltf, the same as text."""
+    """.glb, or .gltf, the same as text; or .usdz, .usdc, or .usda, the same as text."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Cameras of a transforms.json or another camera file, in place of those of the scene."""
     up: UpOption = "auto"
@@ -47,18 +51,32 @@ class Export(LoadingCommand):
         check_writable(self.output.absolute().parent)
         cameras = self._cameras()
         with progress_bars() as report:
-            scene = upright(self.load_scene(self.scene, report), self.up)
+            animation = self._animation(report)
+            scene = upright(animation.scene if animation else self.load_scene(self.scene, report), self.up)
             report("writing", 0.0)
-            ls.save(self.output, scene, cameras=cameras)
+            if animation:
+                ls.save(self.output, replace(animation, scene=scene, cameras=cameras))
+            else:
+                ls.save(self.output, scene, cameras=cameras)
         counts = (
             (len(scene.splats), "capture"),
             (scene.gaussian_count, "Gaussian"),
             (len(scene.meshes), "mesh instance"),
             (len(scene.lights), "light"),
             (len(cameras), "camera"),
+            (animation.frame_count if animation else 0, "frame"),
         )
         held = ", ".join(counted(count, noun) for count, noun in counts if count)
         print(f"{self.output}: {byte_size(size_on_disk(self.output))}, of {held}")
+
+    def _animation(self, report: Report) -> ls.Animation | None:
+        """What moves, if the file can hold it: of one scene.toml with actors or a camera with keyframes."""
+        if self.output.suffix.lower() not in _USD or [file.suffix.lower() for file in self.scene] != [".toml"]:
+            return None
+        (file,) = self.scene
+        report(f"loading {file.name}", 0.0)
+        animation = ls.load_animation(file, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
+        return animation if animation.actors or animation.camera_path else None
 
     def _cameras(self) -> list[ls.Camera]:
         """The cameras that are given, else those of the scene's files."""

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
     Held = ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
 
+_USD = (".usd", ".usda", ".usdc", ".usdz")
+
 _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
 
@@ -116,7 +118,7 @@ def _holds_cameras(path: Path) -> bool:
 
 def _cameras(path: Path) -> list[ls.Camera]:
     """The cameras that a scene's file has."""
-    return ls.load_cameras(path) if path.suffix.lower() in (".toml", ".glb", ".gltf") else []
+    return ls.load_cameras(path) if path.suffix.lower() in (".toml", ".glb", ".gltf", *_USD) else []
 
 
 def _animation(path: Path) -> ls.Animation | None:

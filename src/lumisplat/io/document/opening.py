@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.errors import ConfigError, FormatError, MissingExtraError, SceneError
 from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry
 from lumisplat.io.files.source import parsing
+from lumisplat.io.formats import USD
 from lumisplat.io.gltf.scene import shows_one_capture
 from lumisplat.io.ply_files import holds_mesh
 from lumisplat.io.scene_toml.scene_file import read_document
@@ -110,4 +112,9 @@ def heading_of(file: Path) -> Literal["splats", "meshes"]:
     is_mesh = suffix in _MESHES or (suffix == ".ply" and holds_mesh(file))
     if suffix in (".glb", ".gltf"):
         is_mesh = not shows_one_capture(file)
+    if suffix in USD:
+        from lumisplat.io.usd.scene import shows_one_capture as shows_one_field
+
+        with suppress(FormatError, MissingExtraError):
+            is_mesh = not shows_one_field(file)
     return "meshes" if is_mesh else "splats"

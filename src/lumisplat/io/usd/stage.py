@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.errors import FormatError
+from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.native import utf8_path
 from lumisplat.io.usd.guards import check_layers
 from lumisplat.io.usd.library import pxr
@@ -50,6 +50,8 @@ def open_usd(path: Path) -> UsdFile:
             or axes that do not exist.
     """
     px = pxr()
+    if not path.exists():
+        raise MissingFileError(path, "no such file")
     with utf8_path(path) as text:
         check_layers(path, text)
         stage = px.Usd.Stage.Open(text)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _NOTHING = "nothing"
 _SKIES = (".hdr", ".exr")
-_READABLE = (".ply", ".spz", ".sog", ".obj", ".stl", ".glb", ".gltf", *_SKIES)
+_READABLE = (".ply", ".spz", ".sog", ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", *_SKIES)
 _LIGHTS = ("point", "spot", "directional", "sphere", "rect")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
