@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tomllib
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -74,9 +76,10 @@ class Export(LoadingCommand):
         if self.output.suffix.lower() not in _USD or [file.suffix.lower() for file in self.scene] != [".toml"]:
             return None
         (file,) = self.scene
+        if not _moves(file):
+            return None
         report(f"loading {file.name}", 0.0)
-        animation = ls.load_animation(file, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
-        return animation if animation.actors or animation.camera_path else None
+        return ls.load_animation(file, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
 
     def _cameras(self) -> list[ls.Camera]:
         """The cameras that are given, else those of the scene's files."""
@@ -84,3 +87,16 @@ class Export(LoadingCommand):
             return ls.load_cameras(self.cameras)
         files = (file for file in self.scene if file.suffix.lower() in _WITH_CAMERAS)
         return [camera for file in files for camera in ls.load_cameras(file)]
+
+
+def _moves(file: Path) -> bool:
+    """Whether a scene file has actors or cameras with keyframes; one that cannot be read says so later."""
+    values: dict[str, Any] = {}
+    with suppress(OSError, ValueError):
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    return "actors" in values or any("keyframes" in camera for camera in _tables(values.get("cameras")))
+
+
+def _tables(value: Any) -> list[dict[str, Any]]:
+    """The tables of a list; whatever else is in the place of them is none."""
+    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []  # pyright: ignore[reportUnknownVariableType]

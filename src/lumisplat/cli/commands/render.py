@@ -54,8 +54,8 @@ class Render(FrameCommand):
     """Render a scene to pictures."""
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl), both (.glb, .gltf, .usda, .usdc, .usdz) or
-    a scene.toml, which has lights, cameras and settings, too. Several make one scene."""
+    """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl), both (.glb, .gltf, .usda, .usdc, .usdz),
+    or a scene.toml, which has lights, cameras and settings, too. Several make one scene."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
     """A folder, or for one frame a file: .png, .exr or .npz. - is standard output, in PNG or as --format says."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None

@@ -117,13 +117,14 @@ def _integers(data: bytes, count: int) -> npt.NDArray[np.int64]:
     code_bytes = (2 * count + 7) // 8
     packed = np.frombuffer(data, np.uint8, code_bytes, 4)
     codes = (packed[:, None] >> np.array([0, 2, 4, 6], np.uint8) & 3).reshape(-1)[:count]
-    starts = 4 + code_bytes + np.cumsum(_WIDTHS[codes]) - _WIDTHS[codes]
+    widths = _WIDTHS[codes]
+    starts: npt.NDArray[np.int64] = 4 + code_bytes + np.cumsum(widths) - widths
     differences = np.full(count, struct.unpack_from("<i", data)[0], np.int64)
     held = np.frombuffer(data, np.uint8)
     for code, kind in ((1, "<i1"), (2, "<i2"), (3, "<i4")):
         rows = np.flatnonzero(codes == code)
-        columns = starts[rows, None] + np.arange(_WIDTHS[code])
-        if rows.size and columns.max() >= held.size:
+        columns = starts[rows][:, None] + np.arange(int(_WIDTHS[code]))
+        if rows.size and int(columns.max()) >= held.size:
             raise ValueError("the integers end too early")
         differences[rows] = np.ascontiguousarray(held[columns]).view(kind)[:, 0]
     return np.cumsum(differences).astype(np.int32).astype(np.int64)

@@ -1,0 +1,112 @@
+"""OpenUSD files through the commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.files.usd_files import usd_core, validation_messages
+
+SCENE = """
+up = "y-down"
+
+[[splats]]
+path = "capture.ply"
+
+[[meshes]]
+path = "mesh.obj"
+position = [0.0, 0.5, 0.0]
+
+[[lights]]
+type = "rect"
+name = "panel"
+position = [0.0, -2.0, 0.0]
+target = [0.0, 0.0, 1.0]
+size = [1.0, 1.0]
+intensity = 5.0
+
+[[cameras]]
+eye = [0.0, -1.0, -3.0]
+target = [0.0, 0.0, 4.0]
+width = 64
+height = 48
+"""
+ACTOR = """
+[[actors]]
+path = "mesh.obj"
+name = "mover"
+keyframes = [{ time = 0.0, position = [0.0, 0.0, 0.0] }, { time = 1.0, position = [0.0, -1.0, 0.0] }]
+
+[animation]
+fps = 4.0
+duration = 1.0
+"""
+
+
+@pytest.fixture
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+    """A folder with a scene."""
+    usd_core()
+    place = Workplace(tmp_path, capsys)
+    place.path("scene.toml").write_text(SCENE)
+    return place
+
+
+@pytest.mark.parametrize("name", ["scene.usda", "scene.usdc", "scene.usdz"])
+def test_the_picture_is_the_same(work: Workplace, name: str) -> None:
+    """A lit scene and its file show the same picture, each through its own camera; validators are content."""
+    outcome = work.run("export", "@scene.toml", "-o", f"@{name}")
+    assert "of 1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
+    assert not validation_messages(work.path(name))
+    for one in ("scene.toml", name):
+        assert work.run("render", f"@{one}", "--cameras", f"@{one}", "-o", f"@{one}.png").status == 0
+    before, after = (ls.load_image(work.path(f"{one}.png")) for one in ("scene.toml", name))
+    assert before.max() > 0.2
+    np.testing.assert_allclose(after, before, atol=1.001 / 255)
+
+
+def test_captures_are_converted_both_ways(work: Workplace) -> None:
+    """Convert writes and reads .usdz without a change; several fields are joined, with y down again."""
+    assert work.run("convert", "@capture.ply", "-o", "@a.usdz").status == 0
+    before = work.capture("capture.ply")
+    for name, values in work.capture("a.usdz").arrays().items():
+        np.testing.assert_array_equal(values, before.arrays()[name])
+    ls.save(work.path("two.usdc"), ls.Scene(splats=[before, ls.SplatInstance(before, position=(5, 0, 0))]))
+    assert work.run("convert", "@two.usdc", "@two.ply").status == 0
+    expected = np.concatenate([before.means, before.means + np.array([5, 0, 0])])
+    np.testing.assert_allclose(work.capture("two.ply").means, expected, rtol=0, atol=1e-5)
+
+
+def test_what_moves_moves_in_the_file(work: Workplace) -> None:
+    """An actor of a scene file has a sample a frame, upright; glTF has it where it is at time 0."""
+    work.path("scene.toml").write_text(SCENE + ACTOR)
+    outcome = work.run("export", "@scene.toml", "-o", "@walk.usdz")
+    assert "1 camera, 4 frames" in outcome.out
+    loaded = ls.load_animation(work.path("walk.usdz"))
+    assert (loaded.fps, loaded.frame_count) == (4.0, 4)
+    (mover,) = loaded.actors
+    assert mover.name == "mover"
+    np.testing.assert_allclose(mover.at(0.75)[0].transform[:3, 3], (0.0, 0.75, 0.0), atol=1e-12)
+
+
+def test_what_is_in_a_file(work: Workplace) -> None:
+    """Info counts a scene's parts and its cameras; the viewer lists it under meshes, and a capture under splats."""
+    work.run("export", "@scene.toml", "-o", "@scene.usdz")
+    assert "1 captures, 1 meshes, 1 lights, 1 cameras" in work.run("info", "@scene.usdz").out
+    work.run("convert", "@capture.ply", "@a.usdc")
+    assert ls.SceneDocument.kind_of(work.path("scene.usdz")) == "meshes"
+    assert ls.SceneDocument.kind_of(work.path("a.usdc")) == "splats"
+
+
+def test_what_moves_has_formats_of_its_own(work: Workplace) -> None:
+    """An animation cannot be saved as anything else."""
+    work.path("scene.toml").write_text(SCENE + ACTOR)
+    animation = ls.load_animation(work.path("scene.toml"))
+    with pytest.raises(
+        ls.FormatError, match=r"a\.glb: cannot hold what moves: animations can be saved as \.usd, \.usda"
+    ):
+        ls.save(work.path("a.glb"), animation)
