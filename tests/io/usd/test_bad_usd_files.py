@@ -16,7 +16,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.errors import FormatError, MissingExtraError
 from lumisplat.io.usd import library
-from lumisplat.io.usd.crate import check_crate
+from lumisplat.io.usd.opening.crate import check_crate
 from support.files.splat_files import capture
 from support.files.usd_files import EXTENSIONS, field, usd_core, write_usda
 from support.scenes.usd_scene import full_scene

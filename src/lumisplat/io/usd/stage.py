@@ -12,8 +12,8 @@ import numpy as np
 
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.native import utf8_path
-from lumisplat.io.usd.guards import check_layers
 from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.opening.guards import check_layers
 from lumisplat.io.usd.remarks import Remarks
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.rotations import axis_rotation

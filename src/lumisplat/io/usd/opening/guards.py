@@ -15,8 +15,8 @@ from lumisplat.constants.usd import USD_LAYERS_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.references import referenced_file
 from lumisplat.io.files.source import check_regular
-from lumisplat.io.usd.crate import MAGIC, check_crate
 from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.opening.crate import MAGIC, check_crate
 
 
 def check_layers(path: Path, text: str) -> None:

@@ -1,0 +1,1 @@
+"""What is checked before the library opens a file."""
