@@ -135,9 +135,7 @@ def check_written(path: PathLike, *, scene: bool = False) -> str:
     return writer
 
 
-def write(
-    path: PathLike, asset: Gaussians | Mesh | Scene | Animation, cameras: Sequence[Camera], columns: str
-) -> None:
+def write(path: PathLike, asset: Gaussians | Mesh | Scene | Animation, cameras: Sequence[Camera], columns: str) -> None:
     """Writes a file in the format of its extension; see `lumisplat.io.save`.
 
     Args:
