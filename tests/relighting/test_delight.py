@@ -310,7 +310,7 @@ def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]
     assert "50.0% of the Gaussians would reflect more than all light" in text
     assert "50.0% of the Gaussians is not explained" in text
     assert "3.5" in text
-    assert "highlights tell the roughness of 50% of the Gaussians" in text
+    assert "views from all sides tell the roughness of 50% of the Gaussians" in text
     assert "on which side 30% of the Gaussians are seen is in doubt" in text
     sure = "\n".join(replace(estimate, sureness=np.zeros(n, np.float32), doubtful_sides=0.1).remarks)
     assert "roughness is 0.8 everywhere" in sure

@@ -22,7 +22,7 @@ def test_albedo_and_new_light(name: str) -> None:
 
 @pytest.mark.usefixtures("data_dir")
 def test_roughness_of_glossy_surfaces() -> None:
-    """A cow and a floor of four roughnesses, degree 3: what is sure is nearer than 0.8 everywhere, and albedo is kept."""
+    """A cow and a floor of four roughnesses, degree 3: what is sure is nearer than 0.8 is, and albedo is kept."""
     figures, _ = measured(CASES["glossy spot"]("cpu"), "cpu")
     rough = figures["roughness"]
     assert rough["rmse_of_sure"] < 0.25

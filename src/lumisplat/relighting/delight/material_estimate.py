@@ -94,10 +94,10 @@ class MaterialEstimate:
         if self.sureness.any():
             share = float((self.sureness > SURE).mean())
             lines.append(
-                f"highlights tell the roughness of {share:.0%} of the Gaussians; that of others is nearer to 0.8"
+                f"views from all sides tell the roughness of {share:.0%} of the Gaussians; else it is nearer to 0.8"
             )
         else:
-            lines.append("roughness is 0.8 everywhere: no highlights tell it")
+            lines.append("roughness is 0.8 everywhere: colours do not change with the view, or lamps are in it")
         if (share := float(self.out_of_range.mean())) > TOO_LIGHT:
             lines.append(f"{share:.1%} of the Gaussians would reflect more than all light, and have albedo 1")
         if (share := float((self.residual > RESIDUAL_LARGE).mean())) > TOO_LIGHT:
