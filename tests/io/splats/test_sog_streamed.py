@@ -12,26 +12,8 @@ import pytest
 import lumisplat as ls
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.scene.gaussians import Gaussians
-from support.files.splat_files import capture, load_gaussians, sog_files, splat_rows, unpacked
+from support.files.splat_files import capture, load_gaussians, rows_of_level, sog_files, splat_rows, streamed, unpacked
 from support.kinds import expect_kind
-
-
-def rows(file: int, offset: int, count: int) -> dict[str, int]:
-    """An entry of a leaf."""
-    return {"file": file, "offset": offset, "count": count}
-
-
-def streamed(folder: Path, **changed: Any) -> Path:
-    """Two leaves with three levels, the second of which lacks level 1; captures of degree 1, 1 and 0."""
-    for name, (count, degree) in {"0_0": (50, 1), "1_0": (20, 1), "2_0": (8, 0)}.items():
-        unpacked(folder / name, sog_files(capture(count, degree, seed=count), linear=False))
-    first = {"0": rows(0, 0, 30), "1": rows(1, 0, 20), "2": rows(2, 0, 5)}
-    second = {"0": rows(0, 30, 20), "2": rows(2, 5, 3)}
-    tree = {"children": [{"lods": first}, {"children": [{"lods": second}]}]}
-    names = ["0_0/meta.json", "1_0/meta.json", "2_0/meta.json"]
-    meta = {"lodLevels": 3, "environment": None, "filenames": names, "tree": tree} | changed
-    (folder / "lod-meta.json").write_text(json.dumps(meta))
-    return folder / "lod-meta.json"
 
 
 def test_levels(tmp_path: Path) -> None:
@@ -69,11 +51,11 @@ def test_the_environment_is_always_there(tmp_path: Path) -> None:
         ({"lodLevels": 10**9}, "has 1000000000 levels"),
         ({"tree": {}}, "zero Gaussians at level 0"),
         ({"tree": {"lods": {}}}, "a leaf has no level"),
-        ({"tree": {"lods": {"0": rows(3, 0, 1)}}}, "of 3 levels and 3 files"),
-        ({"tree": {"lods": {"7": rows(0, 0, 1)}}}, "damaged: level 7"),
-        ({"tree": {"lods": {"0": rows(0, -1, 1)}}}, "damaged: level 0"),
-        ({"tree": {"lods": {"0": rows(0, 40, 11)}}}, "rows 40 to 51 of 0_0/meta.json, which holds 50"),
-        ({"tree": {"children": [{"lods": {"0": rows(0, 0, 50)}}] * 9}}, "another leaf has some"),
+        ({"tree": {"lods": {"0": rows_of_level(3, 0, 1)}}}, "of 3 levels and 3 files"),
+        ({"tree": {"lods": {"7": rows_of_level(0, 0, 1)}}}, "damaged: level 7"),
+        ({"tree": {"lods": {"0": rows_of_level(0, -1, 1)}}}, "damaged: level 0"),
+        ({"tree": {"lods": {"0": rows_of_level(0, 40, 11)}}}, "rows 40 to 51 of 0_0/meta.json, which holds 50"),
+        ({"tree": {"children": [{"lods": {"0": rows_of_level(0, 0, 50)}}] * 9}}, "another leaf has some"),
         ({"tree": None}, "damaged, or not a streamed SOG"),
         ({"filenames": ["../../x/meta.json"] * 3}, "not in its folder"),
         ({"filenames": ["gone/meta.json"] * 3}, "no such file"),

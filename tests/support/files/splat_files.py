@@ -9,6 +9,7 @@ import struct
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -223,3 +224,21 @@ def unpacked(folder: Path, files: dict[str, bytes]) -> Path:
     for name, data in files.items():
         (folder / name).write_bytes(data)
     return folder
+
+
+def rows_of_level(file: int, offset: int, count: int) -> dict[str, int]:
+    """A level in a leaf of a streamed SOG."""
+    return {"file": file, "offset": offset, "count": count}
+
+
+def streamed(folder: Path, **changed: Any) -> Path:
+    """A streamed SOG: two leaves with three levels, of which the second lacks level 1; degrees are 1, 1 and 0."""
+    for name, (count, degree) in {"0_0": (50, 1), "1_0": (20, 1), "2_0": (8, 0)}.items():
+        unpacked(folder / name, sog_files(capture(count, degree, seed=count), linear=False))
+    first = {"0": rows_of_level(0, 0, 30), "1": rows_of_level(1, 0, 20), "2": rows_of_level(2, 0, 5)}
+    second = {"0": rows_of_level(0, 30, 20), "2": rows_of_level(2, 5, 3)}
+    tree = {"children": [{"lods": first}, {"children": [{"lods": second}]}]}
+    names = ["0_0/meta.json", "1_0/meta.json", "2_0/meta.json"]
+    meta = {"lodLevels": 3, "environment": None, "filenames": names, "tree": tree} | changed
+    (folder / "lod-meta.json").write_text(json.dumps(meta))
+    return folder / "lod-meta.json"
