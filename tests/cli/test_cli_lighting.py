@@ -384,7 +384,7 @@ def hints(options: type) -> dict[str, str]:
 CONFIG = ls.RenderConfig()
 DEFAULTS: dict[str, Any] = {
     "pipeline": CONFIG.pipeline,
-    "frames": WarmUp().frames,
+    "warm_up": WarmUp().frames,
     "crease_angle": 51.6,
     "background": "black" if CONFIG.background == (0.0, 0.0, 0.0) else CONFIG.background,
     "raster_strategy": CONFIG.raster.strategy,

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -163,8 +164,12 @@ def count(work: Workplace) -> int:
 
 def workers_of(driver: int) -> list[int]:
     """The processes that make frames for a driver."""
-    children = Path(f"/proc/{driver}/task/{driver}/children").read_text().split()
-    return [int(child) for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    workers: list[int] = []
+    for child in Path(f"/proc/{driver}/task/{driver}/children").read_text().split():
+        with suppress(OSError):  # it has just ended
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                workers.append(int(child))
+    return workers
 
 
 def wait_for(condition) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -114,7 +115,7 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
 def test_two_farms_in_one_folder(tmp_path: Path) -> None:
     """Of one origin, they share the work; of another, the second is refused."""
     maker = FakeMaker(tmp_path / "out", count=20, seconds=0.1)
-    other = subprocess.Popen([sys.executable, "-c", PROGRAM, str(tmp_path / "out"), "20", "0.1"])
+    other = driver_of(tmp_path / "out", 20, 0.1)
     farm(maker)
     assert other.wait() == 0
     assert maker.contents == expected(20)
@@ -132,6 +133,13 @@ def wait_for(condition) -> None:
             return
         time.sleep(0.05)
     raise AssertionError("it never came")
+
+
+def driver_of(folder: Path, count: int, seconds: float, program: str = "", **options: Any) -> subprocess.Popen[Any]:
+    """A process that makes frames by two workers; it finds what the tests find."""
+    command = [sys.executable, "-c", program or PROGRAM, str(folder), str(count), str(seconds)]
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
+    return subprocess.Popen(command, env=environment, **options)
 
 
 PROGRAM = """
@@ -158,7 +166,7 @@ if __name__ == "__main__":
 def test_a_driver_that_is_killed(tmp_path: Path) -> None:
     """Its workers end with it, half-made frames leave nothing, and the next driver makes what is missing."""
     maker = FakeMaker(tmp_path / "out", count=12, seconds=0.3)
-    driver = subprocess.Popen([sys.executable, "-c", PROGRAM, str(tmp_path / "out"), "12", "0.3"])
+    driver = driver_of(tmp_path / "out", 12, 0.3)
     wait_for(lambda: len(maker.contents) >= 3)
     workers = {int(path.name.split("_")[1]) for path in (tmp_path / "made").iterdir()}
     driver.kill()
@@ -191,10 +199,8 @@ def test_an_interrupt_says_how_far_it_is(tmp_path: Path) -> None:
         "except ls.LumisplatError",
         "except KeyboardInterrupt as stop:\n        print(*stop.args)\n    except ls.LumisplatError",
     )
-    driver = subprocess.Popen(
-        [sys.executable, "-c", program, str(tmp_path / "out"), "12", "0.3"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+    driver = driver_of(tmp_path / "out", 12, 0.3, program, **pipes)
     wait_for(lambda: len(maker.contents) >= 2)
     os.killpg(driver.pid, signal.SIGINT)
     out, err = driver.communicate()

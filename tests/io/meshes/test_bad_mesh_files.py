@@ -230,10 +230,10 @@ def edit(collection: str, index: int, **values: object) -> Callable[[Gltf], None
         ),
         (edit("materials", 0, extensions={"KHR_materials_volume": 7}), "damaged, or not a glTF file"),
         (lambda gltf: primitive(gltf).update(material=4), r"refers to materials\[4\]"),
-        (lambda gltf: primitive(gltf).update(mode=0), "no triangle mesh"),
+        (lambda gltf: primitive(gltf).update(mode=0), "has no Gaussians, triangle mesh"),
         (lambda gltf: primitive(gltf)["attributes"].pop("POSITION"), "has no POSITION"),
         (lambda gltf: gltf.json.update(scenes=[{"nodes": [0]}], scene=4), r"refers to scenes\[4\]"),
-        (lambda gltf: gltf.json.update(nodes=[]), "no triangle mesh"),
+        (lambda gltf: gltf.json.update(nodes=[]), "has no Gaussians, triangle mesh"),
         (lambda gltf: gltf.json.update(nodes=7), "damaged, or not a glTF file"),
         (lambda gltf: gltf.json.update(asset={"version": "1.0"}), "glTF version 1.0, expected 2.0"),
         (
