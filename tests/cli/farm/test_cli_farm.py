@@ -61,8 +61,8 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 
 def files(work: Workplace, folder: str) -> dict[str, bytes]:
-    """All files of a folder."""
-    return {path.name: path.read_bytes() for path in sorted(work.path(folder).iterdir())}
+    """All files of a folder, but for what is being written."""
+    return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("[!.]*"))}
 
 
 def test_an_animation_is_the_same(work) -> None:
