@@ -11,10 +11,9 @@ import lumisplat as ls
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.rotations import rotation_matrix
 from lumisplat.relighting.delight import delight as steps
-from lumisplat.relighting.delight import incident
 from lumisplat.relighting.delight.albedo_fit import Light, LightFit, first_light
 from lumisplat.relighting.delight.captured import lamps_of
-from lumisplat.relighting.delight.incident import Facing, Incident, IncidentRays
+from lumisplat.relighting.delight.incident import Incident, IncidentRays
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
 from lumisplat.relighting.delight.sky_cells import SkyCells
@@ -76,54 +75,6 @@ def test_sides_spread_over_a_surface_from_one_vote() -> None:
     assert (found[400:] == -1.0).all()
     votes[11] = -0.3 * signs[11]  # one that is less sure, and wrong
     assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
-
-
-def open_bowl(count: int) -> ls.Gaussians:
-    """A ball without its lowest third."""
-    whole = ls.gaussians_from_mesh(ls.sphere(1.0), count)
-    return whole.subset(np.flatnonzero(whole.means[:, 1] > -0.33))
-
-
-@pytest.mark.parametrize(
-    ("name", "most"), [("ball of 100", 0.02), ("ball of 300", 0.01), ("bowl of 400", 0.05), ("floor of 200", 0.06)]
-)
-def test_few_gaussians_face_outwards_too(name: str, most: float) -> None:
-    """Sparse sets do not turn inside out, nor do hulls that are open below; a floor faces what stands on it."""
-    shape, count = name.split(maxsplit=1)[0], int(name.rsplit(maxsplit=1)[-1])
-    if shape == "floor":
-        floor = ls.gaussians_from_mesh(ls.plane(4.0, 4.0), count)
-        block = ls.transform(ls.gaussians_from_mesh(ls.box((1.0, 1.0, 1.0)), count), _lifted(0.52))
-        plain = ls.merge([floor, block])
-        outward = np.asarray(plain.normals)
-        reach = np.abs(block.means).max(axis=0) + 0.2  # below the block, nothing is seen
-        seen = (np.abs(plain.means[:, [0, 2]]) > reach[[0, 2]]).any(axis=1) | (plain.means[:, 1] > 0.1)
-    else:
-        plain = ls.gaussians_from_mesh(ls.sphere(1.0), count) if shape == "ball" else open_bowl(count)
-        outward, seen = np.asarray(plain.normals), np.ones(plain.count, bool)
-    facing = facing_of(plain)
-    wrong = np.einsum("ij,ij->i", facing.normals, outward) < 0.0
-    assert not facing.is_inside
-    assert wrong[seen].mean() <= most
-    assert facing.doubtful < 0.15
-
-
-def test_doubt_about_sides_is_counted(ball: tuple[ls.Gaussians, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of ten Gaussians, neighbours overrule three."""
-    overruled = np.arange(ball[0].count) % 10 < 3
-
-    def agreed(_axes: np.ndarray, votes: np.ndarray, _near: object) -> np.ndarray:
-        return np.where(overruled, -1.0, 1.0) * np.sign(votes)
-
-    monkeypatch.setattr(incident, "agreed_sides", agreed)
-    assert np.isclose(facing_of(ball[0]).doubtful, overruled.mean())
-
-
-def facing_of(gaussians: ls.Gaussians) -> Facing:
-    """The sides that are found without the set's own normals."""
-    plain = replace(gaussians, normals=None, albedo=None, roughness=None)
-    axes = np.asarray(ls.estimate_normals(plain), np.float64)
-    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    return IncidentRays(plain, renderer, 0).facing(axes, neighbours_of(plain), None, known=False)
 
 
 def test_points_lie_on_gaussians() -> None:
@@ -228,20 +179,6 @@ def test_a_shaded_ball_loses_its_shade(ball: tuple[ls.Gaussians, np.ndarray]) ->
     assert spread(found) < 0.3 * spread(shown)
 
 
-def test_what_looks_the_same_from_all_sides_is_not_glossy(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """Harmonics of degree 1 that are zero: rough. Degree 0: 0.8 to the bit, and nothing is sure."""
-    plain, albedo = ball
-    flat = colored(plain, albedo)
-    sh = np.concatenate([flat.sh, np.zeros((plain.count, 3, 3), np.float32)], axis=1)
-    config = ls.DelightConfig(cells=4)
-    found = ls.estimate_materials(replace(flat, sh=sh), config, device="cpu")
-    assert np.median(np.asarray(found.gaussians.roughness)) > 0.65
-    assert found.sureness.shape == (plain.count,)
-    unknown = ls.estimate_materials(flat, config, device="cpu")
-    assert (np.asarray(unknown.gaussians.roughness) == np.float32(0.8)).all()
-    assert not unknown.sureness.any()
-
-
 def test_normals_that_came_with_a_capture_stay(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Even where they point inwards, to the bit."""
     plain, albedo = ball
@@ -304,14 +241,9 @@ def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]
     half = np.arange(n) < n // 2
     estimate = MaterialEstimate(
         plain, SkyCells.even(4), np.ones((16, 3)), np.full((1, 3), 3.5), np.full(n, -1), half.astype(np.float32),
-        np.ones(n, np.float32), np.where(half, 0.9, 0.1).astype(np.float32), False, 0.3, half,
+        np.ones(n, np.float32), False, half,
     )  # fmt: skip
     text = "\n".join(estimate.remarks)
     assert "50.0% of the Gaussians would reflect more than all light" in text
     assert "50.0% of the Gaussians is not explained" in text
     assert "3.5" in text
-    assert "views from all sides tell the roughness of 50% of the Gaussians" in text
-    assert "on which side 30% of the Gaussians are seen is in doubt" in text
-    sure = "\n".join(replace(estimate, sureness=np.zeros(n, np.float32), doubtful_sides=0.1).remarks)
-    assert "roughness is 0.8 everywhere" in sure
-    assert "in doubt" not in sure

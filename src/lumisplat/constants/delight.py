@@ -9,16 +9,8 @@ SIDE_ENCLOSED = 0.1
 SKY_SEEN = 0.02
 """Share of the sky that a side sees at least, if it sees any."""
 
-SKY_CONTRAST = 1.5
-"""How much surer of their side Gaussians are than their two sides differ in the sky that they see, as a share of both.
-At 1, half of a statue that is open below turns inside out; at 2, more of a floor below a cow does."""
-
-SKY_NONE = 0.05
-"""Added to that share's denominator: little sky tells little."""
-
-SIDE_OFFSET = 0.5
-"""How near neighbours may be that these rays meet, as a share of what shadow rays pass. At 1, rays of sparse sets leave
-them through their other side, and 300 Gaussians of a cow turn inside out; at 0, all are stopped at once."""
+SKY_ENOUGH = 0.2
+"""Share of the sky from which on more of it does not make a side likelier to be the one that was seen."""
 
 SIDE_FAR = 0.02
 """Mean distance of what a side sees, in extents of the set, from which on it is open."""
@@ -31,10 +23,6 @@ SIDE_STIFFNESS = 5.0
 
 SIDE_SHARPNESS = 4
 """Exponent of the cosine between the axes of neighbours that agree on their sides."""
-
-SIDES_DOUBTFUL = 0.15
-"""Share of Gaussians that are overruled by their neighbours, from which on it is worth a remark: 1 to 10 % of what lies
-on a closed cow, a bunny and a floor, 18 to 26 % of an open statue, of which 16 to 60 % are wrong."""
 
 SIDE_STEPS = 300
 """Steps of conjugate gradients by which they do."""
@@ -135,45 +123,6 @@ LIGHT_SEEN = 0.03
 
 ROUGHNESS_UNKNOWN = 0.8
 """Roughness of Gaussians whose highlights say nothing."""
-
-ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
-"""Roughnesses that are tried: below the first one, harmonics of degree 3 show the same."""
-
-ROUGHNESS_ROWS = 4096
-"""Gaussians that are tried at once: some 100 MB."""
-
-LOBE_VIEWS = 24
-"""Views of the upper hemisphere in which colours are compared: harmonics of degree 3 have 16 numbers for both."""
-
-VIEW_COSINE_LEAST = 0.2
-"""Cosine between normal and view, from which on they are: nobody sees Gaussians edge-on."""
-
-BIN_RINGS = 8
-"""Rings of equal solid angle into which the light above a Gaussian is sorted."""
-
-BIN_SECTORS = 20
-"""Equal sectors of each: bins are 11 degrees wide."""
-
-BIN_SAMPLES = 4
-"""Times as many directions of each bin are integrated over."""
-
-ALBEDO_STEPS = 4
-"""Steps of Gauss-Newton to the albedo that goes with a roughness."""
-
-HIGHLIGHT_NOISE = 0.008
-"""Error of captured colours, display-referred, that is expected at least: 2 of 255."""
-
-LIKE_ALBEDO = 0.1
-"""Difference of albedo, natural logarithm, of neighbours that may be of one material."""
-
-LIKE_NORMALS = 4
-"""Exponent of the cosine between their normals."""
-
-MATT_LEAST = 0.2
-"""Share of what is seen from most sides that is left when highlights are taken away, at least."""
-
-SURE = 0.8
-"""Sureness of a roughness from which on highlights are said to tell it."""
 
 GAUSSIANS_LEAST = 64
 """Gaussians of which a surface consists, at least."""

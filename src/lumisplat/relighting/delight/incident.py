@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.constants.delight import (
@@ -15,9 +14,7 @@ from lumisplat.constants.delight import (
     SIDE_DIRECTIONS,
     SIDE_ENCLOSED,
     SIDE_FAR,
-    SIDE_OFFSET,
-    SKY_CONTRAST,
-    SKY_NONE,
+    SKY_ENOUGH,
     SKY_SEEN,
 )
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
@@ -33,7 +30,6 @@ from lumisplat.scene.sampling.blue_noise import Pairs
 from lumisplat.scene.scene import Scene
 
 Report = Callable[[str, float], None]
-HalfArray = npt.NDArray[np.float16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,10 +42,6 @@ class Incident:
     """Of each of K cells of a sky of radiance 1, shape (N, K)."""
     lamps: FloatArray
     """Of each of L lamps of radiance 1, shape (N, L)."""
-    ways: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
-    """Directions in which what the capture shows was kept apart, unit, shape (W, 3); none if it was not."""
-    by_way: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
-    """The share of ``observed`` that comes from each, shape (W, N, 3)."""
 
     def total(self, sky: Doubles, lamps: Doubles) -> Doubles:
         """That of a sky and lamps, shape (N, 3).
@@ -59,18 +51,6 @@ class Incident:
             lamps: Likewise, shape (L, 3).
         """
         return self.observed + self.sky @ sky + self.lamps @ lamps
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Facing:
-    """On which side Gaussians are seen."""
-
-    normals: Doubles
-    """Unit, to that side, shape (N, 3)."""
-    is_inside: bool
-    """Whether the capture was taken from inside of it."""
-    doubtful: float
-    """Share of the Gaussians whose own rays were for the other side, 0..1."""
 
 
 class IncidentRays:
@@ -92,11 +72,11 @@ class IncidentRays:
         self._offsets = SHADOW_OFFSET * capture.scales.max(axis=1)
         self._extent = float(np.linalg.norm(np.ptp(self._means, axis=0)))
 
-    def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, known: bool) -> Facing:
-        """The side of given axes from which Gaussians are seen, and whether from inside of the capture.
+    def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, known: bool) -> tuple[Doubles, bool]:
+        """Normals along given axes that point to the side from which Gaussians are seen, and whether from inside.
 
-        Of an object, that is the side from which most of the sky is seen; if both see as much, as of a floor,
-        the one with more of the capture. Of a room it is that with more of it, as behind the walls is nothing.
+        Of an object, that is the side of which the sky is seen; if it is seen from both, as from a floor, the one with
+        more of the capture. Of a room it is that with more of it, as behind the walls is nothing.
 
         Args:
             axes: Unit, of either sign, shape (N, 3).
@@ -110,10 +90,7 @@ class IncidentRays:
             cosines = axes[rows] @ direction
             side, cosines = (cosines < 0.0).astype(int), np.abs(cosines)  # grazing rays miss what they should meet
             hits = self._leave(
-                rows,
-                np.where(side == 0, 1.0, -1.0)[:, None] * axes[rows],
-                np.tile(direction, (len(axes), 1)),
-                SIDE_OFFSET,
+                rows, np.where(side == 0, 1.0, -1.0)[:, None] * axes[rows], np.tile(direction, (len(axes), 1))
             )
             sky[side, rows] += cosines * hits.transmittance
             distance[side, rows] += cosines * np.where(
@@ -125,19 +102,17 @@ class IncidentRays:
             hidden = (sky < SKY_SEEN).all(axis=0) & (distance > SIDE_FAR).any(axis=0)
             inside = bool(hidden.mean() > SIDE_ENCLOSED)
         if known:
-            return Facing(axes, inside, 0.0)
+            return axes, inside
         content = distance * (1.0 - sky)
         more = content[0] - content[1]
         votes = more / (np.abs(more) + CONTENT_SURE)
         if not inside:
-            by_sky = np.clip(SKY_CONTRAST * (sky[0] - sky[1]) / (sky[0] + sky[1] + SKY_NONE), -1.0, 1.0)
+            open_to = np.minimum(sky / SKY_ENOUGH, 1.0)
+            by_sky = open_to[0] - open_to[1]
             votes = by_sky + (1.0 - np.abs(by_sky)) * votes
-        signs = agreed_sides(axes, votes, near)
-        return Facing(signs[:, None] * axes, inside, float((signs * votes < 0.0).mean()))
+        return agreed_sides(axes, votes, near)[:, None] * axes, inside
 
-    def incident(
-        self, normals: Doubles, lamps: Rows, cells: SkyCells, report: Report, *, keeps_ways: bool = False
-    ) -> Incident:
+    def incident(self, normals: Doubles, lamps: Rows, cells: SkyCells, report: Report) -> Incident:
         """What shines on Gaussians that face along their normals.
 
         Args:
@@ -145,9 +120,7 @@ class IncidentRays:
             lamps: The lamp that each is part of, shape (N,); -1: none.
             cells: Of all directions.
             report: Called with what is being done and the fraction done, 0..1.
-            keeps_ways: Whether what the capture shows is also kept apart for each cell.
         """
-        by_way = np.zeros((len(cells) if keeps_ways else 0, len(normals), 3), np.float16)
         observed, sky = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
         for cell in range(len(cells)):
             report("tracing the light", cell / len(cells))
@@ -155,16 +128,12 @@ class IncidentRays:
             hits = self._leave(rows, normals[rows], ways)
             alpha = 1.0 - hits.transmittance.astype(np.float64)
             is_lamp = (hits.gaussian_index >= 0) & (lamps[np.maximum(hits.gaussian_index, 0)] >= 0)
-            seen = (shares * alpha * ~is_lamp)[:, None] * radiance_met(hits, alpha)
-            observed[rows] += seen
-            if keeps_ways:
-                by_way[cell, rows] = seen
+            observed[rows] += (shares * alpha * ~is_lamp)[:, None] * radiance_met(hits, alpha)
             sky[rows, cell] = shares * hits.transmittance
         groups = range(int(lamps.max(initial=-1)) + 1)
         from_lamps = [self._from_lamp(normals, np.flatnonzero(lamps == lamp)) for lamp in groups]
         shares = np.stack(from_lamps, axis=1) if from_lamps else np.zeros((len(normals), 0))
-        ways = cells.directions if keeps_ways else np.zeros((0, 3))
-        return Incident(observed, sky, shares.astype(np.float32), ways, by_way)
+        return Incident(observed, sky, shares.astype(np.float32))
 
     def from_sky(self, normals: Doubles, cells: SkyCells, report: Report) -> FloatArray:
         """Of each cell of the sky, as ``Incident.sky``, shape (N, K)."""
@@ -198,10 +167,10 @@ class IncidentRays:
             found[rows] += arrived * at_surface[rows] * at_lamp[rows] / distance[rows] ** 2
         return found * (area.sum() / (np.pi * LAMP_POINTS))
 
-    def _leave(self, rows: Rows, normals: Doubles, ways: Doubles, reach: float = 1.0) -> RayHits:
-        """What rays see that leave Gaussians on a side, past neighbours within a share of what shadow rays pass."""
-        points, offsets = self._points.at(rows, normals), (reach * self._offsets[rows]).astype(np.float32)
-        return self._renderer.leaving_hits(self._scene, points, ways.astype(np.float32), offsets)
+    def _leave(self, rows: Rows, normals: Doubles, ways: Doubles) -> RayHits:
+        """What rays see that leave Gaussians on a side."""
+        points = self._points.at(rows, normals)
+        return self._renderer.leaving_hits(self._scene, points, ways.astype(np.float32), self._offsets[rows])
 
     def _arrived(self, rows: Rows, normals: Doubles, ways: Doubles, distances: Doubles) -> FloatArray:
         """How much light arrives at Gaussians from so far away."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -56,6 +56,5 @@ class Smoother:
         return smooth
 
     def incident(self, incident: Incident) -> Incident:
-        """Smooth light; what comes from each direction stays as it is."""
-        smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "sky", "lamps")}
-        return replace(incident, **smooth)
+        """Smooth light."""
+        return Incident(self.mean(incident.observed), self.mean(incident.sky), self.mean(incident.lamps))

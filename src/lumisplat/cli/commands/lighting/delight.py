@@ -25,8 +25,7 @@ class Delight(LoadingCommand, DeviceCommand):
     The result has an albedo, a normal and a roughness for each Gaussian beside its captured colours: lights of a scene
     then shine on it as on a mesh. First try: lumisplat delight garden.ply -o garden.relit.ply
 
-    Some minutes for 100,000 Gaussians. Captures with harmonics (info tells their degree) also give
-    their roughness by highlights; it is 0.8 where nothing tells.
+    About a minute for 100,000 Gaussians. Surfaces are taken for matt.
     """
 
     capture: Positional[Annotated[Path, arg(metavar="CAPTURE")]]
