@@ -11,15 +11,11 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import size_on_disk
+from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
 from lumisplat.cli.options.command import LoadingCommand
 from lumisplat.cli.options.up import UpOption, upright
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_writable
-
-_USD = (".usd", ".usda", ".usdc", ".usdz")
-_WITH_CAMERAS = (".toml", ".glb", ".gltf", *_USD)
-"""Files of scenes, which may have cameras."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +69,7 @@ class Export(LoadingCommand):
 
     def _animation(self, report: Report) -> ls.Animation | None:
         """What moves, if the file can hold it: of one scene.toml with actors or a camera with keyframes."""
-        if self.output.suffix.lower() not in _USD or [file.suffix.lower() for file in self.scene] != [".toml"]:
+        if self.output.suffix.lower() not in USD or [file.suffix.lower() for file in self.scene] != [".toml"]:
             return None
         (file,) = self.scene
         if not _moves(file):
@@ -85,7 +81,7 @@ class Export(LoadingCommand):
         """The cameras that are given, else those of the scene's files."""
         if self.cameras is not None:
             return ls.load_cameras(self.cameras)
-        files = (file for file in self.scene if file.suffix.lower() in _WITH_CAMERAS)
+        files = (file for file in self.scene if file.suffix.lower() in WITH_CAMERAS)
         return [camera for file in files for camera in ls.load_cameras(file)]
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import size_on_disk
+from lumisplat.cli.input.loading import WITH_CAMERAS, size_on_disk
 from lumisplat.cli.options.command import Flag, LoadingCommand
 from lumisplat.cli.output.console import byte_size, print_table, progress_bars
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from lumisplat.math.arrays import FloatArray
 
     Held = ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
-
-_USD = (".usd", ".usda", ".usdc", ".usdz")
 
 _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
@@ -118,7 +116,7 @@ def _holds_cameras(path: Path) -> bool:
 
 def _cameras(path: Path) -> list[ls.Camera]:
     """The cameras that a scene's file has."""
-    return ls.load_cameras(path) if path.suffix.lower() in (".toml", ".glb", ".gltf", *_USD) else []
+    return ls.load_cameras(path) if path.suffix.lower() in WITH_CAMERAS else []
 
 
 def _animation(path: Path) -> ls.Animation | None:

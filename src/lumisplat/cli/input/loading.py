@@ -7,6 +7,11 @@ from pathlib import Path
 
 import lumisplat as ls
 
+USD = (".usd", ".usda", ".usdc", ".usdz")
+"""Extensions of OpenUSD."""
+WITH_CAMERAS = (".toml", ".glb", ".gltf", *USD)
+"""Extensions of scenes, which may have cameras."""
+
 
 def load_scene(paths: Sequence[Path], load: Callable[[Path], ls.Gaussians | ls.Mesh | ls.Scene]) -> ls.Scene:
     """Loads files of any kind into one scene, each in its own coordinates.

@@ -6,22 +6,19 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from lumisplat.config.checks import is_number, is_whole
 from lumisplat.constants import NEAR_PLANE
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.cameras.node_pose import pose_of_node
+from lumisplat.io.cameras.sizes import BOX, size_of_aspect
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.extras import CAMERAS, own_extras
 from lumisplat.io.gltf.nodes import Matrix, node_label, scene_nodes, world_transforms
-from lumisplat.scene.camera import Camera, CameraModel, camera_pose
+from lumisplat.scene.camera import Camera, CameraModel
 
 if TYPE_CHECKING:
     import pygltflib
-
-_BOX = (1280, 720)
-"""Largest width and height, pixels, of a camera for which no size is given."""
 
 
 def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
@@ -48,7 +45,7 @@ def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | No
             node = file.model.nodes[index]
             definition = file.item("cameras", node.camera, f"nodes[{index}]")
             try:
-                pose = _pose(world_from_node[index])
+                pose = pose_of_node(world_from_node[index])
             except SceneError as error:
                 raise FormatError(path, f"{node_label(file, index)} {error}") from None
             try:
@@ -59,15 +56,6 @@ def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | No
         return cameras
 
 
-def _pose(world_from_node: Matrix) -> Matrix:
-    """``camera_from_world`` with our axes, rigid also if the node scales or shears."""
-    up, back = world_from_node[:3, 1], world_from_node[:3, 2]
-    right = np.cross(up, back)
-    if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(up) * np.linalg.norm(back):
-        raise SceneError("is scaled to nothing: its camera has no direction")
-    return camera_pose(world_from_node[:3, 3], right / np.linalg.norm(right), -back / np.linalg.norm(back))
-
-
 def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | None, height: int | None) -> Camera:
     if definition.type == "perspective":
         lens = definition.perspective
@@ -75,7 +63,7 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         if yfov >= math.pi:
             raise SceneError(f"yfov is {yfov:g}, expected less than pi (radians)")
         has_aspect = lens is not None and lens.aspectRatio is not None
-        aspect = _positive(lens, "aspectRatio") if has_aspect else _BOX[0] / _BOX[1]
+        aspect = _positive(lens, "aspectRatio") if has_aspect else BOX[0] / BOX[1]
         model, half_height = CameraModel.PINHOLE, math.tan(0.5 * yfov)
     elif definition.type == "orthographic":
         lens = definition.orthographic
@@ -86,7 +74,7 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
     own = _own_settings(definition)
     if width is None and height is None and own.keys() >= {"width", "height"}:
         width, height = own["width"], own["height"]
-    width, height = _size(aspect, width, height)
+    width, height = size_of_aspect(aspect, width, height)
     focal = 0.5 * height / half_height
     return Camera(
         width=width,
@@ -111,19 +99,6 @@ def _own_settings(definition: pygltflib.Camera) -> dict[str, Any]:
         if name in settings and not is_whole(settings[name]):
             raise SceneError(f"{name} is {settings[name]}, expected a whole number")
     return settings
-
-
-def _size(aspect: float, width: int | None, height: int | None) -> tuple[int, int]:
-    """Width and height, pixels; see `read_gltf_cameras`."""
-    if width is None and height is None:
-        if aspect >= _BOX[0] / _BOX[1]:
-            width = _BOX[0]
-        else:
-            height = _BOX[1]
-    if width is None:
-        assert height is not None
-        width = max(1, round(height * aspect))
-    return width, max(1, round(width / aspect)) if height is None else height
 
 
 def _positive(lens: object, name: str) -> float:

@@ -14,14 +14,14 @@ import numpy as np
 
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.cameras.node_pose import pose_of_node
 from lumisplat.io.cameras.sizes import size_of_aspect
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.library import pxr, reading_usd
 from lumisplat.io.usd.stage import UsdFile, open_usd
 from lumisplat.io.usd.values import number, shortest, value
 from lumisplat.io.usd.walk import Placed, placed_prims
-from lumisplat.math.arrays import Doubles
-from lumisplat.scene.camera import Camera, CameraModel, camera_pose
+from lumisplat.scene.camera import Camera, CameraModel
 
 FILM_UNIT = 0.1
 """Unit of films and focal lengths, in those of the stage."""
@@ -115,7 +115,7 @@ def _camera(file: UsdFile, placed: Placed, ordered: _Size | None, width: int | N
         fy=fy,
         cx=0.5 * size.width - length("horizontalApertureOffset", 0.0) * FILM_UNIT * pixels_x,
         cy=0.5 * size.height + length("verticalApertureOffset", 0.0) * FILM_UNIT * pixels_y,
-        camera_from_world=_pose(placed.world_from_prim),
+        camera_from_world=pose_of_node(placed.world_from_prim),
         near=near if 0.0 < near < math.inf else NEAR_PLANE,
         name=placed.name,
         model=CameraModel.PINHOLE if kind == "perspective" else CameraModel.ORTHOGRAPHIC,
@@ -135,15 +135,6 @@ def _exposure(file: UsdFile, prim: Any) -> float:
     factor = responsivity * time * iso / 100.0 / (f_stop * f_stop) if f_stop else 0.0
     stops = number(file, prim, "exposure", 0.0) + (math.log2(factor) if 0.0 < factor < math.inf else 0.0)
     return float(np.clip(stops, -EXPOSURE_MAX, EXPOSURE_MAX))
-
-
-def _pose(world_from_prim: Doubles) -> Doubles:
-    """``camera_from_world`` with our axes, rigid also if the camera's place scales or shears."""
-    up, back = world_from_prim[:3, 1], world_from_prim[:3, 2]
-    right = np.cross(up, back)
-    if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(up) * np.linalg.norm(back):
-        raise SceneError("is scaled to nothing: the camera has no direction")
-    return camera_pose(world_from_prim[:3, 3], right / np.linalg.norm(right), -back / np.linalg.norm(back))
 
 
 def _positive(name: str, length: float) -> float:
