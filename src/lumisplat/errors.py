@@ -38,6 +38,11 @@ class MissingExtraError(LumisplatError, ImportError):
 
     def __init__(self, what: str, extra: str) -> None:
         super().__init__(f"{what} needs a package that is not installed: pip install 'lumisplat[{extra}]'")
+        self._what, self._extra = what, extra
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
+        """So that errors cross from one process to another."""
+        return type(self), (self._what, self._extra)
 
 
 class StoppedError(LumisplatError):

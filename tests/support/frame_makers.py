@@ -29,7 +29,8 @@ class FakeMaker:
     seconds: float = 0.0
     """What a frame takes."""
     wrong: dict[int, str] = field(default_factory=dict[int, str])
-    """Frames and what they do: ``exit``, ``kill``, ``full`` (no space), ``setting`` (a mistake), ``data``."""
+    """Frames and what they do: ``exit``, ``kill``, ``full`` (no space), ``setting`` (a mistake), ``data``, ``extra`` (a
+    package is missing)."""
     again: bool = False
     needs: Path | None = None
     """A file without which no worker starts."""
@@ -99,5 +100,6 @@ _WRONG: dict[str, Callable[[Path], Any]] = {
     "kill": _kill,
     "full": _raise(lambda path: ls.FormatError(path, "cannot be written: No space left on device")),
     "setting": _raise(lambda _: ls.ConfigError("samples is 0, expected 1 or more")),
+    "extra": _raise(lambda _: ls.MissingExtraError("OpenUSD", "usd")),
     "data": _raise(lambda _: ls.SceneError("walk/0003.ply: ends in the middle of Gaussian 5")),
 }

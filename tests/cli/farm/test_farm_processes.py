@@ -49,6 +49,12 @@ def test_frames_of_workers_that_die(tmp_path: Path, caplog: pytest.LogCaptureFix
     assert len(maker.begun) == 14
 
 
+def test_a_missing_package_is_said_once(tmp_path: Path) -> None:
+    """The error of a worker crosses to the driver whole, and ends the job: it would come again in all frames."""
+    with pytest.raises(ls.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"):
+        farm(FakeMaker(tmp_path / "out", count=4, wrong={0: "extra", 1: "extra"}))
+
+
 def test_a_frame_that_kills_its_worker_twice_is_reported_and_left(tmp_path: Path) -> None:
     """The others are there; the status tells schedulers that a second try may help."""
     maker = FakeMaker(tmp_path / "out", count=6, wrong={3: "exit"}, again=True)

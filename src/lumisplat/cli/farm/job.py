@@ -103,7 +103,7 @@ class FrameMaker(Protocol):
 
 
 def is_mistake(error: BaseException, frames: FrameList) -> bool:
-    """Whether an error of the first frame that is made will come of all: a setting or a file that is wrong."""
+    """Whether an error of the first frame that is made will come of all: a setting, a file or a package."""
     if isinstance(error, ls.FormatError):
         return not frames.folder.holds(error.path)
-    return isinstance(error, ls.ConfigError | ls.SceneError)
+    return isinstance(error, ls.ConfigError | ls.SceneError | ls.MissingExtraError)
