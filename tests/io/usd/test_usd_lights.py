@@ -48,6 +48,18 @@ def test_a_sphere_that_normalises(tmp_path: Path) -> None:
         assert lamp.intensity == pytest.approx(2.0) and lamp.radius == radius
 
 
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_normalised_lights_light_alike_in_any_unit(tmp_path: Path, unit: float) -> None:
+    """Areas are those in units of the stage: 8 / (4 pi r^2) nits of a ball, 12 / 6 nits of a 2 x 3 rectangle."""
+    head = f'upAxis = "Y"\nmetersPerUnit = {unit}'
+    ball = "float inputs:intensity = 8\nbool inputs:normalize = 1\nfloat inputs:radius = 5"
+    point = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", ball, head))
+    radiance = 8.0 / (4.0 * math.pi * 5.0**2)
+    assert point.intensity == pytest.approx(radiance * math.pi * (5.0 * unit) ** 2)
+    sheet = "float inputs:intensity = 12\nbool inputs:normalize = 1\nfloat inputs:width = 2\nfloat inputs:height = 3"
+    assert light(tmp_path, "RectLight", sheet, head).intensity == pytest.approx(2.0)
+
+
 def test_a_sphere_to_be_taken_for_a_point(tmp_path: Path) -> None:
     """Radiance 2 of radius 0.5 shines with 2 pi 0.25 candela; in centimetres, with a ten-thousandth of that."""
     inputs = "float inputs:intensity = 2\nfloat inputs:radius = 0.5\nbool treatAsPoint = 1"

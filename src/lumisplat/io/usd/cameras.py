@@ -81,7 +81,7 @@ def _ordered_sizes(file: UsdFile) -> dict[str, _Size]:
 
 
 def _camera(file: UsdFile, placed: Placed, ordered: _Size | None, width: int | None, height: int | None) -> Camera:
-    prim, unit = placed.prim, float(np.linalg.norm(file.world_from_stage[:3, 0]))
+    prim, unit = placed.prim, file.unit
 
     def length(name: str, default: float) -> float:
         return number(file, prim, name, default) * unit

@@ -1,8 +1,9 @@
 """Lights of OpenUSD files (UsdLux): what shines, converted to candela, lux and radiance.
 
 A light of UsdLux emits radiance ``intensity * 2^exposure * color``, in nits, divided by its area in the world if it
-normalises. A sphere of radius r and radiance L shines with ``pi r^2 L`` candela; a distant light of angular radius t
-gives ``pi sin(t)^2 L`` lux, or, normalised, its intensity itself.
+normalises. That area is in units of the stage, as renderers measure it, which know no metres. A sphere of radius r and
+radiance L shines with ``pi r^2 L`` candela; a distant light of angular radius t gives ``pi sin(t)^2 L`` lux, or,
+normalised, its intensity itself.
 """
 
 from __future__ import annotations
@@ -121,7 +122,8 @@ def _sphere(file: UsdFile, placed: Placed, emission: float, shared: dict[str, An
     is_point, normalises = bool(value(file, prim, "treatAsPoint", False)), _normalises(file, prim)
     cone = number(file, prim, "inputs:shaping:cone:angle", 180.0) if prim.HasAPI(pxr().UsdLux.ShapingAPI) else 180.0
     # Area 4 pi r^2, of which pi r^2 is seen from everywhere.
-    candela = 0.25 * emission if normalises else math.pi * radius * radius * emission
+    unit = file.unit
+    candela = 0.25 * unit * unit * emission if normalises else math.pi * radius * radius * emission
     own_radius = 0.0 if is_point else radius
     if cone < 180.0:
         if cone > 90.0:
@@ -177,8 +179,9 @@ def _panel(
         edge_u, normal = -edge_u, -normal
     if prim_shapes(placed.prim):
         file.remarks.add("cones of rectangular lights", str(placed.prim.GetPath()))
-    radiance = emission / float(np.linalg.norm(normal)) if _normalises(file, placed.prim) else emission
-    return LightRect(placed.world_from_prim[:3, 3], edge_u, edge_v, intensity=radiance, **shared)
+    if _normalises(file, placed.prim):
+        emission *= file.unit**2 / float(np.linalg.norm(normal))
+    return LightRect(placed.world_from_prim[:3, 3], edge_u, edge_v, intensity=emission, **shared)
 
 
 def prim_shapes(prim: Any) -> bool:

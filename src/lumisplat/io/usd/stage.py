@@ -37,6 +37,11 @@ class UsdFile:
     """The world has y up and metres; shape (4, 4)."""
     remarks: Remarks
 
+    @property
+    def unit(self) -> float:
+        """Unit of length of the stage, metres."""
+        return float(np.linalg.norm(self.world_from_stage[:3, 0]))
+
     def place_of(self, matrix: Any) -> Doubles:
         """``world_from_prim``, shape (4, 4), from a matrix of the library, which is for row vectors."""
         return self.world_from_stage @ np.array(matrix, dtype=np.float64).T
