@@ -136,6 +136,33 @@ def test_bytes(tmp_path: Path, whole: bytes, count: int) -> None:
     check_all(tmp_path, variants, 0.02, 0.8)
 
 
+def test_shared_accessors_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Primitives may have one accessor together, but not so many of them that their copies fill the memory."""
+    monkeypatch.setattr("lumisplat.io.files.limits.DECODED_BYTES_FREE", 1000)
+    monkeypatch.setattr("lumisplat.io.files.limits.EXPANSION_MAX", 2)
+    for asset in (capture(300), ls.sphere(1.0)):
+        ls.save(tmp_path / "a.glb", asset)
+        assert survives(tmp_path / "mutated.glb", (tmp_path / "a.glb").read_bytes())
+        document, rest = chunks((tmp_path / "a.glb").read_bytes())
+        document["meshes"][0]["primitives"] *= 20
+        (tmp_path / "mutated.glb").write_bytes(packed(document, rest))
+        with pytest.raises(ls.FormatError, match="its accessors would take"):
+            ls.load(tmp_path / "mutated.glb")
+
+
+def test_buffers_beside_the_file_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small .gltf may name a large buffer: what is stored there is stored."""
+    monkeypatch.setattr("lumisplat.io.files.limits.DECODED_BYTES_FREE", 1000)
+    monkeypatch.setattr("lumisplat.io.files.limits.EXPANSION_MAX", 2)
+    ls.save(tmp_path / "a.glb", capture(2000))
+    document, rest = chunks((tmp_path / "a.glb").read_bytes())
+    (tmp_path / "a.bin").write_bytes(rest[8:])
+    document["buffers"][0]["uri"] = "a.bin"
+    document["nodes"][0] = {"mesh": 0, "scale": [1, 2, 1]}
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    assert isinstance(ls.load(tmp_path / "a.gltf"), ls.Gaussians)
+
+
 def test_absurd_counts_take_no_memory(tmp_path: Path, whole: bytes) -> None:
     """Accessors that claim a milliard rows, of their view or of none, are refused before anything is allocated."""
     count = len(chunks(whole)[0]["accessors"])

@@ -45,7 +45,8 @@ class GltfFile:
         self.path = path
         data = read_bytes(path)
         self.stored_bytes = len(data)
-        """Size of the file, without those that it names."""
+        """Size of the file, and of the buffers that were read of those that it names."""
+        self._decoded_bytes = 0
         text, self._binary_chunk = _split_glb(path, data) if data[:4] == b"glTF" else (data, None)
         try:
             document: dict[str, Any] = json.loads(text.decode("utf-8"))
@@ -98,6 +99,7 @@ class GltfFile:
         """
         accessor = self.item("accessors", index, referrer)
         values = self._values(accessor, f"accessors[{index}]", kind)
+        self._count(4 * values.size)
         if accessor.normalized and values.dtype.kind in "iu":
             return np.maximum(values / np.float32(np.iinfo(values.dtype).max), np.float32(-1.0)).astype(np.float32)
         return values.astype(np.float32)
@@ -111,7 +113,17 @@ class GltfFile:
         values = self._values(self.item("accessors", index, referrer), f"accessors[{index}]", kind)
         if values.dtype.kind != "u":
             raise FormatError(self.path, f"{referrer} needs unsigned integers, accessors[{index}] has {values.dtype}")
+        self._count(8 * values.size)
         return values.astype(np.int64)
+
+    def _count(self, decoded_bytes: int) -> None:
+        """Counts values that are read: many primitives may have one accessor, each with a copy of it.
+
+        Raises:
+            FormatError: All of them together are more than the file can hold.
+        """
+        self._decoded_bytes += decoded_bytes
+        check_expansion(self.path, "its accessors", self._decoded_bytes, self.stored_bytes)
 
     def view_bytes(self, index: object, referrer: str) -> tuple[memoryview, int | None]:
         """The bytes of a buffer view, and its stride, None if it has none.
@@ -153,6 +165,7 @@ class GltfFile:
                 data = self._binary_chunk
             else:
                 data = self.resource(buffer.uri, f"buffers[{index}]")
+                self.stored_bytes += len(data)
             if not _is_count(buffer.byteLength) or len(data) < buffer.byteLength:
                 raise FormatError(
                     self.path, f"buffers[{index}] has {len(data):,} bytes, expected {buffer.byteLength}: truncated?"
