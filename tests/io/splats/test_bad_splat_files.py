@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import struct
 import tracemalloc
 import zipfile
@@ -258,6 +259,21 @@ def test_image_bomb(tmp_path: Path) -> None:
     Image.new("L", (9500, 9500)).save(buffer, "PNG")
     folder = unpacked(tmp_path / "bomb", files | {"quats.webp": buffer.getvalue()})
     assert "quats.webp" in refused(folder)
+
+
+def test_bomb_of_many_images(tmp_path: Path) -> None:
+    """Images that may each be as large as that are too large together."""
+    files = sog_files(capture(10), linear=False)
+    buffer = io.BytesIO()
+    Image.new("L", (7000, 7000)).save(buffer, "PNG")
+    meta = json.loads(files["meta.json"])
+    names = [f"more_{k}.webp" for k in range(6)]
+    meta["means"]["files"] += names
+    files |= dict.fromkeys(names, buffer.getvalue()) | {"meta.json": json.dumps(meta).encode()}
+    tracemalloc.start()
+    assert "all its images would take" in refused(unpacked(tmp_path / "bomb", files))
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    tracemalloc.stop()
 
 
 def test_unknown_extension(tmp_path: Path) -> None:

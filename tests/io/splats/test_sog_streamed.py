@@ -57,6 +57,13 @@ def test_the_environment_is_always_there(tmp_path: Path) -> None:
         ({"tree": {"lods": {"0": rows_of_level(0, 40, 11)}}}, "rows 40 to 51 of 0_0/meta.json, which holds 50"),
         ({"tree": {"children": [{"lods": {"0": rows_of_level(0, 0, 50)}}] * 9}}, "another leaf has some"),
         ({"tree": None}, "damaged, or not a streamed SOG"),
+        (
+            {
+                "filenames": ["0_0/meta.json", "./0_0/../0_0/meta.json"],
+                "tree": {"children": [{"lods": {"0": rows_of_level(file, 0, 50)}} for file in (0, 1)]},
+            },
+            "another leaf has some",
+        ),
         ({"filenames": ["../../x/meta.json"] * 3}, "not in its folder"),
         ({"filenames": ["gone/meta.json"] * 3}, "no such file"),
     ],

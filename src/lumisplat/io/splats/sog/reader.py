@@ -98,22 +98,39 @@ def _plain_name(path: PathLike, name: str) -> str:
 
 
 def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]:
-    """RGBA pixels of each image, shape (height, width, 4)."""
+    """RGBA pixels of each image, shape (height, width, 4).
 
-    def decode(item: tuple[str, bytes]) -> Bytes:
-        name, data = item
-        try:
-            with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
-                check_expansion(path, name, 4 * image.width * image.height, len(data))
-                return np.asarray(image.convert("RGBA"))
-        except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
-            raise FormatError(path, f"{name} is too large to decode: {error}") from None
-        except (OSError, SyntaxError, EOFError) as error:
-            raise FormatError(path, f"{name} is damaged, or no image: expected WebP") from error
+    Raises:
+        FormatError: An image is damaged, or it, or all of them together, are larger than files of their size can be.
+    """
+
+    def decoded(name: str) -> Bytes:
+        with _decoding(path, name):
+            return np.asarray(images[name].convert("RGBA"))
 
     with warnings.catch_warnings(), ThreadPoolExecutor(DECODER_THREADS) as threads:
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        return dict(zip(stored, threads.map(decode, stored.items()), strict=True))
+        images: dict[str, Image.Image] = {}
+        total = 0
+        for name, data in stored.items():
+            with _decoding(path, name):
+                image = images[name] = Image.open(io.BytesIO(data), formats=("WEBP", "PNG"))
+            size = 4 * image.width * image.height
+            check_expansion(path, name, size, len(data))
+            total += size
+        check_expansion(path, "all its images", total, sum(map(len, stored.values())))
+        return dict(zip(stored, threads.map(decoded, stored), strict=True))
+
+
+@contextmanager
+def _decoding(path: PathLike, name: str) -> Generator[None]:
+    """What an image raises inside of the block becomes a `FormatError` that names it."""
+    try:
+        yield
+    except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+        raise FormatError(path, f"{name} is too large to decode: {error}") from None
+    except (OSError, SyntaxError, EOFError) as error:
+        raise FormatError(path, f"{name} is damaged, or no image: expected WebP") from error
 
 
 def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, logits: bool) -> SplatColumns:

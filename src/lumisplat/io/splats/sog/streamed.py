@@ -64,16 +64,13 @@ def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None
             raise FormatError(path, f"has {levels} levels, expected 1 to {LEVELS_MAX}")
         leaves = [_leaf(path, lods, len(meta["filenames"]), levels) for lods in _leaves(meta["tree"])]
         level = _level(path, leaves, levels, lod, budget)
-        by_file: dict[int, list[_Rows]] = defaultdict(list)
-        for leaf in leaves:
-            rows = _at_level(leaf, level)
-            by_file[rows.file].append(rows)
-        parts = [
-            part
-            for file, rows in sorted(by_file.items())
-            if any(row.count for row in rows)
-            for part in _parts(path, referenced_file(path, str(meta["filenames"][file])), rows)
-        ]
+        # By their paths: one capture under many names would be read many times.
+        captures = [os.path.normpath(referenced_file(path, str(name))) for name in meta["filenames"]]
+        by_file: dict[str, list[_Rows]] = defaultdict(list)
+        for rows in sorted((_at_level(leaf, level) for leaf in leaves), key=lambda rows: rows.file):
+            if rows.count:
+                by_file[captures[rows.file]].append(rows)
+        parts = [part for file, rows in by_file.items() for part in _parts(path, Path(file), rows)]
         if meta.get("environment"):
             parts.append(read_sog(referenced_file(path, str(meta["environment"]))))
         if not parts:
