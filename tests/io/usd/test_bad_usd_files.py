@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import struct
+import tracemalloc
 import zipfile
 from contextlib import suppress
 from pathlib import Path
@@ -221,6 +222,39 @@ def test_instances_of_instances_end(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     many = loop.replace("rel prototypes = [</a>, </b>]", "rel prototypes = </b>").replace("[0, 0]", "[0, 0, 0]")
     many = many.replace("(1, 0, 0)]", "(1, 0, 0), (2, 0, 0)]")
     assert "shows more than 3 prims" in refused(write_usda(tmp_path / "b.usda", many + field(name="b")))
+
+
+def test_instances_of_nothing_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty instancers, each of which shows the one before ten times, the first of them something that is not seen."""
+    monkeypatch.setattr("lumisplat.io.usd.walk.USD_INSTANCES_MAX", 1000)
+    places = ", ".join(f"({k}, 0, 0)" for k in range(10))
+    body = 'def "a0" {\n}\n' + "".join(
+        f"""def PointInstancer "a{k}" {{
+            int[] protoIndices = {[0] * 10}
+            point3f[] positions = [{places}]
+            rel prototypes = </a{k - 1}>
+        }}
+        """
+        for k in range(1, 21)
+    )
+    assert "shows more than 1,000 prims" in refused(write_usda(tmp_path / "a.usda", body + field(name="b")))
+
+
+def test_paths_that_unpack_to_more_than_a_file_can_hold(tmp_path: Path) -> None:
+    """Zeros that LZ4 stores as a byte for 255: forty million paths in 40 kB, refused before they are unpacked."""
+    usd_core()
+    count = 40_000_000
+    run, rest = divmod(count // 4 - 15, 255)
+    zeros = b"\0\x1f\0\x01\0" + b"\xff" * run + bytes([rest]) + b"\x50" + bytes(5)
+    blocks = b"".join(struct.pack("<Q", len(block)) + block for block in (b"x", b"x", zeros))
+    section = struct.pack("<QQ", count, count) + blocks
+    table = struct.pack("<Q16sqq", 1, b"PATHS", 24, len(section))
+    path = tmp_path / "a.usdc"
+    path.write_bytes(struct.pack("<8sBB6xq", b"PXR-USDC", 0, 8, 24 + len(section)) + section + table + bytes(64))
+    tracemalloc.start()
+    assert "40,000,000 entries of its binary layer would take" in refused(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**22
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,12 +47,8 @@ def placed_prims(file: UsdFile) -> Iterator[Placed]:
     Raises:
         FormatError: There are too many instances.
     """
-    places = pxr().UsdGeom.XformCache(file.time)
-    root = file.stage.GetPseudoRoot()
-    for count, placed in enumerate(_below(file, root, places, file.world_from_stage, ())):
-        if count >= USD_INSTANCES_MAX:
-            raise FormatError(file.path, f"shows more than {USD_INSTANCES_MAX:,} prims: instances of instances")
-        yield placed
+    walk = _Walk(file, pxr().UsdGeom.XformCache(file.time))
+    yield from walk.below(file.stage.GetPseudoRoot(), file.world_from_stage, ())
 
 
 def prim_name(prim: Any) -> str:
@@ -64,66 +61,84 @@ def prim_name(prim: Any) -> str:
     return str(prim.GetDisplayName() or prim.GetName())
 
 
-def _below(
-    file: UsdFile, root: Any, places: Any, world_from_base: Doubles, inside: tuple[Any, ...]
-) -> Iterator[Placed]:
-    """The prims at and below ``root``.
+@dataclass(slots=True)
+class _Walk:
+    """A walk through a stage. It ends where there is too much of it, shown or not."""
 
-    Args:
-        file: Their file.
-        root: A prim.
-        places: Transforms of prims.
-        world_from_base: The world from the space in which those transforms end, shape (4, 4).
-        inside: Paths of the point instancers around: those that show themselves end here.
-    """
-    px = pxr()
-    walk = iter(px.Usd.PrimRange(root, px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)))
-    for prim in walk:
-        # Types that the library does not know have no visibility of their own; one of them we read.
-        imageable = px.UsdGeom.Imageable(prim if px.UsdGeom.Imageable(prim) else prim.GetParent())
-        if not imageable and not _is_unknown_field(prim):
-            continue
-        world_from_prim = world_from_base @ np.array(places.GetLocalToWorldTransform(prim), dtype=np.float64).T
-        visible = not imageable or (
-            imageable.ComputeVisibility(file.time) != "invisible"
-            and imageable.ComputePurpose() in ("default", "render")
+    file: UsdFile
+    places: Any
+    """Transforms of prims."""
+    prims: int = 0
+    instances: int = 0
+
+    def below(self, root: Any, world_from_base: Doubles, inside: tuple[Any, ...]) -> Iterator[Placed]:
+        """The prims at and below ``root``.
+
+        Args:
+            root: A prim.
+            world_from_base: The world from the space in which the transforms of prims end, shape (4, 4).
+            inside: Paths of the point instancers around: those that show themselves end here.
+        """
+        file, px = self.file, pxr()
+        walk = iter(px.Usd.PrimRange(root, px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)))
+        for prim in walk:
+            self.prims = self._counted(self.prims)
+            # Types that the library does not know have no visibility of their own; one of them we read.
+            imageable = px.UsdGeom.Imageable(prim if px.UsdGeom.Imageable(prim) else prim.GetParent())
+            if not imageable and not _is_unknown_field(prim):
+                continue
+            local = np.array(self.places.GetLocalToWorldTransform(prim), dtype=np.float64).T
+            world_from_prim = world_from_base @ local
+            visible = not imageable or (
+                imageable.ComputeVisibility(file.time) != "invisible"
+                and imageable.ComputePurpose() in ("default", "render")
+            )
+            if not prim.IsA(px.UsdGeom.PointInstancer):
+                yield Placed(prim, world_from_prim, prim_name(prim), visible, not inside and _moves(prim))
+                continue
+            walk.PruneChildren()  # its prototypes, which are not shown by themselves
+            if visible and prim.GetPath() not in inside:
+                yield from self._instanced(prim, world_from_prim, (*inside, prim.GetPath()))
+
+    def _instanced(self, prim: Any, world_from_prim: Doubles, inside: tuple[Any, ...]) -> Iterator[Placed]:
+        """What a point instancer shows."""
+        file, px = self.file, pxr()
+        instancer = px.UsdGeom.PointInstancer(prim)
+        prototypes = [file.stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
+        indices = np.array(instancer.GetProtoIndicesAttr().Get(file.time) or (), dtype=np.int64)
+        mask = list(instancer.ComputeMaskAtTime(file.time))
+        transforms = instancer.ComputeInstanceTransformsAtTime(
+            file.time, file.time, px.UsdGeom.PointInstancer.ExcludeProtoXform, px.UsdGeom.PointInstancer.IgnoreMask
         )
-        if not prim.IsA(px.UsdGeom.PointInstancer):
-            yield Placed(prim, world_from_prim, prim_name(prim), visible, not inside and _moves(prim))
-            continue
-        walk.PruneChildren()  # its prototypes, which are not shown by themselves
-        if visible and prim.GetPath() not in inside:
-            yield from _instanced(file, prim, places, world_from_prim, (*inside, prim.GetPath()))
+        if len(transforms) != len(indices):
+            raise FormatError(
+                file.path, f"{prim.GetPath()} has {len(indices):,} instances, but {len(transforms):,} places"
+            )
+        for number, (which, transform) in enumerate(zip(indices, transforms, strict=True)):
+            if mask and not mask[number]:
+                continue
+            self.instances = self._counted(self.instances)
+            if not 0 <= which < len(prototypes) or not prototypes[which]:
+                raise FormatError(file.path, f"{prim.GetPath()} shows prototype {which} of {len(prototypes)}")
+            root = prototypes[which]
+            # Where the prototype lies in the file does not matter: its own transform does, those above it do not.
+            above = np.array(self.places.GetParentToWorldTransform(root), dtype=np.float64).T
+            placed = world_from_prim @ np.array(transform, dtype=np.float64).T @ np.linalg.inv(above)
+            yield from self.below(root, placed, inside)
+
+    def _counted(self, before: int) -> int:
+        """One more.
+
+        Raises:
+            FormatError: It is too many.
+        """
+        if before >= USD_INSTANCES_MAX:
+            raise FormatError(self.file.path, f"shows more than {USD_INSTANCES_MAX:,} prims: instances of instances")
+        return before + 1
 
 
 def _is_unknown_field(prim: Any) -> bool:
     return str(prim.GetTypeName()).startswith("ParticleField") and not pxr().UsdGeom.Imageable(prim)
-
-
-def _instanced(
-    file: UsdFile, prim: Any, places: Any, world_from_prim: Doubles, inside: tuple[Any, ...]
-) -> Iterator[Placed]:
-    """What a point instancer shows."""
-    px = pxr()
-    instancer = px.UsdGeom.PointInstancer(prim)
-    prototypes = [file.stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
-    indices = np.array(instancer.GetProtoIndicesAttr().Get(file.time) or (), dtype=np.int64)
-    mask = list(instancer.ComputeMaskAtTime(file.time))
-    transforms = instancer.ComputeInstanceTransformsAtTime(
-        file.time, file.time, px.UsdGeom.PointInstancer.ExcludeProtoXform, px.UsdGeom.PointInstancer.IgnoreMask
-    )
-    if len(transforms) != len(indices):
-        raise FormatError(file.path, f"{prim.GetPath()} has {len(indices):,} instances, but {len(transforms):,} places")
-    for number, (which, transform) in enumerate(zip(indices, transforms, strict=True)):
-        if mask and not mask[number]:
-            continue
-        if not 0 <= which < len(prototypes) or not prototypes[which]:
-            raise FormatError(file.path, f"{prim.GetPath()} shows prototype {which} of {len(prototypes)}")
-        root = prototypes[which]
-        # Where the prototype lies in the file does not matter: its own transform does, those above it do not.
-        above = np.array(places.GetParentToWorldTransform(root), dtype=np.float64).T
-        placed = world_from_prim @ np.array(transform, dtype=np.float64).T @ np.linalg.inv(above)
-        yield from _below(file, root, places, placed, inside)
 
 
 def _moves(prim: Any) -> bool:

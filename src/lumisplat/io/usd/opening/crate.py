@@ -13,8 +13,9 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.usd import USD_ENTRIES_A_BYTE
+from lumisplat.constants.usd import USD_ENTRIES_A_BYTE, USD_ENTRY_BYTES
 from lumisplat.errors import FormatError
+from lumisplat.io.files.limits import check_expansion
 from lumisplat.io.files.source import PathLike
 
 MAGIC = b"PXR-USDC"
@@ -35,7 +36,8 @@ def check_crate(path: PathLike, file: IO[bytes], size: int) -> None:
         size: Its bytes.
 
     Raises:
-        FormatError: A section has more entries than its bytes can hold, or is not in the file, or paths are no tree.
+        FormatError: A section has more entries than its bytes, or a file of this size, can hold, or is not in the file,
+            or paths are no tree.
     """
     magic, major, minor, table = _unpack(file, "<8sBB6xq", 0)
     if magic != MAGIC:
@@ -55,6 +57,7 @@ def check_crate(path: PathLike, file: IO[bytes], size: int) -> None:
         (count,) = _unpack(file, "<Q", start)
         if count > USD_ENTRIES_A_BYTE * length:
             raise FormatError(path, f"damaged: {count:,} entries in {length:,} bytes of its binary layer")
+        check_expansion(path, f"{count:,} entries of its binary layer", USD_ENTRY_BYTES * count, size)
         if name == "PATHS" and (major, minor) >= _COMPRESSED_SINCE:
             file.seek(start)
             _check_paths(path, file.read(length))
