@@ -13,6 +13,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
+from lumisplat.io.usd.scene import shows_one_capture
 from lumisplat.io.usd.stage import upright
 from lumisplat.math.rotations import quaternions_from_matrices, rotation_matrix
 from lumisplat.scene.lights import Light
@@ -177,6 +178,9 @@ def test_a_capture_that_is_placed_or_relit(tmp_path: Path) -> None:
     ls.save(tmp_path / "b.usdc", ls.Scene([ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))]))
     scene = expect_kind(ls.Scene, ls.load(tmp_path / "b.usdc"))
     assert expect_kind(ls.MaterialPbr, scene.splats[0].material).roughness == 0.25
+    ls.save(tmp_path / "c.usdc", ls.Scene([ls.SplatInstance(capture(5), shadow_only=True)]))
+    assert expect_kind(ls.Scene, ls.load(tmp_path / "c.usdc")).splats[0].shadow_only
+    assert [shows_one_capture(tmp_path / name) for name in ("a.usdc", "b.usdc", "c.usdc")] == [True, False, False]
 
 
 def test_names_that_paths_cannot_have(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from lumisplat.errors import FormatError, LumisplatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.extras import instance_settings, own_extras
 from lumisplat.io.gltf.gaussians.attributes import holds_gaussians
 from lumisplat.io.gltf.gaussians.placed import GltfCaptures, alone
 from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
@@ -47,7 +48,8 @@ def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussian
 
     Returns:
         The scene; of a file that shows one capture once and nothing else, neither lights nor cameras, its Gaussians,
-        in the axes of captures, with the transform of their node.
+        in the axes of captures, with the transform of their node. A capture of ours that reflects light, or of which
+        less is shown, stays a scene.
 
     Raises:
         FormatError: The file, or a file that it names, is missing, malformed or truncated, or needs an extension that
@@ -67,7 +69,7 @@ def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussian
         if not (splats or meshes or lights or has_cameras or sieve.problems):
             raise FormatError(path, "has no Gaussians, triangle mesh, light or camera in its scene")
         sieve.report(anything_left=bool(splats or meshes or lights or has_cameras))
-        if len(splats) == 1 and not (meshes or lights or has_cameras):
+        if len(splats) == 1 and not (meshes or lights or has_cameras or _has_settings(file, nodes)):
             return alone(splats[0])
         return Scene(splats=splats, meshes=meshes, lights=lights, up="y-up" if splats else None)
 
@@ -80,9 +82,15 @@ def shows_one_capture(path: PathLike) -> bool:
             nodes = [file.model.nodes[index] for index in scene_nodes(file)]
             shown = [primitive for node in nodes if node.mesh is not None for primitive in _primitives(file, node.mesh)]
             lit = any(LIGHTS in (node.extensions or {}) or node.camera is not None for node in nodes)
-            return len(shown) == 1 and holds_gaussians(shown[0]) and not lit
+            more = lit or _has_settings(file, scene_nodes(file))
+            return len(shown) == 1 and holds_gaussians(shown[0]) and not more
     except LumisplatError:
         return False
+
+
+def _has_settings(file: GltfFile, nodes: Iterable[int]) -> bool:
+    """Whether a node says how its capture reflects light, or what of it is shown."""
+    return any(instance_settings(own_extras(file.model.nodes[index])) for index in nodes)
 
 
 def _primitives(file: GltfFile, mesh: int) -> list[Any]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
@@ -69,8 +70,17 @@ def shows_one_capture(path: PathLike) -> bool:
     with reading_usd(path):
         file = open_usd(path)
         shown = [one.prim for one in placed_prims(file) if one.visible and not one.is_flat]
+        fields = [one for one in shown if is_field(one)]
         others = (is_light(one) or UsdMeshes.reads(one) or str(one.GetTypeName()) == "Camera" for one in shown)
-        return len([one for one in shown if is_field(one)]) == 1 and not any(others)
+        if len(fields) != 1 or any(others):
+            return False
+        return not (_settings(fields[0]) or UsdMaterials(file).bound_to(fields[0], remark=False))
+
+
+def _settings(prim: Any) -> dict[str, Any]:
+    """What of a field is shown, if our file says so."""
+    own = hints_of(prim)
+    return {name: own[name] for name in ("sh_degree", "shadow_only") if name in own}
 
 
 @dataclass(slots=True)
@@ -129,7 +139,7 @@ class Reading:
         if len(self.splats) != 1 or self.meshes or self.lights or self.has_cameras:
             return None
         only = self.splats[0]
-        if only.material is not None:
+        if only.material is not None or only.shadow_only or only.sh_degree < SH_DEGREE_MAX:
             return None
         place = _Y_DOWN @ only.transform
         return only.gaussians if np.array_equal(place, np.eye(4)) else transform(only.gaussians, place)
@@ -157,8 +167,7 @@ class Reading:
             gaussians, matrix = under_affine(gaussians, matrix), np.eye(4)
         # Fields of others have materials of their renderer, by which they shine as captured.
         bound = materials.bound_to(placed.prim, remark=False)
-        own = hints_of(placed.prim)
-        settings = {name: own[name] for name in ("sh_degree", "shadow_only") if name in own}
+        settings = _settings(placed.prim)
         return [SplatInstance(gaussians, matrix, bound and bound.material, name=placed.name, **settings)]
 
     def _add_light(self, placed: Placed) -> None:

@@ -15,6 +15,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import SH_C0
+from lumisplat.io.gltf.scene import shows_one_capture
 from lumisplat.math.color import decode_srgb
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS
 from support.files.splat_files import capture
@@ -132,6 +133,16 @@ def test_placed_captures_are_instances(path: Path) -> None:
     assert expect_kind(ls.MaterialSimple, second.material).shininess == 9.0
     upright = np.diag([1.0, -1.0, -1.0, 1.0])
     np.testing.assert_array_equal(second.transform, upright @ placed)
+
+
+def test_a_capture_alone_that_is_relit_stays_a_scene(path: Path) -> None:
+    """What is known of one capture alone is not lost: its material, and that it only casts a shadow."""
+    relit = ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))
+    assert expect_kind(ls.MaterialPbr, again(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
+    assert not shows_one_capture(path)
+    assert again(path, ls.Scene(splats=[ls.SplatInstance(capture(5), shadow_only=True)])).splats[0].shadow_only
+    ls.save(path, ls.Scene(splats=[ls.SplatInstance(capture(5), name="a")]))
+    assert isinstance(ls.load(path), ls.Gaussians) and shows_one_capture(path)
 
 
 @pytest.mark.parametrize(
