@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+
+import lumisplat as ls
 from lumisplat.baking.seen_together import Blend, Pixels, changed_to_fit
+from lumisplat.baking.visible_lights import meets_light
+from lumisplat.constants import SH_C0
 from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.launcher import Launcher
+from support.scenes.path_scenes import ball, diffuse
 
 GAUSSIANS, RAYS, SIGHTS = 20, 3000, 3
 
@@ -51,3 +58,35 @@ def test_harmonics_that_are_known_are_found_again() -> None:
     assert (
         np.square(blend.show(found) - known.colors).mean() < 0.01 * np.square(blend.show(start) - known.colors).mean()
     )
+
+
+LAMPS = [
+    ls.LightSphere((0.0, 2.0, 0.0), 0.5, intensity=3.0),
+    ls.LightRect((0.0, 1.6, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 2.0), intensity=3.0),
+]
+"""Above, of which the rectangle shines downwards."""
+
+
+@pytest.mark.parametrize("lamp", LAMPS)
+def test_a_lamp_that_is_seen_is_not_baked_into_what_it_lights(lamp: ls.LightSphere | ls.LightRect) -> None:
+    """Rays past the edge of a Gaussian see the lamp behind it: a black body stays black."""
+    black = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.0), rows=16), 60), material=diffuse(0.0))
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=2, max_bounces=0)
+    (shown,) = ls.bake(ls.Scene([black], lights=[lamp]), config, degree=0, device="cpu").splats
+    np.testing.assert_allclose(shown.gaussians.sh, -0.5 / SH_C0, atol=1e-4)
+
+
+def test_rays_meet_lights_where_frames_of_paths_show_them() -> None:
+    """Any rays, from above and below, from inside of the sphere as well; of lights that are off or unseen, none."""
+    rng = np.random.default_rng(2)
+    origins = (rng.uniform(-1.0, 1.0, (4000, 3)) * (0.6, 2.0, 0.6) + (0.0, 2.0, 0.0)).astype(np.float32)
+    ways = rng.standard_normal((4000, 3))
+    ways = (ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(np.float32)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
+    for lamp in LAMPS:
+        found = meets_light([lamp], origins, ways)
+        shown = ls.trace_rays(ls.Scene(lights=[lamp]), origins, ways, config, device="cpu").radiance.max(axis=1) > 0.0
+        assert 0.02 < shown.mean() < 0.6
+        assert (found == shown).mean() > 0.999
+        for unseen in (replace(lamp, visible=False), replace(lamp, enabled=False)):
+            assert not meets_light([unseen], origins, ways).any()

@@ -15,6 +15,7 @@ import warp as wp
 
 from lumisplat.baking import seen_together_kernels as kernels
 from lumisplat.baking.sightlines import Sightlines
+from lumisplat.baking.visible_lights import meets_light
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.constants.baking import (
     CHANGE_SPREAD,
@@ -109,6 +110,8 @@ class SeenTogether:
         kept = (share > COVERED_MIN) & (1.0 - hits.transmittance - share < OTHERS_MAX)
         kept &= np.bincount(ray, weight * ~self._relit[gaussian], count) < OTHERS_MAX
         kept &= ~self._from_behind(ray, gaussian, weight, directions)
+        if self._config.pipeline is Pipeline.PATH:  # which shows lights as bodies, in front of Gaussians and behind
+            kept &= ~meets_light(self._scene.lights, origins, directions)
         colors, noise = self._colors(origins[kept], directions[kept], share[kept, None])
         number = np.cumsum(kept) - 1
         seen = kept[ray] & self._relit[gaussian] & (weight > SIGHT_MIN)
