@@ -17,6 +17,7 @@ wp.set_module_options({"enable_backward": False})
 
 SQUARED_COMPENSATION_MIN = wp.constant(wp.float32(COMPENSATION_MIN * COMPENSATION_MIN))
 
+SH_COEFFICIENTS = wp.constant(SH_COEFFICIENTS_MAX)
 ShFloats = wp.types.vector(length=SH_COEFFICIENTS_MAX, dtype=wp.float32)
 
 
@@ -153,8 +154,10 @@ def color_dot(mean: wp.vec3, eye: wp.vec3, degree: int, weights: ShFloats) -> wp
 def sh_weights(sh: wp.array[wp.vec3], first: int, degree: int, gradient: wp.vec3) -> ShFloats:
     """What each coefficient of a Gaussian adds to the loss for each unit of its harmonic."""
     weights = ShFloats(0.0)
-    for k in range((degree + 1) * (degree + 1)):
-        weights[k] = wp.dot(sh[first + k], gradient)
+    used = (degree + 1) * (degree + 1)
+    for k in range(SH_COEFFICIENTS):  # unrolled, so that the weights stay in registers
+        if k < used:
+            weights[k] = wp.dot(sh[first + k], gradient)
     return weights
 
 

@@ -6,8 +6,14 @@ The equations are in docs/method/gradients.md.
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.constants.training import POSE_CHUNK
-from lumisplat.device.gaussian.projection_gradient import color_dot, open_channels, sh_weights, splat_origin
+from lumisplat.constants.training import POSE_CHUNK, SH_COEFFICIENTS_MAX
+from lumisplat.device.gaussian.projection_gradient import (
+    ShFloats,
+    color_dot,
+    open_channels,
+    sh_weights,
+    splat_origin,
+)
 from lumisplat.device.gaussian.splat_coverage import is_listed
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient, PoseGradient, SplatGradient
@@ -17,6 +23,7 @@ from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
 CHUNK = wp.constant(POSE_CHUNK)
+SH_COEFFICIENTS = wp.constant(SH_COEFFICIENTS_MAX)
 
 
 @wp.func
@@ -24,6 +31,26 @@ def evaluated_degree(settings: RasterData, instance: SplatInstanceData, sh_count
     """Degree of the harmonics of an instance in the frame."""
     stored = int(wp.sqrt(float(sh_count))) - 1
     return wp.min(wp.min(settings.sh_degree, instance.sh_degree), stored)
+
+
+@wp.func
+def write_harmonics(
+    harmonics: ShFloats,
+    degree: int,
+    by_color: wp.vec3,
+    sh_count: int,
+    first: int,
+    is_added: bool,
+    gaussians_out: GaussianGradient,
+):
+    """Derivatives by the coefficients of one Gaussian, each written once, added to what is there only if asked."""
+    used = (degree + 1) * (degree + 1)
+    for k in range(SH_COEFFICIENTS):  # unrolled, so that the harmonics stay in registers
+        if k < sh_count:
+            value = wp.where(k < used, harmonics[k], 0.0) * by_color
+            if is_added:
+                value += gaussians_out.sh[first + k]
+            gaussians_out.sh[first + k] = value
 
 
 @wp.kernel
@@ -48,8 +75,7 @@ def backward_gaussians(
     scale = wp.vec3(0.0)
     opacity = float(0.0)
     first = i * gaussians.sh_count
-    for k in range(gaussians.sh_count):
-        gaussians_out.sh[first + k] = wp.vec3(0.0)
+    is_written = bool(False)
     for number in range(instance_ids.shape[0]):
         instance = instances[instance_ids[number]]
         index = instance.first + i
@@ -61,12 +87,15 @@ def backward_gaussians(
         by_color = open_channels(splats[index].color, by_splat.color)
         weights = sh_weights(gaussians.sh, first, degree, by_color)
         by_mean, _eye, _degree, harmonics = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
-        for k in range((degree + 1) * (degree + 1)):
-            gaussians_out.sh[first + k] = gaussians_out.sh[first + k] + harmonics[k] * by_color
+        write_harmonics(harmonics, degree, by_color, gaussians.sh_count, first, is_written, gaussians_out)
+        is_written = True
         mean += origin.mean + by_mean
         rotation += origin.rotation
         scale += origin.scale
         opacity += origin.opacity
+    if not is_written:
+        for k in range(gaussians.sh_count):
+            gaussians_out.sh[first + k] = wp.vec3(0.0)
     gaussians_out.means[i] = mean
     gaussians_out.rotations[i] = rotation
     gaussians_out.scales[i] = scale

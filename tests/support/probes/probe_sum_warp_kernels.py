@@ -1,0 +1,32 @@
+"""Kernels that add up over warps, for their tests. Two kinds of sums, which must not share memory."""
+
+import warp as wp
+
+from lumisplat.device.math.warp_sums import warp_sums
+
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
+
+WARPS, ROWS = 4, 64
+Short = wp.types.vector(length=5, dtype=wp.float32)
+Long = wp.types.vector(length=16, dtype=wp.float32)
+add_short, sum_of_short = warp_sums(Short, WARPS, ROWS)
+add_long, sum_of_long = warp_sums(Long, WARPS, ROWS)
+
+
+@wp.kernel(grid_stride=False)
+def probe_sums(
+    shorts: wp.array3d[Short],
+    longs: wp.array3d[Long],
+    has_part: wp.array3d[bool],
+    shorts_out: wp.array2d[Short],
+    longs_out: wp.array2d[Long],
+):
+    """Sums of the parts of all threads of each block, a row after the other."""
+    block, thread = wp.tid()
+    for row in range(ROWS):
+        add_short(row, shorts[block, row, thread], has_part[block, row, thread])
+        add_long(row, longs[block, row, thread], has_part[block, row, thread])
+    threads = wp.tile_sum(wp.tile(1))[0]  # waits
+    if thread < ROWS and threads > 0:
+        shorts_out[block, thread] = sum_of_short(thread)
+        longs_out[block, thread] = sum_of_long(thread)
