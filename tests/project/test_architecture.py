@@ -73,6 +73,7 @@ LAYERS = (
     "relighting.evaluation",
     "relighting.delight",
     "baking",
+    "dataset",
     "training.corrections",
     "training.surfaces",
     "training",

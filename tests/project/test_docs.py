@@ -35,7 +35,7 @@ SCENE_FILES = [
 ]
 NAMES = (
     "view|render|frames|train|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate|bake|fit|delight|"
-    "doctor|farm|export"
+    "doctor|farm|export|dataset"
 )
 COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})
 

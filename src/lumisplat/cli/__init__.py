@@ -30,6 +30,7 @@ from lumisplat.cli.commands.machine.completion import Completion
 from lumisplat.cli.commands.machine.doctor import Doctor
 from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.orbit import Orbit
+from lumisplat.cli.commands.photographs.dataset import Dataset
 from lumisplat.cli.commands.photographs.evaluate import Evaluate
 from lumisplat.cli.commands.photographs.frames import Frames
 from lumisplat.cli.commands.photographs.train import Train
@@ -66,6 +67,8 @@ Avatars that walk through a capture: lumisplat animate scene.toml -o frames --vi
 
 The same by several processes, or on a cluster: lumisplat farm animate scene.toml --workers 4 -o frames
 
+Training data: views from random places, with layers: lumisplat dataset scene.toml --views 1000 -o set
+
 An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o relit.ply
 
 A capture without its own light, to be lit anew: lumisplat delight garden.ply -o garden.relit.ply
@@ -88,6 +91,7 @@ _Command = (
     | Annotated[Train, subcommand("train")]
     | Annotated[Animate, subcommand("animate")]
     | Annotated[Farm, subcommand("farm")]
+    | Annotated[Dataset, subcommand("dataset")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[Export, subcommand("export")]

@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
 from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
+from lumisplat.config.dataset import (
+    DATASET_LAYERS,
+    DatasetConfig,
+    DatasetLights,
+    DatasetObjects,
+    DatasetPoses,
+    PosePlaces,
+)
 from lumisplat.config.materials import MaterialsConfig
 from lumisplat.config.paths import PathConfig, PathPrimary
 from lumisplat.config.probes import ProbeConfig
@@ -35,6 +43,7 @@ from lumisplat.config.training import Densification, LearningRates, TrainConfig
 
 __all__ = [
     "AOVS",
+    "DATASET_LAYERS",
     "EVERY_FRAME",
     "PATH_AOVS",
     "PATH_PARTS",
@@ -43,6 +52,10 @@ __all__ = [
     "Antialiasing",
     "AtlasLayout",
     "AvatarLightingConfig",
+    "DatasetConfig",
+    "DatasetLights",
+    "DatasetObjects",
+    "DatasetPoses",
     "DeepShadowConfig",
     "DelightConfig",
     "Densification",
@@ -57,6 +70,7 @@ __all__ = [
     "PathConfig",
     "PathPrimary",
     "Pipeline",
+    "PosePlaces",
     "ProbeConfig",
     "Projection",
     "RadianceCacheConfig",

@@ -70,6 +70,55 @@ def take_enum(settings: object, name: str, kind: type[Enum]) -> None:
     object.__setattr__(settings, name, enum_member(name, getattr(settings, name), kind))
 
 
+def take_range(settings: object, name: str, low: float, high: float) -> None:
+    """Makes a frozen dataclass's field, a pair of numbers, a tuple; the first is the least.
+
+    Raises:
+        ConfigError: It is no pair within ``low`` to ``high``.
+    """
+    pair = _pair(getattr(settings, name))
+    if pair is None or not all(is_number(value) and low <= value <= high for value in pair) or pair[0] > pair[1]:
+        raise ConfigError(
+            f"{name} is {quoted(getattr(settings, name))}, expected the least and the largest value, "
+            f"{low:g} to {high:g}"
+        )
+    object.__setattr__(settings, name, (float(pair[0]), float(pair[1])))
+
+
+def take_whole_range(settings: object, name: str, low: int, high: int) -> None:
+    """As `take_range`, of whole numbers."""
+    pair = _pair(getattr(settings, name))
+    if pair is None or not all(is_whole(value) and low <= value <= high for value in pair) or pair[0] > pair[1]:
+        raise ConfigError(
+            f"{name} is {quoted(getattr(settings, name))}, expected the least and the largest number, whole ones from "
+            f"{low} to {high}"
+        )
+    object.__setattr__(settings, name, (int(pair[0]), int(pair[1])))
+
+
+def take_names(settings: object, name: str) -> None:
+    """Makes a frozen dataclass's field, a list of names, a tuple.
+
+    Raises:
+        ConfigError: It is something else.
+    """
+    value = getattr(settings, name)
+    names = None if isinstance(value, str) else listed_names(value)
+    if names is None:
+        raise ConfigError(f"{name} is {quoted(value)}, expected a list of names of files")
+    object.__setattr__(settings, name, names)
+
+
+def _pair(value: object) -> tuple[float, float] | None:
+    """Two values; a single number is both."""
+    if is_number(value):
+        return value, value
+    if not isinstance(value, tuple | list) or len(cast(list[object], value)) != 2:
+        return None
+    first, last = cast(list[float], value)
+    return first, last
+
+
 def choices(kind: type[Enum]) -> str:
     """The values of an enum as a message lists them: ``'raster', 'trace' or 'hybrid'``."""
     *others, last = (f"'{member.value}'" for member in kind)

@@ -1,4 +1,4 @@
-"""PNG files: 8-bit sRGB, and 16-bit grey with text."""
+"""PNG files: 8-bit sRGB, and 8-bit and 16-bit grey with text."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
         Image.fromarray(pixels).save(temporary, format="PNG")
 
 
-def write_gray_png(path: PathLike, values: npt.NDArray[np.uint16], texts: Mapping[str, str]) -> None:
-    """Writes a 16-bit grey PNG.
+def write_gray_png(
+    path: PathLike, values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16], texts: Mapping[str, str] | None = None
+) -> None:
+    """Writes an 8-bit or a 16-bit grey PNG.
 
     Args:
         path: The file to write. It appears complete or not at all.
@@ -50,7 +52,7 @@ def write_gray_png(path: PathLike, values: npt.NDArray[np.uint16], texts: Mappin
     from PIL.PngImagePlugin import PngInfo
 
     info = PngInfo()
-    for keyword, text in texts.items():
+    for keyword, text in (texts or {}).items():
         info.add_text(keyword, text)
     with atomic_write(path) as temporary:
         Image.fromarray(values).save(temporary, format="PNG", pnginfo=info)

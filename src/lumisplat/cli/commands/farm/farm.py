@@ -1,4 +1,4 @@
-"""``lumisplat farm``: the frames of animate, orbit and render, made by workers."""
+"""``lumisplat farm``: the frames of animate, orbit, render and dataset, made by workers."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 import lumisplat as ls
 from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.orbit import Orbit
+from lumisplat.cli.commands.photographs.dataset import Dataset
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.farm.places import FarmRoom
 from lumisplat.cli.farm.run import FarmRun
@@ -69,7 +70,26 @@ class FarmRender(Render):
         run_farm(self, overwrite=self.overwrite, video=None)
 
 
-def run_farm(command: FarmAnimate | FarmOrbit | FarmRender, *, overwrite: bool, video: Path | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class FarmDataset(Dataset):
+    """Make training data by workers.
+
+    lumisplat farm dataset scene.toml --workers 2 --views 1000 -o set
+    """
+
+    farm: FarmGroup = field(default_factory=FarmOptions)
+    """Files are the same to the bit as those of one process."""
+
+    def run(self) -> None:
+        """Renders the views that are missing, then what follows from all of them."""
+        self.settings()  # its mistakes are found before workers start
+        run_farm(self, overwrite=self.overwrite, video=None)
+        self.finish()
+
+
+def run_farm(
+    command: FarmAnimate | FarmOrbit | FarmRender | FarmDataset, *, overwrite: bool, video: Path | None
+) -> None:
     """Makes the frames of a command by workers.
 
     Args:
@@ -103,7 +123,8 @@ class Farm:
     what: Annotated[
         Annotated[FarmAnimate, subcommand("animate")]
         | Annotated[FarmOrbit, subcommand("orbit")]
-        | Annotated[FarmRender, subcommand("render")],
+        | Annotated[FarmRender, subcommand("render")]
+        | Annotated[FarmDataset, subcommand("dataset")],
         OmitArgPrefixes,
         OmitSubcommandPrefixes,
     ]

@@ -1,0 +1,247 @@
+"""``lumisplat dataset``: many views of a scene, from random places, in random light, as training data."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.farm.alone import make_alone
+from lumisplat.cli.farm.job import FrameJob, FrameList
+from lumisplat.cli.input.file_marks import file_marks
+from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.numbers import frame_numbers
+from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.frame import FrameCommand, shared_origin
+from lumisplat.cli.options.lighting import LightGroup, LightOptions
+from lumisplat.cli.options.rays import RayGroup, RayOptions
+from lumisplat.cli.options.remarks import frame_remarks
+from lumisplat.cli.options.settings import given_options, setting, without_none
+from lumisplat.cli.output.console import Report, counted, progress_bars
+from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
+from lumisplat.cli.output.frame_source import FrameSource
+from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.standard_output import refuse_standard_output
+from lumisplat.cli.output.stats import print_stats
+
+_log = logging.getLogger("lumisplat")
+
+_NOT_OF_VIEWS = ("views", "shard_views")
+"""Settings of which the views that are there do not depend."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dataset(FrameCommand):
+    """Make training data: views of a scene from random places, in random light, with objects put into it.
+
+    With layers such as depth, normals and ids, cameras for nerfstudio, and shards for WebDataset. A view follows from
+    --seed and its number: more --views add to those that are there, and after an interruption the same command goes on.
+    First try: lumisplat dataset garden.ply --views 20 -o set
+    """
+
+    scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
+    """Captures, meshes or a scene.toml, as for render."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("dataset")
+    """Where files go: images, a folder for each layer, views (what is known of each, in JSON), transforms.json,
+    layers.json, contact_sheet.png, and dataset.json, which says what they were made of."""
+    file: Annotated[Path | None, arg(name="settings", metavar="FILE.toml", help_behavior_hint="")] = None
+    """Settings of poses, lights and objects; options that are given come before it."""
+    views: Annotated[int | None, setting("N", "100")] = None
+    """How many there are."""
+    width: Annotated[int | None, setting("PX", "640")] = None
+    """Width of pictures."""
+    height: Annotated[int | None, setting("PX", "480")] = None
+    """Height of pictures."""
+    layers: Annotated[str | None, setting("LAYERS", "depth,normal,instance")] = None
+    """What there is beside the pictures, some of depth, normal, albedo, alpha, mask, instance, category and exr (with
+    commas); none: nothing."""
+    objects: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")] = ()
+    """Captures and meshes, some of which are put into each view, on the ground and with room around them."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Cameras near which views are, in place of those around the scene: those of a capture's photographs, say."""
+    shards: Annotated[int | None, setting("N", "0")] = None
+    """Also write shards for WebDataset, of so many views each."""
+    frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""
+    """Only these views, from 0: 1-100 (both), 1-100x2 (every second), 1,5,9, or A:B, from A to before B. Parts may be
+    joined by commas. What follows from all views is written once all are there."""
+    overwrite: Flag = False
+    """Remove the views that are there first, whatever they were made of."""
+    rays: RayGroup = field(default_factory=RayOptions)
+    """Of --pipeline trace, hybrid and path; --samples, --time and --noise also of lit frames. --seed is that of poses,
+    lights and objects, too."""
+    light: LightGroup = field(default_factory=LightOptions)
+    """Of lit views. --environment is turned from view to view."""
+
+    def run(self) -> None:
+        """Renders the views that are missing, then what follows from all of them."""
+        with progress_bars() as report:
+            job = self.open_frames(report)
+            lines = make_alone(job, report, overwrite=self.overwrite, video=None, fewer="--views")
+        print(lines)
+        self.finish()
+
+    def settings(self) -> ls.DatasetConfig:
+        """The settings of the file, with those that were given in their place.
+
+        Raises:
+            ConfigError: A value is out of its range, or options do not go together.
+            FormatError: The file cannot be read, or a setting is wrong.
+        """
+        refuse_standard_output(self.output)
+        single = given_options(self.viewpoint)
+        single = [option for option in single if option != "--up"] + ["--path"] * (self.path is not None)
+        if single:
+            raise ls.ConfigError(
+                f"{single[0]} is of one camera, and views are random: [poses] of --settings says where"
+            )
+        config = ls.DatasetConfig() if self.file is None else ls.load_dataset_config(self.file)
+        given = {
+            "views": self.views,
+            "seed": self.rays.seed,
+            "width": self.width,
+            "height": self.height,
+            "layers": None if self.layers is None else self.layers.replace("none", ""),
+            "shard_views": self.shards,
+        }
+        config = replace(config, **without_none(given))
+        if self.objects:
+            for path in self.objects:
+                if not path.exists():
+                    raise ls.MissingFileError(path, "no such file")
+            config = replace(config, objects=replace(config.objects, files=tuple(map(str, self.objects))))
+        if self.cameras is not None:
+            config = replace(config, poses=replace(config.poses, where=ls.PosePlaces.CAMERAS))
+        return config
+
+    def open_frames(self, report: Report) -> FrameJob:
+        """Checks all that can be checked, and loads the scene.
+
+        Args:
+            report: Shows the progress.
+
+        Raises:
+            LumisplatError: Something is wrong with the options or a file.
+        """
+        settings = self.settings()
+        names = tuple(f"views/view_{index:06d}.json" for index in range(settings.views))
+        wanted = tuple(frame_numbers("--frames", self.frames, settings.views))
+        base = scene_settings(scene_file(self.scene))
+        albedo = ("albedo",) if "albedo" in settings.layers else ()
+        config = self.frame_config(base, {"aovs": (*base.aovs, *albedo)})
+        if config.pipeline is ls.Pipeline.REALTIME:
+            raise ls.ConfigError(
+                "--pipeline realtime is of frames that follow from each other, and views do not: path or hybrid"
+            )
+        cameras = self._cameras(settings)
+        check_writable(self.output)
+        environment = self.light.environment_light()
+        renderer = self.start_renderer(report, config, profile=self.stats)
+        scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+        scene = self.light.lit_scene(scene, environment)
+        views = ls.DatasetViews(
+            scene,
+            settings,
+            cameras=cameras,
+            load=lambda path: self.load_asset(path, report),
+            device=renderer.device,
+        )
+        if albedo and not (views.are_lit if config.lighting is None else config.lighting):
+            raise ls.ConfigError("--layers has albedo, which lit views have: give lights, or --lighting on")
+        for line in frame_remarks(config, views.view(wanted[0]).scene, [], self.rays, self.light):
+            _log.warning("%s", line)
+        maker = _ViewMaker(self, views, self.frame_source(renderer))
+        return FrameJob(
+            frames=FrameList(
+                folder=FrameFolder(self.output, "json", "dataset.json", names),
+                origin=self._origin(settings, config, renderer.device),
+                wanted=wanted,
+            ),
+            render=maker.render,
+            write=maker.write,
+            summarise=(lambda frame, _: print_stats(frame, config.pipeline)) if self.stats else None,
+        )
+
+    def finish(self) -> None:
+        """Writes what follows from all views, once they are there, and prints what there is."""
+        summary = ls.finish_dataset(self.output, self.settings())
+        if summary.missing:
+            print(f"{counted(summary.missing, 'view')} are missing: the same command without --frames makes them")
+            return
+        if summary.left_out:
+            _log.warning(
+                "%s found no room in %s: views/*.json name them (left_out)",
+                counted(summary.left_out, "object"),
+                self.output,
+            )
+        shards = f", {counted(len(summary.shards), 'shard')}" * bool(summary.shards)
+        print(
+            f"{self.output / 'transforms.json'}: {summary.train} to train, {summary.val} to validate and "
+            f"{summary.test} to test by{shards}; {self.output / 'contact_sheet.png'} shows the first"
+        )
+
+    def _cameras(self, settings: ls.DatasetConfig) -> list[ls.Camera]:
+        """The cameras near which views are.
+
+        Raises:
+            ConfigError: They are wanted, and neither --cameras nor a scene.toml has any.
+            FormatError: The file cannot be read, or --cameras has none.
+        """
+        if settings.poses.where is not ls.PosePlaces.CAMERAS:
+            return []
+        cameras = self.load_cameras(self.cameras, scene_file(self.scene))
+        if not cameras:
+            raise ls.ConfigError("views are to be near cameras, and there are none: give --cameras FILE")
+        return cameras
+
+    def _origin(self, settings: ls.DatasetConfig, config: ls.RenderConfig, device: str) -> dict[str, str]:
+        """All that a view follows from, except its number."""
+        # Not the settings file: what it says is among the settings, and some of that may change.
+        files = [*self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
+        files += [Path(name) for name in (*settings.objects.files, *settings.lights.environments)]
+        return {
+            "lumisplat": ls.__version__,
+            "device": device,
+            "scene": " ".join(map(str, self.scene)),
+            **{name: f"{getattr(self, name)}" for name in ("drop_invalid", "crease_angle")},
+            **{
+                name: value
+                for name, value in flat_settings("dataset.", settings)
+                if name.removeprefix("dataset.") not in _NOT_OF_VIEWS
+            },
+            **shared_origin(self, config),
+            **file_marks(files, self.output),
+        }
+
+
+class _ViewMaker:
+    """Renders and writes views.
+
+    Args:
+        command: Whose views they are.
+        views: The views.
+        source: Renders frames.
+    """
+
+    def __init__(self, command: Dataset, views: ls.DatasetViews, source: FrameSource) -> None:
+        self._command, self._views, self._source = command, views, source
+        self._view: ls.DatasetView | None = None
+
+    def render(self, index: int, report: Report) -> ls.Frame:
+        """Renders a view."""
+        view = self._views.view(index)
+        self._view = replace(view, camera=self._exposed(view.camera))
+        return self._source.frame(view.scene, self._view.camera, report)
+
+    def write(self, frame: ls.Frame, index: int) -> None:
+        """Writes the view that was rendered last."""
+        assert self._view is not None and self._view.index == index
+        self._views.save(self._view, frame, self._command.output)
+
+    def _exposed(self, camera: ls.Camera) -> ls.Camera:
+        """The camera, exposed by as much more as --exposure says."""
+        more = self._command.light.exposure
+        return camera if more is None else replace(camera, exposure=camera.exposure + more)

@@ -1,0 +1,223 @@
+"""The files of a view: pictures, layers, and what is known of it in JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config.dataset import DatasetConfig
+from lumisplat.dataset.things import DatasetThing, id_images
+from lumisplat.dataset.view import DatasetView
+from lumisplat.errors import ConfigError, SceneError
+from lumisplat.frame.frame import Frame
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.images.png import write_gray_png, write_png
+from lumisplat.math.arrays import FloatArray
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.lights import Light
+
+
+class LayerFiles(NamedTuple):
+    """Where the files of a layer are, and what they hold."""
+
+    folder: str
+    extension: str
+    meaning: str
+
+
+LAYER_FILES = {
+    "color": LayerFiles("images", "png", "8-bit sRGB, exposed and tone-mapped; straight alpha if it is transparent"),
+    "depth": LayerFiles(
+        "depth", "npy", "float32 (height, width): distance along the camera's z axis, scene units; 0: no surface"
+    ),
+    "normal": LayerFiles(
+        "normal",
+        "png",
+        "8-bit: 127.5 (1 + normal), in the camera's axes, x right, y down, z forward; 0 0 0: no surface",
+    ),
+    "albedo": LayerFiles("albedo", "png", "8-bit sRGB: reflectance of surfaces, without light"),
+    "alpha": LayerFiles("alpha", "png", "8-bit grey: share of the pixel that is covered, 0 to 255"),
+    "mask": LayerFiles("mask", "png", "8-bit grey: 255 where at least half of the pixel is covered, else 0"),
+    "instance": LayerFiles(
+        "instance", "png", "grey, 8-bit, or 16-bit of more than 255 things: the id of the thing; 0: none"
+    ),
+    "category": LayerFiles(
+        "category", "png", "grey, 8-bit, or 16-bit of more than 255 categories: the id of the category; 0: none"
+    ),
+    "exr": LayerFiles(
+        "exr",
+        "exr",
+        "32-bit: linear Rec.709 R G B A, neither exposed nor tone-mapped; depth.Z along rays, normals in world axes",
+    ),
+}
+"""By the names of layers."""
+
+VIEW_FOLDER = "views"
+
+
+def view_name(index: int) -> str:
+    """Stem of the files of a view."""
+    return f"view_{index:06d}"
+
+
+def view_file(index: int) -> str:
+    """What is known of a view, from the data set's folder; it is written last: where it is, the view is."""
+    return f"{VIEW_FOLDER}/{view_name(index)}.json"
+
+
+def layer_file(layer: str, name: str) -> str:
+    """The file of a layer of a view, from the data set's folder."""
+    files = LAYER_FILES[layer]
+    return f"{files.folder}/{name}.{files.extension}"
+
+
+IdTypes = Mapping[str, type[np.uint8] | type[np.uint16]]
+"""Types of the pictures of ids, by layer."""
+
+
+def write_view(folder: Path, view: DatasetView, frame: Frame, config: DatasetConfig, id_types: IdTypes) -> None:
+    """Writes all files of a view, each whole or not at all; what is known of it last.
+
+    Args:
+        folder: The data set's.
+        view: The view.
+        frame: Its frame.
+        config: Settings of the data set.
+        id_types: The same for all views.
+
+    Raises:
+        ConfigError: The frame has no albedo, which is wanted.
+        FormatError: A file cannot be written.
+    """
+    ids, categories = id_images(frame.instance_index, view.things)
+    for layer in config.layers:
+        path = folder / layer_file(layer, view.name)
+        if layer in id_types:
+            image = ids if layer == "instance" else categories
+            write_gray_png(path, image.astype(np.uint8) if id_types[layer] is np.uint8 else image)
+        else:
+            _write_layer(path, layer, frame)
+    frame.save(folder / layer_file("color", view.name))
+    record = _record(view, ids, config)
+    with atomic_write(folder / view_file(view.index)) as temporary:
+        Path(temporary).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_layer(path: Path, layer: str, frame: Frame) -> None:
+    """Writes a layer that is an image of the frame."""
+    if layer == "depth":
+        with atomic_write(path) as temporary, Path(temporary).open("wb") as file:
+            np.save(file, depth_along_z(frame), allow_pickle=False)
+    elif layer == "normal":
+        write_png(path, normal_picture(frame))
+    elif layer == "albedo":
+        if frame.albedo is None:
+            raise ConfigError("layers has 'albedo', which only lit views have: give lights, or leave it out")
+        write_png(path, np.clip(encode_srgb(np.clip(frame.albedo, 0.0, 1.0)), 0.0, 1.0))
+    elif layer == "alpha":
+        write_gray_png(path, (255.0 * np.clip(frame.alpha, 0.0, 1.0) + 0.5).astype(np.uint8))
+    elif layer == "mask":
+        write_gray_png(path, np.where(frame.alpha >= 0.5, 255, 0).astype(np.uint8))
+    else:
+        shown = ("depth", "normal", *(("albedo",) if frame.albedo is not None else ()))
+        frame.save(path, shown)
+
+
+def depth_along_z(frame: Frame) -> FloatArray:
+    """View depth of surfaces, shape (H, W); 0: there is none."""
+    depth = frame.depth_z
+    return np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
+
+
+def normal_picture(frame: Frame) -> npt.NDArray[np.uint8]:
+    """Normals in the camera's axes as bytes, shape (H, W, 3); 0 0 0: there is no surface."""
+    # Not by BLAS, whose last bits depend on the number of threads.
+    normal = np.einsum("hwi,ji->hwj", frame.normal.astype(np.float64), frame.camera.camera_from_world[:3, :3])
+    shown = np.clip(127.5 * (1.0 + normal) + 0.5, 0.0, 255.0)
+    seen = np.isfinite(frame.depth) & frame.normal.any(axis=2)
+    return np.where(seen[..., None], shown, 0.0).astype(np.uint8)
+
+
+def _record(view: DatasetView, ids: npt.NDArray[np.uint16], config: DatasetConfig) -> dict[str, Any]:
+    """What is known of a view."""
+    camera = view.camera
+    return {
+        "view": view.index,
+        "name": view.name,
+        "split": view.split,
+        "seed": config.seed,
+        "camera": {
+            "width": camera.width,
+            "height": camera.height,
+            "fx": camera.fx,
+            "fy": camera.fy,
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "near": camera.near,
+            "exposure": camera.exposure,
+            "camera_from_world": camera.camera_from_world.tolist(),
+        },
+        "lights": [_light(light) for light in view.scene.lights],
+        "things": [_thing(thing, ids) for thing in view.things],
+        "left_out": list(view.left_out),
+        "files": {layer: layer_file(layer, view.name) for layer in ("color", *config.layers)},
+    }
+
+
+def _thing(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
+    """A thing, with the box of its pixels."""
+    rows, columns = np.nonzero(ids == thing.id)
+    box = None
+    if rows.size:
+        left, top = int(columns.min()), int(rows.min())
+        box = [left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1]
+    return {
+        "id": thing.id,
+        "name": thing.name,
+        "category": thing.category,
+        "category_id": thing.category_id,
+        "kind": thing.kind,
+        "is_object": thing.is_object,
+        "world_from_object": thing.world_from_object.tolist(),
+        "box_low": thing.low.tolist(),
+        "box_high": thing.high.tolist(),
+        "visible_pixels": int(rows.size),
+        "bbox": box,
+    }
+
+
+def _light(light: Light) -> dict[str, Any]:
+    """A light: its class and its numbers; images of environments by name."""
+    values = {
+        field.name: getattr(light, field.name)
+        for field in dataclasses.fields(light)
+        if field.name not in ("image", "enabled", "casts_shadow")
+    }
+    return {"type": type(light).__name__, **{name: _plain(value) for name, value in values.items()}}
+
+
+def _plain(value: object) -> object:
+    """A value as JSON has it, which knows no infinity."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, tuple | list | np.ndarray):
+        return [_plain(one) for one in np.asarray(value, dtype=np.float64).tolist()]
+    return value
+
+
+def id_type(count: int) -> type[np.uint8] | type[np.uint16]:
+    """Type of a picture of so many ids.
+
+    Raises:
+        SceneError: There are more than 65,535.
+    """
+    if count > np.iinfo(np.uint16).max:
+        raise SceneError(f"there are {count:,} things, and pictures of ids hold 65,535: join some")
+    return np.uint8 if count <= np.iinfo(np.uint8).max else np.uint16

@@ -1,0 +1,131 @@
+"""Random light: environments turned, suns, lamps and skies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lumisplat.config.dataset import DatasetLights, PosePlaces
+from lumisplat.dataset.draws import Draws
+from lumisplat.dataset.space import Space, level_axes
+from lumisplat.math.arrays import Doubles
+from lumisplat.math.rotations import axis_rotation, multiply_quaternions, quaternions_from_matrices
+from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightPoint
+
+_LAMP_TRIES = 32
+"""Places that are tried for a lamp in a scene's free space; the last one is taken anyway."""
+_LAMP_NEAREST = 0.25
+"""Lamps nearer to the middle than this share of the diagonal are as bright as if they were so far away."""
+_LAMP_ROOM = 0.01
+"""Free space around a lamp, as a share of the diagonal."""
+
+
+class Lighter:
+    """Draws the lights of views.
+
+    Args:
+        config: Which there may be.
+        space: The scene.
+        environments: Those of files.
+        where: Where cameras stand.
+        needs_light: Whether there is anything that light changes.
+    """
+
+    def __init__(
+        self,
+        config: DatasetLights,
+        space: Space,
+        environments: Sequence[LightEnvironment],
+        *,
+        where: PosePlaces,
+        needs_light: bool,
+    ) -> None:
+        self._config, self._space, self._environments, self._where = config, space, list(environments), where
+        own = [light for light in space.scene.lights if light.enabled] if config.own else []
+        is_dark = needs_light and not own and not environments and config.lamps[1] == 0
+        self._suns = config.suns if config.suns is not None else (1, 1) if is_dark else (0, 0)
+        self._own = own
+
+    @property
+    def lights_views(self) -> bool:
+        """Whether views have lights."""
+        return bool(self._own or self._environments or self._suns[1] or self._config.lamps[1])
+
+    def lights(self, draws: Draws) -> tuple[Light, ...]:
+        """The lights of a view."""
+        config = self._config
+        angle, brightness = 2.0 * math.pi * draws.unit() * config.turned, draws.factor(config.brightness)
+        which, sky = draws.unit(), draws.between(config.sky)
+        sky_color = self._color(draws)
+        suns = [self._sun(draws, number) for number in range(draws.whole(self._suns))]
+        lamps = [self._lamp(draws, number) for number in range(draws.whole(config.lamps))]
+        lights = [self._turned(light, angle, brightness) for light in self._own if not self._is_replaced(light)]
+        if self._environments:
+            chosen = self._environments[int(which * len(self._environments))]
+            lights.append(self._turned(chosen, angle, brightness))
+        elif (suns or lamps) and not any(isinstance(light, LightEnvironment) for light in lights) and sky > 0.0:
+            lights.append(LightEnvironment(color=sky_color, intensity=sky, visible=False, name="sky"))
+        return (*lights, *suns, *lamps)
+
+    def exposure(self, draws: Draws) -> float:
+        """Stops that are added to the exposure of a view."""
+        return draws.between(self._config.exposure)
+
+    def _is_replaced(self, light: Light) -> bool:
+        """Whether a light of the scene gives way to those of files."""
+        return isinstance(light, LightEnvironment) and bool(self._environments)
+
+    def _turned(self, light: Light, angle: float, brightness: float) -> Light:
+        """An environment turned about the vertical, and brighter by a factor; other lights as they are."""
+        if not isinstance(light, LightEnvironment):
+            return light
+        turn = quaternions_from_matrices(axis_rotation(self._space.up, angle)[None])[0]
+        wxyz = multiply_quaternions(turn, np.asarray(light.rotation_wxyz, dtype=np.float64)[None])[0]
+        return replace(light, rotation_wxyz=tuple(wxyz), intensity=light.intensity * brightness)
+
+    def _sun(self, draws: Draws, number: int) -> LightDirectional:
+        config, up = self._config, self._space.up
+        azimuth, elevation = 2.0 * math.pi * draws.unit(), math.radians(draws.between(config.sun_elevation))
+        first, second = level_axes(up)
+        towards = math.sin(elevation) * up
+        towards = towards + math.cos(elevation) * (math.cos(azimuth) * first + math.sin(azimuth) * second)
+        return LightDirectional(
+            direction=tuple(-towards),
+            color=self._color(draws),
+            intensity=draws.between(config.sun_lux),
+            angle=math.radians(draws.between(config.sun_angle)),
+            name=f"sun {number}",
+        )
+
+    def _lamp(self, draws: Draws, number: int) -> LightPoint:
+        position = self._lamp_place(draws)
+        distance = max(float(np.linalg.norm(position - self._space.middle)), _LAMP_NEAREST * self._space.diagonal)
+        return LightPoint(
+            position=tuple(position),
+            color=self._color(draws),
+            intensity=draws.between(self._config.lamp_lux) * distance * distance,
+            name=f"lamp {number}",
+        )
+
+    def _lamp_place(self, draws: Draws) -> Doubles:
+        """Above and around the scene, or in the upper half of its free space."""
+        space = self._space
+        if self._where is PosePlaces.DOME:
+            direction = draws.direction()
+            direction += (abs(direction @ space.up) - direction @ space.up) * space.up
+            return space.middle + draws.between((0.6, 1.2)) * space.diagonal * direction
+        place = space.middle
+        for _ in range(_LAMP_TRIES):
+            place = space.low + draws.units(3) * (space.high - space.low)
+            height = space.bottom + draws.between((0.5, 0.95)) * (space.top - space.bottom)
+            place = place + (height - place @ space.up) * space.up
+            if space.is_free(place, _LAMP_ROOM * space.diagonal):
+                break
+        return place
+
+    def _color(self, draws: Draws) -> tuple[float, float, float]:
+        red, green, blue = (float(value) for value in 1.0 - self._config.tint * draws.units(3))
+        return red, green, blue

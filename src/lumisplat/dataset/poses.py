@@ -1,0 +1,164 @@
+"""Random cameras: around a scene, in its free space, or near given ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from lumisplat.config.dataset import DatasetConfig, PosePlaces
+from lumisplat.dataset.draws import Draws
+from lumisplat.dataset.objects import Placed
+from lumisplat.dataset.space import Space, level_axes
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles
+from lumisplat.math.rotations import axis_rotation
+from lumisplat.scene.camera import Camera, camera_pose
+from lumisplat.scene.ops.framing import frame_camera
+from lumisplat.scene.up import front_vector
+
+_TRIES = 200
+"""Poses of a view that are tried."""
+_NEAR = 1e-3
+"""Near plane, as a share of the scene's diagonal: below it, nothing would be drawn."""
+_UPRIGHT = 1e-3
+"""Sine of the angle to the vertical below which up in the picture is what is in front."""
+
+
+class Poser:
+    """Draws cameras.
+
+    Args:
+        config: Where they may be.
+        space: The scene.
+        cameras: Given ones, of `PosePlaces.CAMERAS`.
+
+    Raises:
+        SceneError: Given ones are wanted, and there are none.
+    """
+
+    def __init__(self, config: DatasetConfig, space: Space, cameras: Sequence[Camera]) -> None:
+        self._config, self._poses, self._space = config, config.poses, space
+        self._cameras = list(cameras)
+        self._center_of_view = 0.5 * config.width, 0.5 * config.height
+        if config.poses.where is PosePlaces.CAMERAS and not self._cameras:
+            raise SceneError("poses.where is cameras, and there are no cameras: name a file that has some")
+
+    def camera(self, view: int, draws: Draws, objects: Sequence[Placed]) -> Camera:
+        """The camera of a view.
+
+        Args:
+            view: Its number.
+            draws: Its random numbers.
+            objects: What was put into the scene.
+
+        Raises:
+            SceneError: None of many poses has free space around it, and sees enough.
+        """
+        blocked = hidden = 0
+        most = 0.0
+        for _ in range(_TRIES):
+            camera, wanted = self._drawn(view, draws, objects)
+            if not self._is_free(camera.eye, objects):
+                blocked += 1
+            elif wanted is not None and not self._space.is_seen(camera.eye, wanted.center, wanted.radius):
+                hidden += 1
+            elif (share := self._space.share_seen(camera)) >= self._poses.seen:
+                return camera
+            else:
+                most = max(most, share)
+        raise SceneError(
+            f"view {view}: none of {_TRIES} poses will do: {blocked} are nearer to a surface than poses.clearance "
+            f"({self._poses.clearance:g} of the diagonal), {hidden} do not see the object that they look at, in the "
+            f"others surfaces are at most {most:.2g} of the picture, poses.seen wants {self._poses.seen:g}: lower "
+            "these, or let cameras stand elsewhere"
+        )
+
+    def _drawn(self, view: int, draws: Draws, objects: Sequence[Placed]) -> tuple[Camera, Placed | None]:
+        """A camera, and the object that it looks at; None: it looks at the scene."""
+        fov = math.radians(draws.between(self._poses.fov))
+        looks_at_object, which = draws.unit() < self._poses.at_objects, draws.unit()
+        wanted = objects[int(which * len(objects))] if objects and looks_at_object else None
+        if self._poses.where is PosePlaces.CAMERAS:
+            wanted = None
+            eye, right, forward = self._near_camera(draws)
+        elif self._poses.where is PosePlaces.INSIDE:
+            eye, right, forward = self._inside(draws, wanted)
+        else:
+            eye, right, forward = self._on_dome(draws, fov, wanted)
+        lean = axis_rotation(forward, math.radians(draws.between((-self._poses.roll, self._poses.roll))))
+        focal = self._center_of_view[1] / math.tan(0.5 * fov)
+        camera = Camera(
+            width=self._config.width,
+            height=self._config.height,
+            fx=focal,
+            fy=focal,
+            cx=self._center_of_view[0],
+            cy=self._center_of_view[1],
+            camera_from_world=camera_pose(eye, lean @ right, forward),
+            near=_NEAR * self._space.diagonal,
+            name=f"view_{view:06d}",
+        )
+        return camera, wanted
+
+    def _on_dome(self, draws: Draws, fov: float, wanted: Placed | None) -> tuple[Doubles, Doubles, Doubles]:
+        """Eye, right and forward of a camera around the scene, or around an object."""
+        poses, space = self._poses, self._space
+        azimuth, elevation = (math.radians(draws.between(ends)) for ends in (poses.azimuth, poses.elevation))
+        shares = draws.units(3) - 0.5
+        factor, radii = draws.between(poses.distance), draws.between(poses.object_distance)
+        front = front_vector(space.up)
+        level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(space.up, front)
+        backward = math.cos(elevation) * level + math.sin(elevation) * space.up
+        if wanted is not None:
+            return _looking(wanted.center + radii * wanted.radius * backward, -backward, space.up)
+        target = space.middle + poses.aim * shares * (space.high - space.low)
+        all_of_it = frame_camera(
+            space.scene,
+            azimuth=azimuth,
+            elevation=elevation,
+            fov_y=fov,
+            width=self._config.width,
+            height=self._config.height,
+        )
+        distance = float(np.float32(np.linalg.norm(all_of_it.eye - space.middle)))  # as the corners of the space
+        return _looking(target + factor * distance * backward, -backward, space.up)
+
+    def _inside(self, draws: Draws, wanted: Placed | None) -> tuple[Doubles, Doubles, Doubles]:
+        """Eye, right and forward of a camera anywhere in the scene's box."""
+        poses, space = self._poses, self._space
+        eye = space.low + draws.units(3) * (space.high - space.low)
+        height = space.bottom + draws.between(poses.height) * (space.top - space.bottom)
+        eye += (height - eye @ space.up) * space.up
+        azimuth, pitch = 2.0 * math.pi * draws.unit(), math.radians(draws.between(poses.pitch))
+        first, second = level_axes(space.up)
+        forward = math.cos(pitch) * (math.cos(azimuth) * first + math.sin(azimuth) * second)
+        forward += math.sin(pitch) * space.up
+        if wanted is not None and (distance := np.linalg.norm(wanted.center - eye)) > 0.0:
+            forward = (wanted.center - eye) / distance
+        return _looking(eye, forward, space.up)
+
+    def _near_camera(self, draws: Draws) -> tuple[Doubles, Doubles, Doubles]:
+        """Eye, right and forward of one of the given cameras, moved and turned a little."""
+        poses = self._poses
+        given = self._cameras[draws.below(len(self._cameras))].world_from_camera
+        shift = poses.shift * self._space.diagonal * draws.unit() * draws.direction()
+        turn = axis_rotation(draws.direction(), math.radians(poses.turn) * draws.unit())
+        return given[:3, 3] + shift, turn @ given[:3, 0], turn @ given[:3, 2]
+
+    def _is_free(self, eye: Doubles, objects: Sequence[Placed]) -> bool:
+        """Whether there is free space around an eye."""
+        room = self._poses.clearance * self._space.diagonal
+        if any(np.linalg.norm(eye - one.center) < one.radius + room for one in objects):
+            return False
+        return self._space.is_free(eye, room)
+
+
+def _looking(eye: Doubles, forward: Doubles, up: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+    """The eye, right and forward, with up in the picture."""
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < _UPRIGHT:
+        right = level_axes(up)[0]
+        right -= (right @ forward) * forward
+    return eye, right / np.linalg.norm(right), forward

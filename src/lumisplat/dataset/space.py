@@ -1,0 +1,105 @@
+"""The space of a scene, as rays find it: how large it is, where it is free, and where there is ground."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.dataset.solids import Solids
+from lumisplat.math.arrays import Doubles, Flags
+from lumisplat.renderer.renderer import create_renderer
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.scene import Scene
+
+_AROUND = 32
+"""Rays that look for surfaces around a point."""
+_ACROSS, _DOWN = 16, 12
+"""Rays that look what a camera sees."""
+
+
+class Space:
+    """A scene's size and surfaces.
+
+    Args:
+        scene: The scene.
+        device: Where rays are traced, as for ``create_renderer``.
+
+    Raises:
+        DeviceError: There is no such device.
+        SceneError: The scene is empty.
+    """
+
+    def __init__(self, scene: Scene, device: str) -> None:
+        self.scene = scene
+        # Single precision: the last bits of doubles depend on how many threads have added them up.
+        self.low, self.high = (corner.astype(np.float32).astype(np.float64) for corner in scene.bulk_bounds())
+        self.up = np.array(scene.up_direction)
+        self.middle = 0.5 * (self.low + self.high)
+        self.diagonal = max(float(np.linalg.norm(self.high - self.low)), 1e-9)
+        corners = np.array(np.meshgrid(*np.stack([self.low, self.high], axis=1))).reshape(3, -1).T
+        heights = corners @ self.up
+        self.bottom, self.top = float(heights.min()), float(heights.max())
+        self._solids = Solids(scene.meshes, self.low, self.high)
+        self._renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device)
+        self._around = even_directions(_AROUND)
+
+    def depths(self, origins: Doubles, directions: Doubles) -> Doubles:
+        """Distances to the surfaces that rays meet, scene units, shape (N,); inf: none.
+
+        Args:
+            origins: World space, shape (N, 3).
+            directions: Likewise, of length 1.
+        """
+        return self._renderer.trace_rays(self.scene, origins, directions).depth.astype(np.float64)
+
+    def is_free(self, point: Doubles, radius: float) -> bool:
+        """Whether a point is inside of no mesh, and has no surface nearer than a radius."""
+        if self._solids.hold(point):
+            return False
+        nearest = self.depths(np.repeat(point[None], _AROUND, axis=0), self._around).min()
+        return bool(nearest >= radius)
+
+    def share_seen(self, camera: Camera) -> float:
+        """Share of a camera's picture that shows a surface, roughly, 0..1."""
+        origins, directions = (rays.reshape(-1, 3) for rays in world_rays(camera.scaled(_ACROSS, _DOWN)))
+        return float(np.isfinite(self.depths(origins, directions)).mean())
+
+    def is_seen(self, eye: Doubles, point: Doubles, radius: float) -> bool:
+        """Whether nothing of the scene is between an eye and a sphere around a point."""
+        away = point - eye
+        distance = float(np.linalg.norm(away))
+        return bool(self.depths(eye[None], away[None] / distance)[0] >= distance - radius)
+
+    def rooms(self, centers: Doubles, radii: Doubles) -> Flags:
+        """Whether the upper halves of spheres are free of surfaces, shape (N,).
+
+        Args:
+            centers: Shape (N, 3).
+            radii: Shape (N,).
+        """
+        upper = self._around[self._around @ self.up >= 0.0]
+        origins = np.repeat(centers, len(upper), axis=0)
+        nearest = self.depths(origins, np.tile(upper, (len(centers), 1))).reshape(len(centers), -1).min(axis=1)
+        return nearest >= radii
+
+    def ground_heights(self, points: Doubles) -> Doubles:
+        """Heights along up of the first surfaces straight below points, shape (N,); -inf: there is none."""
+        return points @ self.up - self.depths(points, np.repeat(-self.up[None], len(points), axis=0))
+
+
+def even_directions(count: int) -> Doubles:
+    """Unit vectors that are spread evenly (a spherical Fibonacci lattice), shape (count, 3)."""
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    level = np.sqrt(1.0 - z * z)
+    return np.stack([level * np.cos(angle), level * np.sin(angle), z], axis=1)
+
+
+def level_axes(up: Doubles) -> tuple[Doubles, Doubles]:
+    """Two perpendicular level unit vectors, shape (3,) each."""
+    other = np.eye(3)[int(np.argmin(np.abs(up)))]
+    first: Doubles = np.cross(up, other)
+    first /= np.linalg.norm(first)
+    second: Doubles = np.cross(up, first)
+    return first, second
