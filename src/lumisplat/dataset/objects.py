@@ -157,7 +157,7 @@ class Placer:
         across = np.stack(level_axes(space.up))
         under = starts[:, None] + radius * (_UNDER @ across)
         heights = space.ground_heights(under.reshape(-1, 3)).reshape(len(starts), -1)
-        good: Flags = np.isfinite(heights).all(axis=1)
+        good: Flags = np.asarray(np.isfinite(heights).all(axis=1))
         heights = np.where(good[:, None], heights, 0.0)
         good &= heights.max(axis=1) - heights.min(axis=1) <= 2.0 * radius * self._config.unevenness
         centers = starts + (heights.max(axis=1) - foot - starts @ space.up)[:, None] * space.up

@@ -99,7 +99,6 @@ def even_directions(count: int) -> Doubles:
 def level_axes(up: Doubles) -> tuple[Doubles, Doubles]:
     """Two perpendicular level unit vectors, shape (3,) each."""
     other = np.eye(3)[int(np.argmin(np.abs(up)))]
-    first: Doubles = np.cross(up, other)
+    first = np.asarray(np.cross(up, other), np.float64)
     first /= np.linalg.norm(first)
-    second: Doubles = np.cross(up, first)
-    return first, second
+    return first, np.asarray(np.cross(up, first), np.float64)

@@ -169,7 +169,8 @@ class Dataset(FrameCommand):
         """Writes what follows from all views, once they are there, and prints what there is."""
         summary = ls.finish_dataset(self.output, self.settings())
         if summary.missing:
-            print(f"{counted(summary.missing, 'view')} are missing: the same command without --frames makes them")
+            are, them = ("is", "it") if summary.missing == 1 else ("are", "them")
+            print(f"{counted(summary.missing, 'view')} {are} missing: the same command without --frames makes {them}")
             return
         if summary.left_out:
             _log.warning(

@@ -1,0 +1,130 @@
+"""``lumisplat dataset`` and ``lumisplat farm dataset``: views that go on, the same by anybody; mistakes in one line."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import warp as wp
+
+from lumisplat.io.images.exr import write_exr
+from support.files.cli_files import Workplace
+
+SIZE = ("--width", "24", "--height", "16", "--device", "cpu")
+SETTINGS = """
+layers = ["depth", "instance"]
+
+[poses]
+seen = 0.0
+
+[objects]
+files = ["cone.obj"]
+size = 0.05
+"""
+SCENE = """
+[[meshes]]
+shape = "plane"
+size = [4.0, 4.0]
+name = "floor"
+
+[[splats]]
+path = "capture.ply"
+"""
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    place.path("set.toml").write_text(SETTINGS)
+    place.path("scene.toml").write_text(SCENE)
+    place.path("cone.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n")
+    return place
+
+
+def contents(work: Workplace, folder: str) -> dict[str, bytes]:
+    """All files of a folder."""
+    home = work.path(folder)
+    return {str(path.relative_to(home)): path.read_bytes() for path in sorted(home.rglob("[!.]*")) if path.is_file()}
+
+
+def make(work: Workplace, folder: str, *options: str, farm: bool = False):
+    """Views of the scene."""
+    command = ("farm", "dataset") if farm else ("dataset",)
+    return work.run(*command, "@scene.toml", "--settings", "@set.toml", "-o", f"@{folder}", *SIZE, *options)
+
+
+def test_views_go_on_and_are_the_same_by_parts(work) -> None:
+    """Parts make the whole, to the bit, once all are there; more views leave those that are there."""
+    whole = make(work, "whole", "--views", "5", "--seed", "7", "--shards", "2")
+    assert whole.status == 0, whole.err
+    assert "5 frames in" in whole.out and "transforms.json: " in whole.out and " shards; " in whole.out
+    first = make(work, "parts", "--views", "3", "--seed", "7")
+    assert first.status == 0 and "transforms.json: " in first.out and not work.path("parts/shards").exists()
+    part = make(work, "parts", "--views", "5", "--seed", "7", "--frames", "4")
+    assert "1 view is missing: the same command without --frames makes it" in part.out
+    done = make(work, "parts", "--views", "5", "--seed", "7", "--shards", "2")
+    assert "5 frames in" in done.out and "4 of them were there" in done.out
+    assert contents(work, "parts") == contents(work, "whole")
+    refused = make(work, "parts", "--views", "5", "--seed", "8")
+    assert refused.status == 2 and "holds frames from before a change of dataset.seed" in refused.err
+    again = make(work, "parts", "--views", "1", "--seed", "8", "--overwrite", "--layers", "none")
+    assert again.status == 0 and len(json.loads(work.path("parts/transforms.json").read_text())["frames"]) == 1
+
+
+def test_a_farm_makes_the_same(work) -> None:
+    """By two workers: every file, to the bit, with light and objects; the same command goes on."""
+    assert make(work, "whole", "--views", "4").status == 0
+    assert make(work, "farm", "--views", "4", "--frames", "2").status == 0
+    done = make(work, "farm", "--views", "4", "--workers", "2", farm=True)
+    assert done.status == 0 and "3 frames by 2 workers" in done.out, done.err
+    assert "1 of them was there" in done.out and "contact_sheet.png shows the first" in done.out
+    assert contents(work, "farm") == contents(work, "whole")
+
+
+def test_cameras_and_environments_of_options(work) -> None:
+    """--cameras lets views be near them, --environment is turned, --exposure adds to that of views."""
+    write_exr(work.path("sky.exr"), dict.fromkeys("RGB", np.ones((2, 4), np.float32)))
+    options = ("--cameras", str(work.path("cameras.json")), "--environment", str(work.path("sky.exr")))
+    options = (*options, "--exposure", "1.5", "--samples", "1", "--settings", str(work.path("set.toml")))
+    done = work.run("dataset", "@capture.ply", "-o", "@near", "--views", "2", *SIZE, *options)
+    assert done.status == 0, done.err
+    records = [json.loads(work.path(f"near/views/view_00000{index}.json").read_text()) for index in range(2)]
+    assert all(np.abs(np.array(record["camera"]["camera_from_world"])[:3, 3]).max() < 0.5 for record in records)
+    assert all(record["camera"]["exposure"] == 1.5 for record in records)
+    turns = [record["lights"][-1]["rotation_wxyz"] for record in records]
+    assert records[0]["lights"][-1]["name"] == "sky" and turns[0] != turns[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--views", "0"), "--views is 0, expected a whole number from 1"),
+        (("--layers", "dept"), "layers has 'dept', did you mean 'depth'?"),
+        (("--objects", "@lost.glb"), "lost.glb: no such file"),
+        (("--settings", "@lost.toml"), "lost.toml: no such file"),
+        (("--eye", "1,2,3"), "--eye is of one camera, and views are random"),
+        (("--path", "@cameras.json"), "--path is of one camera"),
+        (("--pipeline", "realtime"), "--pipeline realtime is of frames that follow from each other"),
+        (("--frames", "100"), "'100' is not among them"),
+        (("-o", "-"), "frames are many: give a folder"),
+        (("--layers", "albedo", "--lighting", "off"), "--layers has albedo, which lit views have"),
+        (("--objects", "@cameras.json"), "cameras.json: "),
+    ],
+)
+def test_mistakes(work, options: tuple[str, ...], message: str) -> None:
+    """One line and status 2; no view is there."""
+    options = tuple(str(work.path(option[1:])) if option.startswith("@") else option for option in options)
+    done = work.run("dataset", "@scene.toml", "-o", "@out", *SIZE, *options)
+    assert (done.status, done.out) == (2, ""), done.err
+    assert message in done.err and done.err.strip().count("\n") == 0
+    assert not work.path("out").exists()
+
+
+def test_cameras_that_are_not_there(work) -> None:
+    """Wanted by the settings, and nobody has any."""
+    work.path("set.toml").write_text('[poses]\nwhere = "cameras"\n')
+    done = make(work, "out")
+    assert done.status == 2 and "there are none: give --cameras FILE" in done.err

@@ -1,0 +1,241 @@
+"""Files of data sets: layers against what is known by formula, cameras as others read them, shards, settings."""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.math.transforms import transform_points
+from lumisplat.scene.ops.pixel_rays import world_rays
+from support.scenes.dataset_scenes import block_scene, small_config
+
+LAYERS = ("depth", "normal", "albedo", "alpha", "mask", "instance", "category", "exr")
+VIEWS = 12
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A data set with all layers, an object and shards."""
+    home = tmp_path_factory.mktemp("dataset")
+    (home / "duck.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n")
+    summary = ls.render_dataset(block_scene(), home / "set", config_of(home), device="cpu")
+    assert (summary.train + summary.val + summary.test, summary.missing, summary.left_out) == (VIEWS, 0, 0)
+    return home / "set"
+
+
+def config_of(home: Path) -> ls.DatasetConfig:
+    """Its settings."""
+    objects = ls.DatasetObjects(files=(str(home / "duck.obj"),), count=(1, 1), size=(0.1, 0.1))
+    config = small_config(views=VIEWS, layers=LAYERS, objects=objects, shard_views=3, split=(0.5, 0.25, 0.25))
+    return replace(config, poses=ls.DatasetPoses(fov=(50.0, 60.0)))
+
+
+def record_of(folder: Path, index: int) -> dict:
+    """What is known of a view."""
+    return json.loads((folder / f"views/view_{index:06d}.json").read_text())
+
+
+def camera_of(record: dict) -> ls.Camera:
+    """The camera of a view."""
+    return ls.Camera(**record["camera"])
+
+
+def image(folder: Path, record: dict, layer: str) -> np.ndarray:
+    """A layer that is a picture."""
+    return picture(folder / record["files"][layer])
+
+
+def picture(path: Path) -> np.ndarray:
+    """Values of a PNG."""
+    with Image.open(path) as opened:
+        return np.asarray(opened)
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_layers_are_what_they_say(folder, index: int) -> None:
+    """Depth along z and normals of the floor by formula; ids where their things are; boxes are tight."""
+    record = record_of(folder, index)
+    camera = camera_of(record)
+    ids, depth = image(folder, record, "instance"), np.load(folder / record["files"]["depth"])
+    assert ids.dtype == np.uint8 and (depth.dtype, depth.shape) == (np.float32, (24, 32))
+    things = {thing["name"]: thing for thing in record["things"]}
+    assert [*things] == ["floor", "block", "duck"] and [thing["id"] for thing in things.values()] == [1, 2, 3]
+    # The floor is the plane y = 0.
+    origins, directions = world_rays(camera)
+    floor = ids == things["floor"]["id"]
+    along = -origins[..., 1] / directions[..., 1]
+    view_depth = along * (directions @ camera.camera_from_world[2, :3])
+    np.testing.assert_allclose(depth[floor], view_depth[floor], rtol=1e-5)
+    np.testing.assert_array_equal(depth > 0.0, ids > 0)
+    upward = np.round(127.5 * (1.0 + camera.camera_from_world[:3, 1]))
+    assert np.abs(image(folder, record, "normal")[floor].astype(float) - upward).max() <= 1.0
+    assert not image(folder, record, "normal")[ids == 0].any()
+    # Points of surfaces are in the boxes of their things.
+    points = origins + along_rays(camera, depth)[..., None] * directions
+    for thing in things.values():
+        rows, columns = np.nonzero(ids == thing["id"])
+        assert len(rows) == thing["visible_pixels"]
+        if not len(rows):
+            assert thing["bbox"] is None
+            continue
+        left, top, width, height = thing["bbox"]
+        assert (left, top) == (columns.min(), rows.min())
+        assert (left + width, top + height) == (columns.max() + 1, rows.max() + 1)
+        own = transform_points(np.linalg.inv(thing["world_from_object"]), points[rows, columns])
+        low, high = np.array(thing["box_low"]), np.array(thing["box_high"])
+        margin = 1e-3 * np.linalg.norm(high - low)
+        assert (own >= low - margin).all() and (own <= high + margin).all()
+    categories = image(folder, record, "category")
+    table = json.loads((folder / "layers.json").read_text())["categories"]
+    assert table == {"floor": 1, "block": 2, "duck": 3}
+    np.testing.assert_array_equal(categories, ids)  # one thing of each
+    np.testing.assert_array_equal(
+        image(folder, record, "mask"), np.where(image(folder, record, "alpha") >= 128, 255, 0)
+    )
+    white = image(folder, record, "albedo")[floor & (image(folder, record, "alpha") == 255)]
+    assert white.min() == white.max() > 200  # as bright in shadow as in light
+
+
+def along_rays(camera: ls.Camera, depth: np.ndarray) -> np.ndarray:
+    """Distances along rays, of depths along z."""
+    return depth / camera.ray_directions()[..., 2]
+
+
+def test_photographs_come_back(folder) -> None:
+    """`ls.load_photographs` has the same cameras, pixels, masks and parts."""
+    photographs = ls.load_photographs(folder)
+    learnt, held = photographs.training, photographs.held_out
+    records = [record_of(folder, index) for index in range(VIEWS)]
+    parts = {record["name"]: record["split"] for record in records}
+    assert {photograph.name.split("/")[-1] for photograph in learnt} == {
+        n for n, part in parts.items() if part == "train"
+    }
+    assert {photograph.name.split("/")[-1] for photograph in held} == {n for n, part in parts.items() if part == "test"}
+    for photograph in (*learnt, *held):
+        record = next(record for record in records if record["name"] == photograph.name.split("/")[-1])
+        camera = camera_of(record)
+        np.testing.assert_allclose(photograph.camera.camera_from_world, camera.camera_from_world, atol=1e-12)
+        for name in ("width", "height", "fx", "fy", "cx", "cy"):
+            assert getattr(photograph.camera, name) == pytest.approx(getattr(camera, name), abs=1e-12)
+        shown = image(folder, record, "color")
+        np.testing.assert_allclose(photograph.pixels(), shown / 255.0, atol=1e-6)
+    content = json.loads((folder / "transforms.json").read_text())
+    assert all(
+        (folder / frame[key]).is_file() for frame in content["frames"] for key in ("depth_file_path", "mask_path")
+    )
+    assert sum(len(content[f"{part}_filenames"]) for part in ("train", "val", "test")) == VIEWS
+
+
+def test_shards_hold_the_files(folder) -> None:
+    """At most three views each, of one part, members next to each other and equal to the files; nothing of when."""
+    shards = sorted((folder / "shards").iterdir())
+    seen = {}
+    for shard in shards:
+        with tarfile.open(shard) as tar:
+            members = tar.getmembers()
+            names = [member.name for member in members]
+            keys = list(dict.fromkeys(name.split(".")[0] for name in names))
+            assert names == sorted(names, key=lambda name: keys.index(name.split(".")[0])) and len(keys) <= 3
+            assert {(member.mtime, member.uid, member.uname) for member in members} == {(0, 0, "")}
+            for key in keys:
+                record = record_of(folder, int(key.split("_")[1]))
+                seen[key] = record["split"]
+                assert shard.name.startswith(f"{record['split']}-00000")
+                for layer, file in record["files"].items():
+                    name = f"{key}.png" if layer == "color" else f"{key}.{layer}{Path(file).suffix}"
+                    assert tar.extractfile(name).read() == (folder / file).read_bytes()
+                assert json.load(tar.extractfile(f"{key}.json")) == record
+    assert len(seen) == VIEWS
+
+
+def test_finishing_again_writes_the_same_bytes_and_only_what_is_wanted(folder, tmp_path) -> None:
+    """Cameras, tables, sheet and shards follow from views alone; shards of before go; a view that lacks is counted."""
+    names = ("transforms.json", "layers.json", "contact_sheet.png", "shards/train-000000.tar")
+    before = {name: (folder / name).read_bytes() for name in names}
+    config = config_of(folder.parent)
+    shards = ls.finish_dataset(folder, replace(config, shard_views=100)).shards
+    assert [path.name for path in shards] == ["train-000000.tar", "val-000000.tar", "test-000000.tar"]
+    assert sorted((folder / "shards").iterdir()) == sorted(shards)
+    ls.finish_dataset(folder, config)
+    assert {name: (folder / name).read_bytes() for name in names} == before
+    assert ls.finish_dataset(folder, replace(config, views=VIEWS + 2)).missing == 2
+    assert picture(folder / "contact_sheet.png").shape == (6 * 150, 200 * 8, 3)
+
+
+def test_what_is_there_stays(folder, monkeypatch) -> None:
+    """Another call renders nothing."""
+    monkeypatch.setattr(ls.Renderer, "render", None)
+    assert ls.render_dataset(block_scene(), folder, config_of(folder.parent), device="cpu").missing == 0
+
+
+def test_ids_of_many_things_are_16_bit(tmp_path) -> None:
+    """By how many there may be, not by how many a view has."""
+    scene = ls.Scene(meshes=[*block_scene().meshes, *([ls.MeshInstance(ls.box(0.01), position=(9, 9, 9))] * 300)])
+    config = small_config(views=1, layers="instance,category", poses=ls.DatasetPoses(seen=0.0))
+    ls.render_dataset(scene, tmp_path, config, device="cpu")
+    assert picture(tmp_path / "instance/view_000000.png").dtype == np.uint16
+
+
+def test_frames_in_real_time_and_albedo_without_light_are_refused(tmp_path) -> None:
+    """One line each."""
+    with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME is of frames that follow"):
+        ls.render_dataset(
+            block_scene(), tmp_path, small_config(), render=ls.RenderConfig(pipeline="realtime"), device="cpu"
+        )
+    unlit = ls.RenderConfig(lighting=False)
+    with pytest.raises(ls.ConfigError, match="layers has 'albedo', which only lit views have"):
+        ls.render_dataset(block_scene(), tmp_path, small_config(layers="albedo"), render=unlit, device="cpu")
+    assert not list(tmp_path.rglob("*.json"))
+
+
+def test_settings_are_read(tmp_path) -> None:
+    """All groups, words for None, paths from the file's folder."""
+    (tmp_path / "duck.obj").write_text("v 0 0 0\n")
+    file = tmp_path / "set.toml"
+    file.write_text(
+        'views = 9\nlayers = ["mask", "depth"]\nsplit = [8, 1, 1]\n[poses]\nwhere = "inside"\nfov = 50\n'
+        '[lights]\nsuns = "auto"\nlamps = [1, 2]\n[objects]\nfiles = ["duck.obj"]\n'
+    )
+    config = ls.load_dataset_config(file)
+    assert (config.views, config.layers, config.split) == (9, ("depth", "mask"), (0.8, 0.1, 0.1))
+    assert (config.poses.where, config.poses.fov) == (ls.PosePlaces.INSIDE, (50.0, 50.0))
+    assert (config.lights.suns, config.lights.lamps) == (None, (1, 2))
+    assert config.objects.files == (str(tmp_path / "duck.obj"),)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("veiws = 9", "line 1: unknown 'veiws', did you mean 'views'?"),
+        ("views = 0", "line 1: views is 0, expected a whole number from 1 to 10000000"),
+        ('layers = ["dept"]', "line 1: layers has 'dept', did you mean 'depth'?"),
+        ("split = [1, 2]", "line 1: split is (1, 2), expected three shares"),
+        (
+            "[poses]\nelevation = [60, 5]",
+            "line 2, poses: elevation is (60, 5), expected the least and the largest value",
+        ),
+        ('[poses]\nwhere = "domes"', "line 2, poses: where is 'domes', did you mean 'dome'?"),
+        ("[poses]\nfov = [10, 200]", "fov is (10, 200), expected the least and the largest value, 1 to 179"),
+        ("[lights]\nlamps = [0.5, 2]", "lamps is (0.5, 2), expected the least and the largest number, whole ones"),
+        ("[lights]\nsun_elevatoin = 3", "unknown 'sun_elevatoin', did you mean 'sun_elevation'?"),
+        ('[objects]\nfiles = ["lost.glb"]', "line 2, objects: files has 'lost.glb', no such file"),
+        ('[objects]\nfiles = "lost.glb"', "files is 'lost.glb', expected a list of names of files"),
+        ("[objects]\ncount = [-1, 2]", "count is (-1, 2), expected the least and the largest number"),
+        ("seed = ", "is not valid TOML"),
+    ],
+)
+def test_mistakes_in_settings_are_one_line(tmp_path, text: str, message: str) -> None:
+    """What, where, what was expected."""
+    file = tmp_path / "set.toml"
+    file.write_text(text + "\n")
+    with pytest.raises(ls.FormatError) as error:
+        ls.load_dataset_config(file)
+    assert message in str(error.value) and "\n" not in str(error.value)
+    assert str(error.value).startswith(str(file))

@@ -1,0 +1,218 @@
+"""Views of data sets keep what their settings promise, beside free space that is known by formula."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.transforms import transform_points
+from lumisplat.scene.lights import LightDirectional, LightEnvironment, LightPoint
+from support.scenes.dataset_scenes import BLOCK_HIGH, BLOCK_LOW, block_scene, distance_to_block, small_config
+from support.scenes.raster_scenes import random_gaussians
+
+COUNT = 12
+DIAGONAL = math.sqrt(4.0**2 + 4.0**2 + 1.0)
+
+
+def views_of(config: ls.DatasetConfig, scene: ls.Scene | None = None, **changes: object) -> list[ls.DatasetView]:
+    """Some views."""
+    views = ls.DatasetViews(block_scene() if scene is None else scene, config, device="cpu", **changes)
+    return [views.view(index) for index in range(COUNT)]
+
+
+@pytest.fixture
+def duck(tmp_path) -> str:
+    """An object: a box that is not around its origin, y up."""
+    path = tmp_path / "duck.v2.obj"
+    corners = ls.box((0.4, 0.2, 0.3)).positions + np.array((5.0, 1.0, 0.0))
+    faces = ls.box(1.0).indices + 1
+    lines = [*(f"v {x} {y} {z}" for x, y, z in corners), *(f"f {a} {b} {c}" for a, b, c in faces)]
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
+    """Elevation, distance, field of view and aim are within their ranges; up is up in the picture."""
+    poses = ls.DatasetPoses(
+        elevation=(20.0, 40.0), azimuth=(0.0, 90.0), distance=(0.9, 1.1), aim=0.05, fov=(40.0, 50.0)
+    )
+    middle = np.array([0.0, 0.5, 0.0])
+    for view in views_of(small_config(poses=poses)):
+        camera, forward = view.camera, view.camera.camera_from_world[2, :3]
+        assert 40.0 <= math.degrees(camera.fov_y) <= 50.0
+        assert 20.0 <= math.degrees(math.asin(-forward[1])) <= 40.0
+        assert -forward[2] >= -1e-9 and -forward[0] >= -1e-9  # from the front, +z, to the right, +x
+        assert camera.camera_from_world[0, 1] == pytest.approx(0.0, abs=1e-12)
+        missed = np.linalg.norm(np.cross(middle - camera.eye, forward))
+        assert missed <= 0.05 * 0.5 * DIAGONAL
+        whole = ls.frame_camera(
+            block_scene(),
+            azimuth=math.atan2(-forward[0], -forward[2]),
+            elevation=math.asin(-forward[1]),
+            fov_y=camera.fov_y,
+            width=32,
+            height=24,
+        )
+        share = np.dot(middle - camera.eye, forward) / np.linalg.norm(whole.eye - middle)
+        assert 0.85 <= share <= 1.15
+
+
+def test_cameras_in_free_space_keep_their_clearance() -> None:
+    """Never inside of the block, though most of its inside is farther from its sides than that; nor at the floor."""
+    poses = ls.DatasetPoses(where="inside", height=(0.1, 0.9), clearance=0.03, seen=0.2, pitch=(-60.0, -10.0))
+    for view in views_of(small_config(poses=poses)):
+        eye, forward = view.camera.eye, view.camera.camera_from_world[2, :3]
+        assert 0.1 <= eye[1] <= 0.9
+        # Rays to 32 sides see what is near, if not its nearest point.
+        assert distance_to_block(eye) >= 0.8 * 0.03 * DIAGONAL and eye[1] >= 0.8 * 0.03 * DIAGONAL
+        assert -60.0 - 1e-9 <= math.degrees(math.asin(forward[1])) <= -10.0 + 1e-9
+
+
+def test_cameras_near_given_ones() -> None:
+    """Moved and turned by no more than is allowed; without given ones, a line."""
+    given = [ls.Camera.look_at((x, 2.0, 4.0), (0.0, 0.5, 0.0)) for x in (-1.0, 1.0)]
+    poses = ls.DatasetPoses(where=ls.PosePlaces.CAMERAS, shift=0.02, turn=4.0)
+    used = set()
+    for view in views_of(small_config(poses=poses), cameras=given):
+        nearest = min((0, 1), key=lambda k, eye=view.camera.eye: float(np.linalg.norm(given[k].eye - eye)))
+        used.add(nearest)
+        assert np.linalg.norm(view.camera.eye - given[nearest].eye) <= 0.02 * DIAGONAL
+        turn = view.camera.camera_from_world[:3, :3] @ given[nearest].camera_from_world[:3, :3].T
+        assert math.degrees(math.acos(min(1.0, 0.5 * (np.trace(turn) - 1.0)))) <= 4.0 + 1e-6
+    assert used == {0, 1}
+    with pytest.raises(ls.SceneError, match=r"poses\.where is cameras, and there are no cameras"):
+        ls.DatasetViews(block_scene(), small_config(poses=poses), device="cpu")
+
+
+def test_objects_stand_on_the_ground_and_touch_nothing(duck) -> None:
+    """On the floor or the block, upright, of the right size, with room around them; cameras look at one."""
+    objects = ls.DatasetObjects(files=(duck,), count=(2, 4), size=(0.05, 0.1))
+    poses = ls.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
+    turns, looked_at = set(), 0
+    for view in views_of(small_config(objects=objects, poses=poses)):
+        spheres = []
+        for thing in view.things:
+            if not thing.is_object:
+                continue
+            assert (thing.category, thing.kind) == ("duck", "mesh")
+            matrix, center = thing.world_from_object, 0.5 * (thing.low + thing.high)
+            corners = transform_points(matrix, _corners(thing.low, thing.high))
+            scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
+            radius = 0.5 * scale * np.linalg.norm(thing.high - thing.low)
+            assert 0.05 * DIAGONAL <= 2.0 * radius <= 0.1 * DIAGONAL
+            np.testing.assert_allclose(matrix[:3, 1] / scale, (0.0, 1.0, 0.0), atol=1e-9)
+            turns.add(round(float(np.arctan2(matrix[0, 2], matrix[0, 0])), 3))
+            lowest = corners[:, 1].min()
+            assert min(abs(lowest), abs(lowest - 1.0)) < 1e-4
+            middle = transform_points(matrix, center[None])[0]
+            if lowest < 0.5:
+                assert distance_to_block(middle) >= 0.95 * radius
+            assert all(np.linalg.norm(middle - other) >= radius + size - 1e-9 for other, size in spheres)
+            spheres.append((middle, radius))
+        forward, eye = view.camera.camera_from_world[2, :3], view.camera.eye
+        aimed = [k for k, (middle, _) in enumerate(spheres) if np.linalg.norm(np.cross(middle - eye, forward)) < 1e-6]
+        looked_at += bool(aimed)
+        if aimed:
+            middle, radius = spheres[aimed[0]]
+            assert 3.0 <= np.linalg.norm(middle - eye) / radius <= 5.0 + 1e-6
+    assert looked_at == COUNT and len(turns) > COUNT
+
+
+def test_what_finds_no_room_is_left_out_and_named(duck) -> None:
+    """Objects as large as the scene; the view is there without them."""
+    objects = ls.DatasetObjects(files=(duck,), count=(2, 2), size=(2.0, 2.0))
+    view = views_of(small_config(objects=objects))[0]
+    assert view.left_out == ("duck", "duck") and len(view.things) == 2
+
+
+def test_a_view_follows_from_its_number_alone(duck) -> None:
+    """However many views there are, whichever came before, and whatever another group of settings says."""
+    objects = ls.DatasetObjects(files=(duck,))
+    config = small_config(objects=objects, lights=ls.DatasetLights(lamps=(1, 2)))
+    views = ls.DatasetViews(block_scene(), config, device="cpu")
+    first = [views.view(index) for index in (0, 3)]
+    other = replace(config, views=1000, lights=replace(config.lights, lamps=(0, 0)), layers=("depth",))
+    again = [ls.DatasetViews(block_scene(), other, device="cpu").view(index) for index in (3, 0)][::-1]
+    for one, same in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.camera.camera_from_world, same.camera.camera_from_world)
+        assert one.split == same.split and len(one.things) == len(same.things)
+        for thing, as_before in zip(one.things, same.things, strict=True):
+            np.testing.assert_array_equal(thing.world_from_object, as_before.world_from_object)
+    assert not np.array_equal(first[0].camera.camera_from_world, first[1].camera.camera_from_world)
+    shifted = ls.DatasetViews(block_scene(), replace(config, seed=4), device="cpu").view(0)
+    assert not np.array_equal(first[0].camera.camera_from_world, shifted.camera.camera_from_world)
+
+
+def test_lights_are_within_their_ranges() -> None:
+    """Suns by elevation, lux and angle; lamps by what they give the middle; a sky where there is no environment."""
+    lights = ls.DatasetLights(suns=(1, 2), sun_elevation=(30.0, 60.0), sun_lux=(2.0, 3.0), lamps=(1, 1), tint=0.1)
+    for view in views_of(small_config(lights=lights)):
+        suns = [light for light in view.scene.lights if isinstance(light, LightDirectional)]
+        (lamp,) = [light for light in view.scene.lights if isinstance(light, LightPoint)]
+        (sky,) = [light for light in view.scene.lights if isinstance(light, LightEnvironment)]
+        assert 1 <= len(suns) <= 2 and 0.1 <= sky.intensity <= 0.5 and not sky.visible
+        for sun in suns:
+            assert 30.0 - 1e-6 <= math.degrees(math.asin(-sun.direction[1])) <= 60.0 + 1e-6
+            assert 2.0 <= sun.intensity <= 3.0 and min(sun.color) >= 0.9
+        distance = np.linalg.norm(np.array(lamp.position) - (0.0, 0.5, 0.0))
+        assert 1.0 <= lamp.intensity / distance**2 <= 4.0 and lamp.position[1] >= 0.5
+
+
+def test_environments_are_turned_about_the_vertical() -> None:
+    """The scene's own, too: up stays up, brightness is within its range, and other lights stay as they are."""
+    own = (ls.LightEnvironment(intensity=2.0), ls.LightPoint((0.0, 3.0, 0.0)))
+    angles = set()
+    for view in views_of(
+        small_config(lights=ls.DatasetLights(brightness=(0.5, 0.6))), replace(block_scene(), lights=own)
+    ):
+        environment, lamp = view.scene.lights
+        assert isinstance(environment, LightEnvironment) and lamp is own[1]
+        w, x, y, z = np.asarray(environment.rotation_wxyz, np.float64)
+        assert x == pytest.approx(0.0) and z == pytest.approx(0.0)
+        assert 1.0 <= environment.intensity <= 1.2
+        angles.add(round(math.atan2(y, w), 6))
+    assert len(angles) == COUNT
+    assert (
+        views_of(small_config(lights=ls.DatasetLights(own=False)), replace(block_scene(), lights=own))[0]
+        .scene.lights[0]
+        .name
+        == "sky"
+    )
+
+
+def test_captures_alone_stay_unlit_and_receive_the_shadows_of_objects(duck) -> None:
+    """Without anything to light, no lights; with objects, a sun, a sky, and captures that are darkened by shadows."""
+    capture = ls.Scene([random_gaussians(1, count=300)])
+    poses = ls.DatasetPoses(seen=0.0)
+    assert views_of(small_config(poses=poses), capture)[0].scene.lights == ()
+    objects = ls.DatasetObjects(files=(duck,), count=(1, 1))
+    view = views_of(small_config(poses=poses, objects=objects), capture)[0]
+    assert len(view.scene.lights) == 2 and view.scene.splats[0].shadow_only
+    kept = replace(objects, shadows=False)
+    assert not views_of(small_config(poses=poses, objects=kept), capture)[0].scene.splats[0].shadow_only
+
+
+def test_impossible_poses_are_one_line() -> None:
+    """What is wrong with all of them, and what to change."""
+    views = ls.DatasetViews(block_scene(), small_config(poses=ls.DatasetPoses(seen=1.0)), device="cpu")
+    with pytest.raises(
+        ls.SceneError, match=r"view 5: none of 200 poses will do: .* poses\.seen wants 1: lower"
+    ) as error:
+        views.view(5)
+    assert "\n" not in str(error.value)
+    with pytest.raises(ls.SceneError, match="the scene is empty"):
+        ls.DatasetViews(ls.Scene(), device="cpu")
+
+
+def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
+
+
+def test_the_block_is_where_it_is_said_to_be() -> None:
+    """The formula of free space is of the scene."""
+    low, high = block_scene().meshes[1].bounds()
+    np.testing.assert_allclose([low, high], [BLOCK_LOW, BLOCK_HIGH], atol=1e-6)
