@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import tarfile
-from dataclasses import replace
+import tomllib
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -150,9 +152,16 @@ def test_shards_hold_the_files(folder) -> None:
                 assert shard.name.startswith(f"{record['split']}-00000")
                 for layer, file in record["files"].items():
                     name = f"{key}.png" if layer == "color" else f"{key}.{layer}{Path(file).suffix}"
-                    assert tar.extractfile(name).read() == (folder / file).read_bytes()
-                assert json.load(tar.extractfile(f"{key}.json")) == record
+                    assert member_bytes(tar, name) == (folder / file).read_bytes()
+                assert json.loads(member_bytes(tar, f"{key}.json")) == record
     assert len(seen) == VIEWS
+
+
+def member_bytes(tar: tarfile.TarFile, name: str) -> bytes:
+    """A member of a shard."""
+    member = tar.extractfile(name)
+    assert member is not None
+    return member.read()
 
 
 def test_finishing_again_writes_the_same_bytes_and_only_what_is_wanted(folder, tmp_path) -> None:
@@ -187,7 +196,7 @@ def test_frames_in_real_time_and_albedo_without_light_are_refused(tmp_path) -> N
     """One line each."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME is of frames that follow"):
         ls.render_dataset(
-            block_scene(), tmp_path, small_config(), render=ls.RenderConfig(pipeline="realtime"), device="cpu"
+            block_scene(), tmp_path, small_config(), render=ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), device="cpu"
         )
     unlit = ls.RenderConfig(lighting=False)
     with pytest.raises(ls.ConfigError, match="layers has 'albedo', which only lit views have"):
@@ -208,6 +217,31 @@ def test_settings_are_read(tmp_path) -> None:
     assert (config.poses.where, config.poses.fov) == (ls.PosePlaces.INSIDE, (50.0, 50.0))
     assert (config.lights.suns, config.lights.lamps) == (None, (1, 2))
     assert config.objects.files == (str(tmp_path / "duck.obj"),)
+
+
+def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
+    """But for names of files, the size of shards, and the number and the seed of views."""
+    guide = Path(__file__).parents[2] / "docs" / "guide" / "dataset.md"
+    (text,) = re.findall(r"```toml\n(.*?)```", guide.read_text(), re.DOTALL)
+    for name in ("sky.exr", "statue.glb"):
+        (tmp_path / name).touch()
+    (tmp_path / "set.toml").write_text(text)
+    shown, base = ls.load_dataset_config(tmp_path / "set.toml"), ls.DatasetConfig()
+    shown = replace(
+        shown,
+        views=base.views,
+        seed=base.seed,
+        shard_views=0,
+        lights=replace(shown.lights, environments=()),
+        objects=replace(shown.objects, files=()),
+    )
+    assert shown == base
+    table = tomllib.loads(text)
+    for settings, keys in (
+        (base, table),
+        *((getattr(base, name), table[name]) for name in ("poses", "lights", "objects")),
+    ):
+        assert {field.name for field in fields(settings)} == set(keys)
 
 
 @pytest.mark.parametrize(

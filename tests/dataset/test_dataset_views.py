@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ COUNT = 12
 DIAGONAL = math.sqrt(4.0**2 + 4.0**2 + 1.0)
 
 
-def views_of(config: ls.DatasetConfig, scene: ls.Scene | None = None, **changes: object) -> list[ls.DatasetView]:
+def views_of(config: ls.DatasetConfig, scene: ls.Scene | None = None, **changes: Any) -> list[ls.DatasetView]:
     """Some views."""
     views = ls.DatasetViews(block_scene() if scene is None else scene, config, device="cpu", **changes)
     return [views.view(index) for index in range(COUNT)]
@@ -63,7 +64,9 @@ def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
 
 def test_cameras_in_free_space_keep_their_clearance() -> None:
     """Never inside of the block, though most of its inside is farther from its sides than that; nor at the floor."""
-    poses = ls.DatasetPoses(where="inside", height=(0.1, 0.9), clearance=0.03, seen=0.2, pitch=(-60.0, -10.0))
+    poses = ls.DatasetPoses(
+        where=ls.PosePlaces.INSIDE, height=(0.1, 0.9), clearance=0.03, seen=0.2, pitch=(-60.0, -10.0)
+    )
     for view in views_of(small_config(poses=poses)):
         eye, forward = view.camera.eye, view.camera.camera_from_world[2, :3]
         assert 0.1 <= eye[1] <= 0.9
