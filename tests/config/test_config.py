@@ -213,6 +213,7 @@ def test_numbers_of_numpy_are_settings() -> None:
 
 
 CHOICES = [
+    (ls.DatasetPoses, "where", ls.PosePlaces),
     (ls.TrainConfig, "densification", ls.Densification),
     (ls.RenderConfig, "pipeline", ls.Pipeline),
     (ls.RenderConfig, "shadows", ls.Shadows),

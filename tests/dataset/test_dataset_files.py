@@ -247,7 +247,7 @@ def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("veiws = 9", "line 1: unknown 'veiws', did you mean 'views'?"),
+        ("view = 9", "line 1: unknown 'view', did you mean 'views'?"),
         ("views = 0", "line 1: views is 0, expected a whole number from 1 to 10000000"),
         ('layers = ["dept"]', "line 1: layers has 'dept', did you mean 'depth'?"),
         ("split = [1, 2]", "line 1: split is (1, 2), expected three shares"),
