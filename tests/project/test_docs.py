@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 from pathlib import Path
 
@@ -74,6 +75,7 @@ def test_python_of_the_docs_runs(program):
 
 @pytest.mark.parametrize(("package", "program"), OTHERS_PROGRAMS)
 @pytest.mark.usefixtures("beside")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # others may leave files open
 def test_python_of_the_docs_runs_with_others(package, program):
     """Every block marked runnable with a package runs where that is installed, and is Python where it is not."""
     compiled = compile(program, "docs", "exec")
@@ -81,6 +83,7 @@ def test_python_of_the_docs_runs_with_others(package, program):
     if package == "av":
         ls.save_animation("walk.mp4", np.random.default_rng(0).uniform(size=(9, 32, 32, 3)), fps=20)
     exec(compiled, {})
+    gc.collect()
 
 
 @pytest.mark.parametrize("text", SCENE_FILES)
