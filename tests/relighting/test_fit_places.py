@@ -59,6 +59,16 @@ def test_a_lamp_is_found_again():
     assert (found.position_errors < 0.02 * ROOM).all()
 
 
+def test_a_lamp_is_found_again_between_pixels_that_do_not_count():
+    """Black dots all over, so that no larger pixel is whole: it is looked for at the size that is compared."""
+    lamp = three_lamps()[1]
+    photograph = taken(closed(lamp), view(48, 36))
+    photograph[::2, ::2] = 0.0
+    start = replace(lamp, position=(1.9, 1.5, 3.3), intensity=1.0)
+    found = fitted(closed(start), view(48, 36), photograph, positions=True)
+    assert_places(found.lights, (lamp,), 0.02)
+
+
 @pytest.mark.deep
 @pytest.mark.parametrize("count", [1, 2])
 def test_three_lamps_are_found_again(count):

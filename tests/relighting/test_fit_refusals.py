@@ -66,6 +66,7 @@ def test_scenes_without_anything_to_fit():
     assert "nothing else is asked for" in refusal(GREY, intensities=False)
     away = ls.Camera.look_at((2, 1.5, -9), (2, 1.5, -20), width=96, height=72)
     assert "show nothing that the lights light" in refusal(GREY, cameras=away)
+    assert "show nothing that the lights light" in refusal(GREY, cameras=away, positions=True)
     assert "empty" in refusal(GREY, scene=ls.Scene(lights=three_lamps()))
 
 

@@ -36,7 +36,8 @@ def radiance_met(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Dou
 
 def lamps_of(gaussians: Gaussians, normals: Doubles) -> Rows:
     """The group of Gaussians as bright as could be captured that each is in, largest first, shape (N,); -1: none."""
-    bright = np.flatnonzero((colors_along(gaussians, -normals) >= CLIPPED).all(axis=1))
+    shows = gaussians.opacities > 0.0
+    bright = np.flatnonzero((colors_along(gaussians, -normals) >= CLIPPED).all(axis=1) & shows)
     groups = np.full(gaussians.count, -1)
     if not bright.size:
         return groups

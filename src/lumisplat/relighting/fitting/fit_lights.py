@@ -126,18 +126,20 @@ def fit_lights(
     small = [view.scaled(size) for view in views]
     exposures = [view.camera.exposure for view in views]
     task = FitTask.of(scene, options, exposures, shines=lambda: bool(layers.picture(scene, (), small).any()))
-    start, gains = task.scene, task.gains
-    if any(move.kind == "position" for move in task.moves):
-        coarse = Guesser(
-            task, [view.scaled(min(size, COARSE_SIZE)) for view in views], LightLayers(config, device, 0.25)
-        )
-        start, gains = _looked_for(coarse, lambda share: report(_LABEL, 0.1 + 0.5 * share))
     guesser = Guesser(task, small, layers)
     if not guesser.observed.counts.any():
         raise SceneError(
             "the photographs show nothing that the lights light, but what is clipped or masked: captures "
             "without a material keep their look, whatever the light; give them one"
         )
+    start, gains = task.scene, task.gains
+    if any(move.kind == "position" for move in task.moves):
+        coarse = Guesser(
+            task, [view.scaled(min(size, COARSE_SIZE)) for view in views], LightLayers(config, device, 0.25)
+        )
+        if not coarse.observed.counts.any():  # large pixels that are whole: what is clipped may lie everywhere
+            coarse = guesser
+        start, gains = _looked_for(coarse, lambda share: report(_LABEL, 0.1 + 0.5 * share))
     found = search(guesser, guesser.begin(start, gains), lambda share: report(_LABEL, 0.6 + 0.4 * share))
     found = guesser.settled(found)
     result = result_of(scene, options, guesser, found, certainty_of(guesser, found))

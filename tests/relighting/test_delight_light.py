@@ -1,0 +1,124 @@
+"""Light that is taken out of captures: lamps, how bright a sky is, its image, and what is seen from most sides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import encode_srgb
+from lumisplat.math.panorama import panorama_directions, panorama_lookup
+from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.sh import sh_basis
+from lumisplat.relighting.delight.albedo_fit import Light, first_light, with_usual_albedos
+from lumisplat.relighting.delight.captured import lamps_of, outgoing_radiance
+from lumisplat.relighting.delight.incident import Incident, IncidentRays
+from lumisplat.relighting.delight.sky_cells import SkyCells
+
+LAMP, FLOOR = 60, 200
+
+
+def shown(gaussians: ls.Gaussians, linear: float) -> ls.Gaussians:
+    """The set with one captured colour."""
+    sh = np.full((gaussians.count, 1, 3), (float(encode_srgb(np.array(linear))) - 0.5) / SH_C0, np.float32)
+    return replace(gaussians, sh=sh, albedo=None, roughness=None, normals=None)
+
+
+def lamp_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarray]:
+    """A white square that faces down, a dark floor, perhaps a black screen between them; and normals."""
+    sets = [
+        ls.transform(ls.gaussians_from_mesh(ls.plane(0.5, 0.5), LAMP), translation=(0.0, 1.0, 0.0)),
+        ls.gaussians_from_mesh(ls.plane(2.0, 2.0), FLOOR),
+        ls.transform(ls.gaussians_from_mesh(ls.plane(1.5, 1.5), FLOOR), translation=(0.0, 0.5, 0.0)),
+    ]
+    colored = [shown(one, linear) for one, linear in zip(sets, (1.0, 0.001, 0.0), strict=True)]
+    both = ls.merge(colored if screen else colored[:2])
+    down = np.arange(both.count)[:, None] < LAMP
+    return both, np.where(down, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))
+
+
+def incident(gaussians: ls.Gaussians, normals: np.ndarray, lamps: np.ndarray) -> Incident:
+    """What shines on the Gaussians of a set."""
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    return IncidentRays(gaussians, renderer, 0).incident(normals, lamps, SkyCells.even(8), lambda _label, _share: None)
+
+
+def test_the_light_of_a_lamp_is_not_counted_twice() -> None:
+    """What is a lamp is not seen as well: the floor sees it as white if it is none, and else nothing but the dark."""
+    both, normals = lamp_over_floor()
+    groups = lamps_of(both, normals)
+    assert (groups[:LAMP] == 0).all() and (groups[LAMP:] == -1).all()
+    as_white, as_lamp = (incident(both, normals, some) for some in (np.full(both.count, -1), groups))
+    assert as_white.observed[LAMP:].mean() > 0.03
+    assert as_lamp.observed[LAMP:].mean() < 0.05 * as_white.observed[LAMP:].mean()
+    assert as_lamp.lamps[LAMP:, 0].min() > 0.0 and not as_white.lamps.size
+    np.testing.assert_array_equal(as_lamp.sky, as_white.sky)
+
+
+def test_lamps_shine_on_one_side_and_cast_shadows() -> None:
+    """What is below a screen is dark; above a lamp that faces down, as well."""
+    both, normals = lamp_over_floor(screen=True)
+    groups = lamps_of(both, normals)
+    lit = incident(both, normals, groups).lamps[:, 0]
+    floor, screen = lit[LAMP : LAMP + FLOOR], lit[LAMP + FLOOR :]
+    middle = np.abs(both.means[LAMP : LAMP + FLOOR, [0, 2]]).max(axis=1) < 0.4
+    assert middle.sum() > 20 and floor[middle].max() < 0.02 * screen.max()
+    above = replace(both, means=both.means + (0.0, 2.0, 0.0) * (groups < 0)[:, None])  # all but the lamp
+    facing_it = np.tile([0.0, -1.0, 0.0], (both.count, 1))
+    assert not incident(above, facing_it, groups).lamps[LAMP:].any()
+
+
+def test_what_does_not_show_is_no_lamp() -> None:
+    """A white group of opacity 0, as formats with 8 bits have it, has no area from which light could come."""
+    both, normals = lamp_over_floor()
+    clear = replace(both, opacities=np.where(np.arange(both.count) < LAMP, 0.0, both.opacities))
+    assert (lamps_of(clear, normals) == -1).all()
+
+
+def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
+    """0.8 at the 95th percentile of the lightest channel, whatever else shines on them; the sky keeps its colours."""
+    rng = np.random.default_rng(1)
+    some = Incident(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
+    true = Light(rng.uniform(0.2, 2.0, (9, 3)), np.zeros((0, 3)))
+    outgoing = rng.uniform(0.1, 1.0, (400, 3)) * some.total(true.sky, true.lamps)
+    for start in (Light(5.0 * true.sky, true.lamps), Light(0.3 * true.sky, true.lamps)):
+        light = with_usual_albedos(start, outgoing, some)
+        lightest = (outgoing / some.total(light.sky, light.lamps)).max(axis=1)
+        assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=1e-3)
+        np.testing.assert_allclose(light.sky / true.sky, (light.sky / true.sky)[0, 0])
+    grey = first_light(outgoing, some)
+    assert np.ptp(grey.sky) == 0.0
+    lightest = (outgoing / some.total(grey.sky, grey.lamps)).max(axis=1)
+    assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=0.01)
+
+
+def test_the_image_of_a_sky_turns_with_its_light() -> None:
+    """However an image stands in the world, the same radiance comes from each direction."""
+    cells, sky = SkyCells.even(6), np.random.default_rng(2).random((36, 3))
+    floor = shown(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
+    found = replace(ls.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"), cells=cells, sky=sky)
+    turn = np.array([0.8, 0.4, -0.2, 0.4])
+    ways = panorama_directions(40, 80).reshape(-1, 3)
+    plain = panorama_lookup(found.sky_image(), ways)
+    turned = panorama_lookup(found.sky_image(turn), ways @ rotation_matrix(turn))  # image from world
+    assert np.median(np.abs(plain - turned)) < 0.01
+    nearest = np.argmax(ways @ cells.directions.T, axis=1)
+    assert np.median(np.abs(plain - sky[nearest])) < 0.01
+
+
+def test_highlights_are_not_what_is_seen_from_most_sides() -> None:
+    """A lobe of harmonics around one direction changes what a matt Gaussian sends by far less than it adds there."""
+    plain = shown(ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 20), 0.2)
+    towards = np.array([0.5, 0.8, 0.2]) / np.linalg.norm([0.5, 0.8, 0.2])
+    lobe = 0.1 * sh_basis(-towards, 3)[:, None] * np.ones(3)
+    lobe[0] = 0.0
+    sh = np.concatenate([plain.sh, np.zeros((20, 15, 3))], axis=1) + lobe
+    shiny = replace(plain, sh=sh.astype(np.float32))
+    normals = np.tile([0.0, 1.0, 0.0], (20, 1))
+    brighter = 0.1 * float(np.square(sh_basis(towards, 3)[1:]).sum())
+    assert brighter > 0.1
+    before, after = (encode_srgb(outgoing_radiance(one, normals)) for one in (plain, shiny))
+    assert np.abs(after - before).max() < 0.35 * brighter
