@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     )
     from lumisplat.io.document.entries import SceneEntry
     from lumisplat.io.document.scene_document import SceneDocument
+    from lumisplat.io.images.rows.joined import join_windows
     from lumisplat.io.photographs.film import extract_frames
     from lumisplat.io.photographs.loading import load_photographs
     from lumisplat.io.photographs.photographs import Photograph, Photographs
@@ -302,6 +303,7 @@ _MODULE_OF = {
     "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "limit_sh_degree": "scene.editing.sh_degree",
+    "join_windows": "io.images.rows.joined",
     "load": "io",
     "load_animation": "io",
     "load_camera_path": "io",
@@ -490,6 +492,7 @@ __all__ = [
     "focused",
     "frame_camera",
     "gaussians_from_mesh",
+    "join_windows",
     "limit_sh_degree",
     "load",
     "load_animation",

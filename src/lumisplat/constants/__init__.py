@@ -665,6 +665,9 @@ an object above the ground."""
 IMAGE_PIXELS_MAX = 200_000_000
 """Pixels of a frame: its buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
 
+PICTURE_PIXELS_MAX = 2**31 - 1
+"""Pixels of a picture that frames show windows of: signed 32-bit numbers count them."""
+
 ITEMS_MAX = 2**31 - 1
 """Gaussians or triangles of a scene, and (tile, item) pairs of a frame."""
 

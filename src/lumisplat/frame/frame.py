@@ -342,7 +342,7 @@ class Frame(FrameData):
     def _warn_of_nonfinite(self, path: str | os.PathLike[str], layers: Collection[str]) -> None:
         """Logs how many pixels of the saved images are not finite, and how many samples the renderer left out."""
         encoded_finite = _PICTURE in self._fetches() and self._picture().dtype == np.uint8
-        bad = np.zeros((self.camera.height, self.camera.width), bool) if encoded_finite else ~self._finite()
+        bad = np.zeros(self.camera.image_size[::-1], bool) if encoded_finite else ~self._finite()
         fields = [name for name in RADIANCE if name in layers or ("lights" in layers and name.startswith("light_"))]
         for name in fields:
             values: FloatArray | None = getattr(self, name)

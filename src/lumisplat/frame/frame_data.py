@@ -146,7 +146,7 @@ class FrameData:
     """What samples are added to where the frame is resumed, as 32-bit words by name; None: it is rasterised."""
 
     def __repr__(self) -> str:
-        camera = self.camera
+        camera, (width, height) = self.camera, self.camera.image_size
         how = "lit" if self.has("light") else "unlit"
         if self.config is not None:
             how = f"{self.config.pipeline.value}, {how}"
@@ -154,10 +154,7 @@ class FrameData:
         held = ""
         if self.stats is not None:
             held = f", gaussians={self.stats.gaussian_count}, faces={self.stats.triangle_count}"
-        return (
-            f"Frame({camera.width} x {camera.height}, name={camera.name!r}, background={self.background}, "
-            f"{how}{samples}{held})"
-        )
+        return f"Frame({width} x {height}, name={camera.name!r}, background={self.background}, {how}{samples}{held})"
 
     def has(self, field: str) -> bool:
         """Whether the frame has an image, one of the fields."""

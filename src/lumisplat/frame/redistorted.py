@@ -19,7 +19,7 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.distortion import distort, distortion_jacobian, undistort
 from lumisplat.math.resampling import cubic_samples
-from lumisplat.scene.camera import Camera
+from lumisplat.scene.camera import WINDOW_STEP, Camera
 
 _Image = npt.NDArray[Any]
 
@@ -32,6 +32,10 @@ _FILTERED = (
     *("color", "alpha", "captured", "captured_weight", "light"),
     *("albedo", *PATH_PARTS, "reflection", "hits", "variance", "cache"),
 )
+_FILTER_PX = 3.0
+"""How far from a point its filter reaches, and a pixel more, pixels."""
+_BAND_ROWS = 64
+"""Rows of a picture that are undistorted at once."""
 _PER_LIGHT = ("light_direct", "light_shadow")
 """Images with one layer a light."""
 
@@ -42,16 +46,15 @@ def undistorted_camera(camera: Camera) -> Camera:
     Raises:
         SceneError: The lens is so wide that most of the pinhole's image would be thrown away.
     """
-    seen = undistort(_corners(camera), camera.distortion)
-    seen = seen[~np.isnan(seen[:, 0])]
+    low, high = _seen_box(camera)
     name = f" '{camera.name}'" if camera.name else ""
     advice = "use Pipeline.TRACE, whose rays follow the lens"
-    if not len(seen):
+    if not (low <= high).all():
         raise SceneError(f"camera{name} has a distortion that shows nothing: {advice}")
     scale = float(np.clip(_magnifications(camera).max(), 1.0, UNDISTORTED_SCALE_MAX))
     focal = scale * np.array([camera.fx, camera.fy])
     # Two pixels of room, for the filter.
-    low, high = np.floor(focal * seen.min(axis=0)) - 2.0, np.ceil(focal * seen.max(axis=0)) + 2.0
+    low, high = np.floor(focal * low) - 2.0, np.ceil(focal * high) + 2.0
     width, height = (high - low).astype(int)
     if width * height > UNDISTORTED_AREA_MAX * camera.width * camera.height + 4096:
         raise SceneError(
@@ -66,7 +69,31 @@ def undistorted_camera(camera: Camera) -> Camera:
         cx=float(-low[0]),
         cy=float(-low[1]),
         distortion=(0.0,) * 6,
+        window=None,
     )
+
+
+def pinhole_of(camera: Camera) -> Camera:
+    """`undistorted_camera`, with a window of all that is needed for that of a camera, if it has one.
+
+    Raises:
+        SceneError: As of `undistorted_camera`.
+    """
+    pinhole = undistorted_camera(camera)
+    if camera.window is None:
+        return pinhole
+    corners = _points(camera, pinhole, 0.0, 0.0), _points(camera, pinhole, 1.0, 1.0)
+    seen = np.concatenate([points[~np.isnan(points[..., 0])] for points in corners])
+    if not len(seen):
+        seen = np.zeros((1, 2))
+    size = np.array([pinhole.width, pinhole.height])
+    # Room for the filter, and steps of windows.
+    first = np.maximum(seen.min(axis=0) - _FILTER_PX, 0.0) // WINDOW_STEP * WINDOW_STEP
+    end = np.minimum(-(-(seen.max(axis=0) + _FILTER_PX) // WINDOW_STEP) * WINDOW_STEP, size)
+    first = np.minimum(first, (size - 1) // WINDOW_STEP * WINDOW_STEP)
+    end = np.maximum(end, np.minimum(first + WINDOW_STEP, size))
+    left, top, width, height = (int(value) for value in (*first, *(end - first)))
+    return replace(pinhole, window=(left, top, width, height))
 
 
 def redistorted(frame: Frame, camera: Camera) -> Frame:
@@ -76,16 +103,18 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
     those of the nearest pixel.
 
     Args:
-        frame: The frame of `undistorted_camera`.
+        frame: The frame of `pinhole_of`.
         camera: The camera with the distorting lens.
     """
     # A pixel that the lens has shrunk covers several of the pinhole's: as many points a side as it is wide.
     magnifications = _magnifications(camera) / frame.camera.fx * camera.fx
     across = int(np.clip(np.ceil(1.0 / magnifications.min() - 0.1), 1, 4))
+    corner = np.array(frame.camera.image_corner, dtype=np.float64)  # a whole number: what is taken off is exact
     points = [
-        _points(camera, frame.camera, (i + 0.5) / across, (j + 0.5) / across) for j, i in np.ndindex(across, across)
+        _points(camera, frame.camera, (i + 0.5) / across, (j + 0.5) / across) - corner
+        for j, i in np.ndindex(across, across)
     ]
-    middle = _points(camera, frame.camera, 0.5, 0.5)
+    middle = _points(camera, frame.camera, 0.5, 0.5) - corner
     empty = _empty(frame)
     changes: dict[str, Any] = {"camera": camera, "accumulated": None}
     for name in _NEAREST:
@@ -113,15 +142,26 @@ def _magnifications(camera: Camera) -> Doubles:
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False), dtype=np.float64)
 
 
-def _corners(camera: Camera) -> Doubles:
-    """The corners of all pixels, without focal length, shape (N, 2)."""
-    x, y = np.meshgrid(np.arange(camera.width + 1.0), np.arange(camera.height + 1.0))
-    return (np.stack([x, y], axis=-1).reshape(-1, 2) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+def _seen_box(camera: Camera) -> tuple[Doubles, Doubles]:
+    """Least and largest coordinates of the corners of all pixels of the picture, as a pinhole sees them.
+
+    Without focal length, shape (2,) each; inf and -inf if none is seen.
+    """
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for first in range(0, camera.height + 1, _BAND_ROWS):
+        rows = np.arange(first, min(first + _BAND_ROWS, camera.height + 1), dtype=np.float64)
+        x, y = np.meshgrid(np.arange(camera.width + 1.0), rows)
+        corners = (np.stack([x, y], axis=-1).reshape(-1, 2) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        seen = undistort(corners, camera.distortion)
+        seen = seen[~np.isnan(seen[:, 0])]
+        low, high = seen.min(axis=0, initial=np.inf).clip(max=low), seen.max(axis=0, initial=-np.inf).clip(min=high)
+    return low, high
 
 
 def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> Doubles:
-    """Where the pinhole sees what is shown at a place of each pixel, pixels, shape (H, W, 2); NaN: nowhere."""
-    x, y = np.meshgrid(np.arange(camera.width) + right, np.arange(camera.height) + down)
+    """Where the pinhole's picture has what is shown at a place of each pixel, pixels, shape (H, W, 2); NaN: nowhere."""
+    (width, height), (left, top) = camera.image_size, camera.image_corner
+    x, y = np.meshgrid(left + np.arange(width) + right, top + np.arange(height) + down)
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1, dtype=np.float64)
     seen = undistort(shown, camera.distortion)
     return seen * (pinhole.fx, pinhole.fy) + (pinhole.cx, pinhole.cy)

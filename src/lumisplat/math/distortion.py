@@ -40,9 +40,11 @@ def undistort(points: Doubles, coefficients: Coefficients) -> Doubles:
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for _ in range(DISTORTION_STEPS):
             error = distort(found, coefficients) - points
-            if np.abs(error).max(initial=0.0) <= 0.01 * DISTORTION_RESIDUAL:
+            is_found = np.abs(error).max(axis=-1, keepdims=True) <= 0.01 * DISTORTION_RESIDUAL
+            if is_found.all():
                 break
-            found = _within(found - _solved(distortion_jacobian(found, coefficients), error), reach)
+            better = _within(found - _solved(distortion_jacobian(found, coefficients), error), reach)
+            found = np.where(is_found, found, better)  # a point does not depend on the others
         error = np.abs(distort(found, coefficients) - points).max(axis=-1)
     found[~(error <= DISTORTION_RESIDUAL)] = np.nan
     return found

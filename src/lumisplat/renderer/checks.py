@@ -100,6 +100,18 @@ def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -
         raise ConfigError("aovs has variance, which takes two samples or more: samples is 1")
 
 
+def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
+    """Raises ConfigError if a window of a picture is to be drawn in a way that needs the whole picture."""
+    if camera.window is None:
+        return
+    if plan.has_history:
+        raise ConfigError("Pipeline.REALTIME needs the whole picture: Camera.window goes with the others")
+    if plan.adapts or config.noise is not None or config.time_limit is not None:
+        raise ConfigError(
+            "noise, time_limit and adaptive choose samples by the whole picture: with Camera.window, set samples alone"
+        )
+
+
 def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: FramePlan) -> None:
     """Raises ConfigError unless samples of this camera and these settings can be added to a frame.
 
@@ -118,11 +130,11 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         raise ConfigError("cannot resume a denoised frame: resume the one that it was made of")
     if plan.is_lit != frame.has("light"):
         raise ConfigError("cannot resume an unlit frame with light, or a lit one without")
-    if frame.color.shape[:2] != (camera.height, camera.width) or frame.background != config.background:
+    if frame.color.shape[:2] != camera.image_size[::-1] or frame.background != config.background:
         height, width = frame.color.shape[:2]
         raise ConfigError(
             f"cannot resume a frame of {width} x {height} over {frame.background}: this one is "
-            f"{camera.width} x {camera.height} over {config.background}"
+            f"{camera.image_size[0]} x {camera.image_size[1]} over {config.background}"
         )
     other = differing(frame.camera, replace(camera, name=frame.camera.name))
     if frame.config is not None:

@@ -59,7 +59,7 @@ def render_deep(
         DeviceError: There is no such device, or it is out of memory.
         SceneError: As for ``trace_rays``, or the frame has another size.
     """
-    size = camera.height, camera.width
+    size = camera.image_size[::-1]
     if frame is not None and frame.alpha.shape != size:
         raise SceneError(f"the frame has {frame.alpha.shape} rows and columns, the camera {size}")
     trace = replace(checked_config(config).trace, strategy=TraceStrategy.SORTED)

@@ -16,7 +16,7 @@ from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
-from lumisplat.frame.redistorted import redistorted, undistorted_camera
+from lumisplat.frame.redistorted import pinhole_of, redistorted
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import (
     check_aovs,
@@ -25,6 +25,7 @@ from lumisplat.renderer.checks import (
     check_resumed_scene,
     check_samples,
     check_scene,
+    check_window,
     checked_config,
 )
 from lumisplat.renderer.film.film import Film
@@ -137,7 +138,7 @@ class Renderer:
             refuse_lens(camera, self.config.pipeline)
             if resume is not None:
                 raise ConfigError("a rasterised frame of a distorting lens cannot be resumed: it is resampled")
-            return redistorted(self.render(scene, undistorted_camera(camera), progress=progress), camera)
+            return redistorted(self.render(scene, pinhole_of(camera), progress=progress), camera)
         self._check(plan, scene, camera, resume)
         modules = frame_modules(plan, self._launcher, self.config) + (picture_modules(plan) if encode else [])
         self._load(modules, progress)
@@ -256,6 +257,7 @@ class Renderer:
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:
         """Refuses what cannot be drawn, and logs what is drawn differently."""
         check_samples(self.config, plan, resume)
+        check_window(self.config, plan, camera)
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
             check_resumed_scene(resume, scene)

@@ -37,7 +37,7 @@ from lumisplat.renderer.kernel_modules import (
 )
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.renderer import Renderer
-from lumisplat.renderer.scene.camera_table import check_camera
+from lumisplat.renderer.scene.camera_table import check_camera, refuse_window
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.traced_gradients import GivenGradient, TracedFrame, TracedGradients, check_traced
@@ -99,6 +99,7 @@ class DifferentiableRenderer(Renderer):
         """
         self._forget()
         check_camera(camera)
+        refuse_window(camera, "gradients")
         along_rays = self._traces or self._is_unscented
         if along_rays and options.get("resume") is not None:
             raise ConfigError("a frame that is resumed has more than one sample a pixel, and no gradients")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,9 @@ from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
 from lumisplat.math.distortion import Coefficients, undistort
 from lumisplat.scene.checks import check_positive
 
+WINDOW_STEP = 16
+"""Edges of windows are multiples of so many pixels, so that what neighbouring pixels share is what it is in the whole
+picture: tiles of the rasteriser (`TILE_PX`) and blocks of rays."""
 _RIGID_ERROR = 1e-3
 """Largest error of the scalar products of a rotation's rows."""
 
@@ -78,6 +82,9 @@ class Camera:
     plus (2 p1 u v + p2 (s + 2 u^2), 2 p2 u v + p1 (s + 2 v^2)). Not for orthographic cameras."""
     exposure: float = 0.0
     """Exposure of lit frames, stops, -100 to 100: pictures show linear light times 2 to this power."""
+    window: tuple[int, int, int, int] | None = None
+    """The part of the picture that frames show: left, top, width and height, pixels. Its pixels are those of the whole
+    picture, to the bit. Its edges are multiples of `WINDOW_STEP` pixels, or edges of the picture. None: all of it."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -104,6 +111,8 @@ class Camera:
             sine, cosine = self._turn()
             if cosine < 0.0 and np.linalg.norm(sine) < 1e-3:
                 raise SceneError("camera_from_world_end is half a turn from camera_from_world: which way round is open")
+        if self.window is not None:
+            object.__setattr__(self, "window", checked_window(self.window, self.width, self.height))
 
     @classmethod
     def look_at(
@@ -166,6 +175,16 @@ class Camera:
         )
 
     @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of frames, pixels: those of the window, if there is one."""
+        return (self.width, self.height) if self.window is None else self.window[2:]
+
+    @property
+    def image_corner(self) -> tuple[int, int]:
+        """Column and row of the picture at the upper left pixel of frames."""
+        return (0, 0) if self.window is None else self.window[:2]
+
+    @property
     def world_from_camera(self) -> Doubles:
         """Inverse pose, shape (4, 4)."""
         return np.asarray(np.linalg.inv(self.camera_from_world), dtype=np.float64)
@@ -200,17 +219,18 @@ class Camera:
         return sine * (math.atan2(length, cosine) / length) if length > 0.0 else np.zeros(3)
 
     def ray_directions(self) -> Doubles:
-        """Unit directions through the pixel centres, camera space, shape (H, W, 3).
+        """Unit directions through the pixel centres of frames, camera space, shape (H, W, 3).
 
         Pixels of a fisheye or of a distorting lens that have no ray have direction 0. Orthographic rays start on the
         plane through the eye, all others at the eye.
         """
-        u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-        v = (np.arange(self.height)[:, None] + 0.5 - self.cy) / self.fy
+        (width, height), (left, top) = self.image_size, self.image_corner
+        u = (left + np.arange(width) + 0.5 - self.cx) / self.fx
+        v = (top + np.arange(height)[:, None] + 0.5 - self.cy) / self.fy
         if self.is_distorted:
             shown = np.stack(np.broadcast_arrays(u, v), axis=-1)
             u, v = np.moveaxis(undistort(shown, self.distortion), -1, 0)
-        rays = np.zeros((self.height, self.width, 3))
+        rays = np.zeros((height, width, 3))
         if self.model is CameraModel.ORTHOGRAPHIC:
             rays[..., 2] = 1.0
         elif self.model is CameraModel.FISHEYE:
@@ -225,9 +245,15 @@ class Camera:
         return rays
 
     def scaled(self, width: int | None = None, height: int | None = None) -> Camera:
-        """The same view at another resolution. If only one side is given, the other follows from the aspect ratio."""
+        """The same view at another resolution. If only one side is given, the other follows from the aspect ratio.
+
+        Raises:
+            SceneError: The camera has a window, which would not stay one of whole pixels.
+        """
         if width is None and height is None:
             return self
+        if self.window is not None:
+            raise SceneError("a camera with a window cannot be scaled: scale it first, then cut the window out")
         if width is None:
             assert height is not None
             width = max(1, round(self.width * height / self.height))
@@ -235,6 +261,21 @@ class Camera:
             height = max(1, round(self.height * width / self.width))
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+
+    def windows(self, columns: int, rows: int) -> list[Camera]:
+        """Cameras of all parts of the picture, row by row: windows of about one size, in so many columns and rows.
+
+        Raises:
+            SceneError: The camera has a window already, or there are fewer steps of `WINDOW_STEP` pixels than parts.
+        """
+        if self.window is not None:
+            raise SceneError("a camera with a window is not cut further: cut the whole picture")
+        across, down = _cuts("columns", columns, self.width), _cuts("rows", rows, self.height)
+        return [
+            replace(self, window=(left, top, right - left, bottom - top))
+            for top, bottom in pairwise(down)
+            for left, right in pairwise(across)
+        ]
 
     @property
     def _world_from_camera_end(self) -> Doubles:
@@ -245,6 +286,34 @@ class Camera:
         """The rotation from the first pose to the last: axis times sine (exactly 0 without a rotation), and cosine."""
         first, last = self.world_from_camera[:3, :3].T, self._world_from_camera_end[:3, :3].T
         return 0.5 * np.cross(first, last).sum(axis=0), 0.5 * (float(np.sum(first * last)) - 1.0)
+
+
+def checked_window(window: object, width: int, height: int) -> tuple[int, int, int, int]:
+    """A window of a picture of a size.
+
+    Raises:
+        SceneError: It is none.
+    """
+    numbers = finite_numbers(window, (4,))
+    if numbers is None or (numbers != np.floor(numbers)).any():
+        raise SceneError(f"camera window is {window}, expected four whole numbers: left, top, width, height")
+    left, top, columns, rows = (int(number) for number in numbers)
+    if left < 0 or top < 0 or columns < 1 or rows < 1 or left + columns > width or top + rows > height:
+        raise SceneError(f"camera window is {window}, which is not within the picture of {width} x {height}")
+    edges = (left, width), (left + columns, width), (top, height), (top + rows, height)
+    if any(edge % WINDOW_STEP and edge != end for edge, end in edges):
+        raise SceneError(
+            f"camera window is {window}, expected edges at multiples of {WINDOW_STEP} pixels or at those of the picture"
+        )
+    return left, top, columns, rows
+
+
+def _cuts(name: str, parts: object, size: int) -> list[int]:
+    """Where a side of a picture is cut in so many parts, its ends included."""
+    steps = -(-size // WINDOW_STEP)
+    if not is_number(parts) or parts != int(parts) or not 1 <= parts <= steps:
+        raise SceneError(f"{name} is {parts}, expected 1 to {steps}, for {size} pixels in steps of {WINDOW_STEP}")
+    return [*(WINDOW_STEP * (part * steps // int(parts)) for part in range(int(parts))), size]
 
 
 def camera_pose(eye: Doubles, right: Doubles, forward: Doubles) -> Doubles:

@@ -13,6 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.job import FrameJob, FrameList
+from lumisplat.cli.farm.tiles import Tiles
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
@@ -35,7 +36,7 @@ _log = logging.getLogger("lumisplat")
 _OF_RASTER = ("raster_strategy", "projection")
 _OF_REALTIME = ("warm_up",)
 _STAMP = "render.json"
-_NOT_OF_PICTURES = ("output", "resume", "overwrite", "frames", "debug", "stats", "device")
+_NOT_OF_PICTURES = ("output", "resume", "overwrite", "frames", "tiles", "debug", "stats", "device")
 """Options of which the pictures that are there do not depend."""
 
 
@@ -68,6 +69,10 @@ class Render(FrameCommand):
     or A:B, from A to before B. Parts may be joined by commas."""
     resume: Flag = False
     """Pictures that are there stay, if they are of this scene and of these settings: render.json beside them says."""
+    tiles: Annotated[str, arg(metavar="COLUMNSxROWS|auto", help_behavior_hint="")] = ""
+    """Render each picture in parts, such as 4x4, so that one of 16384 x 9216 takes the memory of a part; auto: in bands
+    of about 2048 x 2048 pixels. The pixels are the same. After an interruption, with --resume, parts that are there
+    stay; workers share them: lumisplat farm render."""
     warm_up: Annotated[int | None, setting("N", "32")] = None
     """Of --pipeline realtime: frames before each picture, in which light finds its way; along --path only before the
     first."""
@@ -120,10 +125,10 @@ class Render(FrameCommand):
             with standard_output(f".{format_name}") as file:
                 replace(self, output=file).run()
             return
-        if self.resume:
+        if self.resume or self.tiles:
             with progress_bars() as report:
                 job = self.open_frames(report)
-                lines = make_alone(job, report, overwrite=False, video=None, fewer="--frames")
+                lines = make_alone(job, report, overwrite=not self.resume, video=None, fewer="--frames")
             print(lines)
             return
         with progress_bars() as report:
@@ -146,10 +151,10 @@ class Render(FrameCommand):
             raise ls.ConfigError(
                 "--view colours all pictures by the first of a run: pictures that are there stay wrong"
             )
+        if self.tiles:
+            self._check_tiles()
         pictures = self._open(report)
         shots, folder = pictures.shots, pictures.shots[0].path.parent
-        if folder != self.output:
-            raise ls.ConfigError(f"-o {self.output} is one picture, and frames are many: give a folder")
         config, source = pictures.source.renderer.config, pictures.source
         frames = FrameList(
             folder=FrameFolder(folder, "", _STAMP, tuple(shot.path.name for shot in shots)),
@@ -157,6 +162,14 @@ class Render(FrameCommand):
             wanted=tuple(self._wanted(shots)),
             in_sequence=config.pipeline is ls.Pipeline.REALTIME and self.path is not None,
         )
+        if self.tiles:
+            tiles = Tiles.of(shots, self.tiles, self.output, _STAMP, has_layers=bool(self.aov))
+            shots = list(tiles.shots)
+            frames = replace(
+                frames, folder=tiles.folder, wanted=tiles.numbers(self._wanted(pictures.shots)), unit="tile"
+            )
+        elif folder != self.output:
+            raise ls.ConfigError(f"-o {self.output} is one picture, and frames are many: give a folder")
         return FrameJob(
             frames=frames,
             render=lambda index, report: source.frame(pictures.scene, shots[index].camera, report),
@@ -184,6 +197,16 @@ class Render(FrameCommand):
             _log.warning("%s", line)
         shots = shots or self._shots([self.own_camera(scene, *self.scene)])
         return _Pictures(scene, shots, self.frame_source(renderer, self._warm_up()), writer)
+
+    def _check_tiles(self) -> None:
+        """Refuses what is not made of parts of a picture.
+
+        Raises:
+            ConfigError: Some of it is asked for.
+        """
+        given = {"--deep": self.deep, "--cryptomatte": self.cryptomatte, "--denoise": self.light.denoise}
+        if whole := " and ".join(name for name, is_given in given.items() if is_given):
+            raise ls.ConfigError(f"{whole} and --tiles do not go together: it is of the whole picture")
 
     def _wanted(self, shots: list[Shot]) -> list[int]:
         """The numbers of the pictures that are asked for."""

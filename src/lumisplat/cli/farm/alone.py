@@ -6,6 +6,7 @@ from pathlib import Path
 
 import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, is_mistake
+from lumisplat.cli.farm.tiles import TileFolder
 from lumisplat.cli.output.console import Report, counted
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.video import check_video, write_video
@@ -44,7 +45,7 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
     """Makes frames; an error in one of them ends it."""
     if not missing:
         return
-    progress = FrameProgress(report, "frames", len(missing), fewer)
+    progress = FrameProgress(report, f"{job.frames.unit}s", len(missing), fewer)
     made = 0
     frame: ls.Frame | None = None
     for index in missing:
@@ -61,7 +62,7 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
 
 
 def film_lines(frames: FrameList, made: int, video: Path | None, report: Report) -> str:
-    """Writes the video of all frames, if there is to be one; what there is now, in lines.
+    """Joins tiles, or writes the video of all frames, if there is to be one; what there is now, in lines.
 
     Args:
         frames: All of them are there.
@@ -70,8 +71,10 @@ def film_lines(frames: FrameList, made: int, video: Path | None, report: Report)
         report: Shows the progress.
 
     Raises:
-        FormatError: The video cannot be written.
+        FormatError: The video or a picture of tiles cannot be written.
     """
+    if isinstance(frames.folder, TileFolder):
+        return _join(frames.folder, report)
     there = len(frames.wanted) - made
     were = "was" if there == 1 else "were"
     lines = f"{counted(len(frames.wanted), 'frame')} in {frames.folder.folder}"
@@ -80,3 +83,10 @@ def film_lines(frames: FrameList, made: int, video: Path | None, report: Report)
         return lines
     write_video(video, [frames.folder.path(index) for index in frames.wanted], frames.fps, report)
     return f"{lines}\n{video} ({frames.fps:g} frames a second, {len(frames.wanted) / frames.fps:.2f} s)"
+
+
+def _join(folder: TileFolder, report: Report) -> str:
+    """Joins the tiles of pictures; what there is now, in a line."""
+    folder.join(report)
+    there = [picture.path for picture in folder.pictures if picture.path.is_file()]
+    return f"{there[0]}" if len(there) == 1 else f"{len(there)} pictures in {folder.folder}"

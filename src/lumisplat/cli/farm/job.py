@@ -29,6 +29,8 @@ class FrameList:
     """Frames a second, if they are those of a film."""
     in_sequence: bool = False
     """Whether a frame follows from those before it."""
+    unit: str = "frame"
+    """What one of them is called."""
 
     def begin(self, overwrite: bool) -> list[int]:
         """Makes the folder ready; the frames that are missing.
@@ -44,15 +46,15 @@ class FrameList:
         """How many of the frames are there, and how to go on."""
         count = sum(map(self.folder.is_finished, self.wanted))
         again = "the same command without --overwrite" if overwrite else "the same command"
-        return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), 'frame')}; {again} goes on"
+        return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), self.unit)}; {again} goes on"
 
     def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> ls.LumisplatError:
         """A `FramesMissingError` that says which frames failed, why, and how to go on."""
         from lumisplat.cli.farm.failed_frames import FramesMissingError
 
         first = sorted(failed)[:NAMED_FRAMES]
-        named = "; ".join(f"frame {index}: {one_line(failed[index])}" for index in first)
-        more = f"; and {counted(len(failed) - len(first), 'more frame')}" if len(failed) > len(first) else ""
+        named = "; ".join(f"{self.unit} {index}: {one_line(failed[index])}" for index in first)
+        more = f"; and {counted(len(failed) - len(first), f'more {self.unit}')}" if len(failed) > len(first) else ""
         return FramesMissingError(f"{named}{more}; {self.there(overwrite)}")
 
 

@@ -73,7 +73,7 @@ class FarmRun:
         if missing:
             raise frames.missing_error(missing, self._overwrite)
         lines = film_lines(frames, len(tally.done), self._video, self._report)
-        return f"{lines}\n{_cost(tally, count, time.monotonic() - begun)}" if tally.done else lines
+        return f"{lines}\n{_cost(tally, frames.unit, count, time.monotonic() - begun)}" if tally.done else lines
 
     def _executor(self) -> tuple[Executor, int]:
         """What runs the workers, and how many there are."""
@@ -101,10 +101,10 @@ class FarmRun:
         self._report(f"frames{cost}", (len(tally.done) + len(tally.failed)) / tally.wanted)
 
 
-def _cost(tally: Tally, workers: int, seconds: float) -> str:
+def _cost(tally: Tally, unit: str, workers: int, seconds: float) -> str:
     """What the frames have taken, in a line."""
     lost = f", {counted(tally.lost, 'worker')} lost and replaced" if tally.lost else ""
     return (
-        f"{counted(len(tally.done), 'frame')} by {counted(workers, 'worker')} in {spoken_time(seconds)}, "
+        f"{counted(len(tally.done), unit)} by {counted(workers, 'worker')} in {spoken_time(seconds)}, "
         f"{tally.cost:.3g} s of a worker each{lost}"
     )

@@ -8,6 +8,7 @@ import math
 import warp as wp
 
 from lumisplat.device.camera.distortion import undistorted
+from lumisplat.device.camera.window import picture_index
 from lumisplat.device.math.random import LENS_ANGLE, LENS_RADIUS, draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
@@ -90,7 +91,7 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
         direction = wp.normalize(wp.vec3(u, v, 1.0))
 
     if camera.aperture > 0.0:
-        sample_key = sample_key_of(y * camera.width + x, sample.index, sample.seed)
+        sample_key = sample_key_of(picture_index(camera, x, y), sample.index, sample.seed)
         point = camera.aperture * disk_point(draw(sample_key, LENS_RADIUS), draw(sample_key, LENS_ANGLE))
         shift = point[0] * right + point[1] * down
         sharp = camera.focus_distance
@@ -105,7 +106,7 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
     ray.origin = camera.eye + camera.world_from_camera * start
     ray.direction = camera.world_from_camera * direction
     if camera.shutter != 0:
-        time = (float(y) + 0.5) / float(camera.height)
+        time = (float(y) + 0.5) / float(camera.picture_height)
         angle = time * camera.turn_angle
         ray.origin = (
             camera.eye + time * camera.motion + turned(camera.world_from_camera * start, camera.turn_axis, angle)

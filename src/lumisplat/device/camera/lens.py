@@ -47,7 +47,7 @@ def image_point(camera: CameraData, field: float, view: wp.vec3) -> wp.vec2:
 @wp.func
 def row_time(camera: CameraData, y: float) -> float:
     """When a place of the image is exposed, as a share of the time from the first row to the last."""
-    return wp.clamp(y / float(camera.height), 0.0, 1.0)
+    return wp.clamp(y / float(camera.picture_height), 0.0, 1.0)
 
 
 @wp.func

@@ -21,12 +21,12 @@ RowFloats = wp.types.vector(length=TILE_PX, dtype=wp.float32)
 
 @wp.func
 def tile_corner(camera: CameraData, tile: int) -> wp.vec2i:
-    """Upper left pixel of a tile."""
-    return wp.vec2i((tile % camera.tiles_x) * TILE, (tile // camera.tiles_x) * TILE)
+    """Upper left pixel of a tile of the window, in the picture."""
+    return wp.vec2i(camera.left + (tile % camera.tiles_x) * TILE, camera.top + (tile // camera.tiles_x) * TILE)
 
 
 @wp.func
 def tile_pixel(camera: CameraData, item: int) -> wp.vec2i:
-    """Pixel of an item, tile after tile and row after row within; it may lie outside the image."""
+    """Pixel of an item, tile after tile and row after row within; it may lie outside the window."""
     corner = tile_corner(camera, item // TILE_PIXELS)
     return wp.vec2i(corner[0] + item % TILE, corner[1] + (item // TILE) % TILE)

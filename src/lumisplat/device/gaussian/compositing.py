@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import NORMAL_DEGENERATE
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.camera.window import image_index, ray_index
 from lumisplat.device.math.color import over
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
@@ -121,7 +121,7 @@ def store_gaussian_hits(
     camera: CameraData, splats: wp.array[Splat], pixel: BlendState, x: int, y: int, out: GaussianHits
 ):
     """Writes the blended splats of a pixel as the Gaussian hits of its ray."""
-    ray = ray_of_pixel(camera.width, x, y)
+    ray = ray_index(camera, x, y)
     out.color[ray] = pixel.color
     out.normal[ray] = pixel.normal
     out.transmittance[ray] = wp.abs(pixel.transmittance)
@@ -146,7 +146,7 @@ def store_pixel(
     out: PixelData,
 ):
     """Composites an unlit pixel over the mesh or the background, and writes its images."""
-    i = y * camera.width + x
+    i = image_index(camera, x, y)
     ray = pixel_ray(camera, x, y)
     transmittance = wp.abs(pixel.transmittance)
     depth_z = float(wp.inf)

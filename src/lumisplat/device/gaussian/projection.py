@@ -100,10 +100,10 @@ def project_gaussian(
     )
     extent = wp.vec2(wp.sqrt(reach * xx), wp.sqrt(reach * yy))
     if (
-        center[0] + extent[0] < 0.5
-        or center[1] + extent[1] < 0.5
-        or center[0] - extent[0] > float(camera.width) - 0.5
-        or center[1] - extent[1] > float(camera.height) - 0.5
+        center[0] + extent[0] < float(camera.left) + 0.5
+        or center[1] + extent[1] < float(camera.top) + 0.5
+        or center[0] - extent[0] > float(camera.left + camera.width) - 0.5
+        or center[1] - extent[1] > float(camera.top + camera.height) - 0.5
     ):
         return splat
 

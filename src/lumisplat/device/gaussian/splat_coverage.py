@@ -23,16 +23,18 @@ def is_finite(splat: Splat) -> bool:
 
 @wp.func
 def tile_range(camera: CameraData, splat: Splat) -> TileRect:
-    """Tiles whose pixel centres the splat's box covers."""
+    """Tiles of the window whose pixel centres the splat's box covers."""
     rect = TileRect()
     low = splat.center - splat.extent - wp.vec2(0.5)
     high = splat.center + splat.extent - wp.vec2(0.5)
-    last_x = float(camera.width - 1)
-    last_y = float(camera.height - 1)
-    x0 = int(wp.ceil(wp.clamp(low[0], 0.0, last_x)))
-    y0 = int(wp.ceil(wp.clamp(low[1], 0.0, last_y)))
-    x1 = int(wp.floor(wp.clamp(high[0], 0.0, last_x)))
-    y1 = int(wp.floor(wp.clamp(high[1], 0.0, last_y)))
+    first_x = float(camera.left)
+    first_y = float(camera.top)
+    last_x = float(camera.left + camera.width - 1)
+    last_y = float(camera.top + camera.height - 1)
+    x0 = int(wp.ceil(wp.clamp(low[0], first_x, last_x))) - camera.left
+    y0 = int(wp.ceil(wp.clamp(low[1], first_y, last_y))) - camera.top
+    x1 = int(wp.floor(wp.clamp(high[0], first_x, last_x))) - camera.left
+    y1 = int(wp.floor(wp.clamp(high[1], first_y, last_y))) - camera.top
     if x0 <= x1 and y0 <= y1:
         rect.x0 = wp.int16(x0 // TILE)
         rect.y0 = wp.int16(y0 // TILE)

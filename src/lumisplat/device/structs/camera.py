@@ -28,7 +28,14 @@ class CameraData:
     jacobian_max: wp.vec2
     """Highest x/z and y/z at which the projection is linearised."""
     width: int
+    """Of the image: of the window that is drawn, or of the whole picture; pixels."""
     height: int
+    left: int
+    """Of the window in the picture, pixels. Coordinates and random numbers are those of the picture."""
+    top: int
+    picture_width: int
+    """Of the whole picture, pixels."""
+    picture_height: int
     tiles_x: int
     tiles_y: int
     near: float

@@ -189,15 +189,17 @@ def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, r
 
 @wp.func
 def pixel_box(camera: CameraData, bounds: ImageBounds) -> PixelBox:
-    """Pixels whose samples are within bounds; none if these are not numbers."""
+    """Pixels of the window whose samples are within bounds; none if these are not numbers."""
     box = PixelBox()
     low = bounds.low - camera.offset
     high = bounds.high - camera.offset
-    last_x = float(camera.width - 1)
-    last_y = float(camera.height - 1)
-    if low[0] <= last_x and low[1] <= last_y and high[0] >= 0.0 and high[1] >= 0.0:
-        box.x0 = int(wp.ceil(wp.max(low[0], 0.0)))
-        box.y0 = int(wp.ceil(wp.max(low[1], 0.0)))
+    first_x = float(camera.left)
+    first_y = float(camera.top)
+    last_x = float(camera.left + camera.width - 1)
+    last_y = float(camera.top + camera.height - 1)
+    if low[0] <= last_x and low[1] <= last_y and high[0] >= first_x and high[1] >= first_y:
+        box.x0 = int(wp.ceil(wp.max(low[0], first_x)))
+        box.y0 = int(wp.ceil(wp.max(low[1], first_y)))
         box.x1 = int(wp.floor(wp.min(high[0], last_x))) + 1
         box.y1 = int(wp.floor(wp.min(high[1], last_y))) + 1
     return box

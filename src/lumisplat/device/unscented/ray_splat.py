@@ -134,13 +134,13 @@ def is_finite(splat: RaySplat) -> bool:
 
 
 @wp.func
-def tiles_of(box: PixelBox) -> TileRect:
-    """Tiles of a box that is not empty."""
+def tiles_of(camera: CameraData, box: PixelBox) -> TileRect:
+    """Tiles of the window that a box, which is not empty, covers."""
     rect = TileRect()
-    rect.x0 = wp.int16(box.x0 // TILE)
-    rect.y0 = wp.int16(box.y0 // TILE)
-    rect.x1 = wp.int16((box.x1 - 1) // TILE + 1)
-    rect.y1 = wp.int16((box.y1 - 1) // TILE + 1)
+    rect.x0 = wp.int16((box.x0 - camera.left) // TILE)
+    rect.y0 = wp.int16((box.y0 - camera.top) // TILE)
+    rect.x1 = wp.int16((box.x1 - 1 - camera.left) // TILE + 1)
+    rect.y1 = wp.int16((box.y1 - 1 - camera.top) // TILE + 1)
     return rect
 
 

@@ -5,7 +5,7 @@ The splats are composited once more, with what is to be averaged in place of the
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.camera.window import ray_index, shown_pixel
 from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.gaussian.depth_plane import depth_plane
 from lumisplat.device.gaussian.splat_coverage import is_listed
@@ -67,14 +67,13 @@ def store_means(
         hits_inout: Of the rays; receives the means.
     """
     i = start + wp.tid()
-    x = i % camera[0].width
-    y = i // camera[0].width
-    ray = ray_of_pixel(camera[0].width, x, y)
+    at = shown_pixel(camera[0], i)
+    ray = ray_index(camera[0], at[0], at[1])
     weight = sums.normal[ray][2]
     depth = float(wp.inf)
     finish = wp.vec2(0.0)
     if weight > 0.0:
-        direction = pixel_ray(camera[0], x, y)
+        direction = pixel_ray(camera[0], at[0], at[1])
         depth_z = wp.dot(sums.color[ray], direction) / weight
         depth = wp.clamp(depth_z, camera[0].near, meshes.depth_z[i]) * wp.length(direction)
         finish = wp.vec2(sums.normal[ray][0], sums.normal[ray][1]) / weight

@@ -7,6 +7,7 @@ nearest triangle remains, and of equally near ones the first.
 import warp as wp
 
 from lumisplat.device.camera.tiles import TILE, tile_corner
+from lumisplat.device.camera.window import image_index, picture_index
 from lumisplat.device.gaussian.compositing import pixel_ray
 from lumisplat.device.mesh.raster_alpha import has_alpha, pixel_meets
 from lumisplat.device.mesh.triangle_raster import depth_at
@@ -60,16 +61,18 @@ def raster_pairs(
     triangle = triangles[index]
     is_whole = not has_alpha(triangle, scene)
     first = wp.max(int(triangle.row_first), corner[1])
-    end = wp.min(wp.min(int(triangle.row_last) + 1, corner[1] + TILE), view.height)
-    right = wp.min(corner[0] + TILE, view.width)
+    end = wp.min(wp.min(int(triangle.row_last) + 1, corner[1] + TILE), view.top + view.height)
+    right = wp.min(corner[0] + TILE, view.left + view.width)
     for y in range(first, end):
         for x in range(corner[0], right):
             ray = pixel_ray(view, x, y)
             z = depth_at(triangle, ray)
-            pixel = y * view.width + x
+            pixel = image_index(view, x, y)
             if z > view.near:
                 key = (wp.int64(wp.cast(z, wp.int32)) << INDEX_BITS) | wp.int64(index)
-                if key < nearest_inout[pixel] and (is_whole or pixel_meets(triangle, ray, pixel, scene)):
+                if key < nearest_inout[pixel] and (
+                    is_whole or pixel_meets(triangle, ray, picture_index(view, x, y), scene)
+                ):
                     wp.atomic_min(nearest_inout, pixel, key)
 
 

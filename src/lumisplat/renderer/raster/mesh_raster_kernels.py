@@ -6,8 +6,8 @@ normal of what was hit. ``find_ray_hits``: one item is one ray.
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import pixel_of_ray
 from lumisplat.device.camera.tiles import TILE
+from lumisplat.device.camera.window import image_index, is_shown, seen_pixel, shown_pixel
 from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import surface_color, surface_normal
@@ -48,17 +48,21 @@ def project_triangles(
     if area > 0.0 and area < wp.inf:
         box = triangle_box(view, v0, v1, v2)
         # A pixel of slack: rounding in the projection must not lose a centre that the edge functions would accept.
-        x0 = wp.clamp(wp.floor(box[0]) - 1.0, 0.0, float(view.width))
-        y0 = wp.clamp(wp.floor(box[1]) - 1.0, 0.0, float(view.height))
-        x1 = wp.clamp(wp.ceil(box[2]) + 1.0, 0.0, float(view.width))
-        y1 = wp.clamp(wp.ceil(box[3]) + 1.0, 0.0, float(view.height))
+        left = float(view.left)
+        top = float(view.top)
+        right = float(view.left + view.width)
+        bottom = float(view.top + view.height)
+        x0 = wp.clamp(wp.floor(box[0]) - 1.0, left, right)
+        y0 = wp.clamp(wp.floor(box[1]) - 1.0, top, bottom)
+        x1 = wp.clamp(wp.ceil(box[2]) + 1.0, left, right)
+        y1 = wp.clamp(wp.ceil(box[3]) + 1.0, top, bottom)
         if x0 < x1 and y0 < y1:
             triangle.row_first = wp.uint16(y0)
             triangle.row_last = wp.uint16(y1 - 1.0)
-            rect.x0 = wp.int16(int(x0) // TILE)
-            rect.y0 = wp.int16(int(y0) // TILE)
-            rect.x1 = wp.int16((int(x1) - 1) // TILE + 1)
-            rect.y1 = wp.int16((int(y1) - 1) // TILE + 1)
+            rect.x0 = wp.int16((int(x0) - view.left) // TILE)
+            rect.y0 = wp.int16((int(y0) - view.top) // TILE)
+            rect.x1 = wp.int16((int(x1) - 1 - view.left) // TILE + 1)
+            rect.y1 = wp.int16((int(y1) - 1 - view.top) // TILE + 1)
     triangles_out[i] = triangle
     rects_out[i] = rect
 
@@ -79,12 +83,12 @@ def find_ray_hits(
     view = camera[0]
     hits_out.t[i] = rays.t_max[i]
     hits_out.face[i] = -1
-    position = pixel_of_ray(view.width, i)
+    position = seen_pixel(view, i)
     x = position[0]
     y = position[1]
-    if x >= view.width or y >= view.height:
+    if not is_shown(view, x, y):
         return
-    pixel = y * view.width + x
+    pixel = image_index(view, x, y)
     index = triangle_of_pixel[pixel]
     if index < 0:
         return
@@ -119,7 +123,8 @@ def shade_pixels(
     view = camera[0]
     triangle = triangles[index]
     instance = instances[triangle.instance - splat_instance_count]
-    ray = pixel_ray(view, i % view.width, i // view.width)
+    at = shown_pixel(view, i)
+    ray = pixel_ray(view, at[0], at[1])
     weights = barycentric(triangle, ray)
     corners = meshes.indices[triangle.face]
     color = surface_color(instance, meshes, corners, weights)

@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.device.camera.tiles import TILE, RowFloats, TileFloats, TileInts, tile_corner
+from lumisplat.device.camera.window import image_index, picture_index
 from lumisplat.device.mesh.raster_alpha import has_alpha, pixel_meets
 from lumisplat.device.mesh.triangle_raster import depth_at
 from lumisplat.device.structs.camera import CameraData
@@ -59,16 +60,16 @@ def raster_tiles(
                     winner[i] = wp.where(z < nearest[i], index, winner[i])
                     nearest[i] = wp.min(z, nearest[i])
             else:
-                for x in range(wp.min(TILE, view.width - left)):
+                for x in range(wp.min(TILE, view.left + view.width - left)):
                     i = y * TILE + x
                     ray = wp.vec3(ray_x[x], ray_y, 1.0)
                     z = depth_at(triangle, ray)
                     if z > view.near and z < nearest[i]:
-                        if pixel_meets(triangle, ray, (top + y) * view.width + left + x, scene):
+                        if pixel_meets(triangle, ray, picture_index(view, left + x, top + y), scene):
                             winner[i] = index
                             nearest[i] = z
-    for y in range(wp.min(TILE, view.height - top)):
-        for x in range(wp.min(TILE, view.width - left)):
-            pixel = (top + y) * view.width + left + x
+    for y in range(wp.min(TILE, view.top + view.height - top)):
+        for x in range(wp.min(TILE, view.left + view.width - left)):
+            pixel = image_index(view, left + x, top + y)
             depth_out[pixel] = nearest[y * TILE + x]
             triangle_out[pixel] = winner[y * TILE + x]

@@ -5,8 +5,8 @@ Only tiles that hold splats of both kinds are composited a second time.
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
+from lumisplat.device.camera.window import image_index, is_shown, ray_index
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN
 from lumisplat.device.gaussian.splat_coverage import log_alpha_at
@@ -108,9 +108,9 @@ def find_relit(
     position = tile_pixel(view, i)
     x = position[0]
     y = position[1]
-    if x >= view.width or y >= view.height:
+    if not is_shown(view, x, y):
         return
-    ray = ray_of_pixel(view.width, x, y)
+    ray = ray_index(view, x, y)
     tile = i // TILE_PIXELS
     j = int(tile_starts[tile])
     end = tile_starts[tile + 1]
@@ -125,7 +125,7 @@ def find_relit(
             while found < 0 and j < end:
                 index = tile_splats[j]
                 splat = splats[index]
-                if splat.normal[0] > 0.0 and splat.depth < meshes.depth_z[y * view.width + x]:
+                if splat.normal[0] > 0.0 and splat.depth < meshes.depth_z[image_index(view, x, y)]:
                     if log_alpha_at(splat, x, y) >= LOG_ALPHA_MIN:
                         found = index
                 j += 1

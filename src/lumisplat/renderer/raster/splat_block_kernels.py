@@ -9,6 +9,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
+from lumisplat.device.camera.window import image_index, is_shown
 from lumisplat.device.gaussian.aligned import load_splat
 from lumisplat.device.gaussian.compositing import blend, empty_pixel, store_result
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
@@ -42,11 +43,11 @@ def composite_blocks(
     position = tile_pixel(view, tile * TILE_PIXELS + lane)
     x = position[0]
     y = position[1]
-    is_inside = x < view.width and y < view.height
+    is_inside = is_shown(view, x, y)
     pixel = empty_pixel()
     mesh_z = float(0.0)
     if is_inside:
-        mesh_z = meshes.depth_z[y * view.width + x]
+        mesh_z = meshes.depth_z[image_index(view, x, y)]
     else:
         pixel.transmittance = -1.0
     batch = wp.tile_empty(shape=256, dtype=Splat, storage="shared")

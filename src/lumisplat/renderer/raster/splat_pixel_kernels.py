@@ -7,6 +7,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
+from lumisplat.device.camera.window import image_index, is_shown, picture_index
 from lumisplat.device.gaussian.compositing import blend, empty_pixel, opaque_pixel, store_gaussian_hits, store_result
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.gaussian.splat_coverage import log_alpha_at
@@ -41,10 +42,10 @@ def composite_pixels(
     position = tile_pixel(view, i)
     x = position[0]
     y = position[1]
-    if x >= view.width or y >= view.height:
+    if not is_shown(view, x, y):
         return
     raster = settings[0]
-    mesh_z = meshes.depth_z[y * view.width + x]
+    mesh_z = meshes.depth_z[image_index(view, x, y)]
     pixel = empty_pixel()
     j = int(tile_starts[tile])
     end = tile_starts[tile + 1]
@@ -83,10 +84,10 @@ def sample_pixels(
     position = tile_pixel(view, i)
     x = position[0]
     y = position[1]
-    if x >= view.width or y >= view.height:
+    if not is_shown(view, x, y):
         return
-    sample_key = sample_key_of(y * view.width + x, sample.index, sample.seed)
-    nearest = meshes.depth_z[y * view.width + x]
+    sample_key = sample_key_of(picture_index(view, x, y), sample.index, sample.seed)
+    nearest = meshes.depth_z[image_index(view, x, y)]
     winner = int(-1)
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_splats[j]

@@ -6,7 +6,7 @@ The equations are in docs/method/rasterisation.md.
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.camera.window import ray_index, shown_pixel
 from lumisplat.device.gaussian.aligned import store_splat
 from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.gaussian.projection import project_gaussian
@@ -69,7 +69,8 @@ def set_pixel_depth(
     i = start + wp.tid()
     gaussian = pixels_inout.gaussian[i]
     if gaussian >= 0:
-        ray = pixel_ray(camera[0], i % camera[0].width, i // camera[0].width)
+        at = shown_pixel(camera[0], i)
+        ray = pixel_ray(camera[0], at[0], at[1])
         number = pixels_inout.instance[i]
         distance = pixels_inout.depth[i]
         mesh_z = meshes.depth_z[i]
@@ -87,11 +88,10 @@ def set_hit_depth(
 ):
     """``set_pixel_depth`` for the hits of the pixels' rays."""
     i = start + wp.tid()
-    x = i % camera[0].width
-    y = i // camera[0].width
-    hit = ray_of_pixel(camera[0].width, x, y)
+    at = shown_pixel(camera[0], i)
+    hit = ray_index(camera[0], at[0], at[1])
     if hits_inout.depth[hit] < wp.inf:
-        ray = pixel_ray(camera[0], x, y)
+        ray = pixel_ray(camera[0], at[0], at[1])
         number = instance_of(instances, hits_inout.gaussian[hit])
         gaussian = hits_inout.gaussian[hit] - instances[number].first
         distance = hits_inout.depth[hit]

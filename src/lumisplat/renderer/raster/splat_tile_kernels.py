@@ -9,6 +9,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS, TILE_PX
 from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, StripFloats, TileFloats, TileInts, tile_corner
+from lumisplat.device.camera.window import image_index, picture_index
 from lumisplat.device.gaussian.compositing import (
     left_behind,
     opaque_pixel,
@@ -74,12 +75,12 @@ def composite_tiles(
     corner = tile_corner(view, tile)
     left = corner[0]
     top = corner[1]
-    rows = wp.min(TILE, view.height - top)
-    columns = wp.min(TILE, view.width - left)
+    rows = wp.min(TILE, view.top + view.height - top)
+    columns = wp.min(TILE, view.left + view.width - left)
     raster = settings[0]
     t_min = raster.transmittance_min
     iso = raster.depth_iso_transmittance
-    transmittance = TileFloats(-1.0)  # pixels outside the image count as finished
+    transmittance = TileFloats(-1.0)  # pixels outside the window count as finished
     red = TileFloats(0.0)
     green = TileFloats(0.0)
     blue = TileFloats(0.0)
@@ -91,7 +92,7 @@ def composite_tiles(
     for y in range(rows):
         for x in range(columns):
             transmittance[y * TILE + x] = 1.0
-            mesh_z[y * TILE + x] = meshes.depth_z[(top + y) * view.width + left + x]
+            mesh_z[y * TILE + x] = meshes.depth_z[image_index(view, left + x, top + y)]
 
     begin = int(tile_starts[tile])
     end = tile_starts[tile + 1]
@@ -168,16 +169,16 @@ def sample_tiles(
     corner = tile_corner(view, tile)
     left = corner[0]
     top = corner[1]
-    rows = wp.min(TILE, view.height - top)
-    columns = wp.min(TILE, view.width - left)
-    nearest = TileFloats(-1.0)  # no splat is nearer: pixels outside the image stay empty
+    rows = wp.min(TILE, view.top + view.height - top)
+    columns = wp.min(TILE, view.left + view.width - left)
+    nearest = TileFloats(-1.0)  # no splat is nearer: pixels outside the window stay empty
     winner = TileInts(-1)
     sample_keys = TileWords()
     for y in range(rows):
         for x in range(columns):
             i = y * TILE + x
-            nearest[i] = meshes.depth_z[(top + y) * view.width + left + x]
-            sample_keys[i] = sample_key_of((top + y) * view.width + left + x, sample.index, sample.seed)
+            nearest[i] = meshes.depth_z[image_index(view, left + x, top + y)]
+            sample_keys[i] = sample_key_of(picture_index(view, left + x, top + y), sample.index, sample.seed)
 
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_splats[j]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.config import Pipeline, Projection
-from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
+from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, PICTURE_PIXELS_MAX, SUBPIXEL_STEPS, TILE_PX
 from lumisplat.constants.unscented import FIELD_MARGIN, FIELD_MAX
 from lumisplat.device.camera.camera import FISHEYE, ORTHOGRAPHIC, PINHOLE
 from lumisplat.device.structs.camera import CameraData
@@ -28,10 +28,22 @@ def check_camera(camera: object) -> None:
     """Raises SceneError unless this is a camera whose pixels 32-bit indices can count."""
     if not isinstance(camera, Camera):
         raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
-    if camera.width * camera.height > IMAGE_PIXELS_MAX:
+    width, height = camera.image_size
+    if width * height > IMAGE_PIXELS_MAX:
         raise SceneError(
-            f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
+            f"an image of {width} x {height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels; larger pictures are "
+            "made of windows (Camera.window, lumisplat render --tiles)"
         )
+    if camera.width * camera.height > PICTURE_PIXELS_MAX:
+        raise SceneError(
+            f"a picture of {camera.width} x {camera.height} is too large: at most {PICTURE_PIXELS_MAX:,} pixels"
+        )
+
+
+def refuse_window(camera: Camera, what: str) -> None:
+    """Raises SceneError for a camera with a window where all of its picture is needed."""
+    if camera.window is not None:
+        raise SceneError(f"{what} are of whole pictures: give a camera without a window")
 
 
 def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Projection.EWA) -> None:
@@ -80,8 +92,10 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     row["offset"], row["raster_center"] = offset, raster_center
     row["jacobian_min"] = -raster_center / focal - margin
     row["jacobian_max"] = (size - raster_center) / focal + margin
-    row["width"], row["height"] = camera.width, camera.height
-    row["tiles_x"], row["tiles_y"] = tile_grid(camera.width, camera.height)
+    row["width"], row["height"] = camera.image_size
+    row["left"], row["top"] = camera.image_corner
+    row["picture_width"], row["picture_height"] = camera.width, camera.height
+    row["tiles_x"], row["tiles_y"] = tile_grid(*camera.image_size)
     row["near"] = camera.near
     row["aperture"], row["focus_distance"] = camera.aperture, camera.focus_distance
     row["distorted"] = camera.is_distorted

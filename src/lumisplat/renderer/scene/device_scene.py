@@ -145,7 +145,7 @@ class DeviceScene:
             self.keeps_captures, self.relights = plan.keeps_captures, plan.relights
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
-            self._camera, self.image_size = camera, (camera.width, camera.height)
+            self._camera, self.image_size = camera, camera.image_size
             if plan.has_history:
                 self.motion.sync(scene, camera, self.mesh_data.positions, has_headlight=plan.has_headlight)
             assign_table(self.camera, camera_table(camera, CENTER))

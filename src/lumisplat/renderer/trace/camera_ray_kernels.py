@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.camera.camera import camera_ray
-from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.camera.window import is_shown, picture_index, seen_pixel
 from lumisplat.device.math.random import pixel_key_of, sample_key_of
 from lumisplat.device.structs.camera import CameraData, ListedRays, SampleData
 from lumisplat.device.structs.rays import RayData
@@ -21,7 +21,7 @@ def start_rays(
 ):
     """The rays of a camera's pixels, or of those that are listed.
 
-    There are none beyond the image and the list, and where a fisheye sees nothing.
+    There are none beyond the window and the list, and where a fisheye sees nothing.
     """
     i = start + wp.tid()
     camera = cameras[0]
@@ -34,10 +34,10 @@ def start_rays(
             return
         sample.index = listed.sample[i]
         camera.offset = listed.offset[i]
-    pixel = pixel_of_ray(camera.width, place)
+    pixel = seen_pixel(camera, place)
     x = pixel[0]
     y = pixel[1]
-    if x >= camera.width or y >= camera.height:
+    if not is_shown(camera, x, y):
         return
     ray = camera_ray(camera, sample, x, y)
     rays_out.is_active[i] = wp.length_sq(ray.direction) > 0.0
@@ -47,8 +47,9 @@ def start_rays(
     rays_out.t_max[i] = wp.inf
     rays_out.path_length[i] = 0.0
     rays_out.spread[i] = ray.spread
-    rays_out.sample_key[i] = sample_key_of(y * camera.width + x, sample.index, sample.seed)
-    rays_out.pixel_key[i] = pixel_key_of(y * camera.width + x, sample.seed)
+    number = picture_index(camera, x, y)
+    rays_out.sample_key[i] = sample_key_of(number, sample.index, sample.seed)
+    rays_out.pixel_key[i] = pixel_key_of(number, sample.seed)
     rays_out.sample[i] = sample.index
 
 

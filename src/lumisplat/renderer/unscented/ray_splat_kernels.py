@@ -43,7 +43,7 @@ def project_gaussians(
         key = KEY_NONFINITE
         if is_finite(splat):
             key = wp.cast(splat.depth, wp.uint32)
-            rect = tiles_of(splat.box)
+            rect = tiles_of(camera[0], splat.box)
             splats_out[splat.index] = splat  # culled ones are never read
     keys_out[splat.index] = key
     rects_out[splat.index] = rect

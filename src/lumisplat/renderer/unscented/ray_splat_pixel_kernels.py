@@ -7,8 +7,8 @@ The equations are in docs/method/unscented.md.
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
+from lumisplat.device.camera.window import is_shown, ray_index
 from lumisplat.device.gaussian.compositing import empty_pixel, lay_behind
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.gaussian.ray_compositing import add_relit, begin_relit
@@ -40,9 +40,9 @@ def composite_pixels(
     position = tile_pixel(camera[0], i)
     x = position[0]
     y = position[1]
-    if x >= camera[0].width or y >= camera[0].height:
+    if not is_shown(camera[0], x, y):
         return
-    ray = ray_of_pixel(camera[0].width, x, y)
+    ray = ray_index(camera[0], x, y)
     pixel = empty_pixel()
     begin_relit(hits_out, ray)
     j = int(tile_starts[tile])
@@ -54,7 +54,7 @@ def composite_pixels(
     motion = camera[0].motion
     time = float(0.0)
     if camera[0].shutter != 0:
-        time = (float(y) + 0.5) / float(camera[0].height)
+        time = (float(y) + 0.5) / float(camera[0].picture_height)
     while j < end:
         splat = splats[tile_splats[j]]
         j += 1

@@ -7,8 +7,8 @@ The equations are in docs/method/unscented.md.
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.camera.tiles import STRIP, TILE, TileFloats, TileInts, tile_corner
+from lumisplat.device.camera.window import ray_index
 from lumisplat.device.gaussian.compositing import left_behind, to_surface
 from lumisplat.device.gaussian.splat_coverage import visible_alpha
 from lumisplat.device.structs.camera import CameraData
@@ -45,15 +45,14 @@ def composite_tiles(
     corner = tile_corner(camera[0], tile)
     left = corner[0]
     top = corner[1]
-    width = camera[0].width
-    height = camera[0].height
-    rows = wp.min(TILE, height - top)
-    columns = wp.min(TILE, width - left)
+    height = camera[0].picture_height
+    rows = wp.min(TILE, camera[0].top + camera[0].height - top)
+    columns = wp.min(TILE, camera[0].left + camera[0].width - left)
     motion = camera[0].motion
     has_shutter = camera[0].shutter != 0
     t_floor = settings[0].transmittance_min
     iso = settings[0].depth_iso_transmittance
-    transmittance = TileFloats(-1.0)  # pixels outside the image count as finished
+    transmittance = TileFloats(-1.0)  # pixels outside the window count as finished
     red = TileFloats(0.0)
     green = TileFloats(0.0)
     blue = TileFloats(0.0)
@@ -69,7 +68,7 @@ def composite_tiles(
     t_max = TileFloats(0.0)
     for y in range(rows):
         for x in range(columns):
-            ray = ray_of_pixel(width, left + x, top + y)
+            ray = ray_index(camera[0], left + x, top + y)
             i = y * TILE + x
             if rays.is_active[ray]:
                 transmittance[i] = 1.0
@@ -132,7 +131,7 @@ def composite_tiles(
     for y in range(rows):
         for x in range(columns):
             i = y * TILE + x
-            ray = ray_of_pixel(width, left + x, top + y)
+            ray = ray_index(camera[0], left + x, top + y)
             hits_out.color[ray] = wp.vec3(red[i], green[i], blue[i])
             hits_out.normal[ray] = wp.vec3(normal_x[i], normal_y[i], normal_z[i])
             hits_out.transmittance[ray] = wp.where(rays.is_active[ray], wp.abs(transmittance[i]), 1.0)

@@ -1,0 +1,127 @@
+"""``--tiles``: pictures in parts, by one process and by workers, are those that are made at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from PIL import Image
+
+from lumisplat.io.images.exr import read_exr
+from support.files.cli_files import Workplace
+
+SIZE = ("--width", "70", "--height", "50", "--device", "cpu")
+TWO = ("--workers", "2")
+CAMERAS = ("--cameras", "@cameras.json")
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def pixels(path: Path) -> np.ndarray:
+    """Of a PNG."""
+    with Image.open(path) as image:
+        return np.asarray(image)
+
+
+def test_parts_make_the_picture(work) -> None:
+    """All pictures of a command, in PNG and, with layers, in EXR; the tiles are gone, and nothing is made twice."""
+    for options in (("--format", "png"), ("--format", "exr", "--aov", "depth,gaussian_index", "--overwrite")):
+        again = [option for option in options if option != "--overwrite"]
+        assert work.run("render", "@capture.ply", *CAMERAS, "-o", "@whole", *SIZE, *again).status == 0
+        done = work.run("render", "@capture.ply", *CAMERAS, "-o", "@tiled", *SIZE, *again, "--tiles", "2x3")
+        assert done.status == 0 and "2 pictures in" in done.out, done.err
+    for name in ("left", "right"):
+        np.testing.assert_array_equal(pixels(work.path(f"tiled/{name}.png")), pixels(work.path(f"whole/{name}.png")))
+        tiled, whole = read_exr(work.path(f"tiled/{name}.exr")), read_exr(work.path(f"whole/{name}.exr"))
+        assert tiled.keys() == whole.keys() and "index.gaussian" in tiled
+        for channel, image in whole.items():
+            np.testing.assert_array_equal(tiled[channel], image)
+    assert {path.name for path in work.path("tiled").iterdir()} == {
+        "left.png", "right.png", "left.exr", "right.exr", "render.json"
+    }  # fmt: skip
+    before = work.path("tiled/left.exr").stat().st_mtime_ns
+    assert (
+        work.run(
+            "render", "@capture.ply", *CAMERAS, "-o", "@tiled", *SIZE, *again, "--tiles", "auto", "--resume"
+        ).status
+        == 0
+    )
+    assert work.path("tiled/left.exr").stat().st_mtime_ns == before
+
+
+def test_workers_share_the_tiles_of_one_file(work) -> None:
+    """The same command goes on, with workers or without, and is of no other settings."""
+    options = ("@capture.ply", "-o", "@huge.png", *SIZE)
+    assert work.run("render", "@capture.ply", "-o", "@whole.png", *SIZE).status == 0
+    done = work.run("farm", "render", *options, "--tiles", "2x2", *TWO)
+    assert done.status == 0 and "4 tiles by 2 workers in " in done.out, done.err
+    np.testing.assert_array_equal(pixels(work.path("huge.png")), pixels(work.path("whole.png")))
+    assert not work.path("huge.tiles").exists() and work.path("huge.render.json").is_file()
+    again = work.run("render", *options, "--tiles", "4x1", "--resume")
+    assert again.status == 0 and again.out.strip() == str(work.path("huge.png"))
+    refused = work.run("render", *options, "--tiles", "2x2", "--resume", "--background", "white")
+    assert refused.status == 2 and "from before a change of background" in refused.err
+
+
+def test_random_light_is_that_of_the_picture(work) -> None:
+    """Tiles of paths."""
+    options = ("@capture.ply", "--pipeline", "path", "--samples", "2", "--lighting", "on", *SIZE)
+    assert work.run("render", *options, "-o", "@whole.png").status == 0
+    assert work.run("render", *options, "-o", "@tiled.png", "--tiles", "2x2").status == 0
+    np.testing.assert_array_equal(pixels(work.path("tiled.png")), pixels(work.path("whole.png")))
+
+
+def test_a_killed_command_goes_on(work, tmp_path: Path) -> None:
+    """Its tiles stay; those that are missing are made, and the picture is the same."""
+    command = ["render", str(work.path("capture.ply")), "-o", str(work.path("huge.png")), *SIZE, "--tiles", "1x4"]
+    assert work.run("render", "@capture.ply", "-o", "@whole.png", *SIZE).status == 0
+    killing = (
+        "import os, signal, sys\n"
+        "import lumisplat as ls\n"
+        "from lumisplat.cli import main\n"
+        "save, made = ls.Frame.save, []\n"
+        "def counted(frame, *args):\n"
+        "    if len(made) == 2: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    made.append(save(frame, *args))\n"
+        "ls.Frame.save = counted\n"
+        "main(sys.argv[1:])\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", killing, *command], cwd=tmp_path, env=os.environ, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list(work.path("huge.tiles").glob("*.png"))) == 2 and not work.path("huge.png").exists()
+    resumed = work.run(*command, "--resume")
+    assert resumed.status == 0, resumed.err
+    np.testing.assert_array_equal(pixels(work.path("huge.png")), pixels(work.path("whole.png")))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--tiles", "4"), "--tiles is '4', expected columns and rows, such as 4x4, or auto"),
+        (("--tiles", "0x2"), "--tiles 0x2: columns is 0, expected 1 to 5"),
+        (("--tiles", "2x9"), "--tiles 2x9: rows is 9, expected 1 to 4"),
+        (("--tiles", "2x2", "--format", "npz"), "--tiles writes pictures by rows, .png or .exr"),
+        (("--tiles", "2x2", "--aov", "depth"), "write the layers into an EXR: give --format exr"),
+        (("--tiles", "2x2", "--deep", "--format", "exr"), "--deep and --tiles do not go together"),
+        (("--tiles", "2x2", "--cryptomatte", "--format", "exr"), "--cryptomatte and --tiles do not go together"),
+        (("--tiles", "2x2", "--pipeline", "realtime"), "needs the whole picture"),
+        (("--tiles", "2x2", "--pipeline", "path", "--noise", "0.1"), "choose samples by the whole picture"),
+    ],
+)
+def test_mistakes(work, options: tuple[str, ...], message: str) -> None:
+    """One line, status 2, and no picture."""
+    done = work.run("render", "@capture.ply", "-o", "@out", *SIZE, *options)
+    assert done.status == 2 and message in done.err, done.err
+    assert done.err.strip().count("\n") == 0
+    assert not [name for name in work.files() if name.endswith((".png", ".exr"))]

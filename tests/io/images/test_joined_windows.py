@@ -1,0 +1,124 @@
+"""Pictures joined from files of their windows are, pixel by pixel, what one file would be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.io.images.exr import read_exr, write_exr
+from lumisplat.io.images.png import write_png
+
+SIZE = 71, 53
+CAMERA = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=SIZE[0], height=SIZE[1])
+
+
+def windows(columns: int = 3, rows: int = 2) -> list[tuple[int, int, int, int]]:
+    """Of a picture of `SIZE`."""
+    return [camera.window for camera in CAMERA.windows(columns, rows) if camera.window is not None]
+
+
+def part(image: np.ndarray, window: tuple[int, int, int, int]) -> np.ndarray:
+    """What a window shows."""
+    left, top, width, height = window
+    return image[top : top + height, left : left + width]
+
+
+def noise(*channels: int) -> np.ndarray:
+    """Bytes of smooth rows and of noise, so that every filter is the best of some row."""
+    rng = np.random.default_rng(3)
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    image = np.stack([x * 3, y * 5, x + y, 255 - x], axis=2)[..., : channels[0]]
+    image[20:30] = rng.integers(0, 256, (10, SIZE[0], channels[0]))
+    return image.astype(np.uint8)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_png(tmp_path: Path, channels: int) -> None:
+    """RGB and RGBA, by a reader of others."""
+    image = noise(channels)
+    files = {window: tmp_path / f"{number}.png" for number, window in enumerate(windows())}
+    for window, path in files.items():
+        write_png(path, part(image, window))
+    ls.join_windows(tmp_path / "joined.png", files)
+    with Image.open(tmp_path / "joined.png") as joined:
+        joined.verify()
+    with Image.open(tmp_path / "joined.png") as joined:
+        np.testing.assert_array_equal(np.asarray(joined), image)
+    write_png(tmp_path / "whole.png", image)
+    assert (tmp_path / "joined.png").stat().st_size < 1.1 * (tmp_path / "whole.png").stat().st_size
+
+
+def test_exr(tmp_path: Path) -> None:
+    """Floats, infinities and whole numbers, under long names, too; by OpenEXR, whose header has the same size."""
+    rng = np.random.default_rng(4)
+    depth = rng.normal(size=SIZE[::-1]).astype(np.float32)
+    depth[3] = np.inf
+    smooth = np.zeros(SIZE[::-1], np.float32)
+    index = rng.integers(-1, 9, SIZE[::-1])
+    channels: dict[str, Any] = {
+        "R": depth,
+        "A": smooth,
+        "index.gaussian": index,
+        f"light.{'x' * 40}.direct.R": depth * 2,
+    }
+    files = {window: tmp_path / f"{number}.exr" for number, window in enumerate(windows())}
+    for window, path in files.items():
+        write_exr(path, {name: part(image, window) for name, image in channels.items()})
+    ls.join_windows(tmp_path / "joined.exr", files)
+    write_exr(tmp_path / "whole.exr", channels)
+    joined, whole = read_exr(tmp_path / "joined.exr"), read_exr(tmp_path / "whole.exr")
+    assert joined.keys() == whole.keys()
+    for name, image in whole.items():
+        assert joined[name].dtype == image.dtype
+        np.testing.assert_array_equal(joined[name], image)
+    headers = [OpenEXR.File(str(tmp_path / f"{name}.exr"), header_only=True).header() for name in ("joined", "whole")]
+    for name in ("dataWindow", "displayWindow", "compression", "screenWindowWidth", "pixelAspectRatio"):
+        np.testing.assert_array_equal(headers[0][name], headers[1][name], name)
+
+
+def test_windows_cover_the_picture() -> None:
+    """Each pixel is in one of them, for any number of columns and rows; edges are where windows may have them."""
+    for columns, rows in ((1, 1), (5, 4), (2, 3), (5, 1)):
+        count = np.zeros(SIZE[::-1], int)
+        for window in windows(columns, rows):
+            part(count, window)[...] += 1
+        assert len(windows(columns, rows)) == columns * rows and (count == 1).all()
+    with pytest.raises(ls.SceneError, match="columns is 6, expected 1 to 5"):
+        CAMERA.windows(6, 1)
+    with pytest.raises(ls.SceneError, match="not cut further"):
+        CAMERA.windows(2, 2)[0].windows(1, 1)
+
+
+def test_what_is_no_picture(tmp_path: Path) -> None:
+    """One line each, and no file."""
+    image = noise(3)
+    files = {window: tmp_path / f"{number}.png" for number, window in enumerate(windows())}
+    for window, path in files.items():
+        write_png(path, part(image, window))
+    out = tmp_path / "joined.png"
+    lacking = dict(list(files.items())[:-1])
+    with pytest.raises(ls.SceneError, match="end at column"):
+        ls.join_windows(out, lacking)
+    with pytest.raises(ls.SceneError, match="leaves a gap"):
+        ls.join_windows(out, dict(list(files.items())[1:]))
+    with pytest.raises(ls.SceneError, match="needs a window"):
+        ls.join_windows(out, {})
+    with pytest.raises(ls.FormatError, match=r"not in '\.jpg'"):
+        ls.join_windows(tmp_path / "joined.jpg", files)
+    last = list(files)[-1]
+    write_png(files[last], image)
+    with pytest.raises(ls.FormatError, match="expected"):
+        ls.join_windows(out, files)
+    write_png(files[last], part(noise(4), last))
+    with pytest.raises(ls.FormatError, match="4 channels, other windows 3"):
+        ls.join_windows(out, files)
+    files[last].write_bytes(b"\x89PNG")
+    with pytest.raises(ls.FormatError, match="cannot be read"):
+        ls.join_windows(out, files)
+    assert not list(tmp_path.glob("joined*")) and not list(tmp_path.glob(".*"))

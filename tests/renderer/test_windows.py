@@ -1,0 +1,150 @@
+"""Frames of windows are cut-outs of whole pictures, to the bit: coordinates and random numbers are the picture's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.compare.ways import renderer_of
+from support.scenes import lit_scene
+from support.scenes.lenses import LENSES, layers, lens, rolling
+from support.scenes.pipelines import SAMPLED
+from support.scenes.raster_scenes import checker_quad, front_camera, random_gaussians, similarity
+
+WINDOWS = [(16, 0, 32, 16), (48, 32, 23, 21), (0, 16, 16, 37)]
+"""Within a picture of 71 x 53: at its upper edge, in its lower right corner, at its left and lower edge."""
+SIZE = 71, 53
+ORTHOGRAPHIC = lens(22.0, SIZE, model=ls.CameraModel.ORTHOGRAPHIC)
+RAY_CAMERAS = {
+    "thin lens": lens(60.0, SIZE, aperture=0.05, focus_distance=2.5),
+    "orthographic": ORTHOGRAPHIC,
+    "distorted fisheye": replace(LENSES["fisheye of 220 degrees"], width=71, height=53, cx=36.0, cy=25.0),
+    "rolling shutter": rolling(lens(60.0, SIZE, distortion=(0.05, -0.08, 0.0, 0.0, -0.001, 0.0))),
+}
+
+
+def assert_cut_out(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> None:
+    """Every image of every window is that part of the whole picture's."""
+    whole = renderer.render(scene, camera).arrays()
+    for window in WINDOWS:
+        left, top, width, height = window
+        frame = renderer.render(scene, replace(camera, window=window))
+        assert frame.color.shape == (height, width, 3)
+        for name, image in frame.arrays().items():
+            if name == "light_names":
+                continue
+            expected = whole[name]
+            first = expected.ndim - 2 if expected.shape[-1] != 3 else expected.ndim - 3  # lights come first
+            part = (slice(None),) * first + (slice(top, top + height), slice(left, left + width))
+            np.testing.assert_array_equal(image, expected[part], f"{name} of {window}")
+
+
+@pytest.mark.parametrize("way", ["cpu", "cpu as cuda"])
+@pytest.mark.parametrize("strategy", list(ls.RasterStrategy))
+def test_unlit_frames(strategy: ls.RasterStrategy, way: str) -> None:
+    """Sorted and stochastic, in both schedules: Gaussians larger than windows, too, and meshes with alpha."""
+    sheet = checker_quad(0.0)
+    seen_through = replace(sheet.material, alpha=0.5, alpha_mode="blend")
+    scene = ls.Scene(
+        [random_gaussians(3, count=300, degree=3), random_gaussians(31, count=6, scale_range=(1.0, 8.0))],
+        [
+            ls.MeshInstance(
+                replace(sheet, material=seen_through), similarity((0.3, 1.0, 0.2), 0.5, 1.1, (0.2, 0.0, 4.0))
+            )
+        ],
+    )
+    config = ls.RenderConfig(raster=ls.RasterConfig(strategy=strategy), samples=2, background=None)
+    assert_cut_out(renderer_of(way, config), scene, front_camera(*SIZE, cx=30.3, cy=20.1))
+
+
+@pytest.mark.parametrize("pipeline", SAMPLED)
+def test_lit_frames(pipeline: ls.Pipeline) -> None:
+    """Soft shadows, mirrors, glass, captures and relit sets, with the layers of light."""
+    aovs = ("albedo", "lights", "variance", "sample_count")
+    if pipeline is ls.Pipeline.PATH:
+        aovs += ("direct_diffuse", "indirect_diffuse", "indirect_glossy")
+    config = lit_scene.config(pipeline, samples=2, shadows=ls.Shadows.SOFT, aovs=aovs)
+    scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
+    assert_cut_out(ls.create_renderer(config, "cpu"), scene, lit_scene.camera(*SIZE))
+
+
+@pytest.mark.parametrize("name", RAY_CAMERAS)
+def test_rays_of_all_lenses(name: str) -> None:
+    """Rays of fisheyes, thin lenses, parallel ones and of rolling shutters."""
+    camera = RAY_CAMERAS[name]
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
+    assert_cut_out(ls.create_renderer(config, "cpu"), ls.Scene([layers(camera)]), camera)
+
+
+@pytest.mark.parametrize("way", ["cpu", "cpu as cuda"])
+@pytest.mark.parametrize("name", ["distorted fisheye", "rolling shutter"])
+def test_rasterised_along_rays(name: str, way: str) -> None:
+    """Sigma points and rays of pixels."""
+    camera = RAY_CAMERAS[name]
+    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+    assert_cut_out(renderer_of(way, config), ls.Scene([layers(camera)]), camera)
+
+
+@pytest.mark.parametrize("name", ["phone", "barrel"])
+def test_resampled_lenses(name: str) -> None:
+    """Rasterised frames of distorting lenses, which are resampled from a larger pinhole's."""
+    camera = replace(LENSES[name], width=71, height=53, cx=36.0, cy=25.0, fx=60.0, fy=63.0)
+    assert_cut_out(ls.create_renderer(None, "cpu"), ls.Scene([layers(camera)]), camera)
+
+
+def test_focus_and_depth_are_of_the_picture() -> None:
+    """A pixel to focus on is one of the picture, and what is computed on the host fits a window's frame."""
+    camera = lens(60.0, SIZE, aperture=0.1)
+    scene = ls.Scene([layers(camera)])
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
+    renderer = ls.create_renderer(config, "cpu")
+    cut = replace(camera, window=WINDOWS[1])
+    assert renderer.focused(scene, cut, 40, 20).focus_distance == renderer.focused(scene, camera, 40, 20).focus_distance
+    mattes = [ls.render_mattes(scene, view, config, device="cpu") for view in (cut, camera)]
+    np.testing.assert_array_equal(mattes[0].objects.shares, mattes[1].objects.shares[:, 32:, 48:])
+
+
+@pytest.mark.parametrize(
+    ("window", "message"),
+    [
+        ((8, 0, 16, 16), "multiples of 16 pixels"),
+        ((0, 0, 40, 53), "multiples of 16 pixels"),
+        ((64, 0, 16, 16), "not within the picture of 71 x 53"),
+        ((-16, 0, 32, 16), "not within the picture"),
+        ((0, 0, 0, 16), "not within the picture"),
+        ((0, 0, 16), "four whole numbers"),
+        ((0, 0, 16.5, 16), "four whole numbers"),
+    ],
+)
+def test_windows_that_are_none(window: tuple[float, ...], message: str) -> None:
+    """They are refused where they are made."""
+    with pytest.raises(ls.SceneError, match=message):
+        lens(60.0, SIZE, window=window)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"pipeline": "realtime"}, "needs the whole picture"),
+        ({"pipeline": "path", "noise": 0.1}, "choose samples by the whole picture"),
+        ({"pipeline": "trace", "samples": 4, "adaptive": True}, "choose samples by the whole picture"),
+        ({"pipeline": "hybrid", "time_limit": 1.0}, "choose samples by the whole picture"),
+    ],
+)
+def test_frames_that_need_the_whole_picture(settings: dict[str, object], message: str) -> None:
+    """One line instead of other pixels than the whole picture's."""
+    camera = lens(60.0, SIZE, window=WINDOWS[0])
+    with pytest.raises(ls.ConfigError, match=message):
+        ls.render(lit_scene.scene(), camera, ls.RenderConfig(**settings), device="cpu")
+
+
+def test_what_is_not_of_windows() -> None:
+    """Gradients are of whole pictures, and a window is not scaled."""
+    camera = lens(60.0, SIZE, window=WINDOWS[0])
+    with pytest.raises(ls.SceneError, match="whole pictures"):
+        ls.splat_gradients(ls.Scene([layers(camera)]), camera, dL_dcolor=np.ones((53, 71, 3)), device="cpu")
+    with pytest.raises(ls.SceneError, match="scale it first"):
+        camera.scaled(width=10)
