@@ -45,7 +45,8 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
     """Makes frames; an error in one of them ends it."""
     if not missing:
         return
-    progress = FrameProgress(report, f"{job.frames.unit}s", len(missing), fewer)
+    unit = job.frames.unit
+    progress = FrameProgress(report, f"{unit}s", len(missing), fewer if unit == "frame" else "", unit)
     made = 0
     frame: ls.Frame | None = None
     for index in missing:

@@ -21,11 +21,12 @@ class FrameProgress:
         report: Shows the bar.
         label: What is being done.
         count: How many frames there are.
-        fewer: The options that make them fewer, as they are typed.
+        fewer: The options that make them fewer, as they are typed; none: they are parts, and all are needed.
+        unit: What one of them is called.
     """
 
-    def __init__(self, report: Report, label: str, count: int, fewer: str) -> None:
-        self._report, self._label, self._count, self._fewer = report, label, count, fewer
+    def __init__(self, report: Report, label: str, count: int, fewer: str, unit: str = "frame") -> None:
+        self._report, self._label, self._count, self._fewer, self._unit = report, label, count, fewer, unit
         self._done, self._since = 0, time.monotonic()
         report(label, 0.0)
 
@@ -41,11 +42,10 @@ class FrameProgress:
         """Logs how long the frames that are left take, of so many seconds each."""
         left = self._count - self._done
         if left * seconds > _LONG_S:
-            fewer_samples = ", --samples 1" if samples > 1 else ""
+            remedies = [f"fewer frames ({self._fewer})"] * bool(self._fewer) + ["--samples 1"] * (samples > 1)
             _log.warning(
-                "%s to go, about %s: quicker with fewer frames (%s)%s or a smaller --width",
-                counted(left, "frame"),
+                "%s to go, about %s: quicker with %s",
+                counted(left, self._unit),
                 spoken_time(left * seconds),
-                self._fewer,
-                fewer_samples,
+                " or ".join([", ".join(remedies)] * bool(remedies) + ["a smaller --width"]),
             )
