@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from lumisplat.frame.deep import DeepFrame
     from lumisplat.frame.frame import Frame
     from lumisplat.frame.mattes import Matte, Mattes
+    from lumisplat.frame.sample_part import SamplePart
     from lumisplat.io import (
         check_format,
         load,
@@ -120,6 +121,7 @@ if TYPE_CHECKING:
     from lumisplat.renderer.ray_profiles import RayProfile
     from lumisplat.renderer.ray_queries import RayHits
     from lumisplat.renderer.renderer import Renderer, create_renderer
+    from lumisplat.renderer.shared_samples import merge_samples, render_samples, sample_blocks
     from lumisplat.renderer.splat_gradients import DifferentiableRenderer, splat_gradients
     from lumisplat.renderer.surface_features import SurfaceFeatures
     from lumisplat.scene.animation.actors import Actor, Animation
@@ -254,6 +256,7 @@ _MODULE_OF = {
     "ResponseConfig": "config",
     "Rig": "scene.animation.rig",
     "RiggedGaussians": "scene.animation.rigged_gaussians",
+    "SamplePart": "frame.sample_part",
     "Scene": "scene.scene",
     "SceneDocument": "io.document.scene_document",
     "SceneEntry": "io.document.entries",
@@ -316,6 +319,7 @@ _MODULE_OF = {
     "load_rig": "io",
     "load_sequence": "io",
     "merge": "scene.editing.merge",
+    "merge_samples": "renderer.shared_samples",
     "ms_ssim": "metrics.ms_ssim",
     "ms_ssim_scales": "metrics.ms_ssim",
     "ncm_ab": "metrics.lighting",
@@ -330,7 +334,9 @@ _MODULE_OF = {
     "render_dataset": "dataset.render",
     "render_deep": "renderer.deep",
     "render_mattes": "renderer.mattes",
+    "render_samples": "renderer.shared_samples",
     "sae": "metrics.shadows",
+    "sample_blocks": "renderer.shared_samples",
     "save": "io",
     "save_animation": "io",
     "save_cameras": "io",
@@ -444,6 +450,7 @@ __all__ = [
     "ResponseConfig",
     "Rig",
     "RiggedGaussians",
+    "SamplePart",
     "Scene",
     "SceneDocument",
     "SceneEntry",
@@ -506,6 +513,7 @@ __all__ = [
     "load_rig",
     "load_sequence",
     "merge",
+    "merge_samples",
     "ms_ssim",
     "ms_ssim_scales",
     "ncm_ab",
@@ -520,7 +528,9 @@ __all__ = [
     "render_dataset",
     "render_deep",
     "render_mattes",
+    "render_samples",
     "sae",
+    "sample_blocks",
     "save",
     "save_animation",
     "save_cameras",

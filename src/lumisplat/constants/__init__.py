@@ -673,6 +673,10 @@ ITEMS_MAX = 2**31 - 1
 
 # --- Work decomposition ---
 
+SAMPLES_A_BLOCK = 32
+"""Samples of a frame that one process adds up where several share it; frames that are shared depend on it by rounding.
+A power of two, as points of Sobol sequences are well spread in such numbers."""
+
 TILE_PX = 16
 """Side of a raster tile, pixels. One CUDA block of 256 threads, and a cache-sized accumulator on the CPU."""
 

@@ -112,6 +112,19 @@ def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
         )
 
 
+def check_blocks(config: RenderConfig, plan: FramePlan, camera: Camera | None = None) -> None:
+    """Raises ConfigError unless a frame has a number of samples that is known before, and is the same everywhere."""
+    if camera is not None and plan.rasterises and not plan.is_unscented and camera.is_distorted:
+        raise ConfigError("rasterised frames of distorting lenses are resampled: their samples cannot be shared")
+    if plan.has_history or not plan.is_sampled:
+        what = "Pipeline.REALTIME" if plan.has_history else "an unlit frame of the sorted rasteriser"
+        raise ConfigError(f"{what} is drawn in one go: it has no samples to share")
+    if plan.adapts or config.noise is not None or config.time_limit is not None:
+        raise ConfigError(
+            "noise, time_limit and adaptive choose samples by the frame so far: to share them, set samples"
+        )
+
+
 def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: FramePlan) -> None:
     """Raises ConfigError unless samples of this camera and these settings can be added to a frame.
 

@@ -17,9 +17,11 @@ from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import pinhole_of, redistorted
+from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import (
     check_aovs,
+    check_blocks,
     check_projection,
     check_resumable,
     check_resumed_scene,
@@ -162,6 +164,31 @@ class Renderer:
         self._media.warn_of(plan, scene, self._buffers)
         return self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
 
+    def render_part(self, scene: Scene, camera: Camera, part: SamplePart, *, progress: Progress | None = None) -> Frame:
+        """A frame of a part of all samples: of those that it holds, else they are drawn. See ``render_samples``."""
+        check_scene(scene)
+        check_camera(camera)
+        plan = FramePlan.of(self.config, scene)
+        check_blocks(self.config, plan, camera)
+        self._check(plan, scene, camera, None)
+        self._load(frame_modules(plan, self._launcher, self.config), progress)
+        self._launcher.stage_ms = {}
+        self._scene.sync(scene, camera, plan)
+        if plan.is_unscented:
+            self._unscented.begin_frame(camera)
+        counts = BinningCounts()
+        if part.accumulated:
+            self._film.begin(self._scene, plan, part=part)
+            self._film.finish(self._scene)
+        else:
+            plan = replace(plan, samples=part.count)
+            counts, _ = self._sampled(plan, camera.exposure, None, progress, part)
+        images = self._film.images(camera.exposure, self.config, encodes=False)
+        if "lights" in plan.aovs:
+            images["light_names"] = self._scene.lights.names
+        counts = replace(counts, nonfinite=self._film.nonfinite_count)
+        return self._frame(scene, camera, images, counts, samples=part.count)
+
     def reset(self) -> None:
         """Forgets what frames of ``Pipeline.REALTIME`` have found: the next one is as the first of a new renderer."""
         self._frame_number = 0
@@ -169,11 +196,16 @@ class Renderer:
         self._scene.motion.forget()
 
     def _sampled(
-        self, plan: FramePlan, exposure: float, resume: Frame | None, progress: Progress | None
+        self,
+        plan: FramePlan,
+        exposure: float,
+        resume: Frame | None,
+        progress: Progress | None,
+        part: SamplePart | None = None,
     ) -> tuple[BinningCounts, SampleBudget]:
         """Samples the synced scene on the film: what was counted, and how many samples of what noise there are."""
-        self._film.begin(self._scene, plan, resume)
-        first = 0 if resume is None else resume.samples
+        self._film.begin(self._scene, plan, resume, part)
+        first = part.first if part is not None else 0 if resume is None else resume.samples
         self._grain.warn_of(plan, first + plan.samples)
         is_estimated = plan.noise is not None or plan.time_limit is not None or progress is not None
         budget = SampleBudget(plan, first, partial(self._film.noise, exposure) if is_estimated else None)

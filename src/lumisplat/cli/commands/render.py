@@ -13,6 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.job import FrameJob, FrameList
+from lumisplat.cli.farm.samples import SharedSamples
 from lumisplat.cli.farm.tiles import Tiles
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
@@ -73,6 +74,9 @@ class Render(FrameCommand):
     """Render each picture in parts, such as 4x4, so that one of 16384 x 9216 takes the memory of a part; auto: in bands
     of about 2048 x 2048 pixels. The pixels are the same. After an interruption, with --resume, parts that are there
     stay; workers share them: lumisplat farm render."""
+    split_samples: Flag = False
+    """Add the samples of each picture up in blocks of 32, which workers share (lumisplat farm render): the same picture
+    whoever makes them, and nearly that without the option. Needs --samples, in pipelines other than realtime."""
     warm_up: Annotated[int | None, setting("N", "32")] = None
     """Of --pipeline realtime: frames before each picture, in which light finds its way; along --path only before the
     first."""
@@ -125,7 +129,7 @@ class Render(FrameCommand):
             with standard_output(f".{format_name}") as file:
                 replace(self, output=file).run()
             return
-        if self.resume or self.tiles:
+        if self.resume or self.tiles or self.split_samples:
             with progress_bars() as report:
                 job = self.open_frames(report)
                 lines = make_alone(job, report, overwrite=not self.resume, video=None, fewer="--frames")
@@ -163,11 +167,11 @@ class Render(FrameCommand):
             in_sequence=config.pipeline is ls.Pipeline.REALTIME and self.path is not None,
         )
         if self.tiles:
-            tiles = Tiles.of(shots, self.tiles, self.output, _STAMP, has_layers=bool(self.aov))
+            tiles = Tiles.of(shots, [*frames.wanted], self.tiles, self.output, _STAMP, has_layers=bool(self.aov))
             shots = list(tiles.shots)
-            frames = replace(
-                frames, folder=tiles.folder, wanted=tiles.numbers(self._wanted(pictures.shots)), unit="tile"
-            )
+            frames = replace(frames, folder=tiles.folder, wanted=tiles.wanted, unit="tile")
+        elif self.split_samples:
+            return self._shared_job(pictures, frames)
         elif folder != self.output:
             raise ls.ConfigError(f"-o {self.output} is one picture, and frames are many: give a folder")
         return FrameJob(
@@ -198,12 +202,32 @@ class Render(FrameCommand):
         shots = shots or self._shots([self.own_camera(scene, *self.scene)])
         return _Pictures(scene, shots, self.frame_source(renderer, self._warm_up()), writer)
 
+    def _shared_job(self, pictures: _Pictures, frames: FrameList) -> FrameJob:
+        """Blocks of samples of all pictures, and the pictures."""
+        source, scene = pictures.source, pictures.scene
+        blocks = ls.sample_blocks(source.renderer, scene)
+        shared = SharedSamples.of(pictures.shots, [*frames.wanted], blocks, self.output, _STAMP)
+
+        def write(made: ls.Frame | ls.SamplePart, index: int) -> None:
+            if isinstance(made, ls.SamplePart):
+                made.save(shared.folder.path(index))
+            else:
+                self._write(pictures, made, shared.shot(index))
+
+        return FrameJob(
+            frames=replace(frames, folder=shared.folder, wanted=shared.wanted, needs=shared.needs, unit="part"),
+            render=lambda index, report: shared.make(source, scene, index, report),
+            write=write,
+        )
+
     def _check_tiles(self) -> None:
         """Refuses what is not made of parts of a picture.
 
         Raises:
             ConfigError: Some of it is asked for.
         """
+        if self.split_samples:
+            raise ls.ConfigError("--tiles and --split-samples are both given: choose one")
         given = {"--deep": self.deep, "--cryptomatte": self.cryptomatte, "--denoise": self.light.denoise}
         if whole := " and ".join(name for name, is_given in given.items() if is_given):
             raise ls.ConfigError(f"{whole} and --tiles do not go together: it is of the whole picture")

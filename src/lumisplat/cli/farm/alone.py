@@ -6,7 +6,7 @@ from pathlib import Path
 
 import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, is_mistake
-from lumisplat.cli.farm.tiles import TileFolder
+from lumisplat.cli.farm.parts import PartFolder
 from lumisplat.cli.output.console import Report, counted
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.video import check_video, write_video
@@ -48,7 +48,7 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
     unit = job.frames.unit
     progress = FrameProgress(report, f"{unit}s", len(missing), fewer if unit == "frame" else "", unit)
     made = 0
-    frame: ls.Frame | None = None
+    frame: ls.Frame | ls.SamplePart | None = None
     for index in missing:
         try:
             frame = job.make(index, report)
@@ -63,7 +63,7 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
 
 
 def film_lines(frames: FrameList, made: int, video: Path | None, report: Report) -> str:
-    """Joins tiles, or writes the video of all frames, if there is to be one; what there is now, in lines.
+    """Joins parts, or writes the video of all frames, if there is to be one; what there is now, in lines.
 
     Args:
         frames: All of them are there.
@@ -72,9 +72,9 @@ def film_lines(frames: FrameList, made: int, video: Path | None, report: Report)
         report: Shows the progress.
 
     Raises:
-        FormatError: The video or a picture of tiles cannot be written.
+        FormatError: The video or a picture of parts cannot be written.
     """
-    if isinstance(frames.folder, TileFolder):
+    if isinstance(frames.folder, PartFolder):
         return _join(frames.folder, report)
     there = len(frames.wanted) - made
     were = "was" if there == 1 else "were"
@@ -86,8 +86,7 @@ def film_lines(frames: FrameList, made: int, video: Path | None, report: Report)
     return f"{lines}\n{video} ({frames.fps:g} frames a second, {len(frames.wanted) / frames.fps:.2f} s)"
 
 
-def _join(folder: TileFolder, report: Report) -> str:
-    """Joins the tiles of pictures; what there is now, in a line."""
-    folder.join(report)
-    there = [picture.path for picture in folder.pictures if picture.path.is_file()]
+def _join(folder: PartFolder, report: Report) -> str:
+    """Joins the parts of pictures; what there is now, in a line."""
+    there = folder.join(report)
     return f"{there[0]}" if len(there) == 1 else f"{len(there)} pictures in {folder.folder}"

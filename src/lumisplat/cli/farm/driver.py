@@ -212,10 +212,23 @@ class Driver:
         for depth in range(1, IN_HAND + 1):
             for number, worker in ready:
                 may_wait = depth == 1 or len(self._waiting) >= len(ready)
-                if self._waiting and len(worker.in_hand) < depth and may_wait:
-                    frame = self._waiting.popleft()
+                if len(worker.in_hand) < depth and may_wait and (frame := self._next()) is not None:
                     worker.in_hand.append(frame)
                     self._executor.submit(number, frame)
+
+    def _next(self) -> int | None:
+        """The first frame that waits, and for no other; those that wait for one that has failed, fail."""
+        assert self.frames is not None
+        undone = {*self._waiting, *(frame for worker in self._workers.values() for frame in worker.in_hand)}
+        for frame in list(self._waiting):
+            needs = self.frames.needs.get(frame, ())
+            if failed := [need for need in needs if need in self.tally.failed]:
+                self._waiting.remove(frame)
+                self.tally.failed[frame] = self.tally.failed[failed[0]]
+            elif undone.isdisjoint(needs):
+                self._waiting.remove(frame)
+                return frame
+        return None
 
     def _say(self, line: str) -> None:
         """Logs a line, once, whichever worker says it."""

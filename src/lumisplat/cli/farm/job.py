@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, counted, one_line
@@ -29,6 +29,8 @@ class FrameList:
     """Frames a second, if they are those of a film."""
     in_sequence: bool = False
     """Whether a frame follows from those before it."""
+    needs: Mapping[int, tuple[int, ...]] = field(default_factory=dict[int, tuple[int, ...]])
+    """Frames that others are made of, which come after them."""
     unit: str = "frame"
     """What one of them is called."""
 
@@ -63,14 +65,14 @@ class FrameJob:
     """The frames of a command, ready to be made: what can be checked is checked, and the scene is loaded."""
 
     frames: FrameList
-    render: Callable[[int, Report], ls.Frame]
-    """Renders one of them."""
-    write: Callable[[ls.Frame, int], None]
+    render: Callable[[int, Report], Any]
+    """Renders one of them: a `lumisplat.Frame`, or a part of one."""
+    write: Callable[[Any, int], None]
     """Writes it."""
-    summarise: Callable[[ls.Frame, int], None] | None = None
+    summarise: Callable[[Any, int], None] | None = None
     """Prints what so many frames took, of which the given one is the last."""
 
-    def make(self, index: int, report: Report) -> ls.Frame | None:
+    def make(self, index: int, report: Report) -> ls.Frame | ls.SamplePart | None:
         """Renders a frame and writes it whole, unless it is there.
 
         Returns:

@@ -1,22 +1,21 @@
-"""Pictures in tiles: each is a file of its own until all of a picture are there, and are joined."""
+"""Pictures in tiles, which are joined when all of a picture are there."""
 
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from dataclasses import dataclass
-from itertools import accumulate
 from pathlib import Path
 
 import lumisplat as ls
-from lumisplat.cli.output.console import Report
-from lumisplat.cli.output.frame_folder import FrameFolder
+from lumisplat.cli.farm.parts import PartFolder, numbers_of, owners_of, part_folder, remove_parts
 from lumisplat.cli.output.pictures import Shot
 
 AUTO = "auto"
 AUTO_PIXELS = 2**22
 """Pixels of a tile of ``--tiles auto``, about: what a frame of 2048 x 2048 takes of memory."""
 _GRID = re.compile(r"(\d+)x(\d+)")
+_STEP = 16
+"""Edges of windows are multiples of it, pixels."""
 
 
 @dataclass(frozen=True)
@@ -24,86 +23,45 @@ class TiledPicture:
     """A picture, and the files of its tiles."""
 
     path: Path
-    """The picture."""
     tiles: dict[tuple[int, int, int, int], Path]
     """Files by the windows that they show."""
 
-    def join(self) -> None:
-        """Writes the picture and removes its tiles, if it is not there.
+    @property
+    def parts(self) -> tuple[Path, ...]:
+        """As of `PartedPicture`."""
+        return tuple(self.tiles.values())
 
-        Raises:
-            FormatError: A tile cannot be read, or the picture cannot be written.
-        """
+    def join(self) -> None:
+        """As of `PartedPicture`."""
         if not self.path.is_file():
             try:
                 ls.join_windows(self.path, self.tiles)
             except ls.FormatError:
                 if not self.path.is_file():  # else another run has joined it, and removed the tiles
                     raise
-        with suppress(OSError):
-            for tile in self.tiles.values():
-                tile.unlink(missing_ok=True)
-            for folder in {tile.parent for tile in self.tiles.values()}:
-                folder.rmdir()
-
-
-@dataclass(frozen=True)
-class TileFolder(FrameFolder):
-    """Tiles of one or more pictures, numbered picture after picture."""
-
-    pictures: tuple[TiledPicture, ...] = ()
-
-    def is_finished(self, index: int) -> bool:
-        """Whether a tile is there, or the picture that holds it."""
-        return self.path(index).is_file() or self._picture_of(index).path.is_file()
-
-    def join(self, report: Report) -> None:
-        """Writes the pictures whose tiles are there.
-
-        Args:
-            report: Shows the progress.
-
-        Raises:
-            FormatError: As of `TiledPicture.join`.
-        """
-        whole = [
-            picture
-            for picture in self.pictures
-            if picture.path.is_file() or all(map(Path.is_file, picture.tiles.values()))
-        ]
-        for number, picture in enumerate(whole):
-            report("joining tiles", number / len(whole))
-            picture.join()
-        report("joining tiles", 1.0)
-
-    def _picture_of(self, index: int) -> TiledPicture:
-        ends = accumulate(len(picture.tiles) for picture in self.pictures)
-        return next(picture for picture, end in zip(self.pictures, ends, strict=True) if index < end)
-
-    def _frames(self) -> list[Path]:
-        return [*super()._frames(), *(picture.path for picture in self.pictures if picture.path.is_file())]
+        remove_parts(self.parts)
 
 
 @dataclass(frozen=True)
 class Tiles:
     """The tiles of a command's pictures, one after the other."""
 
-    folder: TileFolder
+    folder: PartFolder
     shots: tuple[Shot, ...]
     """A window and a file each."""
-    first: tuple[int, ...]
-    """Number of the first tile of each picture, and that of all tiles."""
+    wanted: tuple[int, ...]
+    """The numbers of those of the pictures that are wanted."""
 
     @staticmethod
-    def of(shots: list[Shot], grid: str, output: Path, stamp: str, *, has_layers: bool) -> Tiles:
+    def of(shots: list[Shot], wanted: list[int], grid: str, output: Path, stamp: str, *, has_layers: bool) -> Tiles:
         """The tiles of pictures.
 
         Args:
             shots: The pictures.
+            wanted: Numbers of those that are to be made.
             grid: ``auto``, or columns and rows, such as ``4x4``.
-            output: As of ``-o``: a folder, or the file of the only picture.
-            stamp: File that says what they are made of, in the folder; beside a single file, behind its name.
-
+            output: As of `part_folder`.
+            stamp: Likewise.
             has_layers: Whether there are layers beside the colour.
 
         Raises:
@@ -112,10 +70,7 @@ class Tiles:
         tiles: list[Shot] = []
         pictures: list[TiledPicture] = []
         for shot in shots:
-            if shot.path.suffix.lower() not in (".png", ".exr"):
-                raise ls.ConfigError(f"{shot.path}: --tiles writes pictures by rows, .png or .exr")
-            if has_layers and shot.path.suffix.lower() == ".png":
-                raise ls.ConfigError(f"{shot.path}: --aov and --tiles write the layers into an EXR: give --format exr")
+            _check_format(shot.path, has_layers=has_layers)
             cameras = _cut(shot.camera, grid)
             folder = shot.path.with_suffix(".tiles")
             files = {
@@ -125,22 +80,24 @@ class Tiles:
             }
             tiles += [Shot(camera, path) for camera, path in zip(cameras, files.values(), strict=True)]
             pictures.append(TiledPicture(shot.path, files))
-        parent = shots[0].path.parent
-        names = tuple(str(tile.path.relative_to(parent)) for tile in tiles)
-        if parent != output:
-            stamp = f"{output.stem}.{stamp}"
-        first = tuple(accumulate((len(picture.tiles) for picture in pictures), initial=0))
-        return Tiles(TileFolder(parent, "", stamp, names, tuple(pictures)), tuple(tiles), first)
+        units = [list(picture.parts) for picture in pictures]
+        place, name, names = part_folder(shots, units, output, stamp)
+        folder = PartFolder(place, "", name, names, tuple(pictures), owners_of(units))
+        return Tiles(folder, tuple(tiles), numbers_of(units, wanted))
 
-    def numbers(self, pictures: list[int]) -> tuple[int, ...]:
-        """The numbers of the tiles of some pictures."""
-        return tuple(tile for picture in pictures for tile in range(self.first[picture], self.first[picture + 1]))
+
+def _check_format(path: Path, *, has_layers: bool) -> None:
+    """Refuses pictures that are not written by rows."""
+    if path.suffix.lower() not in (".png", ".exr"):
+        raise ls.ConfigError(f"{path}: --tiles writes pictures by rows, .png or .exr")
+    if has_layers and path.suffix.lower() == ".png":
+        raise ls.ConfigError(f"{path}: --aov and --tiles write the layers into an EXR: give --format exr")
 
 
 def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
     """Cameras of the tiles of a picture."""
     if grid == AUTO:  # bands as wide as the picture, which are joined in as little memory as they are made in
-        steps = -(-camera.height // 16)
+        steps = -(-camera.height // _STEP)
         return camera.windows(1, min(steps, -(-camera.width * camera.height // AUTO_PIXELS)))
     numbers = _GRID.fullmatch(grid)
     if numbers is None:

@@ -51,10 +51,20 @@ class FrameSource:
             DeviceError: As of `lumisplat.Renderer.render`.
             SceneError: Likewise, or the pixel in focus shows nothing.
         """
+        return self.finished(self._rendered(scene, self.focused(scene, camera), report))
+
+    def focused(self, scene: ls.Scene, camera: ls.Camera) -> ls.Camera:
+        """The camera with the lens that was asked for.
+
+        Raises:
+            ConfigError: It is to be focused without a lens, or without rays.
+            SceneError: The pixel in focus shows nothing.
+        """
         camera = camera if self.aperture is None else replace(camera, aperture=self.aperture)
-        if self.focus is not None:
-            camera = self._focused(scene, camera, *self.focus)
-        frame = self._rendered(scene, camera, report)
+        return camera if self.focus is None else self._focused(scene, camera, *self.focus)
+
+    def finished(self, frame: ls.Frame) -> ls.Frame:
+        """A frame that was rendered, denoised if it is to be; one that is not may have a line of advice."""
         if self.denoises and frame.has("light"):
             return frame.denoised()
         if not self._has_warned and (line := grain_line(frame)):

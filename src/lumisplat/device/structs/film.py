@@ -78,6 +78,8 @@ class FilmData:
     """1: rays lie in square blocks of pixels, as a camera's; 0: one after the other."""
     in_sequence: int
     """1: each sample is a frame of its own, whatever its number."""
+    first_sample: int
+    """Number of the first sample that is added: 0, but in parts of a frame."""
     pixels: PixelData
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -16,12 +16,14 @@ from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.film import FilmData, LitPixels, PixelData, PixelSums
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
+from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
 from lumisplat.renderer.film.noise import least_luminance, quantile
 from lumisplat.renderer.film.picture import encoded_lit_pixels, encoded_pixels, picture_data, picture_of
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums
+from lumisplat.renderer.film.restored import images_of_frame, images_of_part
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -49,8 +51,16 @@ class Film:
         self._drawn = 0
         self._adaptive = AdaptiveRays(launcher, buffers)
 
-    def begin(self, scene: DeviceScene, plan: FramePlan, resume: Frame | None = None) -> None:
+    def begin(
+        self, scene: DeviceScene, plan: FramePlan, resume: Frame | None = None, part: SamplePart | None = None
+    ) -> None:
         """Starts a frame, or resumes one to add more samples to it.
+
+        Args:
+            scene: Whose samples are added.
+            plan: Of the frame.
+            resume: That frame.
+            part: The part of a frame that is made, from its first sample on; what it holds already is restored.
 
         Raises:
             ConfigError: That frame does not hold what samples are added to.
@@ -58,10 +68,12 @@ class Film:
         self._plan = plan
         self._size = scene.image_size
         self._light_count = len(scene.lights.names)
-        self._has_sums = plan.samples > 1 or resume is not None or plan.has_shadow_only or plan.has_receivers
+        is_more = plan.samples > 1 or resume is not None or part is not None
+        self._has_sums = is_more or plan.has_shadow_only or plan.has_receivers
         row = FilmData()
         row.width, row.height, row.in_blocks = *self._size, 1
         row.in_sequence = int(plan.has_history)
+        row.first_sample = 0 if part is None else part.first
         row.pixels, row.count = self._pixels.data, self._count
         if plan.is_lit:
             row.lit = self._lit.data
@@ -80,7 +92,9 @@ class Film:
         self._count.zero_()
         self._drawn = 0
         if resume is not None:
-            self._restore(resume)
+            self._restore(resume.samples, resume.accumulated or {}, images_of_frame(resume))
+        elif part is not None and part.accumulated:
+            self._restore(part.count, part.accumulated, images_of_part(part))
 
     def rays_of(self, sample: int, exposure: float) -> ListedRays | None:
         """The rays of the pixels that take part in a sample; None: all do.
@@ -293,39 +307,24 @@ class Film:
         direct, arrived = (cls._layers(size, copies, kind, count) for kind in ("direct", "arrived"))
         return np.clip(np.divide(arrived, direct, out=np.ones_like(arrived), where=direct > 0.0), 0.0, 1.0)
 
-    def _restore(self, frame: Frame) -> None:
-        """Uploads what samples are added to, and the images that they leave as they are."""
-        held = frame.accumulated or {}
+    def _restore(self, samples: int, held: Mapping[str, FloatArray], images: dict[str, npt.NDArray[Any]]) -> None:
+        """Uploads what so many samples were added to, and the images that more of them leave as they are."""
         arrays = self._accumulated()
-        implied = {"sums"} if frame.samples == 1 else set[str]()  # its images are that sample
+        implied = {"sums"} if samples == 1 else set[str]()  # its images are that sample
         if missing := arrays.keys() - held.keys() - implied:
             names = ", ".join(sorted(missing))
             raise ConfigError(f"cannot resume a frame that does not hold what samples are added to: {names}")
-        self._upload_images(frame)
+        self._pixels.upload(images)
+        if self._plan.is_lit:
+            self._lit.upload(images | {"color": images["lit_color"]})
         for name, array in arrays.items():
             if name in held:
                 array.assign(_elements(held[name], array))
         if "sums" not in held:
             self._launcher.run_banded(film_kernels.restore_sums, self._pixel_count, self._data)
-        self._drawn = frame.samples * self._pixel_count
+        self._drawn = samples * self._pixel_count
         if self._plan.adapts:
-            self._drawn = self._adaptive.drawn_before(frame.samples)
-
-    def _upload_images(self, frame: Frame) -> None:
-        """Uploads the images of a frame."""
-        self._pixels.upload(
-            {
-                "color": frame.color if frame.captured is None else frame.captured,
-                "alpha": frame.alpha,
-                "depth": frame.depth,
-                "normal": frame.normal,
-                "gaussian": frame.gaussian_index,
-                "instance": frame.instance_index,
-            }
-        )
-        if frame.light is not None and frame.captured_weight is not None:
-            lit = {"captured_weight": frame.captured_weight, "light": frame.light, "color": frame.color}
-            self._lit.upload(lit)
+            self._drawn = self._adaptive.drawn_before(samples)
 
     @property
     def _shows_captured(self) -> bool:

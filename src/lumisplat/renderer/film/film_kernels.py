@@ -47,8 +47,8 @@ def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
 
 @wp.func
 def begins_frame(scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
-    """Whether the current sample is the first of its frame."""
-    return film[0].in_sequence == 1 or scene[0].sample[0].index == 0
+    """Whether the current sample is the first of its frame, or of its part of a frame."""
+    return film[0].in_sequence == 1 or scene[0].sample[0].index == film[0].first_sample
 
 
 @wp.func

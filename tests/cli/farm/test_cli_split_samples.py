@@ -1,0 +1,114 @@
+"""``--split-samples``: one frame's samples shared by workers; killed ones lose nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+from lumisplat.io.images.exr import read_exr
+from support.files.cli_files import Workplace
+
+OPTIONS = ("--pipeline", "path", "--lighting", "on", "--width", "24", "--height", "16", "--device", "cpu")
+TWO = ("--workers", "2")
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def assert_same(one: Path, other: Path) -> None:
+    """All channels of two EXRs, to the bit."""
+    channels, others = read_exr(one), read_exr(other)
+    assert channels.keys() == others.keys()
+    for name, image in channels.items():
+        np.testing.assert_array_equal(image, others[name], name)
+
+
+def test_workers_share_a_frame(work) -> None:
+    """Two workers, and one process: to the bit; the plain command's frame is nearly the same. Parts are gone then."""
+    options = ("@capture.ply", *OPTIONS, "--samples", "70", "--aov", "albedo,depth")
+    assert work.run("render", *options, "-o", "@plain.exr").status == 0
+    assert work.run("render", *options, "-o", "@alone.exr", "--split-samples").status == 0
+    done = work.run("farm", "render", *options, "-o", "@shared.exr", "--split-samples", *TWO)
+    assert done.status == 0 and "4 parts by 2 workers in " in done.out, done.err
+    assert_same(work.path("shared.exr"), work.path("alone.exr"))
+    assert not work.path("shared.samples").exists()
+    plain, shared = read_exr(work.path("plain.exr")), read_exr(work.path("shared.exr"))
+    np.testing.assert_array_equal(shared["depth.Z"], plain["depth.Z"])
+    np.testing.assert_allclose(shared["R"], plain["R"], atol=1e-6)
+    again = work.run("render", *options, "-o", "@shared.exr", "--split-samples", "--resume")
+    assert again.status == 0 and again.out.strip() == str(work.path("shared.exr"))
+
+
+@pytest.mark.deep
+def test_a_killed_worker_and_a_killed_driver(work, tmp_path: Path) -> None:
+    """Blocks that are there stay; the picture is that of one process."""
+    options = ["capture.ply", *OPTIONS, "--width", "96", "--height", "64", "--samples", "320"]
+    assert work.run("render", "@capture.ply", *options[1:], "-o", "@alone.exr", "--split-samples").status == 0
+    command = [
+        sys.executable,
+        "-m",
+        "lumisplat",
+        "farm",
+        "render",
+        *options,
+        "-o",
+        "shared.exr",
+        "--split-samples",
+        *TWO,
+    ]
+    driver = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: blocks(work) >= 2)
+    children = Path(f"/proc/{driver.pid}/task/{driver.pid}/children").read_text().split()
+    worker = next(child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes())
+    os.kill(int(worker), signal.SIGKILL)
+    wait_for(lambda: blocks(work) >= 4)
+    driver.kill()
+    assert "a worker was lost (killed by SIGKILL" in driver.communicate()[1]
+    there = {path: path.stat().st_mtime_ns for path in work.path("shared.samples").glob("[!.]*.npz")}
+    assert 4 <= len(there) < 10 and not work.path("shared.exr").exists()
+    resumed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert resumed.returncode == 0, resumed.stderr
+    assert f"{11 - len(there)} parts by 2 workers" in resumed.stdout
+    assert_same(work.path("shared.exr"), work.path("alone.exr"))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--tiles", "2x2"), "--tiles and --split-samples are both given: choose one"),
+        (("--noise", "0.1"), "to share them, set samples"),
+        (("--pipeline", "realtime"), "drawn in one go"),
+        (("--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
+    ],
+)
+def test_mistakes(work, options: tuple[str, ...], message: str) -> None:
+    """One line, status 2, and no picture."""
+    done = work.run("render", "@capture.ply", "-o", "@out", *OPTIONS, "--split-samples", *options)
+    assert done.status == 2 and message in done.err, done.err
+    assert done.err.strip().count("\n") == 0 and not list(work.folder.rglob("*.png"))
+
+
+def blocks(work: Workplace) -> int:
+    """Blocks that are there."""
+    return len(list(work.path("shared.samples").glob("[!.]*.npz")))
+
+
+def wait_for(condition) -> None:
+    """Waits until something is so."""
+    for _ in range(2400):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it never came")

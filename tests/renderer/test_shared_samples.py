@@ -1,0 +1,137 @@
+"""Blocks of a frame's samples, merged by their sums: the same to the bit, whoever has made them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.frame.sample_part import SUMS, SamplePart, merged
+from support.scenes import lit_scene
+from support.scenes.lenses import lens
+
+SIZE = 24, 16
+CAMERA = lit_scene.camera(*SIZE)
+
+
+def settings(pipeline: ls.Pipeline = ls.Pipeline.PATH, samples: int = 38, **changes: object) -> ls.RenderConfig:
+    """A lit frame of a block of 32 samples and one of 6."""
+    return lit_scene.config(pipeline, samples=samples, **changes)
+
+
+def part_of(values: np.ndarray, first: int, layer: np.ndarray) -> SamplePart:
+    """A part of a frame of one pixel, whose samples are numbers; NaN: one that is left out."""
+    kept = values[~np.isnan(values)].astype(np.float64)
+    count = len(kept)
+    mean = kept.mean() if count else 0.0
+    sums = {name: np.full(1 if name in ("alpha", "captured_weight") else 3, kept.sum()) for name in SUMS[:4]}
+    sums["squares"] = np.full(3, np.square(kept - mean).sum())
+    held = {
+        "count": np.array([count], np.int32).view(np.float32),
+        "sums": np.concatenate(list(sums.values())).view(np.float32),
+        "albedo": np.full(3, layer[~np.isnan(values)].mean() if count else np.nan, np.float32),
+    }
+    return SamplePart(first, len(values), (1, 1), held, {})
+
+
+def test_sums_of_parts_are_those_of_all() -> None:
+    """Counts, sums, squares about the mean, and means of layers, in float64; parts without any sample count nothing."""
+    rng = np.random.default_rng(2)
+    values = 5.0 + rng.normal(size=90).astype(np.float32)
+    layer = rng.random(90).astype(np.float32)
+    values[[3, 40]] = np.nan
+    values[64:80] = np.nan
+    cuts = [0, 32, 64, 80, 90]
+    parts = [part_of(values[a:b], a, layer[a:b]) for a, b in pairwise(cuts)]
+    whole = merged(parts)
+    kept = values[~np.isnan(values)].astype(np.float64)
+    sums = whole.accumulated["sums"].view(np.float64)
+    assert whole.count == 90 and whole.accumulated["count"].view(np.int32)[0] == len(kept)
+    np.testing.assert_allclose(sums[:7], kept.sum(), rtol=1e-14)
+    np.testing.assert_allclose(sums[7:], np.square(kept - kept.mean()).sum(), rtol=1e-12)
+    np.testing.assert_allclose(whole.accumulated["albedo"], layer[~np.isnan(values)].mean(dtype=np.float64), rtol=1e-6)
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.HYBRID])
+def test_a_shared_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+    """By two renderers in any order, from files, and by one: to the bit. And nearly what is rendered at once."""
+    config = settings(pipeline, shadows=ls.Shadows.SOFT, aovs=("albedo", "lights", "variance", "sample_count"))
+    scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
+    one, other = (ls.create_renderer(config, "cpu") for _ in range(2))
+    blocks = ls.sample_blocks(one, scene)
+    assert [len(block) for block in blocks] == [32, 6]
+    alone = ls.merge_samples(one, scene, CAMERA, (ls.render_samples(one, scene, CAMERA, block) for block in blocks))
+    for number, renderer in ((1, other), (0, one)):
+        ls.render_samples(renderer, scene, CAMERA, blocks[number]).save(tmp_path / f"{number}.npz")
+    loaded = (SamplePart.load(tmp_path / f"{number}.npz") for number in range(2))
+    shared = ls.merge_samples(ls.create_renderer(config, "cpu"), scene, CAMERA, loaded)
+    plain = other.render(scene, CAMERA)
+    assert shared.samples == 38
+    for name, image in alone.arrays().items():
+        np.testing.assert_array_equal(shared.arrays()[name], image, name)
+        expected = plain.arrays()[name]
+        if expected.dtype.kind != "f":
+            np.testing.assert_array_equal(image, expected, name)
+        else:  # layers are running means in float32, and what Gaussians receive is a mean of its block
+            np.testing.assert_allclose(image, expected, rtol=2e-3, atol=2e-5, err_msg=name)
+    assert np.abs(shared.color - plain.color).max() < 1e-5
+
+
+def test_parts_that_do_not_fit() -> None:
+    """One line each."""
+    scene, renderer = lit_scene.scene(), ls.create_renderer(settings(samples=2), "cpu")
+    part = ls.render_samples(renderer, scene, CAMERA, range(2))
+    with pytest.raises(ls.ConfigError, match="begins at sample 2, expected 0"):
+        ls.merge_samples(renderer, scene, CAMERA, [replace(part, first=2)])
+    with pytest.raises(ls.ConfigError, match="begins at sample 0, expected 2"):
+        ls.merge_samples(renderer, scene, CAMERA, [part, part])
+    with pytest.raises(ls.ConfigError, match="a frame needs a part"):
+        ls.merge_samples(renderer, scene, CAMERA, [])
+    with pytest.raises(ls.ConfigError, match="expected 2 of 24 x 16"):
+        ls.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2)])
+    with pytest.raises(ls.ConfigError, match="of different frames"):
+        ls.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2, size=(16, 24))])
+    with pytest.raises(ls.ConfigError, match="expected a block"):
+        ls.render_samples(renderer, scene, CAMERA, range(0))
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (ls.RenderConfig(), "drawn in one go"),
+        (ls.RenderConfig(pipeline="realtime"), "drawn in one go"),
+        (settings(noise=0.1), "set samples"),
+        (ls.RenderConfig(pipeline="path", time_limit=1.0), "set samples"),
+    ],
+)
+def test_frames_that_are_not_shared(config: ls.RenderConfig, message: str) -> None:
+    """One line instead of a frame that no process would make alone."""
+    renderer = ls.create_renderer(config, "cpu")
+    scene = ls.Scene() if config.pipeline is ls.Pipeline.RASTER else lit_scene.scene()
+    with pytest.raises(ls.ConfigError, match=message):
+        ls.sample_blocks(renderer, scene)
+
+
+def test_resampled_frames_are_not_shared() -> None:
+    """Rasterised frames of distorting lenses."""
+    renderer = ls.create_renderer(settings(ls.Pipeline.HYBRID), "cpu")
+    with pytest.raises(ls.ConfigError, match="distorting lenses"):
+        ls.render_samples(renderer, lit_scene.scene(), lens(50.0, SIZE, distortion=(0.05, 0, 0, 0, 0, 0)), range(2))
+
+
+def test_damaged_files(tmp_path: Path) -> None:
+    """A part that was cut off, and what is none."""
+    renderer, scene = ls.create_renderer(settings(samples=1), "cpu"), lit_scene.scene()
+    path = tmp_path / "part.npz"
+    ls.render_samples(renderer, scene, CAMERA, range(1)).save(path)
+    content = path.read_bytes()
+    for wrong in (content[: len(content) // 2], b"nothing", content[:3]):
+        path.write_bytes(wrong)
+        with pytest.raises(ls.FormatError, match="part"):
+            SamplePart.load(path)
+    with pytest.raises(ls.MissingFileError):
+        SamplePart.load(tmp_path / "lost.npz")
