@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -331,3 +332,40 @@ def test_no_frame_is_lost_whatever_happens(seed, count: int, workers: int, troub
             assert not set(executor.queues.get(number, [])) & set(run.tally.done)
     assert not set(run.tally.done) & set(run.tally.failed)
     assert set(run.tally.done) | set(run.tally.failed) == set(range(count))
+
+
+def test_frames_of_others_come_after_these() -> None:
+    """They wait while one of theirs is in hand, of which workers that have nothing else do not make another."""
+    executor = FakeExecutor()
+    frames = replace(frame_list(5), needs={2: (0, 1), 4: (3,)})
+    executor.coming = [Ready(0, frames), Ready(1, frames)]
+    run, _ = driver(executor, 2, [2, 0, 1, 4, 3])
+    order: list[int] = []
+    events = executor.events
+
+    def watched(timeout: float) -> Sequence[Event]:
+        found = events(timeout)
+        order.extend(event.frame for event in found if isinstance(event, Done))
+        return found
+
+    executor.events = watched
+    tally = run.run()
+    assert sorted(tally.done) == [0, 1, 2, 3, 4] and not tally.failed
+    assert order.index(2) > max(order.index(0), order.index(1)) and order.index(4) > order.index(3)
+
+
+def test_frames_of_others_fail_with_these() -> None:
+    """What a frame is made of has failed: so does it, and the job ends."""
+    executor = FakeExecutor()
+    frames = replace(frame_list(3), needs={2: (0, 1)})
+    executor.coming = [Ready(0, frames)]
+    run, _ = driver(executor, 1, range(3))
+    events = executor.events
+
+    def failing(timeout: float) -> Sequence[Event]:
+        found = events(timeout)
+        return [Failed(0, 0, FULL, False) if isinstance(event, Done) and event.frame == 0 else event for event in found]
+
+    executor.events = failing
+    tally = run.run()
+    assert sorted(tally.done) == [1] and sorted(tally.failed) == [0, 2]
