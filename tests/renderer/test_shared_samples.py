@@ -103,9 +103,9 @@ def test_parts_that_do_not_fit() -> None:
     ("config", "message"),
     [
         (ls.RenderConfig(), "drawn in one go"),
-        (ls.RenderConfig(pipeline="realtime"), "drawn in one go"),
+        (ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "drawn in one go"),
         (settings(noise=0.1), "set samples"),
-        (ls.RenderConfig(pipeline="path", time_limit=1.0), "set samples"),
+        (ls.RenderConfig(pipeline=ls.Pipeline.PATH, time_limit=1.0), "set samples"),
     ],
 )
 def test_frames_that_are_not_shared(config: ls.RenderConfig, message: str) -> None:

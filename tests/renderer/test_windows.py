@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -134,7 +135,7 @@ def test_windows_that_are_none(window: tuple[float, ...], message: str) -> None:
         ({"pipeline": "hybrid", "time_limit": 1.0}, "choose samples by the whole picture"),
     ],
 )
-def test_frames_that_need_the_whole_picture(settings: dict[str, object], message: str) -> None:
+def test_frames_that_need_the_whole_picture(settings: dict[str, Any], message: str) -> None:
     """One line instead of other pixels than the whole picture's."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.ConfigError, match=message):

@@ -59,7 +59,8 @@ def render_deep(
         DeviceError: There is no such device, or it is out of memory.
         SceneError: As for ``trace_rays``, or the frame has another size.
     """
-    size = camera.image_size[::-1]
+    width, height = camera.image_size
+    size = height, width
     if frame is not None and frame.alpha.shape != size:
         raise SceneError(f"the frame has {frame.alpha.shape} rows and columns, the camera {size}")
     trace = replace(checked_config(config).trace, strategy=TraceStrategy.SORTED)
