@@ -665,17 +665,10 @@ an object above the ground."""
 IMAGE_PIXELS_MAX = 200_000_000
 """Pixels of a frame: its buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
 
-PICTURE_PIXELS_MAX = 2**31 - 1
-"""Pixels of a picture that frames show windows of: signed 32-bit numbers count them."""
-
 ITEMS_MAX = 2**31 - 1
 """Gaussians or triangles of a scene, and (tile, item) pairs of a frame."""
 
 # --- Work decomposition ---
-
-SAMPLES_A_BLOCK = 32
-"""Samples of a frame that one process adds up where several share it; frames that are shared depend on it by rounding.
-A power of two, as points of Sobol sequences are well spread in such numbers."""
 
 TILE_PX = 16
 """Side of a raster tile, pixels. One CUDA block of 256 threads, and a cache-sized accumulator on the CPU."""

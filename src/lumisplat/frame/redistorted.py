@@ -13,13 +13,14 @@ import numpy.typing as npt
 
 from lumisplat.config import PATH_PARTS
 from lumisplat.constants import UNDISTORTED_AREA_MAX, UNDISTORTED_SCALE_MAX
+from lumisplat.constants.parts import WINDOW_STEP
 from lumisplat.errors import SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.distortion import distort, distortion_jacobian, undistort
 from lumisplat.math.resampling import cubic_samples
-from lumisplat.scene.camera import WINDOW_STEP, Camera
+from lumisplat.scene.camera import Camera
 
 _Image = npt.NDArray[Any]
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lumisplat.constants import SAMPLES_A_BLOCK
+from lumisplat.constants.parts import SAMPLES_A_BLOCK
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.sample_part import SamplePart, merged

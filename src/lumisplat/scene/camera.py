@@ -12,14 +12,12 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import enum_member, is_number
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
+from lumisplat.constants.parts import WINDOW_STEP
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
 from lumisplat.math.distortion import Coefficients, undistort
 from lumisplat.scene.checks import check_positive
 
-WINDOW_STEP = 16
-"""Edges of windows are multiples of so many pixels, so that what neighbouring pixels share is what it is in the whole
-picture: tiles of the rasteriser (`TILE_PX`) and blocks of rays."""
 _RIGID_ERROR = 1e-3
 """Largest error of the scalar products of a rotation's rows."""
 
@@ -84,7 +82,7 @@ class Camera:
     """Exposure of lit frames, stops, -100 to 100: pictures show linear light times 2 to this power."""
     window: tuple[int, int, int, int] | None = None
     """The part of the picture that frames show: left, top, width and height, pixels. Its pixels are those of the whole
-    picture, to the bit. Its edges are multiples of `WINDOW_STEP` pixels, or edges of the picture. None: all of it."""
+    picture, to the bit. Its edges are multiples of 16 pixels, or edges of the picture. None: all of it."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -266,7 +264,7 @@ class Camera:
         """Cameras of all parts of the picture, row by row: windows of about one size, in so many columns and rows.
 
         Raises:
-            SceneError: The camera has a window already, or there are fewer steps of `WINDOW_STEP` pixels than parts.
+            SceneError: The camera has a window already, or there are fewer steps of 16 pixels than parts.
         """
         if self.window is not None:
             raise SceneError("a camera with a window is not cut further: cut the whole picture")

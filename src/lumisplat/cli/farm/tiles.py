@@ -14,8 +14,6 @@ AUTO = "auto"
 AUTO_PIXELS = 2**22
 """Pixels of a tile of ``--tiles auto``, about: what a frame of 2048 x 2048 takes of memory."""
 _GRID = re.compile(r"(\d+)x(\d+)")
-_STEP = 16
-"""Edges of windows are multiples of it, pixels."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +95,7 @@ def _check_format(path: Path, *, has_layers: bool) -> None:
 def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
     """Cameras of the tiles of a picture."""
     if grid == AUTO:  # bands as wide as the picture, which are joined in as little memory as they are made in
-        steps = -(-camera.height // _STEP)
-        return camera.windows(1, min(steps, -(-camera.width * camera.height // AUTO_PIXELS)))
+        return camera.windows(1, -(-camera.width * camera.height // AUTO_PIXELS))
     numbers = _GRID.fullmatch(grid)
     if numbers is None:
         raise ls.ConfigError(f"--tiles is '{grid}', expected columns and rows, such as 4x4, or auto")

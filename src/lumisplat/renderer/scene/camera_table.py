@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.config import Pipeline, Projection
-from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, PICTURE_PIXELS_MAX, SUBPIXEL_STEPS, TILE_PX
+from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
+from lumisplat.constants.parts import PICTURE_PIXELS_MAX
 from lumisplat.constants.unscented import FIELD_MARGIN, FIELD_MAX
 from lumisplat.device.camera.camera import FISHEYE, ORTHOGRAPHIC, PINHOLE
 from lumisplat.device.structs.camera import CameraData

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from lumisplat.config.checks import is_whole
+from lumisplat.constants.parts import WINDOW_STEP
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
-from lumisplat.scene.camera import WINDOW_STEP, Camera, CameraModel
+from lumisplat.scene.camera import Camera, CameraModel
 
 
 def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
