@@ -61,27 +61,33 @@ def main() -> None:
 
 
 def views_around(scene: ls.Scene, size: int, learnt: int, held_out: int, digits: int = 3) -> dict[str, ls.Camera]:
-    """Cameras around it by name, ``train/r_000`` and ``test/r_000``: those held out lie evenly between the others."""
-    cameras, every = around(scene, size, learnt + held_out), (learnt + held_out) // held_out
-    number = {"train": 0, "test": 0}
+    """Cameras around it by name, split."""
+    return split(around(scene, size, learnt + held_out), held_out, digits)
+
+
+def split(cameras: list[ls.Camera], held_out: int, digits: int = 3) -> dict[str, ls.Camera]:
+    """Cameras by name, ``train/r_000`` and ``test/r_000``: those held out lie evenly between the others."""
+    every, number = len(cameras) // held_out, {"train": 0, "test": 0}
     views: dict[str, ls.Camera] = {}
     for i, camera in enumerate(cameras):
-        split = "test" if i % every == every // 2 and number["test"] < held_out else "train"
-        views[f"{split}/r_{number[split]:0{digits}}"] = camera
-        number[split] += 1
+        part = "test" if i % every == every // 2 and number["test"] < held_out else "train"
+        views[f"{part}/r_{number[part]:0{digits}}"] = camera
+        number[part] += 1
     return views
 
 
-def write_transforms(out: Path, views: dict[str, ls.Camera]) -> None:
-    """Writes transforms_train.json and transforms_test.json."""
-    for split in ("train", "test"):
-        rows = [
-            {"file_path": f"./{name}", "transform_matrix": (camera.world_from_camera @ CAMERA_TO_GL).tolist()}
-            for name, camera in views.items()
-            if name.startswith(split)
-        ]
-        text = json.dumps({"camera_angle_x": FOV, "frames": rows}, indent=1)
-        (out / f"transforms_{split}.json").write_text(text + "\n")
+def write_transforms(out: Path, views: dict[str, ls.Camera], fov_x: float = FOV, masks: str | None = None) -> None:
+    """Writes transforms_train.json and transforms_test.json; ``masks`` has masks of the views held out."""
+    for part in ("train", "test"):
+        rows: list[dict[str, Any]] = []
+        for name, camera in views.items():
+            if name.startswith(part):
+                pose = (camera.world_from_camera @ CAMERA_TO_GL).tolist()
+                rows.append({"file_path": f"./{name}", "transform_matrix": pose})
+                if masks is not None and part == "test":
+                    rows[-1]["mask_path"] = f"./{masks}/{Path(name).name}.png"
+        text = json.dumps({"camera_angle_x": fov_x, "frames": rows}, indent=1)
+        (out / f"transforms_{part}.json").write_text(text + "\n")
 
 
 def around(scene: ls.Scene, size: int, count: int) -> list[ls.Camera]:

@@ -87,11 +87,14 @@ def bake(
     if not scene.splats:
         raise SceneError("bake takes a scene with splat sets: gaussians_from_mesh makes one of a mesh")
     if not any(lit):
-        raise SceneError("nothing to bake: no splat set has a material, so all show what was captured in any light")
+        raise SceneError(
+            "nothing to bake: no splat set has a material or an albedo, so all show what was captured in any light; "
+            "delight finds an albedo"
+        )
     viewer = GaussianViewer(config, Launcher(device), progress)
     viewer.enter(scene, _extent(scene), progress)
     if not viewer.is_lit:
-        raise SceneError("nothing to bake: the scene has no lights, and nothing in it shines")
+        raise SceneError("nothing to bake: the scene has no lights or environment, and nothing in it shines")
     baker = _Baker(viewer, settings, progress, scene.gaussian_count)
     splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
     return Scene(baker.seen_together(scene, splats), up=scene.up)

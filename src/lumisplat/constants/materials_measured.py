@@ -8,3 +8,6 @@ BLACK = 0.0015
 
 ENVIRONMENT_ROWS = 16
 """Rows at which environments are compared: those of R3DG's, which are 16 x 32."""
+
+RELIT_SAMPLES = 64
+"""Of each pixel of relit pictures, unless it is said: docs/guide/materials.md#grain has what is left."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
+from lumisplat.constants.materials_measured import RELIT_SAMPLES
 from lumisplat.errors import SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import FloatArray, float_array
@@ -37,23 +38,26 @@ def evaluate_materials(
     *,
     environment: npt.ArrayLike | None = None,
     config: RenderConfig | None = None,
+    samples: int | None = None,
     device: str = "auto",
     progress: Progress | None = None,
 ) -> MaterialEvaluation:
     """Compares a capture's materials, normals and looks in new light with the truth of a set, where the object is.
 
     The capture is seen by the cameras of the photographs held out. Its albedo gets one scale a channel, the median
-    ratio to the truth over all of them, and with that it is relit in environments that photographs were not made in;
+    ratio to the truth over all of them, and with that it is relit in light that photographs were not made in;
     figures are defined in the guide (docs/guide/materials.md#figures).
 
     Args:
         gaussians: The capture, with ``albedo``, ``normals`` and ``roughness`` as far as they were found. Without
             albedo, its captured colours stand for it, decoded and without view dependence.
-        folder: A set as of tools/make_relightable_set.py.
+        folder: A set as of tools/make_relightable_set.py or make_relightable_room.py.
         environment: The light of the photographs that was found, linear radiance, shape (H, W, 3), with the axes of
             `LightEnvironment`; None: none was.
-        config: How the capture is relit; None: ``Pipeline.HYBRID``, which has shadows and no bounces. Without a
-            background, whatever it says.
+        config: How the capture is relit; None: ``Pipeline.HYBRID``, which has shadows and no bounces, and where lamps
+            light a room ``Pipeline.PATH``, which has both. Without a background, whatever it says.
+        samples: Of each pixel of relit pictures, in place of those of ``config``; None: those, and 64 if neither says
+            it, so that grain is a small part of the error (docs/guide/materials.md#grain).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
         progress: Called with what is being done and the fraction done, 0..1.
 
@@ -63,8 +67,8 @@ def evaluate_materials(
         FormatError: The folder is no such set, or a file of it is missing or damaged; names it.
         SceneError: ``gaussians`` or ``environment`` are something else.
     """
-    settings = config or RenderConfig(pipeline=Pipeline.HYBRID)
-    check_kind("config", settings, RenderConfig)
+    if config is not None:
+        check_kind("config", config, RenderConfig)
     if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SceneError(f"gaussians is {type(gaussians).__name__}, expected Gaussians")
     found_light = None if environment is None else _panorama(environment)
@@ -72,10 +76,11 @@ def evaluate_materials(
     given = with_albedo(gaussians)
     seen = list(_seen(truth, given, device, report))
     scale = albedo_scale(seen)
-    renderer = create_renderer(replace(settings, background=None), device)
+    renderer = create_renderer(_relighting(config, samples, has_lamps=truth.has_lamps), device)
     relit = _relit(truth, given, scale, renderer, report)
     seen = [replace(view, relit=pictures) for view, pictures in zip(seen, relit, strict=True)]
     views, problems = zip(*(measured(view, scale) for view in seen), strict=True)
+    light_psnr, unlike = _environment_figure(found_light, truth)
     normal_mean, normal_median = normal_figures(seen)
     return MaterialEvaluation(
         albedo_scale=scale,
@@ -85,14 +90,22 @@ def evaluate_materials(
         normal_mean=normal_mean,
         normal_median=normal_median,
         roughness_rmse=roughness_rmse(seen),
-        environment_psnr=math.nan if found_light is None else environment_psnr(found_light, truth.radiance(None)),
+        environment_psnr=light_psnr,
         relit={
             name: RelitFigures(*map(_mean, zip(*(view.relit[name] for view in views), strict=True)))
             for name in truth.unseen
         },
         views=tuple(views),
-        remarks=(*_remarks(gaussians, truth), *dict.fromkeys(line for lines in problems for line in lines)),
+        remarks=(*_remarks(gaussians, truth), *unlike, *dict.fromkeys(line for lines in problems for line in lines)),
     )
+
+
+def _relighting(config: RenderConfig | None, samples: int | None, *, has_lamps: bool) -> RenderConfig:
+    """How relit pictures are made."""
+    settings = config or RenderConfig(pipeline=Pipeline.PATH if has_lamps else Pipeline.HYBRID)
+    if samples is None and settings.time_limit is None and settings.noise is None:
+        samples = settings.samples or RELIT_SAMPLES
+    return replace(settings, background=None, samples=samples)
 
 
 def _panorama(environment: npt.ArrayLike) -> FloatArray:
@@ -103,6 +116,18 @@ def _panorama(environment: npt.ArrayLike) -> FloatArray:
     if (image < 0.0).any():
         raise SceneError("environment has negative values")
     return image
+
+
+def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tuple[float, list[str]]:
+    """How near the environment is that was found, dB, and why it was not compared."""
+    if found is None:
+        return math.nan, []
+    true = truth.environment()
+    if true is None:
+        return math.nan, [
+            f"the environment that was found is not compared: lamps made the photographs of {truth.folder}"
+        ]
+    return environment_psnr(found, true), []
 
 
 def _seen(truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress) -> Iterator[SeenView]:
@@ -119,10 +144,10 @@ def _seen(truth: RelightableSet, gaussians: Gaussians, device: str, report: Prog
 def _relit(
     truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress
 ) -> list[dict[str, Pair]]:
-    """What is seen of the capture and of the truth in each unseen environment, view by view."""
+    """What is seen of the capture and of the truth in all unseen light, view by view."""
     pictures: list[dict[str, Pair]] = [{} for _ in truth.views]
     for number, name in enumerate(truth.unseen):
-        scene = relit_scene(gaussians, truth.radiance(name), scale, truth.specular)
+        scene = relit_scene(gaussians, truth.lights(name), scale, truth.specular)
         for index, view in enumerate(truth.views):
             report("relighting", (number + index / len(truth.views)) / len(truth.unseen))
             wanted = truth.relit(name, view)
@@ -137,7 +162,7 @@ def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
         if name not in truth.layers:
             yield f"no truth of {name}: {truth.folder / 'truth' / name} is not there"
     if not truth.unseen:
-        yield f"nothing is relit: {truth.folder / 'relit'} has no environment .exr"
+        yield f"nothing is relit: {truth.folder / 'relit'} has neither an .exr nor a .toml"
     if gaussians.albedo is None:
         yield "the capture has no albedo: its captured colours, decoded, stand for it"
     if gaussians.normals is None:

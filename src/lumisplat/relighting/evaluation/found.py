@@ -14,7 +14,7 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import LightEnvironment
+from lumisplat.scene.lights import Light
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.scene import Scene, SplatInstance
 
@@ -64,19 +64,18 @@ class LayerRenderer:
         return layers
 
 
-def relit_scene(gaussians: Gaussians, radiance: FloatArray, scale: tuple[float, ...], specular: float) -> Scene:
-    """The capture in an environment, its albedo scaled and clipped.
+def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[float, ...], specular: float) -> Scene:
+    """The capture in other light, its albedo scaled and clipped.
 
     Args:
         gaussians: With an albedo.
-        radiance: Of the environment, shape (H, W, 3).
+        lights: All that there are.
         scale: Of the albedo, a factor a channel.
         specular: Strength of the highlights.
     """
     assert gaussians.albedo is not None
     scaled = replace(gaussians, albedo=np.clip(gaussians.albedo * np.array(scale), 0.0, 1.0))
-    sky = LightEnvironment(radiance, visible=False)
-    return Scene(splats=(SplatInstance(scaled, material=MaterialPbr(specular=specular)),), lights=(sky,))
+    return Scene(splats=(SplatInstance(scaled, material=MaterialPbr(specular=specular)),), lights=lights)
 
 
 def over_black(renderer: Renderer, scene: Scene, camera: Camera) -> FloatArray:

@@ -40,12 +40,12 @@ class MaterialView:
     roughness_rmse: float
     """Root mean square error of perceptual roughness, 0..1."""
     relit: Mapping[str, RelitFigures]
-    """By the names of the environments that photographs were not made in."""
+    """By the names of the light that photographs were not made in."""
     region: Flags
     """What is compared, shape (H, W)."""
     pictures: Mapping[str, tuple[FloatArray, FloatArray]]
     """What was found and the truth, display colours, shape (H, W, 3) each, by ``albedo``, ``normal``, ``roughness`` and
-    the names of environments: ``relit/sunny``."""
+    the names of the light: ``relit/sunny``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +73,7 @@ class MaterialEvaluation:
     environment_psnr: float
     """Of the environment after one scale a channel, dB (see the guide)."""
     relit: Mapping[str, RelitFigures]
-    """By the names of the environments that photographs were not made in; albedo is scaled as above."""
+    """By the names of the light that photographs were not made in; albedo is scaled as above."""
     views: tuple[MaterialView, ...]
     """The views held out, by name."""
     remarks: tuple[str, ...]

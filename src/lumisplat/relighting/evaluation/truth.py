@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import NoReturn, cast
 
 import numpy as np
 
@@ -17,10 +17,14 @@ from lumisplat.io.images.picture import read_picture
 from lumisplat.io.images.radiance import read_radiance
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.io.photographs.photographs import Photograph
+from lumisplat.io.scene_toml.scene_file import read_scene_file
 from lumisplat.math.arrays import Flags, FloatArray
+from lumisplat.scene.lights import Light, LightEnvironment
 
 LAYERS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
 """Channels of the layers."""
+LIGHTS = {".exr", ".toml"}
+"""Files of light: an environment, or the lamps of a scene file."""
 _MAKER = "tools/make_relightable_set.py makes sets that have all of it"
 
 
@@ -34,7 +38,7 @@ class RelightableSet:
     layers: tuple[str, ...]
     """Those of `LAYERS` whose truth is there."""
     unseen: tuple[str, ...]
-    """Names of the environments of ``relit``."""
+    """Names of the light of ``relit``."""
     specular: float
     """Strength of the highlights of the surfaces: 0 if they are Lambertian."""
 
@@ -51,9 +55,11 @@ class RelightableSet:
             raise FormatError(place, f"has no transforms_test.json, of whose cameras the truth is; {_MAKER}")
         views = load_photographs(place).held_out
         layers = tuple(name for name in LAYERS if (place / "truth" / name).is_dir())
-        unseen = tuple(sorted(path.stem for path in (place / "relit").glob("*.exr")))
+        unseen = tuple(sorted({path.stem for path in (place / "relit").glob("*") if path.suffix in LIGHTS}))
         if not layers and not unseen:
-            raise FormatError(place, f"has neither truth/albedo, truth/normal and the like nor relit/*.exr; {_MAKER}")
+            raise FormatError(
+                place, f"has neither truth/albedo, truth/normal and the like nor relit/*.exr or *.toml; {_MAKER}"
+            )
         return cls(place, views, layers, unseen, _specular(place / "set.json"))
 
     def region(self, view: Photograph) -> Flags:
@@ -88,7 +94,7 @@ class RelightableSet:
         return values
 
     def relit(self, name: str, view: Photograph) -> FloatArray:
-        """What is seen in an unseen environment: display-referred, over black, shape (H, W, 3).
+        """What is seen in unseen light: display-referred, over black, shape (H, W, 3).
 
         Raises:
             FormatError: It is missing, damaged, or of another size.
@@ -98,14 +104,37 @@ class RelightableSet:
         _check_size(path, picture, view)
         return picture
 
-    def radiance(self, name: str | None) -> FloatArray:
-        """An unseen environment, or that of the photographs: linear radiance, shape (H, W, 3).
+    @property
+    def has_lamps(self) -> bool:
+        """Whether some of the unseen light is of lamps."""
+        return any((self.folder / "relit" / f"{name}.toml").is_file() for name in self.unseen)
+
+    def lights(self, name: str) -> tuple[Light, ...]:
+        """Unseen light.
+
+        Raises:
+            FormatError: Its file is missing or damaged, or has something else in it.
+        """
+        lamps = self.folder / "relit" / f"{name}.toml"
+        if not lamps.is_file():
+            return (LightEnvironment(read_radiance(_existing(lamps.with_suffix(".exr"))), visible=False),)
+        return read_scene_file(lamps, _refuse).lights
+
+    def environment(self) -> FloatArray | None:
+        """That of the photographs: linear radiance, shape (H, W, 3); None: lamps of a room made them.
 
         Raises:
             FormatError: It is missing or damaged.
         """
-        inside = self.folder if name is None else self.folder / "relit"
-        return read_radiance(_existing(inside / f"{name or 'environment'}.exr"))
+        path = self.folder / "environment.exr"
+        if not path.exists() and (self.folder / "lamps.toml").exists():
+            return None
+        return read_radiance(_existing(path))
+
+
+def _refuse(path: PathLike) -> NoReturn:
+    """Refuses what a scene file of lamps names besides."""
+    raise FormatError(path, "is in the light of a set, expected [[lights]] and [environment] alone")
 
 
 def _existing(path: Path) -> Path:

@@ -55,7 +55,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
         Literal["raster", "trace", "hybrid", "path"] | None, setting("{raster,trace,hybrid,path}", "raster")
     ] = None
     """What draws the capture: trace for a kernel degree other than 2, over photographs of lenses as they are. What
-    relights it with --materials: hybrid (the default then), without bounces, or path, with them."""
+    relights it with --materials: hybrid (the default then), without bounces, or path (the default in a room with
+    lamps), with them."""
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
     """How Gaussians are rasterised: unscented, along the rays of lenses, whose photographs then stay as they are."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
@@ -63,7 +64,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
     materials: Flag = False
     """Compare albedo, normals, roughness and what it looks like in other light with the truth, which FOLDER has: a set
-    of tools/make_relightable_set.py."""
+    of tools/make_relightable_set.py or make_relightable_room.py."""
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """With --materials: the light of the photographs that was found, .exr or .hdr; without: NAME.environment.exr beside
     the capture NAME.ply, if it is there."""
@@ -131,16 +132,20 @@ class Evaluate(LoadingCommand, DeviceCommand):
             check_writable(self.output)
         found = self.environment or captures[0].with_suffix(".environment.exr")
         light = ls.load_radiance(found) if self.environment or found.is_file() else None
-        config = ls.RenderConfig(
-            pipeline=ls.Pipeline(self.pipeline or "hybrid"), samples=64 if self.samples is None else self.samples
-        )
+        config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
         with progress_bars() as report:
             self.start_warp()
             capture = self.load_asset(captures[0], report)
             if not isinstance(capture, ls.Gaussians):
                 raise ls.FormatError(captures[0], "is no capture, expected Gaussians")
             result = ls.evaluate_materials(
-                capture, folder, environment=light, config=config, device=self.device, progress=report
+                capture,
+                folder,
+                environment=light,
+                config=config,
+                samples=self.samples,
+                device=self.device,
+                progress=report,
             )
         for line in result.remarks:
             _log.warning("%s", line)

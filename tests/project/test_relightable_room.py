@@ -1,0 +1,113 @@
+"""Rooms of tools/make_relightable_room.py are what they say: our own path tracer sees the same of the same meshes."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import subprocess
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.images.exr import read_exr
+
+ROOT = Path(__file__).resolve().parents[2]
+TOOL = ROOT / "tools" / "make_relightable_room.py"
+
+
+@pytest.fixture(scope="module")
+def tool():
+    """The generator as a module."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "tools"))
+        yield importlib.import_module("make_relightable_room")
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A mesh without a texture."""
+    import trimesh
+
+    path = tmp_path_factory.mktemp("meshes") / "ball.obj"
+    trimesh.creation.icosphere(3, 0.5).export(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, ball: Path) -> Path:
+    """A set of two balls."""
+    if importlib.util.find_spec("mitsuba") is None:
+        pytest.skip("needs Mitsuba")
+    out = tmp_path_factory.mktemp("sets") / "room"
+    sizes = ("--views", "4", "--held-out", "2", "--width", "40", "--height", "30", "--samples", "1024")
+    command = [sys.executable, TOOL, ball, ball, out, *sizes]
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+    if "LLVM" in done.stderr and done.returncode:
+        pytest.skip("needs a libLLVM that Mitsuba accepts")
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def test_walls_face_the_middle_and_figures_stand_in_it(tool: ModuleType, ball: Path) -> None:
+    """Six walls and two plates, all triangles towards the middle; two balls on the floor, 1.3 m high."""
+    scene = tool.room_of([ball, ball])
+    for instance in scene.meshes[:8]:
+        mesh = instance.mesh
+        corners = mesh.positions[mesh.indices].astype(np.float64)
+        facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert (np.sum(facing * mesh.normals[mesh.indices[:, 0]], axis=1) > 0.0).all()
+        inwards = np.array([0.0, 0.5 * tool.HEIGHT, 0.0]) - corners.mean(axis=1)
+        assert (np.sum(facing * inwards, axis=1) > 0.0).all()
+    for instance in scene.meshes[8:]:
+        low, high = tool.bounds(ls.Scene(meshes=[instance]))
+        np.testing.assert_allclose([low[1], high[1]], [0.0, tool.FIGURE_HEIGHT], atol=1e-5)
+    assert len(scene.meshes) == 10
+
+
+def test_views_are_inside(tool: ModuleType) -> None:
+    """No eye is in a wall."""
+    for camera in tool.inside(88, 40, 30):
+        x, y, z = np.abs(camera.eye)
+        assert x < tool.HALF[0] and z < tool.HALF[1] and 0.3 < y < tool.HEIGHT - 0.3
+
+
+def test_lamps_are_stored_as_scenes_have_them(tool: ModuleType, tmp_path: Path) -> None:
+    """Both kinds come back."""
+    lamps = (*tool.old_lamps(), tool.ball())
+    tool.save_lamps(tmp_path / "lamps.toml", lamps)
+    scene: Any = ls.load(tmp_path / "lamps.toml")
+    for stored, lamp in zip(scene.lights, lamps, strict=True):
+        assert asdict(stored) == asdict(lamp)
+
+
+@pytest.mark.deep
+def test_a_room_is_what_our_paths_see(tool: ModuleType, made: Path, ball: Path) -> None:
+    """Pictures by all lamps where none is seen: more than 34 dB; with half of the light, less than 25. And albedo."""
+    room = tool.room_of([ball, ball])
+    matt: list[ls.MeshInstance] = []
+    for one in room.meshes:
+        material: Any = replace(one.mesh.material, specular=0.0, metallic=0.0, base_color=(1.0, 1.0, 1.0))
+        matt.append(ls.MeshInstance(replace(one.mesh, material=material), one.world_from_object))
+    views = ls.load_photographs(made).held_out
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=15, background=None, aovs=("albedo",))
+    renderer = ls.create_renderer(config, "cpu")
+    for light, pictures in {"lamps": "test", "relit/window": "relit/window", "relit/evening": "relit/evening"}.items():
+        lit: Any = ls.load(made / f"{light}.toml")
+        for view in views:
+            mask = view.mask()
+            assert mask is not None
+            picture = ls.load_image(made / pictures / f"{view.name}.png")
+            frame = renderer.render(ls.Scene(meshes=matt, lights=lit.lights), view.camera)
+            assert ls.psnr(frame.pixels_srgb()[..., :3], picture[..., :3], region=mask >= 0.5) > 34.0
+            darker = replace(frame, color=0.5 * frame.color).pixels_srgb()[..., :3]
+            assert ls.psnr(darker, picture[..., :3], region=mask >= 0.5) < 25.0
+            albedo = read_exr(made / "truth" / "albedo" / f"{view.name}.exr")
+            assert frame.albedo is not None
+            true = np.stack([albedo[channel] for channel in "RGB"], axis=-1)
+            assert ls.psnr(np.clip(frame.albedo, 0.0, 1.0), true, region=mask >= 0.5) > 35.0

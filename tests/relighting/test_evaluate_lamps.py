@@ -1,0 +1,147 @@
+"""``evaluate_materials`` on sets that lamps light, and how relit pictures are made unless it is said."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.images.png import write_png
+from lumisplat.relighting.evaluation.found import over_black, relit_scene
+from support.files.relightable_files import painted_ball, sky, write_radiance, write_relightable_set
+
+LAMPS = """
+[[lights]]
+type = "rect"
+position = [0.0, 3.0, 0.0]
+edge_u = [1.0, 0.0, 0.0]
+edge_v = [0.0, 0.0, 1.0]
+intensity = 8.0
+
+[[lights]]
+type = "sphere"
+position = [2.0, 0.5, 3.0]
+color = [1.0, 0.6, 0.3]
+intensity = 20.0
+radius = 0.2
+"""
+LIGHTS = (
+    ls.LightRect((0.0, 3.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), intensity=8.0),
+    ls.LightSphere((2.0, 0.5, 3.0), color=(1.0, 0.6, 0.3), intensity=20.0, radius=0.2),
+)
+HYBRID = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT)
+PATH = ls.RenderConfig(pipeline=ls.Pipeline.PATH)
+
+
+@pytest.fixture(scope="module")
+def ball() -> ls.Gaussians:
+    """A capture that has all columns."""
+    return painted_ball()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, ball: ls.Gaussians) -> Path:
+    """The set whose truth it is, by lamps; few paths, for no test needs more."""
+    folder = write_relightable_set(tmp_path_factory.mktemp("sets") / "set", ball)
+    (folder / "relit" / "dusk.exr").unlink()
+    (folder / "environment.exr").rename(folder / "lamps.toml")
+    (folder / "relit" / "dusk.toml").write_text(LAMPS)
+    show(folder, ball, LIGHTS, replace(PATH, samples=64))
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path, made: Path) -> Path:
+    """The same for a test to change."""
+    return shutil.copytree(made, tmp_path / "set")
+
+
+def show(folder: Path, ball: ls.Gaussians, lights: tuple, config: ls.RenderConfig) -> None:
+    """Makes the true pictures anew."""
+    renderer = ls.create_renderer(replace(config, background=None), "cpu")
+    scene = relit_scene(ball, lights, (1.0, 1.0, 1.0), 0.5)
+    for view in ls.load_photographs(folder).held_out:
+        write_png(folder / "relit" / "dusk" / f"{view.name}.png", over_black(renderer, scene, view.camera))
+
+
+def relit(result: ls.MaterialEvaluation) -> np.ndarray:
+    """What is seen of the capture by the new light, view by view."""
+    return np.stack([view.pictures["relit/dusk"][0] for view in result.views])
+
+
+def test_lamps_of_a_scene_file_relight(folder, ball):
+    """The lights of the file, by 64 paths a pixel unless it is said; another lamp is another picture."""
+    assert ls.evaluate_materials(ball, folder, device="cpu").relit["dusk"].psnr > 55.0
+    direct = ls.evaluate_materials(ball, folder, config=HYBRID, samples=4, device="cpu")
+    assert 20.0 < direct.relit["dusk"].psnr < 55.0
+    (folder / "relit" / "dusk.toml").write_text(LAMPS.replace("[2.0, 0.5, 3.0]", "[-2.0, 0.5, -3.0]"))
+    assert ls.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr < 30.0
+
+
+def test_an_environment_in_a_room_is_not_compared(folder, ball):
+    """It is said why, and the other figures are there."""
+    result = ls.evaluate_materials(ball, folder, environment=sky(), samples=1, device="cpu")
+    assert np.isnan(result.environment_psnr) and result.albedo_psnr > 100.0
+    assert result.remarks == (
+        f"the environment that was found is not compared: lamps made the photographs of {folder}",
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('[[splats]]\npath = "ball.ply"\n', "is in the light of a set, expected"),
+        ("[[lights]]\ntype = 'rect'\n", "dusk.toml"),
+        ("", "dusk.toml"),
+    ],
+)
+def test_what_is_no_light_is_refused(folder, ball, text, problem):
+    """In one line that names the file."""
+    ls.save(folder / "relit" / "ball.ply", ball)
+    (folder / "relit" / "dusk.toml").write_text(text)
+    with pytest.raises(ls.FormatError) as caught:
+        ls.evaluate_materials(ball, folder, samples=1, device="cpu")
+    assert problem in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_masks_leave_lamps_out(folder, ball):
+    """Nonsense where a mask is black changes no figure."""
+    before = ls.evaluate_materials(ball, folder, samples=4, device="cpu")
+    text = (folder / "transforms_test.json").read_text()
+    for view in ls.load_photographs(folder).held_out:
+        mask = np.ones((32, 32, 3), np.float32)
+        mask[12:18, 10:20] = 0.0
+        write_png(folder / "truth" / f"{view.name}.png", mask)
+        line = f'"file_path": "./test/{view.name}"'
+        assert line in text
+        text = text.replace(line, f'{line}, "mask_path": "./truth/{view.name}.png"')
+    (folder / "transforms_test.json").write_text(text)
+    masked = ls.evaluate_materials(ball, folder, samples=4, device="cpu")
+    assert 0.0 < masked.views[0].coverage < before.views[0].coverage
+    for view in masked.views:
+        assert not view.region[12:18, 10:20].any()
+        path = folder / "relit" / "dusk" / f"{view.name}.png"
+        picture = ls.load_image(path).copy()
+        picture[12:18, 10:20] = 1.0
+        write_png(path, picture)
+    assert ls.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr == masked.relit["dusk"].psnr
+
+
+def test_grain_is_a_small_part_of_the_error_unless_it_is_wanted(folder, ball):
+    """Three small lamps in a dark environment: 64 samples a pixel by default, also of a config that says nothing."""
+    lamps = np.full((16, 32, 3), 0.05, np.float32)
+    lamps[4, 3], lamps[6, 17], lamps[3, 25] = 60.0, 40.0, 50.0
+    (folder / "relit" / "dusk.toml").unlink()
+    write_radiance(folder / "relit" / "dusk.exr", lamps)
+    show(folder, ball, (ls.LightEnvironment(lamps, visible=False),), replace(HYBRID, samples=256))
+    default = ls.evaluate_materials(ball, folder, device="cpu")
+    few = ls.evaluate_materials(ball, folder, config=replace(HYBRID, samples=8), device="cpu")
+    print("grain, 64 samples:", default.relit["dusk"].psnr, "dB; 8:", few.relit["dusk"].psnr, "dB")
+    assert default.relit["dusk"].psnr > few.relit["dusk"].psnr + 6.0, "grain falls by 9 dB"
+    for config, samples in ((HYBRID, None), (replace(HYBRID, samples=8), 64)):
+        same = ls.evaluate_materials(ball, folder, config=config, samples=samples, device="cpu")
+        np.testing.assert_array_equal(relit(same), relit(default))
