@@ -20,6 +20,10 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     place = Workplace(tmp_path, capsys)
     lit = ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 700)
     ls.save(place.path("ball.ply"), replace(lit, albedo=None, roughness=None, normals=None))
+    ls.save(
+        place.path("few.ply"),
+        ls.Gaussians(*(column[:9] for column in (lit.means, lit.rotations_wxyz, lit.scales, lit.opacities, lit.sh))),
+    )
     place.path("scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
     return place
 
@@ -52,6 +56,7 @@ def test_a_capture_gets_materials(work):
         (("@ball.ply", "-o", "@out.ply", "--cells", "2"), "cells is 2"),
         (("@scene.toml", "-o", "@out.ply"), "is not a capture"),
         (("@none.ply", "-o", "@out.ply"), "none.ply"),
+        (("@few.ply", "-o", "@out.ply"), "few.ply: no surface whose material could be told: 9 of 9 Gaussians"),
     ],
 )
 def test_mistakes_end_in_one_line(work, arguments, said):

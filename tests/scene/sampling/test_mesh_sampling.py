@@ -253,6 +253,8 @@ def test_impossible_requests_are_refused() -> None:
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 10**12)
     with pytest.raises(ls.SceneError, match=r"takes a Mesh, got a Scene: give scene\.meshes\[0\]\.mesh"):
         gaussians_from_mesh(ls.Scene([], [shapes.plane(1.0, 1.0)]))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ls.SceneError, match=r"takes a Mesh, got a MeshInstance: give its \.mesh"):
+        gaussians_from_mesh(ls.MeshInstance(shapes.plane(1.0, 1.0)))  # pyright: ignore[reportArgumentType]
 
 
 def test_creases_are_sharp_and_open_edges_only() -> None:

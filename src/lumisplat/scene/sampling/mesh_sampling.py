@@ -30,7 +30,7 @@ from lumisplat.scene.sampling.creases import CreasePoints, crease_points
 from lumisplat.scene.sampling.disc_shapes import crease_limits, disc_axes, grow_scales, shading_normals, thin_axes
 from lumisplat.scene.sampling.surface_color import base_colors
 from lumisplat.scene.sampling.surface_points import default_count, face_areas_and_normals, stratified_points
-from lumisplat.scene.scene import Scene
+from lumisplat.scene.scene import MeshInstance, Scene
 
 _Floats = npt.NDArray[np.floating]
 
@@ -72,8 +72,8 @@ class SurfaceSamples(NamedTuple):
 
 def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> SurfaceSamples:
     """As `gaussians_from_mesh`, with the triangles that the Gaussians lie on."""
-    hint = ": give scene.meshes[0].mesh, for example" if isinstance(mesh, Scene) else ""
-    check_argument("gaussians_from_mesh", mesh, Mesh, "a Mesh", hint)
+    hints = {Scene: ": give scene.meshes[0].mesh, for example", MeshInstance: ": give its .mesh"}
+    check_argument("gaussians_from_mesh", mesh, Mesh, "a Mesh", hints.get(type(mesh), ""))
     areas, face_normals = face_areas_and_normals(mesh)
     count = default_count([mesh]) if count is None else count
     check_whole("count", count, 1, SAMPLING_COUNT_MAX)

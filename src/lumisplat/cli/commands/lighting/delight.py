@@ -25,7 +25,7 @@ class Delight(LoadingCommand, DeviceCommand):
     The result has an albedo, a normal and a roughness for each Gaussian beside its captured colours: lights of a scene
     then shine on it as on a mesh. First try: lumisplat delight garden.ply -o garden.relit.ply
 
-    About a minute for 100,000 Gaussians. Surfaces are taken for matt.
+    Minutes for 100,000 Gaussians, more the fuzzier they are; --cells 8 takes half of it. Surfaces are taken for matt.
     """
 
     capture: Positional[Annotated[Path, arg(metavar="CAPTURE")]]
@@ -55,7 +55,10 @@ class Delight(LoadingCommand, DeviceCommand):
         with progress_bars() as report:
             self.start_warp()
             capture = self._loaded(report)
-            found = ls.estimate_materials(capture, config, device=self.device, progress=report)
+            try:
+                found = ls.estimate_materials(capture, config, device=self.device, progress=report)
+            except ls.SceneError as error:
+                raise ls.FormatError(self.capture, str(error)) from None
             report("writing", 0.0)
             ls.save(self.output, found.gaussians)
             if self.sky is not None:
