@@ -35,7 +35,7 @@ sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "tools"), str(REPOSITORY / "te
 from bench.mitsuba_peer import load_mitsuba  # noqa: E402
 from make_mitsuba_light_reference import light_of, sensor_of  # noqa: E402
 from make_relightable_set import BRIGHT, BRIGHT_SHARE, photograph, scene_of, shapes_of, write_truth  # noqa: E402
-from make_training_set import GOLDEN, bounds, split, write_transforms  # noqa: E402
+from make_training_set import GOLDEN, bounds, placed, split, write_transforms  # noqa: E402
 
 import lumisplat as ls  # noqa: E402
 
@@ -117,6 +117,18 @@ def room_of(paths: list[Path]) -> ls.Scene:
         )
         meshes += [ls.MeshInstance(one.mesh, room_from_figure @ one.world_from_object) for one in figure.meshes]
     return ls.Scene(meshes=meshes)
+
+
+def surfaces(scene: ls.Scene) -> list[tuple[ls.Mesh, bool]]:
+    """Meshes of a room in world space, of their colours alone, and whether each is of a figure."""
+    count, made = len(walls()) + len(old_lamps()), []
+    for number, one in enumerate(scene.meshes):
+        positions, normals = placed(one)
+        texture = one.mesh.material.base_color_texture  # pyright: ignore[reportAttributeAccessIssue]
+        material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture, specular=0.0)
+        moved = replace(one.mesh, positions=positions, normals=normals, material=material)
+        made.append((moved, number >= count))
+    return made
 
 
 def walls() -> list[ls.MeshInstance]:
