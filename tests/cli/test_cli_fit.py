@@ -148,6 +148,9 @@ def test_several_photographs_and_a_report(work):
     report = json.loads(work.path("report/report.json").read_text())
     assert [view["residual"] < 0.02 for view in report["views"]] == [True, True]
     assert [light["light"] for light in report["lights"]] == ["left", "right"]
+    for told in report["lights"]:
+        power = lights_of(work, "a.toml")[told["light"]]
+        assert [told["red"], told["green"], told["blue"]] == pytest.approx(list(power), rel=1e-5)
     swapped = work.run("fit", "@room.toml", "@window.png", "--camera", "window.png", "-o", "@b.toml", *FIT)
     assert swapped.status == 0
     np.testing.assert_allclose(lights_of(work, "b.toml")["right"], (4.0, 4.0, 4.0), rtol=0.03)

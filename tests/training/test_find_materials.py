@@ -128,6 +128,18 @@ def test_a_closed_room_has_no_sky() -> None:
     np.testing.assert_allclose(0.15 / white.under(sky), 0.5)
 
 
+def test_the_sky_has_the_brightness_and_tint_that_are_conventions() -> None:
+    """Grey on the average of its logarithms; the lightest surfaces, by weight, reflect 0.8."""
+    rng = np.random.default_rng(1)
+    white = WhiteLight(rng.random((300, 32), np.float32) / 32.0, np.full((300, 3), 0.02))
+    weights, true = rng.random(300), rng.uniform(0.5, 2.0, (32, 3)) * (2.0, 1.0, 0.5)
+    outgoing = rng.uniform(0.2, 0.6, (300, 1)) * white.under(true)
+    sky = fitted_sky(outgoing, white, weights, even_directions(32), steps=20, rng=rng, report=silent)
+    assert np.ptp(np.log(sky).mean(axis=0)) < 1e-6 and np.ptp(np.log(sky)) > 0.1
+    lightest = (outgoing / white.under(sky)).max(axis=1)
+    assert weights[lightest <= 0.8 + 1e-3].sum() == pytest.approx(0.95 * weights.sum(), rel=0.01)
+
+
 def test_a_single_gaussian_has_no_neighbours() -> None:
     """Nothing holds on to it, and nothing fails."""
     pairs = near_pairs(np.zeros((1, 3), np.float32))

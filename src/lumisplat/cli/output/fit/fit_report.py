@@ -23,15 +23,12 @@ def light_rows(fit: ls.LightFit) -> tuple[list[str], list[list[str]]]:
     header = ["light", "red", "green", "blue", "+-", "position", "+-", "share"]
     rows: list[list[str]] = []
     for number, light in enumerate(fit.lights):
-        is_sky = fit.environment is not None and number == len(fit.lights) - 1
-        power = [channel * light.intensity for channel in light.color]
-        if is_sky and fit.environment is not None:
-            power = [float(x) / (2.0 * math.sqrt(math.pi)) for x in fit.environment.coefficients[0]]
+        power = _power(fit, number)
         place = getattr(light, "position", None)
         error = float(fit.position_errors[number].max())
         rows.append(
             [
-                light.name or f"light{number}",
+                _name(fit, number),
                 *(f"{x:.4g}" for x in power),
                 f"{float(fit.standard_errors[number].max()):.2g}",
                 "" if place is None else ", ".join(f"{x:z.4g}" for x in place),
@@ -65,14 +62,15 @@ def write_report(
 
 
 def _figures(fit: ls.LightFit, photographs: Sequence[Path]) -> dict[str, Any]:
-    header, rows = light_rows(fit)
-    lights = [dict(zip(("light", "red", "green", "blue"), row, strict=False)) for row in rows]
-    for number, light in enumerate(lights):
-        light |= {
+    lights = [
+        {
+            "light": _name(fit, number),
+            **dict(zip(("red", "green", "blue"), _power(fit, number), strict=True)),
             "standard_error": fit.standard_errors[number].tolist(),
             "share": float(fit.shares[number]),
         }
-    assert header[0] == "light"
+        for number in range(len(fit.lights))
+    ]
     views = [
         {
             "photograph": str(path),
@@ -84,6 +82,18 @@ def _figures(fit: ls.LightFit, photographs: Sequence[Path]) -> dict[str, Any]:
         for path, view, stops in zip(photographs, fit.views, fit.exposures, strict=True)
     ]
     return {"lights": lights, "base_colors": fit.base_colors, "views": views, "remarks": list(fit.remarks)}
+
+
+def _name(fit: ls.LightFit, number: int) -> str:
+    return fit.lights[number].name or f"light{number}"
+
+
+def _power(fit: ls.LightFit, number: int) -> list[float]:
+    """Colour times intensity of a light, of harmonics their mean radiance."""
+    light = fit.lights[number]
+    if fit.environment is not None and number == len(fit.lights) - 1:
+        return [float(x) / (2.0 * math.sqrt(math.pi)) for x in fit.environment.coefficients[0]]
+    return [float(channel * light.intensity) for channel in light.color]
 
 
 def _write_beside(path: Path, photograph: Any, frame: ls.Frame) -> None:

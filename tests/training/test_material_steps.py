@@ -1,0 +1,68 @@
+"""Single steps that refine materials: which way derivatives and neighbours move what Gaussians are made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.sh import even_directions
+from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.lit_gaussians import Materials
+from lumisplat.training.materials.material_fit import MaterialFit
+from lumisplat.training.views import TrainingView
+from support.scenes.lit_sphere import ball, matte, photographed
+
+COUNT, DIRECTIONS = 60, 12
+SHAPES = {"albedo": (COUNT, 3), "roughness": (COUNT,), "sky": (DIRECTIONS, 3)}
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two, of a grey ball."""
+    folder = tmp_path_factory.mktemp("set")
+    return photographed(folder, matte(ball(COUNT), np.full(3, 0.5), np.ones_like), count=2, size=8)
+
+
+@pytest.fixture
+def fit(photographs: Path) -> MaterialFit:
+    """Of that ball, from one albedo, one roughness and one radiance everywhere."""
+    capture, directions = matte(ball(COUNT), np.full(3, 0.5), np.ones_like), even_directions(DIRECTIONS)
+    light = np.ones((COUNT, DIRECTIONS), np.float32), np.zeros((COUNT, DIRECTIONS, 3), np.float32)
+    normals = capture.means / np.linalg.norm(capture.means, axis=1, keepdims=True)
+    start = Materials(np.full((COUNT, 3), 0.5), np.full(COUNT, 0.5), normals.astype(np.float64), np.ones((12, 3)))
+    views = [TrainingView.of(one) for one in ls.load_photographs(photographs).training]
+    config, incident = ls.MaterialsConfig(iterations=10), Incident(directions, *light)
+    return MaterialFit(capture, views, incident, start, config, device="cpu", threads=1, progress=None)
+
+
+def moved(fit: MaterialFit, **gradient: np.ndarray) -> Materials:
+    """What a step by some derivatives, the others being 0, makes of the materials."""
+    given = {name: np.zeros(shape) for name, shape in SHAPES.items()} | gradient
+    fit._move(Materials(normals=np.zeros((COUNT, 3)), **given))  # pyright: ignore[reportPrivateUsage]
+    return fit.materials
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_materials_move_against_derivatives(fit: MaterialFit, name: str) -> None:
+    """Each number where it has one, and no other."""
+    sign = np.where(np.random.default_rng(0).random(SHAPES[name]) < 0.5, -1.0, 1.0)
+    before = fit.materials
+    after = moved(fit, **{name: sign})
+    assert (np.sign(getattr(before, name) - getattr(after, name)) == sign).all()
+    for other in set(SHAPES) - {name}:
+        np.testing.assert_allclose(getattr(after, other), getattr(before, other), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_neighbours_hold_on_to_each_other(fit: MaterialFit, name: str) -> None:
+    """One that has left the others comes back, and some of these follow it."""
+    state = {key: values.copy() for key, values in fit.state.items()}
+    state[name][3] += 1.0
+    fit.restore(state, 0)
+    before, after = getattr(fit.materials, name), getattr(moved(fit), name)
+    assert (after[3] < before[3]).all()
+    others = np.delete(after - before, 3, axis=0)
+    assert others.min() >= -1e-12 and others.max() > 1e-4
