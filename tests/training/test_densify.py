@@ -78,7 +78,7 @@ def test_their_number_grows_to_the_cap_and_no_further() -> None:
 def test_small_ones_are_cloned_and_large_ones_split() -> None:
     """Where the loss pulls; a split one leaves two smaller ones within it."""
     before = learnt([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
-    record = Record(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]))
+    record = Record(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
     after = multiplied(before, record, CONFIG, np.random.default_rng(0))
     assert after.count == 4 + 1 + 1
     places = after.values["means"]
@@ -90,6 +90,25 @@ def test_small_ones_are_cloned_and_large_ones_split() -> None:
         before, record, TrainConfig(densification=Densification.ADAPTIVE, cap=5), np.random.default_rng(0)
     )
     assert strongest.count == 5, "no more than the cap"
+
+
+def test_those_whose_normals_are_turned_are_cloned_or_split_too() -> None:
+    """Only if it is asked for; the farther above its threshold, the sooner, whatever asks for more."""
+    before = learnt([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
+    record = Record(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
+    settings = {"densification": Densification.ADAPTIVE, "normals": 0.05}
+
+    def after(**more: float) -> Learnt:
+        config = TrainConfig(**settings, **{"cap": 100, **more})  # pyright: ignore[reportArgumentType]
+        return multiplied(before, record, config, np.random.default_rng(0))
+
+    sizes = lambda one: sorted(np.round(one.scales[:, 0], 4))  # noqa: E731
+    assert sizes(after()) == [0.001, 0.001, 0.001, 0.5, 0.5], "not asked for: a clone of the first"
+    assert sizes(after(grow_turn=0.5)) == [0.001, 0.001, 0.001, 0.001, 0.5, 0.5], "a clone of the second, too"
+    assert sizes(after(grow_turn=0.05)) == [0.001] * 4 + [0.3125, 0.3125, 0.5], "and the last is split"
+    assert sizes(after(grow_turn=0.5, cap=5)) == [0.001, 0.001, 0.001, 0.5, 0.5]
+    places = after(grow_turn=0.5, cap=5).values["means"]
+    assert (places == before.values["means"][1]).all(axis=1).sum() == 2, "of these, what is most above comes first"
 
 
 def test_transparent_and_oversized_ones_are_pruned() -> None:
@@ -111,7 +130,7 @@ def test_a_reset_makes_all_almost_transparent() -> None:
 def test_a_seed_gives_one_result(kind: Densification) -> None:
     """And another seed another."""
     config = TrainConfig(densification=kind, cap=200)
-    record = Record(100, 1.0, np.linspace(0.0, 2e-3, 100))
+    record = Record(100, 1.0, np.linspace(0.0, 2e-3, 100), np.zeros(100))
     ones = [
         densified(learnt([0.5, 0.003] * 50, [0.1] * 100), record, config, np.random.default_rng(seed))
         for seed in (0, 0, 1)

@@ -14,7 +14,7 @@ from lumisplat.training.photo_loss import Loss, PhotoLoss
 
 SIZE = 23, 17
 """Width and height; the window of 11 pixels reaches across both borders at once."""
-SSIM, ALPHA = 0.3, 0.7
+SSIM, ALPHA, ENTROPY = 0.3, 0.7, 0.4
 
 Wanted = tuple[np.ndarray, np.ndarray | None, np.ndarray | None]
 """Colour, what counts, and alpha of a photograph."""
@@ -36,7 +36,7 @@ def differentiate(
 ) -> tuple[Loss, np.ndarray, np.ndarray]:
     """The loss of a frame, and its derivatives by colour and alpha."""
     launcher, buffers = Launcher("cpu", threads, parallel=parallel), Buffers("cpu")
-    loss = PhotoLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA)
+    loss = PhotoLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
     pixels = PixelData()
     pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
     pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))
@@ -65,8 +65,11 @@ def expected(color: np.ndarray, alpha: np.ndarray, wanted: Wanted) -> float:
     share = np.ones(alpha.shape) if weight is None else weight.astype(np.float64)
     error = (1.0 - SSIM) * share[..., None] * np.abs(color - y) + SSIM * (1.0 - ssim)
     total = error.sum() / (3.0 * share.sum())
-    missed = 0.0 if wanted_alpha is None else ALPHA * (share * np.abs(alpha - wanted_alpha)).sum() / share.sum()
-    return float(total + missed)
+    if wanted_alpha is None:
+        return float(total)
+    covered = np.clip(alpha, 1e-6, 1.0 - 1e-6)
+    entropy = -wanted_alpha * np.log(covered) - (1.0 - wanted_alpha) * np.log(1.0 - covered)
+    return float(total + (share * (ALPHA * np.abs(alpha - wanted_alpha) + ENTROPY * entropy)).sum() / share.sum())
 
 
 @pytest.mark.parametrize("kind", ["plain", "masked", "transparent", "both"])
@@ -88,7 +91,18 @@ def test_the_loss_and_its_derivatives(kind: str) -> None:
         assert not by_alpha.any()
     else:
         share = np.ones(alpha.shape) if weight is None else weight
-        np.testing.assert_allclose(by_alpha, ALPHA * share * np.sign(alpha - wanted[2]) / share.sum(), rtol=1e-5)
+        slope = ALPHA * np.sign(alpha - wanted[2]) + ENTROPY * ((1.0 - wanted[2]) / (1.0 - alpha) - wanted[2] / alpha)
+        np.testing.assert_allclose(by_alpha, share * slope / share.sum(), rtol=1e-4, atol=1e-7)
+
+
+def test_what_is_as_covered_as_it_should_be_has_no_more_to_learn() -> None:
+    """Alpha of exactly 0 and 1 has a finite entropy and no derivative; the wrong one has a large, finite entropy."""
+    wanted = (images(2, None) > 0.5).astype(np.float32)
+    right, _, by_alpha = differentiate(images(1), wanted, (images(3), None, wanted))
+    assert 0.0 <= right.entropy < 1e-5 and not by_alpha.any()
+    wrong, _, by_alpha = differentiate(images(1), 1.0 - wanted, (images(3), None, wanted))
+    assert wrong.entropy == pytest.approx(-np.log(1e-6), rel=5e-3)
+    assert (np.sign(by_alpha) == np.where(wanted > 0.5, -1.0, 1.0)).all()
 
 
 def test_what_does_not_count_does_not_pull() -> None:

@@ -17,10 +17,11 @@ from lumisplat.training.learnt import Learnt
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Picture, TrainingView
-from support.oracles.gradient_oracle import Loss, Parameters, differences
+from support.oracles.gradient_oracle import Loss, Parameters, differences, surfaces
+from support.oracles.smoothness_oracle import smoothness
 
 SIZE = 22, 16
-NORMALS, DEPTH, FLATNESS = 0.7, 1.3, 2.0
+NORMALS, DEPTH, SMOOTH, FLATNESS = 0.7, 1.3, 0.9, 2.0
 
 
 def wall(count: int = 14) -> ls.Gaussians:
@@ -42,8 +43,9 @@ def started(**settings: Any) -> Trainer:
     size = {"width": SIZE[0], "height": SIZE[1], "fov_y": 0.5}
     camera = ls.Camera.look_at((0.4, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), **size)
     other = ls.Camera.look_at((-0.6, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), **size)
-    weight = np.random.default_rng(2).uniform(0.2, 1.0, (SIZE[1], SIZE[0])).astype(np.float32)
-    picture = Picture(np.zeros((SIZE[1], SIZE[0], 3), np.float32), weight)
+    rng = np.random.default_rng(2)
+    weight = rng.uniform(0.2, 1.0, (SIZE[1], SIZE[0])).astype(np.float32)
+    picture = Picture(rng.uniform(size=(SIZE[1], SIZE[0], 3)).astype(np.float32), weight)
     views = [TrainingView(str(k), one, lambda: picture) for k, one in enumerate((camera, other))]
     gaussians = wall()
     config = ls.TrainConfig(iterations=10, cap=gaussians.count, sh_degree=0, **settings)
@@ -68,7 +70,10 @@ def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
     if one._surfaces is not None:
         maps = raster.compare_surfaces(one._surfaces, pixels, photograph, counted=one._loss.counted, gradient=nothing)
         total = float(np.asarray(maps.terms.numpy(), np.float64).sum())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
-    gradient = raster.backward(pixels, nothing, one._surfaces)
+        if one._surfaces.smoothness is not None:
+            terms: Any = one._surfaces.smoothness.terms
+            total += float(np.asarray(terms.numpy(), np.float64).sum())
+    gradient = raster.backward(pixels, nothing, one._surfaces, one._record)
     if one.config.flatness:
         raster.flatten(one.config.flatness / one.around.extent, gradient)
     arrays = {name: np.array(getattr(gradient, name).numpy()) for name in ("means", "rotations", "scales", "opacities")}
@@ -87,8 +92,14 @@ class Sums(Loss):
         return np.column_stack([depth, depth**2, np.zeros(len(depth))])
 
 
-def expected(p: Parameters, one: Trainer) -> float:
-    """The terms once more, float64: equation 13 of Huang et al. 2024, and the spread of depth of Gao et al. 2024."""
+def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
+    """The terms once more, float64: equation 13 of Huang et al. 2024, two of Gao et al. 2024.
+
+    Args:
+        p: The Gaussians.
+        one: Has the settings, the photograph and its camera.
+        normals: The first channel that normals are read from.
+    """
     camera, picture = one._views[0].smaller(0)
     none = np.zeros((SIZE[1], SIZE[0], 3))
     around = {"middle": one.around.distance, "extent": one.around.extent}
@@ -106,14 +117,20 @@ def expected(p: Parameters, one: Trainer) -> float:
     towards = -area / np.linalg.norm(area, axis=-1, keepdims=True) @ p.camera_from_world[:3, :3]
     inside = np.s_[1:-1, 1:-1]
     whole = has[inside] & has[1:-1, 2:] & has[1:-1, :-2] & has[2:, 1:-1] & has[:-2, 1:-1]
-    missed = alpha[inside] - (sums[inside][..., 4:7] * towards).sum(axis=-1)
+    missed = alpha[inside] - (sums[inside][..., normals : normals + 3] * towards).sum(axis=-1)
+    total += one.config.normal_smoothness * smoothness(
+        sums[..., normals : normals + 3], picture.color.astype(np.float64), weight
+    )
     return float((total + one.config.normals * (weight[inside] * missed)[whole].sum()) / weight.sum())
 
 
-@pytest.mark.parametrize(("normals", "depth"), [(NORMALS, 0.0), (0.0, DEPTH), (NORMALS, DEPTH)])
-def test_derivatives_of_normals_and_depths(normals: float, depth: float) -> None:
+@pytest.mark.parametrize(
+    ("normals", "depth", "smooth"),
+    [(NORMALS, 0.0, 0.0), (0.0, DEPTH, 0.0), (0.0, 0.0, SMOOTH), (NORMALS, DEPTH, SMOOTH)],
+)
+def test_derivatives_of_normals_and_depths(normals: float, depth: float, smooth: float) -> None:
     """By all that Gaussians are, against central differences of the float64 statement."""
-    one = started(normals=normals, depth_spread=depth)
+    one = started(normals=normals, depth_spread=depth, normal_smoothness=smooth)
     total, found = found_by(one)
     p = Parameters.of(one.gaussians(), (0.0, 0.0, 0.0), one._views[0].camera)
     p = replace(p, features=np.zeros((len(p.means), 0)))
@@ -125,6 +142,21 @@ def test_derivatives_of_normals_and_depths(normals: float, depth: float) -> None
         scale = np.abs(slopes).mean()
         error = np.abs(by - slopes)[agree] / scale
         assert np.median(error) < 1e-3 and error.max() < 2e-2, (name, np.median(error), error.max())
+
+
+def test_turns_are_derivatives_by_normals() -> None:
+    """Across them, over all pixels, against central differences by normals that are features of their own."""
+    one = started(normals=NORMALS, normal_smoothness=SMOOTH, densification="adaptive", grow_turn=1.0)
+    found_by(one)
+    noted: Any = one._record.turns
+    p = Parameters.of(one.gaussians(), (0.0, 0.0, 0.0), one._views[0].camera)
+    p = replace(p, features=surfaces(p)[:, 1:])
+    slopes, agree = differences(lambda q: expected(q, one, normals=7), p, "features")
+    counted = np.asarray(one._views[0].read().weight, np.float64).sum()
+    turns = counted * np.linalg.norm(np.cross(p.features, slopes), axis=1)
+    whole = agree.all(axis=1)
+    assert whole.mean() > 0.5
+    np.testing.assert_allclose(noted.numpy()[whole], turns[whole], rtol=2e-2, atol=1e-3 * float(turns.max()))
 
 
 def test_the_least_scale_counts_where_a_gaussian_is_drawn() -> None:

@@ -86,6 +86,9 @@ class TrainConfig:
     is transparent is then neither filled by Gaussians of the background's colour nor left to them."""
     alpha: float = 0.1
     """Weight of the error of alpha, of photographs that have one, 0..10."""
+    mask_entropy: float = 0.0
+    """Weight of the cross entropy between alpha and that of photographs, 0..10: makes what is covered opaque, and all
+    else clear (R3DG, there 0.1)."""
     opacity_decay: float = 0.01
     """Weight of the mean opacity in the loss of MCMC, 0..10: without need, Gaussians fade."""
     scale_decay: float = 0.01
@@ -97,9 +100,15 @@ class TrainConfig:
     on surfaces (2DGS)."""
     depth_spread: float = 0.0
     """Weight of the standard deviation of depth along rays, in extents, 0..1000: makes surfaces thin (R3DG)."""
+    normal_smoothness: float = 0.0
+    """Weight of the differences between normals of neighbouring pixels, where the photograph has no edge, 0..1000
+    (R3DG, there 0.01)."""
     grow_pull: float = 8e-4
     """Mean pull of the loss at a splat, in halves of the image, above which adaptive densification adds to it, 0..1;
     of magnitudes (AbsGS), which do not cancel."""
+    grow_turn: float = 0.0
+    """Mean derivative of terms on surfaces, summed over pixels, by the normal of a Gaussian, above which adaptive
+    densification adds to it, too, 0..1000; 0: whatever it is (R3DG, there 0.004)."""
     coarse: int = 0
     """Photographs begin smaller, by this power of two, 0..4: a quarter of the iterations for all smaller sizes."""
     pipeline: Pipeline = Pipeline.RASTER
@@ -131,9 +140,9 @@ class TrainConfig:
         take_enum(self, "densification", Densification)
         check_whole("initial", self.initial, 1, 100_000_000)
         check_range("ssim", self.ssim, 0.0, 1.0)
-        for name in ("alpha", "opacity_decay", "scale_decay"):
+        for name in ("alpha", "mask_entropy", "opacity_decay", "scale_decay"):
             check_range(name, getattr(self, name), 0.0, 10.0)
-        for name in ("flatness", "normals", "depth_spread"):
+        for name in ("flatness", "normals", "depth_spread", "normal_smoothness", "grow_turn"):
             check_range(name, getattr(self, name), 0.0, 1000.0)
         check_range("prune_below", self.prune_below, 0.0, 1.0)
         check_range("grow_pull", self.grow_pull, 0.0, 1.0)
@@ -150,7 +159,7 @@ class TrainConfig:
     @property
     def makes_flat(self) -> bool:
         """Whether there are terms on surfaces."""
-        return max(self.flatness, self.normals, self.depth_spread) > 0.0
+        return max(self.flatness, self.normals, self.depth_spread, self.normal_smoothness) > 0.0
 
     def _check_pipeline(self) -> None:
         if self.pipeline not in (Pipeline.RASTER, Pipeline.TRACE):
@@ -162,7 +171,12 @@ class TrainConfig:
         if self.keeps_lenses and self.densification is Densification.ADAPTIVE:
             raise ConfigError("densification is adaptive, which looks at splats of Pipeline.RASTER: use mcmc for rays")
         if self.keeps_lenses and self.makes_flat:
-            raise ConfigError("flatness, normals and depth_spread are of splats of Pipeline.RASTER: leave them at 0")
+            terms = "flatness, normals, depth_spread and normal_smoothness"
+            raise ConfigError(f"{terms} are of splats of Pipeline.RASTER: leave them at 0")
+        if self.grow_turn > 0.0 and self.densification is not Densification.ADAPTIVE:
+            raise ConfigError("grow_turn is of adaptive densification: leave it at 0 for mcmc")
+        if self.grow_turn > 0.0 and max(self.normals, self.normal_smoothness) == 0.0:
+            raise ConfigError("grow_turn is of terms on normals, and both normals and normal_smoothness are 0")
 
     @property
     def keeps_lenses(self) -> bool:

@@ -49,6 +49,9 @@ SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
 """Wang et al. 2004, section III-C, of pictures in 0..1."""
 
+COVERED_MIN = 1e-6
+"""Alpha, and 1 less alpha, below which the entropy of what is covered stays as it is. Gao et al. 2024, code."""
+
 # --- How Gaussians come and go ---
 
 POINTS_SHARE_MIN = 0.05

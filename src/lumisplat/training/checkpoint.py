@@ -21,9 +21,10 @@ from lumisplat.training.learnt import NAMES, Learnt
 
 _log = logging.getLogger("lumisplat")
 
-VERSION = 4
+VERSION = 5
 _PARTS = ("values", "first", "second")
-_RECORD = ("motion", "frames")
+RECORD = ("motion", "turns", "frames")
+"""What a `SplatRecord` has."""
 _OF_PHOTOGRAPHS = "photographs."
 _MAY_CHANGE = ("iterations", "prune_below")
 """Settings with others of which training goes on: what is done stays, and what comes goes by the new ones."""
@@ -56,7 +57,7 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: T
     Raises:
         FormatError: It cannot be written.
     """
-    arrays: dict[str, Any] = {f"record.{name}": checkpoint.record[name] for name in _RECORD}
+    arrays: dict[str, Any] = {f"record.{name}": checkpoint.record[name] for name in RECORD}
     for part in _PARTS:
         arrays |= {f"{part}.{name}": getattr(checkpoint.learnt, part)[name] for name in NAMES}
     arrays |= {f"{_OF_PHOTOGRAPHS}{name}": values for name, values in checkpoint.of_photographs.items()}
@@ -84,7 +85,7 @@ def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[
         told = json.loads(str(arrays.pop("about")))
         check_same(path, told, config, photographs)
         parts = ({name: np.asarray(arrays[f"{part}.{name}"], np.float32) for name in NAMES} for part in _PARTS)
-        record = {name: np.asarray(arrays[f"record.{name}"], np.float32) for name in _RECORD}
+        record = {name: np.asarray(arrays[f"record.{name}"], np.float32) for name in RECORD}
         of_photographs = {
             name.removeprefix(_OF_PHOTOGRAPHS): np.asarray(values, np.float64)
             for name, values in arrays.items()

@@ -29,6 +29,8 @@ from lumisplat.training.learnt import Learnt
 
 Doubles = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
+TINY = 1e-30
+"""A pull below any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +44,14 @@ class Record:
     pull: Doubles
     """How strongly the loss pulls at each Gaussian, halves of the image, shape (N,): the mean over frames since the
     last change in which it was drawn."""
+    turn: Doubles
+    """How strongly terms on surfaces turn its normal, shape (N,): the mean over these frames of the derivative of their
+    sum over pixels."""
+
+    def wanted(self, config: TrainConfig) -> Doubles:
+        """How much more than enough there is to do at each Gaussian, shape (N,): above 1, it is cloned or split."""
+        by_pull = self.pull / max(config.grow_pull, TINY)
+        return np.maximum(by_pull, self.turn / config.grow_turn) if config.grow_turn > 0.0 else by_pull
 
 
 def densified(learnt: Learnt, record: Record, config: TrainConfig, rng: np.random.Generator) -> Learnt:
@@ -121,14 +131,15 @@ def narrowing(degree: int, power: int) -> float:
     return 0.5 * (power + 1.0) if degree == 0 else float(power ** (1.0 / degree))
 
 
-# --- Adaptive density control (Kerbl et al. 2023, section 5; Ye et al. 2024) ---
+# --- Adaptive density control (Kerbl et al. 2023, section 5; Ye et al. 2024; normals: Gao et al. 2024) ---
 
 
 def multiplied(learnt: Learnt, record: Record, config: TrainConfig, rng: np.random.Generator) -> Learnt:
-    """Small Gaussians at which the loss pulls are cloned, large ones are split in two."""
-    strongest = np.argsort(-record.pull, kind="stable")[: max(config.cap - learnt.count, 0)]
+    """Small Gaussians at which the loss pulls, or whose normals it turns, are cloned, large ones are split in two."""
+    wanted = record.wanted(config)
+    strongest = np.argsort(-wanted, kind="stable")[: max(config.cap - learnt.count, 0)]
     chosen = np.zeros(learnt.count, bool)
-    chosen[strongest] = record.pull[strongest] > config.grow_pull
+    chosen[strongest] = wanted[strongest] > 1.0
     is_large = learnt.scales.max(axis=1) > SPLIT_SCALE * record.extent
     cloned, split = np.flatnonzero(chosen & ~is_large), np.flatnonzero(chosen & is_large)
     halves = learnt.fresh(np.concatenate([split, split]))

@@ -12,7 +12,7 @@ import math
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX, SSIM_WINDOW_PX
-from lumisplat.constants.training import SSIM_C1, SSIM_C2
+from lumisplat.constants.training import COVERED_MIN, SSIM_C1, SSIM_C2
 from lumisplat.device.film.counted import counted, share_of
 from lumisplat.device.structs.training import LossGrid, LossMaps, LossWeights, Photograph
 
@@ -22,6 +22,7 @@ TAPS = wp.constant(SSIM_WINDOW_PX)
 REACH = wp.constant(SSIM_WINDOW_PX // 2)
 C1 = wp.constant(wp.float32(SSIM_C1))
 C2 = wp.constant(wp.float32(SSIM_C2))
+COVERED_LEAST = wp.constant(wp.float32(COVERED_MIN))
 
 _RAW = [math.exp(-0.5 * ((k - SSIM_WINDOW_PX // 2) / SSIM_SIGMA_PX) ** 2) for k in range(SSIM_WINDOW_PX)]
 WINDOW = wp.constant(wp.types.vector(length=SSIM_WINDOW_PX, dtype=wp.float32)(*(weight / sum(_RAW) for weight in _RAW)))
@@ -41,6 +42,21 @@ def mirrored(x: int, size: int) -> int:
 def slope(x: float) -> float:
     """Derivative of the magnitude; 0 at 0, where Warp's sign is 1."""
     return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))
+
+
+@wp.func
+def entropy(alpha: float, wanted: float) -> float:
+    """Cross entropy of what is covered: how bad a guess alpha is (Gao et al. 2024, code)."""
+    a = wp.clamp(alpha, COVERED_LEAST, 1.0 - COVERED_LEAST)
+    return -(wanted * wp.log(a) + (1.0 - wanted) * wp.log(1.0 - a))
+
+
+@wp.func
+def slope_of_entropy(alpha: float, wanted: float) -> float:
+    """Its derivative by alpha; 0 where alpha is clamped."""
+    if alpha < COVERED_LEAST or alpha > 1.0 - COVERED_LEAST:
+        return 0.0
+    return (alpha - wanted) / (alpha * (1.0 - alpha))
 
 
 @wp.func
@@ -153,13 +169,13 @@ def differentiate_rows(
     maps: LossMaps,
     by_color_out: wp.array[wp.vec3],
     by_alpha_out: wp.array[float],
-    sums_out: wp.array[wp.vec3],
+    sums_out: wp.array[wp.vec4],
 ):
-    """Item = run: derivatives of the loss by its pixels; sums of L1, of squares, and of the error of alpha."""
+    """Item = run: derivatives of the loss by its pixels; sums of L1, squares, the error of alpha, and its entropy."""
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
     width = grid.width
-    sums = wp.vec3(0.0)
+    sums = wp.vec4(0.0)
     for x in range(left, right):
         by_mean = wp.vec3(0.0)
         by_square = wp.vec3(0.0)
@@ -179,12 +195,15 @@ def differentiate_rows(
         gradient = weights.l1 * wp.vec3(slope(error[0]), slope(error[1]), slope(error[2])) - weights.ssim * by_ssim
         by_color_out[i] = share * gradient
         magnitude = wp.abs(error[0]) + wp.abs(error[1]) + wp.abs(error[2])
-        sums += share * wp.vec3(magnitude, wp.dot(error, error), 0.0)
+        sums += share * wp.vec4(magnitude, wp.dot(error, error), 0.0, 0.0)
         by_alpha_out[i] = 0.0
         if photograph.alpha.shape[0] > 0:
             missed = alpha[i] - photograph.alpha[i]
-            by_alpha_out[i] = share * weights.alpha * slope(missed)
+            wanted = photograph.alpha[i]
+            by_alpha = weights.alpha * slope(missed) + weights.entropy * slope_of_entropy(alpha[i], wanted)
+            by_alpha_out[i] = share * by_alpha
             sums[2] = sums[2] + share * wp.abs(missed)
+            sums[3] = sums[3] + share * entropy(alpha[i], wanted)
     sums_out[item] = sums
 
 
@@ -193,15 +212,15 @@ def add_rows(
     start: int,
     grid: LossGrid,
     ssim: wp.array[float],
-    sums: wp.array[wp.vec3],
+    sums: wp.array[wp.vec4],
     ssim_out: wp.array[float],
-    sums_out: wp.array[wp.vec3],
+    sums_out: wp.array[wp.vec4],
 ):
     """Item = row: the sums over its runs."""
     y = start + wp.tid()
     runs = (grid.width + grid.run - 1) // grid.run
     total = float(0.0)
-    totals = wp.vec3(0.0)
+    totals = wp.vec4(0.0)
     for i in range(y * runs, (y + 1) * runs):
         total += ssim[i]
         totals += sums[i]

@@ -27,6 +27,8 @@ class Loss:
     """-1..1."""
     alpha: float
     """Mean error of alpha; 0 where it is not known."""
+    entropy: float
+    """Mean cross entropy of alpha, likewise."""
     total: float
     """What is minimised."""
 
@@ -39,11 +41,14 @@ class PhotoLoss:
         buffers: Holds the arrays.
         ssim: Share of SSIM, 0..1; the rest is L1.
         alpha: Weight of the error of alpha.
+        entropy: Weight of the cross entropy of alpha.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, *, ssim: float, alpha: float) -> None:
+    def __init__(
+        self, launcher: Launcher, buffers: Buffers, *, ssim: float, alpha: float, entropy: float = 0.0
+    ) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._ssim, self._alpha = ssim, alpha
+        self._ssim, self._alpha, self._entropy = ssim, alpha, entropy
         self.counted = 1.0
         """Sum of what counts of the photograph, pixels."""
 
@@ -80,7 +85,7 @@ class PhotoLoss:
         grid.width, grid.height, grid.run = width, height, 1 if self._launcher.is_parallel else width
         runs = count // grid.run
         maps, derivatives = (self._buffers.struct(f"loss.{name}", LossMaps, count) for name in ("maps", "derivatives"))
-        ssim, sums = get("loss.ssim", wp.float32, runs), get("loss.sums", wp.vec3, runs)
+        ssim, sums = get("loss.ssim", wp.float32, runs), get("loss.sums", wp.vec4, runs)
         gradient = PixelGradient()
         gradient.color, gradient.alpha = get("loss.color", wp.vec3, count), get("loss.alpha", wp.float32, count)
         with self._launcher.stage("loss"):
@@ -91,7 +96,7 @@ class PhotoLoss:
             run(loss_kernels.differentiate_rows, runs, *inputs, gradient.color, gradient.alpha, sums)
             if runs > height:
                 of_runs = ssim, sums
-                ssim, sums = get("loss.row_ssim", wp.float32, height), get("loss.row_sums", wp.vec3, height)
+                ssim, sums = get("loss.row_ssim", wp.float32, height), get("loss.row_sums", wp.vec4, height)
                 run(loss_kernels.add_rows, height, grid, *of_runs, ssim, sums)
         return self._loss(count, ssim.numpy(), sums.numpy()), gradient
 
@@ -100,13 +105,14 @@ class PhotoLoss:
         weights.l1 = (1.0 - self._ssim) / (3.0 * self.counted)
         weights.ssim = self._ssim / (3.0 * self.counted)
         weights.alpha = self._alpha / self.counted
+        weights.entropy = self._entropy / self.counted
         return weights
 
     def _loss(self, count: int, ssim_rows: FloatArray, sums: FloatArray) -> Loss:
         """Means over pixels that count; where none does, frame and photograph are the same, and SSIM is 1."""
         total = self.counted
         ssim = 1.0 - (3.0 * count - float(ssim_rows.sum(dtype=np.float64))) / (3.0 * total)
-        means = sums.sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total)
-        l1, squared, alpha = (float(mean) for mean in means)
-        loss = (1.0 - self._ssim) * l1 + self._ssim * (1.0 - ssim) + self._alpha * alpha
-        return Loss(l1, squared, ssim, alpha, loss)
+        means = sums.sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total, total)
+        l1, squared, alpha, entropy = (float(mean) for mean in means)
+        loss = (1.0 - self._ssim) * l1 + self._ssim * (1.0 - ssim) + self._alpha * alpha + self._entropy * entropy
+        return Loss(l1, squared, ssim, alpha, entropy, loss)

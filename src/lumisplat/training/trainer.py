@@ -51,7 +51,7 @@ from lumisplat.scene.scene import Scene
 from lumisplat.training import loss_kernels, optimizer_kernels, weight_kernels
 from lumisplat.training.along_rays.training_rays import TrainingRays
 from lumisplat.training.along_rays.training_unscented import TrainingUnscented
-from lumisplat.training.checkpoint import Checkpoint
+from lumisplat.training.checkpoint import RECORD, Checkpoint
 from lumisplat.training.corrections import exposure_kernels
 from lumisplat.training.corrections.exposures import ExposedFrame, Exposures
 from lumisplat.training.corrections.poses import Poses
@@ -59,7 +59,7 @@ from lumisplat.training.densify import Record, densified
 from lumisplat.training.initial import Surroundings, first_gaussians, random_points
 from lumisplat.training.learnt import Learnt, LearntOnDevice
 from lumisplat.training.photo_loss import Loss, PhotoLoss
-from lumisplat.training.surfaces import surface_kernels
+from lumisplat.training.surfaces import smoothness_kernels, surface_kernels
 from lumisplat.training.surfaces.surface_terms import SurfaceLoss
 from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Lesson, TrainingView
@@ -106,10 +106,11 @@ class Trainer:
         frames = frame_modules(FramePlan.of(settings, Scene()), self._launcher, settings)
         own = [optimizer_kernels, loss_kernels, weight_kernels, *([exposure_kernels] if config.exposures else [])]
         if config.makes_flat:
-            own += [surface_kernels, *feature_modules()]
+            own += [surface_kernels, smoothness_kernels, *feature_modules()]
         self._launcher.load([*frames, *backward_modules(config, self._launcher), *own], progress)
         self._raster = raster_of(config)(self._launcher, self._buffers, settings)
-        self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, alpha=config.alpha)
+        of_alpha = {"alpha": config.alpha, "entropy": config.mask_entropy}
+        self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, **of_alpha)
         self._surfaces = self._surface_loss()
         self._device_splats = LearntOnDevice(self._buffers)
         self.exposures = Exposures.neutral(len(views)) if config.exposures else None
@@ -150,7 +151,7 @@ class Trainer:
     @property
     def checkpoint(self) -> Checkpoint:
         """The state."""
-        record = {name: np.array(device_array(getattr(self._record, name)).numpy()) for name in ("motion", "frames")}
+        record = {name: np.array(device_array(getattr(self._record, name)).numpy()) for name in RECORD}
         of_photographs = {name: values for learnt in self._corrections for name, values in learnt.state.items()}
         return Checkpoint(self.iteration, self._learnt(), record, of_photographs)
 
@@ -237,14 +238,16 @@ class Trainer:
         surfaces = self._surfaces if self._done >= SURFACES_AFTER else None
         if surfaces is not None:
             raster.compare_surfaces(surfaces, pixels, photograph, counted=self._loss.counted, gradient=gradient)
-        by_gaussians = raster.backward(pixels, gradient, surfaces)
+        record = self._record if self.config.grow_turn > 0.0 else None
+        by_gaussians = raster.backward(pixels, gradient, surfaces, record)
         if self.config.flatness > 0.0:
             raster.flatten(self.config.flatness / self.around.extent, by_gaussians)
         return by_gaussians
 
     def _surface_loss(self) -> SurfaceLoss | None:
         """What is compared of surfaces, if anything is."""
-        weights = {"normals": self.config.normals, "depth": self.config.depth_spread}
+        config = self.config
+        weights = {"normals": config.normals, "depth": config.depth_spread, "smooth": config.normal_smoothness}
         if not any(weights.values()) or not isinstance(self._raster, TrainingRaster):
             return None
         scale = {"middle": self.around.distance, "extent": self.around.extent}
@@ -307,8 +310,9 @@ class Trainer:
         return first < self.iteration < last and self.iteration % DENSIFY_EVERY == 0
 
     def _densify(self) -> None:
-        frames = np.maximum(device_array(self._record.frames).numpy(), 1.0).astype(np.float64)
-        record = Record(self.iteration, self.around.extent, device_array(self._record.motion).numpy() / frames)
+        motion, turns, frames = (device_array(getattr(self._record, name)).numpy() for name in RECORD)
+        frames = np.maximum(frames, 1.0).astype(np.float64)
+        record = Record(self.iteration, self.around.extent, motion / frames, turns / frames)
         rng = np.random.default_rng([self.config.seed, 2, self.iteration])
         learnt = densified(self._learnt(), record, self.config, rng)
         if learnt.count == 0:
@@ -340,8 +344,8 @@ class Trainer:
         self._count = learnt.count
         self._raster.place(learnt.gaussians(self.config), self._device_splats.values)
         self._record = self._buffers.struct("training.record", SplatRecord, learnt.count)
-        for array in (self._record.motion, self._record.frames):
-            device_array(array).zero_()
+        for name in RECORD:
+            device_array(getattr(self._record, name)).zero_()
 
 
 def falling(first: float, last: float, done: float) -> float:

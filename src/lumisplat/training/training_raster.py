@@ -12,7 +12,7 @@ from lumisplat.config.colors import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import LearntSplats, Photograph, SurfaceMaps
+from lumisplat.device.structs.training import LearntSplats, Photograph, SplatRecord, SurfaceMaps
 from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.gradients.feature_channels import FeatureChannels
 from lumisplat.renderer.gradients.splat_backward import SplatBackward
@@ -93,7 +93,11 @@ class TrainingRaster:
         return surfaces.differentiate(self._scene, self.drawn, pixels, photograph, counted=counted, gradient=gradient)
 
     def backward(
-        self, pixels: PixelData, gradient: PixelGradient, surfaces: SurfaceLoss | None = None
+        self,
+        pixels: PixelData,
+        gradient: PixelGradient,
+        surfaces: SurfaceLoss | None = None,
+        record: SplatRecord | None = None,
     ) -> GaussianGradient:
         """Derivatives by the Gaussians of the last frame.
 
@@ -101,12 +105,15 @@ class TrainingRaster:
             pixels: Of the last frame.
             gradient: Derivatives by these.
             surfaces: What was compared of its surfaces, if anything.
+            record: Receives how strongly these turn normals; None: nobody asks.
         """
         self.by_splats(pixels, gradient)
         by_features = None if surfaces is None else surfaces.backward(self._scene, self.drawn, self.by_splat)
         by_gaussians = self._backward.gaussians(self._scene, self.drawn, self.by_splat, 0)
         if surfaces is not None and by_features is not None:
             surfaces.add_by_features(self._scene, by_features, by_gaussians)
+            if record is not None:
+                surfaces.note_turns(self._scene, self.drawn, by_features, record)
         return by_gaussians
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:

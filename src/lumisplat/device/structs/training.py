@@ -57,6 +57,8 @@ class SplatRecord:
 
     motion: wp.array[float]
     """Sum over frames of how strongly the loss pulls at its splat, in halves of the image."""
+    turns: wp.array[float]
+    """Sum over frames of how strongly terms on surfaces turn its normal: their derivative, times pixels that count."""
     frames: wp.array[float]
     """In how many of them it was drawn."""
 
@@ -119,6 +121,17 @@ class SurfaceMaps:
 
 
 @struct
+class SmoothnessMaps:
+    """How normals change over a frame, an element a pixel."""
+
+    terms: wp.array[float]
+    """Of the loss."""
+    across: wp.array[wp.vec3]
+    """Derivatives by the difference along the row; likewise ``down``."""
+    down: wp.array[wp.vec3]
+
+
+@struct
 class LossMaps:
     """Blurred maps, an element a pixel."""
 
@@ -140,6 +153,7 @@ class LossWeights:
     l1: float
     ssim: float
     alpha: float
+    entropy: float
 
 
 @struct

@@ -15,7 +15,7 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import Photograph, SurfaceMaps, SurfaceTerms
+from lumisplat.device.structs.training import Photograph, SplatRecord, SurfaceMaps, SurfaceTerms
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
@@ -209,6 +209,24 @@ def add_by_features(
     q = gaussians.rotations[i]
     by_rotation = 2.0 * (wp.quat(by_turn[0], by_turn[1], by_turn[2], 0.0) * q)
     gradient_inout.rotations[i] = gradient_inout.rotations[i] + by_rotation
+
+
+@wp.kernel
+def note_turns(
+    start: int,
+    camera: wp.array[CameraData],
+    counted: float,
+    rects: wp.array[TileRect],
+    gaussians: GaussianData,
+    by_features: wp.array2d[float],
+    record_inout: SplatRecord,
+):
+    """Item = Gaussian: how strongly the terms of a frame turn its normal, over all pixels, if it was drawn."""
+    i = start + wp.tid()
+    if is_listed(rects[i]):
+        by_normal = wp.vec3(by_features[i, 2], by_features[i, 3], by_features[i, 4])
+        turn = wp.length(wp.cross(normal_of(camera[0], gaussians, i), by_normal))
+        record_inout.turns[i] = record_inout.turns[i] + counted * turn
 
 
 @wp.kernel

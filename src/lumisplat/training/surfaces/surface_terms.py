@@ -9,12 +9,13 @@ import warp as wp
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import Photograph, SurfaceMaps, SurfaceTerms
+from lumisplat.device.structs.training import Photograph, SmoothnessMaps, SplatRecord, SurfaceMaps, SurfaceTerms
 from lumisplat.renderer.gradients.feature_channels import FeatureChannels, ShownFeatures
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.training.surfaces import smoothness_kernels
 from lumisplat.training.surfaces import surface_kernels as kernels
 
 FEATURES = 5
@@ -30,6 +31,7 @@ class SurfaceLoss:
         channels: Shows features.
         normals: Weight of 1 less the cosine between normals of Gaussians and of their depth.
         depth: Weight of the standard deviation of depth along rays, in extents.
+        smooth: Weight of the differences between normals of neighbouring pixels, but for edges of the photograph.
         middle: A view depth in the middle of the scene, scene units.
         extent: Of the scene, scene units.
     """
@@ -42,15 +44,19 @@ class SurfaceLoss:
         *,
         normals: float,
         depth: float,
+        smooth: float,
         middle: float,
         extent: float,
     ) -> None:
         self._launcher, self._buffers, self._channels = launcher, buffers, channels
-        self._normals, self._depth = normals, depth
+        self._normals, self._depth, self._smooth = normals, depth, smooth
         self._terms = SurfaceTerms()
         self._terms.middle, self._terms.per_unit = middle, 1.0 / extent
         self._shown: ShownFeatures
         self._by_sums: DeviceArray
+        self._counted = 1.0
+        self.smoothness: SmoothnessMaps | None = None
+        """With the terms of each pixel of the last frame; None: smoothness does not count."""
 
     def differentiate(
         self,
@@ -87,13 +93,31 @@ class SurfaceLoss:
             seen = (scene.camera, self._terms)
             run(kernels.compare, count, *seen, photograph, pixels.alpha, shown.of_pixels, maps, by_sums)
             run(kernels.gather, count, *seen, pixels.alpha, shown.of_pixels, maps, by_sums, gradient.alpha)
-        self._shown, self._by_sums = shown, by_sums
+            if self._smooth > 0.0:
+                self.smoothness = self._buffers.struct("surfaces.smoothness", SmoothnessMaps, count)
+                inputs = (self._smooth / counted, photograph, shown.of_pixels, self.smoothness)
+                run(smoothness_kernels.compare, count, scene.camera, *inputs)
+                run(smoothness_kernels.gather, count, scene.camera, self.smoothness, by_sums)
+        self._shown, self._by_sums, self._counted = shown, by_sums, counted
         return maps
 
     def backward(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray) -> DeviceArray:
         """Derivatives by features, shape (N, 5); adds those by splats to ``by_splat``."""
         with self._launcher.stage("backward: surfaces"):
             return self._channels.backward(scene, drawn, self._shown, self._by_sums, by_splat)
+
+    def note_turns(self, scene: DeviceScene, drawn: DrawnSplats, by_features: DeviceArray, record: SplatRecord) -> None:
+        """Adds how strongly the terms turn the normals of what was drawn.
+
+        Args:
+            scene: The scene on the device, as it was drawn.
+            drawn: What was drawn.
+            by_features: As of ``backward``.
+            record: Receives it.
+        """
+        data: GaussianData = scene.assets[0].data
+        inputs = (scene.camera, self._counted, drawn.splats.rects, data, by_features, record)
+        self._launcher.run_banded(kernels.note_turns, len(data.opacities), *inputs)
 
     def add_by_features(self, scene: DeviceScene, by_features: DeviceArray, gradient: GaussianGradient) -> None:
         """Adds derivatives by way of features to those by Gaussians."""
