@@ -68,6 +68,13 @@ def test_the_truth_is_found_without_error(folder, ball):
     assert "albedo_psnr=" in repr(result) and "dusk" in repr(result)
 
 
+def test_samples_do_not_blur_what_is_compared(folder, ball):
+    """They average light, and go through the centres of pixels, as Gaussians were learnt."""
+    spread = replace(CONFIG, jitter=True)
+    result = ls.evaluate_materials(ball, folder, config=spread, device="cpu")
+    assert result.relit["dusk"].psnr > 55.0
+
+
 def test_a_scale_of_albedo_is_recovered(folder, ball):
     """One a channel for all views; without it the error is that of the factors, as sRGB."""
     factors = np.array([0.5, 0.9, 1.6])

@@ -17,7 +17,7 @@ from support.files.photograph_files import write_blender_photographs
 
 SIZE, VIEWS = 32, 2
 CHANNELS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
-CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
+CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4, jitter=False)
 """How relit pictures are rendered."""
 
 
