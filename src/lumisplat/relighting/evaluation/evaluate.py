@@ -30,6 +30,8 @@ from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.gaussians import Gaussians
 
 Progress = Callable[[str, float], None]
+SPLATS = (Pipeline.RASTER, Pipeline.HYBRID)
+"""Pipelines whose Gaussians are wide enough for pixels; rays are not."""
 
 
 def evaluate_materials(
@@ -55,7 +57,9 @@ def evaluate_materials(
         environment: The light of the photographs that was found, linear radiance, shape (H, W, 3), with the axes of
             `LightEnvironment`; None: none was.
         config: How the capture is relit; None: ``Pipeline.HYBRID``, which has shadows and no bounces, and where lamps
-            light a room ``Pipeline.PATH``, which has both. Without a background, whatever it says.
+            light a room ``Pipeline.PATH``, which has both. Whatever it says, without a background, and splats with
+            samples through the centres of pixels: they were learnt as they are seen there, and spread samples would
+            blur them once more.
         samples: Of each pixel of relit pictures, in place of those of ``config``; None: those, and 64 if neither says
             it, so that grain is a small part of the error (docs/guide/materials.md#grain).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
@@ -105,7 +109,8 @@ def _relighting(config: RenderConfig | None, samples: int | None, *, has_lamps: 
     settings = config or RenderConfig(pipeline=Pipeline.PATH if has_lamps else Pipeline.HYBRID)
     if samples is None and settings.time_limit is None and settings.noise is None:
         samples = settings.samples or RELIT_SAMPLES
-    return replace(settings, background=None, samples=samples)
+    jitter = settings.jitter and settings.pipeline not in SPLATS
+    return replace(settings, background=None, samples=samples, jitter=jitter)
 
 
 def _panorama(environment: npt.ArrayLike) -> FloatArray:
