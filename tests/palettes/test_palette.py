@@ -54,6 +54,15 @@ def test_one_level_is_k_means(count: int) -> None:
     assert distances.sum() == pytest.approx(expected, rel=1e-4)
 
 
+def test_idle_entries_go_where_the_error_is() -> None:
+    """An entry without vectors moves to the one that is farthest from its own, in its group."""
+    values = np.array([[0.0], [1.0], [7.0], [2.0], [90.0]], np.float32)
+    group = np.array([0, 0, 0, 0, 1])
+    entries = _Entries(values, group, np.array([2, 1]))
+    entries.move(np.array([0, 0, 0, 0, 16]), np.array([6.25, 2.25, 20.25, 0.25, 0.0], np.float32))
+    np.testing.assert_array_equal(entries.values[[0, 1, 16], 0], [2.5, 7.0, 90.0])
+
+
 def test_two_levels_are_no_worse_than_one() -> None:
     """A palette on two levels has at most the error of ten steps of k-means that compare with all entries."""
     values = clusters(1200, 24, centers=50)

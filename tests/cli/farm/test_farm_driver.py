@@ -250,6 +250,18 @@ def test_workers_that_die_before_they_are_ready_are_not_replaced_for_ever() -> N
         run.run()
 
 
+def test_one_that_is_ready_ends_a_row_of_bad_starts() -> None:
+    """A worker that dies as it starts, one that works, and another that dies: that one is replaced, too."""
+    executor = FakeExecutor()
+    run, _ = driver(executor, 1, range(9))
+    run._start()
+    run._take(executor.lost(0))
+    run._take(Ready(1, frame_list(9)))
+    run._take(executor.lost(1))
+    run._take(executor.lost(2))
+    assert executor.started == 4 and list(run._workers) == [3]
+
+
 def test_when_a_file_vanishes_the_living_workers_go_on(caplog: pytest.LogCaptureFixture) -> None:
     """A successor that cannot load the scene is done without; with nobody left, the rest of the frames say why."""
     executor = FakeExecutor()

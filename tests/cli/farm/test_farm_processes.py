@@ -214,6 +214,17 @@ def test_an_interrupt_says_how_far_it_is(tmp_path: Path) -> None:
     assert "Traceback" not in err
 
 
+def test_workers_do_not_hear_an_interrupt(tmp_path: Path) -> None:
+    """It is for the driver: a worker that alone is told to stop goes on."""
+    maker = FakeMaker(tmp_path / "out", count=6, seconds=0.3)
+    driver = driver_of(tmp_path / "out", 6, 0.3)
+    wait_for(lambda: len(maker.contents) >= 2)
+    for pid in {int(path.name.split("_")[1]) for path in (tmp_path / "made").iterdir()}:
+        os.kill(pid, signal.SIGINT)
+    assert driver.wait() == 0
+    assert maker.contents == expected(6) and maker.begun == list(range(6))
+
+
 def test_places() -> None:
     """As many as asked for, each with its share of the cores; one a GPU where there are any."""
     places = local_places(FarmRoom(workers=3, cores=2, device="cpu"))

@@ -17,7 +17,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.errors import FormatError, MissingExtraError
 from lumisplat.io.usd import library
-from lumisplat.io.usd.opening.crate import check_crate
+from lumisplat.io.usd.opening.crate import _is_tree, check_crate
 from support.files.splat_files import capture
 from support.files.usd_files import EXTENSIONS, field, usd_core, write_usda
 from support.scenes.usd_scene import full_scene
@@ -139,6 +139,23 @@ def test_paths_that_are_no_tree(tmp_path: Path) -> None:
             continue
         messages.add(refused(path))
     assert any("the paths in its binary layer are no tree" in message for message in messages)
+
+
+@pytest.mark.parametrize(
+    "jumps",
+    [
+        [3, -2, -2, -2],  # a sibling behind an entry that nobody visits
+        [2, -1, -2],  # a child's child is the sibling
+        [1, -2],  # a sibling where the child is
+        [-2, -2],
+        [-1],
+        [2, -2, 5],
+    ],
+)
+def test_walks_that_are_no_trees(jumps: list[int]) -> None:
+    """Each entry is to be visited once, and none left out."""
+    assert not _is_tree(jumps)
+    assert _is_tree([2, -2, 0, -1, -2])
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 40, 2000])

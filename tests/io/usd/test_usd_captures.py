@@ -70,6 +70,17 @@ def test_validators_are_content(tmp_path: Path, extension: str) -> None:
     assert not validation_messages(tmp_path / f"capture{extension}")
 
 
+def test_what_the_schema_leaves_open_is_said(tmp_path: Path) -> None:
+    """How many coefficients are those of one particle, and in which colours."""
+    usd = usd_core()
+    ls.save(tmp_path / "a.usdc", capture(5, 2))
+    stage = usd.Stage.Open(str(tmp_path / "a.usdc"))
+    (prim,) = (one for one in stage.Traverse() if one.GetTypeName() == "ParticleField3DGaussianSplat")
+    attribute = prim.GetAttribute("radiance:sphericalHarmonicsCoefficients")
+    said = attribute.GetMetadata("elementSize"), attribute.GetMetadata("interpolation"), attribute.GetColorSpace()
+    assert said == (9, "vertex", "srgb_rec709_scene")
+
+
 def test_what_others_see_stands_upright(tmp_path: Path) -> None:
     """A capture with y down is turned by its root: in the stage, what was at -y is at +y; its units are metres."""
     usd_core()

@@ -91,6 +91,8 @@ def test_the_default_sun(tmp_path: Path) -> None:
     assert sun.angle == pytest.approx(math.radians(0.265)) and sun.direction == (0.0, 0.0, -1.0)
     lux = "float inputs:intensity = 7\nbool inputs:normalize = 1"
     assert light(tmp_path, "DistantLight", lux).intensity == pytest.approx(7.0)
+    wide = "float inputs:angle = 270\nfloat inputs:intensity = 1"  # wider than half of the sky: 2 - sin(135 deg)^2
+    assert light(tmp_path, "DistantLight", wide).intensity == pytest.approx(1.5 * math.pi)
     parallel = "float inputs:intensity = 7\nfloat inputs:angle = 0"
     assert light(tmp_path, "DistantLight", parallel).intensity == pytest.approx(7.0)
 

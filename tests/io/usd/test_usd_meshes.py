@@ -277,7 +277,10 @@ def test_instances_share_their_mesh(tmp_path: Path) -> None:
 
 
 def test_point_instancers(tmp_path: Path) -> None:
-    """A prototype at each place, scaled, then turned, then moved; hidden ones are not shown."""
+    """A prototype at each place, scaled, then turned, then moved; hidden ones are not shown.
+
+    Where prototypes lie in the file does not matter.
+    """
     body = f"""def PointInstancer "many" {{
         int[] protoIndices = [0, 0, 1, 0]
         point3f[] positions = [(10, 0, 0), (0, 10, 0), (0, 0, 10), (5, 5, 5)]
@@ -285,7 +288,9 @@ def test_point_instancers(tmp_path: Path) -> None:
         float3[] scales = [(1, 1, 1), (2, 2, 2), (1, 1, 1), (1, 1, 1)]
         int64[] invisibleIds = [3]
         rel prototypes = [</many/p/a>, </many/p/b>]
-        def Scope "p" {{
+        def Xform "p" {{
+            double3 xformOp:translate = (100, 0, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
             def Xform "a" {{
                 double3 xformOp:translate = (1, 0, 0)
                 uniform token[] xformOpOrder = ["xformOp:translate"]

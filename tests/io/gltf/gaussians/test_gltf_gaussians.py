@@ -214,11 +214,11 @@ def test_scales_of_nodes_scale_covariances(tmp_path: Path, scale: tuple[float, f
     values = stored_values()
     gltf = splat_gltf(values)
     gltf.json["nodes"][0] |= {"scale": list(scale), "rotation": [0.0, 0.6, 0.0, 0.8]}
-    parent = gltf.add("nodes", children=[0], rotation=[0.6, 0.0, 0.8, 0.0], translation=[0.0, 5.0, 0.0])
+    parent = gltf.add("nodes", children=[0], rotation=[0.48, 0.0, 0.36, 0.8], translation=[0.0, 5.0, 0.0])
     gltf.json["scenes"][0]["nodes"] = [parent]
     scene = loaded_scene(tmp_path, with_camera(gltf))
     (splat,) = scene.splats
-    rotation = matrices(np.array([[0.6, 0.0, 0.8, 0.0]]))[0] @ matrices(np.array([[0.0, 0.6, 0.0, 0.8]]))[0]
+    rotation = matrices(np.array([[0.48, 0.0, 0.36, 0.8]]))[0] @ matrices(np.array([[0.0, 0.6, 0.0, 0.8]]))[0]
     linear = rotation @ np.diag(scale)
     expected = covariances(values["ROTATION"], values["SCALE"], linear)
     np.testing.assert_allclose(
