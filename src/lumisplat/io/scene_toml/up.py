@@ -16,8 +16,8 @@ def _may_be_direction(value: object) -> bool:
 DIRECTION = Kind("the name of an axis, such as y-down, or three numbers", _may_be_direction)
 """An axis by its name, or a direction."""
 
-_CAPTURES = (".ply", ".spz", ".sog", "")
-"""Ends of the paths of captures; those of folders of frames have none."""
+_CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".json", "")
+"""Ends of the paths of captures, .json of unpacked SOGs; those of folders of frames have none."""
 
 
 def scene_up(document: TomlTable) -> Vector:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 _NOTHING = "nothing"
 _SKIES = (".hdr", ".exr")
-_READABLE = (".ply", ".spz", ".sog", ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", *_SKIES)
+_CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
+_READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", *_SKIES)
 _LIGHTS = ("point", "spot", "directional", "sphere", "rect")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
