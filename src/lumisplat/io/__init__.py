@@ -64,7 +64,7 @@ def load(
     """Loads a capture, a mesh or a scene; extension and content select the reader.
 
     Args:
-        path: A Gaussian capture (PLY, compressed PLY, SPZ, .splat, SOG bundle, SOG folder or its
+        path: A Gaussian capture (PLY, compressed PLY, SPZ, .splat, .ksplat, SOG bundle, SOG folder or its
             ``meta.json``, streamed SOG or its ``lod-meta.json``), a mesh (OBJ, STL, PLY with faces) or a scene (glTF,
             GLB, OpenUSD, a ``scene.toml`` that names other files).
         drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their

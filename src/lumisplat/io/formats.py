@@ -53,6 +53,7 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 _READERS = {
     ".spz": "splats.spz.read_spz",
     ".splat": "splats.splat.read_splat",
+    ".ksplat": "splats.ksplat.read_ksplat",
     ".sog": "splats.sog.reader.read_sog",
     ".obj": "meshes.obj.read_obj",
     ".stl": "meshes.stl.read_stl",
@@ -83,7 +84,7 @@ _SCENE_WRITERS = {
 """Writers of scenes with their cameras, to which captures and meshes are scenes, too."""
 
 READABLE = (
-    ".ply, .compressed.ply, .spz, .splat, .sog, a SOG folder or its meta.json or lod-meta.json, .obj, .stl, "
+    ".ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder or its meta.json or lod-meta.json, .obj, .stl, "
     ".glb, .gltf, .usda, .usdc, .usdz, .usd, .toml"
 )
 WRITABLE = ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, .usda, .usdc, .usdz, .usd, or meta.json in a folder (SOG)"

@@ -16,6 +16,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.scene.gaussians import Gaussians
+from support.files.ksplat_files import ksplat
 from support.kinds import expect_kind
 
 SAVED = ("capture.ply", "capture.compressed.ply", "capture.spz")
@@ -29,7 +30,7 @@ FORMATS = (
     "bundle.sog",
     "linear.sog",
 )
-FUZZED = (*FORMATS, "written.sog", "old.splat")
+FUZZED = (*FORMATS, "written.sog", "old.splat", "level_0.ksplat", "level_1.ksplat", "level_2.ksplat")
 """Also what changes the order, and what says nothing of its size: cut between two Gaussians, it is whole."""
 
 
@@ -62,6 +63,8 @@ def write_format(folder: Path, name: str, gaussians: Gaussians | None = None) ->
     elif name.endswith(".ply"):
         ls.save(path, gaussians)
         path.write_bytes(reencoded(path.read_bytes(), ascii=name.startswith("ascii")))
+    elif name.endswith(".ksplat"):
+        path.write_bytes(ksplat([gaussians], int(name[6])))
     elif name.endswith(".splat"):
         path.write_bytes(splat_rows(gaussians))
     elif name.endswith(".spz"):

@@ -39,7 +39,7 @@ class Convert(LoadingCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
-    """.ply, .compressed.ply, .spz, .splat, .sog, a SOG folder, or a .glb, .gltf, .usda, .usdc or .usdz with captures.
+    """.ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder, or a glTF or OpenUSD file with captures.
     Without -o, there are two, and the second is written."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
     """.ply, .compressed.ply, .spz, .sog or meta.json (a SOG folder), .glb, .gltf, .usda, .usdc or .usdz; glTF and

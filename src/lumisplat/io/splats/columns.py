@@ -97,6 +97,18 @@ def harmonic_names(prefix: str, coefficients: int) -> list[str]:
     return names + [f"{prefix}_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
 
 
+def joined_columns(parts: Sequence[SplatColumns]) -> SplatColumns:
+    """Captures without materials, stored alike, as one; where one has fewer harmonics than another, the others are 0.
+
+    Args:
+        parts: At least one.
+    """
+    width = max(part.sh.shape[1] for part in parts)
+    padded = [replace(part, sh=np.pad(part.sh, ((0, 0), (0, width - part.sh.shape[1]), (0, 0)))) for part in parts]
+    joined = {name: np.concatenate([getattr(part, name) for part in padded]) for name in REQUIRED}
+    return replace(parts[0], **joined, antialiased=any(part.antialiased for part in parts))
+
+
 @np.errstate(all="ignore")  # what overflows, and NaN that signals, is refused by name or dropped
 def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invalid: bool = False) -> Gaussians:
     """Applies exp and sigmoids, and refuses or drops Gaussians that cannot be rendered.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.constants import SCALE_MIN, SH_C0
+from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike, read_bytes
 from lumisplat.io.splats.columns import SplatColumns
@@ -30,11 +30,10 @@ def read_splat(path: PathLike) -> SplatColumns:
         )
     rows = np.frombuffer(data, _ROW)
     rgba = rows["rgba"] / np.float32(255.0)
-    scales = rows["scale"]
     return SplatColumns(
         means=rows["mean"],
         rotations_wxyz=(rows["wxyz"].astype(np.float32) - 128.0) / 128.0,
-        log_scales=np.where(scales == 0.0, np.float32(SCALE_MIN), scales),
+        log_scales=np.abs(rows["scale"]),
         opacities=rgba[:, 3],
         sh=((rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)),
         scales_are_logarithms=False,

@@ -15,13 +15,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lumisplat.errors import FormatError
 from lumisplat.io.files.format import STREAMED_SOG
 from lumisplat.io.files.references import referenced_file
 from lumisplat.io.files.source import PathLike, parsing, read_bytes
-from lumisplat.io.splats.columns import Floats, SplatColumns
+from lumisplat.io.splats.columns import REQUIRED, SplatColumns, joined_columns
 from lumisplat.io.splats.sog.reader import read_sog
 
 _log = logging.getLogger("lumisplat")
@@ -75,7 +73,9 @@ def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None
             parts.append(read_sog(referenced_file(path, str(meta["environment"]))))
         if not parts:
             raise FormatError(path, f"holds zero Gaussians at level {level}: there is nothing to render")
-        return _joined(path, parts)
+        if any(part.opacities_are_logits != parts[0].opacities_are_logits for part in parts):
+            raise FormatError(path, "names captures of SOG version 1 and of version 2, expected one version")
+        return joined_columns(parts)
 
 
 def _leaves(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -139,23 +139,4 @@ def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumn
                 f"which holds {columns.count:,} Gaussians, or another leaf has some of them",
             )
         end = row.offset + row.count
-        yield replace(columns, **{name: getattr(columns, name)[row.offset : end] for name in _ROWS})
-
-
-_ROWS = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
-"""Fields with a row for each Gaussian that SOG has."""
-
-
-def _joined(path: Path, parts: list[SplatColumns]) -> SplatColumns:
-    """Captures as one; where one has fewer harmonics than another, those that it lacks are 0."""
-    first = parts[0]
-    if any(part.opacities_are_logits != first.opacities_are_logits for part in parts):
-        raise FormatError(path, "names captures of SOG version 1 and of version 2, expected one version")
-    width = max(part.sh.shape[1] for part in parts)
-    padded = [replace(part, sh=_padded(part.sh, width)) for part in parts]
-    joined = {name: np.concatenate([getattr(part, name) for part in padded]) for name in _ROWS}
-    return replace(first, **joined, antialiased=any(part.antialiased for part in parts))
-
-
-def _padded(sh: Floats, width: int) -> Floats:
-    return np.pad(sh, ((0, 0), (0, width - sh.shape[1]), (0, 0)))
+        yield replace(columns, **{name: getattr(columns, name)[row.offset : end] for name in REQUIRED})

@@ -1,0 +1,161 @@
+"""The ``.ksplat`` of mkkellogg's GaussianSplats3D, version 0.1: uncompressed, or at two levels of compression.
+
+A header of 4,096 bytes, one of 1,024 for each section, then the sections: lengths of the buckets that are not full, the
+centres of all buckets, and a row for each Gaussian. Rows are position, scales, rotation wxyz, red, green, blue and
+opacity in bytes, and harmonics of degree 0 to 2, channel by channel within a degree. Level 0 has 32-bit floats. Level 1
+has halves, and positions in 16 bits from the centre of their bucket; full buckets come first. Level 2 has harmonics in
+bytes, between two numbers of the header. Axes are those of the PLY that it was made from.
+Layout: https://github.com/mkkellogg/GaussianSplats3D, src/loaders/SplatBuffer.js.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+import numpy as np
+
+from lumisplat.constants import SH_C0
+from lumisplat.errors import FormatError
+from lumisplat.io.files.source import PathLike, parsing, read_bytes
+from lumisplat.io.splats.columns import Floats, SplatColumns, joined_columns
+
+_HEADER = struct.Struct("<BB2xI4xI4xH14x2f")
+"""Version, numbers of sections and of Gaussians, level, least and largest coefficient of level 2."""
+_HEADER_BYTES, _SECTION_BYTES = 4096, 1024
+_SECTION = struct.Struct("<4x3If4xI4x2IH")
+"""The fields of `_Section`, in their order."""
+_BUCKET_BYTES = 12
+
+_COMPONENTS = (0, 9, 24)
+"""Coefficients above DC of all channels, by degree."""
+_SCALE_RANGE = (1, 32767, 32767)
+"""Steps from the centre of a bucket to its side, by level, of files that do not say them."""
+_HALF_RANGE = 1.5
+"""The least coefficient of level 2, negative, and the largest one, of files that do not say them."""
+
+
+class _File(NamedTuple):
+    """A file, and what its header says of all sections."""
+
+    path: PathLike
+    data: bytes
+    level: int
+    limits: tuple[float, float]
+    """Least and largest coefficient of level 2."""
+
+
+class _Section(NamedTuple):
+    """The header of a section."""
+
+    gaussians: int
+    bucket_size: int
+    """Gaussians in a full bucket."""
+    bucket_count: int
+    block_size: float
+    """Side of a bucket's cube, scene units."""
+    scale_range: int
+    full_count: int
+    """Buckets that are full."""
+    partial_count: int
+    degree: int
+
+
+def read_ksplat(path: PathLike) -> SplatColumns:
+    """Reads a ``.ksplat``; sections with harmonics of lower degrees than others have zeros for those they lack.
+
+    Raises:
+        FormatError: The file cannot be read, is of another version or level, truncated or damaged.
+    """
+    data = read_bytes(path)
+    with parsing(path, "a .ksplat"):
+        major, minor, sections, count, level, low, high = _HEADER.unpack_from(data)
+        if (major, minor) != (0, 1):
+            raise FormatError(path, f"is version {major}.{minor} of .ksplat, or none: expected 0.1")
+        if level >= len(_SCALE_RANGE):
+            raise FormatError(path, f"has compression level {level}, expected 0, 1 or 2")
+        start = _HEADER_BYTES + sections * _SECTION_BYTES
+        if start > len(data):
+            raise FormatError(path, f"truncated: its {sections:,} sections begin at {start:,} of {len(data):,} bytes")
+        file = _File(path, data, level, (low or -_HALF_RANGE, high or _HALF_RANGE))
+        parts: list[SplatColumns] = []
+        for number in range(sections):
+            head = _Section(*_SECTION.unpack_from(data, _HEADER_BYTES + number * _SECTION_BYTES))
+            part, start = _read_section(file, start, head)
+            parts.append(part)
+        if sum(part.count for part in parts) != count:
+            raise FormatError(path, f"damaged: its header has {count:,} Gaussians, its sections another number")
+        if count == 0:
+            raise FormatError(path, "holds zero Gaussians: there is nothing to render")
+        return joined_columns(parts)
+
+
+def _read_section(file: _File, start: int, head: _Section) -> tuple[SplatColumns, int]:
+    """The Gaussians of a section that begins at a byte, and where it ends."""
+    path, data, level, limits = file
+    if head.degree >= len(_COMPONENTS):
+        raise FormatError(path, f"has SH degree {head.degree}, expected 0, 1 or 2")
+    rows_at = start + (4 * head.partial_count + _BUCKET_BYTES * head.bucket_count if level else 0)
+    row = _row(level, head.degree)
+    end = rows_at + head.gaussians * row.itemsize
+    if end > len(data):
+        raise FormatError(path, f"truncated: a section ends at byte {end:,} of {len(data):,}")
+    rows = np.frombuffer(data, row, head.gaussians, rows_at)
+    means = rows["mean"].astype(np.float32)
+    if level:
+        steps = head.scale_range or _SCALE_RANGE[level]
+        means = (means - np.float32(steps)) * np.float32(0.5 * head.block_size / steps)
+        means += _bucket_centers(file, start, head)
+    rgba = rows["rgba"] / np.float32(255.0)
+    rest = rows["sh"].astype(np.float32)
+    if level == 2:
+        rest = np.float32(limits[0]) + rest * np.float32((limits[1] - limits[0]) / 255.0)
+    return (
+        SplatColumns(
+            means=means,
+            rotations_wxyz=rows["wxyz"].astype(np.float32),
+            log_scales=np.abs(rows["scale"].astype(np.float32)),
+            opacities=rgba[:, 3],
+            sh=np.concatenate([(rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0), *_degrees(rest)], axis=1),
+            scales_are_logarithms=False,
+            opacities_are_logits=False,
+        ),
+        end,
+    )
+
+
+def _row(level: int, degree: int) -> np.dtype[np.void]:
+    """How a Gaussian is stored."""
+    number, position, harmonic = (("<f4", "<f4", "<f4"), ("<f2", "<u2", "<f2"), ("<f2", "<u2", "u1"))[level]
+    return np.dtype(
+        [
+            ("mean", position, 3),
+            ("scale", number, 3),
+            ("wxyz", number, 4),
+            ("rgba", "u1", 4),
+            ("sh", harmonic, (_COMPONENTS[degree],)),
+        ]
+    )
+
+
+def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
+    """The centre of each Gaussian's bucket, shape (N, 3).
+
+    Raises:
+        FormatError: The buckets do not hold as many Gaussians as the section.
+    """
+    lengths = np.frombuffer(file.data, "<u4", head.partial_count, start).astype(np.int64)
+    full = head.full_count * head.bucket_size
+    if head.full_count + head.partial_count != head.bucket_count or full + int(lengths.sum()) != head.gaussians:
+        raise FormatError(
+            file.path, f"damaged: buckets of {full + int(lengths.sum()):,} Gaussians of {head.gaussians:,}"
+        )
+    sizes = np.concatenate([np.full(head.full_count, head.bucket_size), lengths])
+    centers = np.frombuffer(file.data, "<f4", 3 * head.bucket_count, start + lengths.size * 4).reshape(-1, 3)
+    return np.repeat(centers, sizes, axis=0)
+
+
+def _degrees(stored: Floats) -> list[Floats]:
+    """Coefficients of each degree from 1 on, shape (N, 2 degree + 1, 3), which are stored channel by channel."""
+    degrees = np.split(stored, [9], axis=1) if stored.shape[1] else []
+    return [one.reshape(len(stored), 3, -1).transpose(0, 2, 1) for one in degrees]
