@@ -77,8 +77,8 @@ def load(
             direction; None: y down with a capture, y up for meshes alone. Other files are read as they are.
         incident: Whether to read the incident light of a .ply that has some (R3DG's ``incidents_*``): it is that of the
             photographs, and lights nothing here.
-        lod: Of a streamed SOG: the level of detail, 0 is the finest; None: 0, or what ``budget`` says.
-        budget: Of a streamed SOG: its finest level of no more Gaussians than this; None: no limit.
+        lod: Of streamed SOGs, also of those in a ``scene.toml``: their level, 0 the finest; None: 0, or by ``budget``.
+        budget: Of the same: the finest level of no more Gaussians than this; None: no limit.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
@@ -98,7 +98,7 @@ def load(
     try:
         with references_outside(allow_outside):
             options = formats.LoadOptions(drop_invalid, crease_angle, up, progress, incident, lod, budget)
-            load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
+            load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle, lod=lod, budget=budget)
             loaded = formats.read(Path(path), load_asset, options)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)

@@ -29,6 +29,8 @@ def view(
     budget_ms: float = 40.0,
     up: str | npt.ArrayLike | None = None,
     drop_invalid: bool = False,
+    lod: int | None = None,
+    lod_budget: int | None = None,
 ) -> Viewer:
     """Opens a page on which people fly through a scene, edit it and see it lit.
 
@@ -50,6 +52,8 @@ def view(
             then fewer pixels.
         up: Up of files that do not say it; None: as of `lumisplat.Scene`.
         drop_invalid: Of files, as of `lumisplat.load`.
+        lod: Of streamed SOGs, as of `lumisplat.load`.
+        lod_budget: Of streamed SOGs, ``budget`` of `lumisplat.load`.
 
     Raises:
         ConfigError: ``height`` or ``budget_ms`` is out of its range.
@@ -59,7 +63,8 @@ def view(
     """
 
     def load(progress: Progress) -> State:
-        document = _document(scene, up, drop_invalid, progress)
+        loading = partial(ls.load, drop_invalid=drop_invalid, lod=lod, budget=lod_budget)
+        document = _document(scene, up, loading, progress)
         if isinstance(config, ls.RenderConfig):
             return State(document, config)
         settings = document.config
@@ -80,14 +85,14 @@ def _refuse_missing(scene: Any) -> None:
         raise ls.MissingFileError(paths[0], "no such file")
 
 
-def _document(scene: Any, up: Any, drop_invalid: bool, progress: Progress) -> ls.SceneDocument:
+def _document(scene: Any, up: Any, loading: Callable[..., Any], progress: Progress) -> ls.SceneDocument:
     """The document of what is to be seen."""
     if isinstance(scene, ls.SceneDocument):
         return scene
     if not isinstance(scene, str | os.PathLike | list | tuple):
         return ls.SceneDocument.of(scene)
 
-    def load(path: Path) -> Any:
-        return ls.load(path, drop_invalid=drop_invalid, progress=partial(progress, f"loading {path.name}"))
+    def load(path: Path, **levels: int | None) -> Any:
+        return loading(path, progress=partial(progress, f"loading {path.name}"), **levels)
 
     return ls.SceneDocument.open(cast(Any, scene), load, up=up)

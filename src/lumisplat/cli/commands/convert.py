@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.captures import count_of, value_ranges
-from lumisplat.cli.options.command import Flag, LoadingCommand
+from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.output.console import Report, byte_size, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
@@ -22,7 +22,7 @@ _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(LoadingCommand):
+class Convert(LevelsCommand):
     """Write captures anew: .ply, .glb, .usdz (exact), .compressed.ply, .spz, .sog (small). Several are joined.
 
     Smaller: lumisplat convert garden.ply garden.spz
@@ -80,6 +80,7 @@ class Convert(LoadingCommand):
                 replace(self, files=sources, output=file).run()
             return
         sources, target = self._sources_and_target()
+        self.check_levels(sources)
         with progress_bars() as report:
             captures = [self._loaded(source, report) for source in sources]
             gaussians = captures[0] if len(captures) == 1 else ls.merge(captures)

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import WITH_CAMERAS, size_on_disk
-from lumisplat.cli.options.command import Flag, LoadingCommand
+from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.output.console import byte_size, print_table, progress_bars
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info(LoadingCommand):
+class Info(LevelsCommand):
     """Show what is in captures, meshes, scenes, camera files and environment images."""
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]] = ()
@@ -39,6 +39,7 @@ class Info(LoadingCommand):
         """Prints a table for each asset, or all as JSON; what is wrong with files that cannot be read comes last."""
         if not self.files:
             raise ls.ConfigError("no file given")
+        self.check_levels(self.files)
         facts: list[dict[str, Any]] = []
         failures: list[ls.LumisplatError] = []
         for path in self.files:

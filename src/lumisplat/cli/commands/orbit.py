@@ -16,7 +16,7 @@ from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
-from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.output.console import Report, progress_bars
@@ -30,7 +30,7 @@ _log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Orbit(FrameCommand):
+class Orbit(LevelsCommand, FrameCommand):
     """Go once round a scene, or along a --path, frame by frame, and make a video of it.
 
     After an interruption, the same command goes on: frames that are there stay.
@@ -129,7 +129,7 @@ class Orbit(FrameCommand):
     def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [*self.scene, *(path for path in (self.path, self.light.environment) if path is not None)]
-        chosen = ("seconds", "fps", "turns", "width", "height", "drop_invalid", "crease_angle")
+        chosen = ("seconds", "fps", "turns", "width", "height", "drop_invalid", "crease_angle", "lod", "lod_budget")
         return {
             "lumisplat": ls.__version__,
             "device": device,

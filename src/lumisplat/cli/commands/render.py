@@ -18,7 +18,7 @@ from lumisplat.cli.farm.tiles import Tiles
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
-from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
@@ -52,7 +52,7 @@ class _Pictures:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(FrameCommand):
+class Render(LevelsCommand, FrameCommand):
     """Render a scene to pictures."""
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()

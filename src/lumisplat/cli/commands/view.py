@@ -11,7 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
+from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting
@@ -21,7 +21,7 @@ _PORT = 8080
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(LoadingCommand, DeviceCommand):
+class View(LevelsCommand, DeviceCommand):
     """Look at a scene in a browser, edit it and light it.
 
     Prints one line, the address of the page, and serves it until it is interrupted. Drag to turn, scroll to come
@@ -55,6 +55,8 @@ class View(LoadingCommand, DeviceCommand):
         """Serves the page until it is interrupted."""
         if not self.scene:
             raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
+        self.check_levels(self.scene)
+        levels = self.levels
         self.start_warp()
         viewer = ls.view(
             list(self.scene),
@@ -66,6 +68,8 @@ class View(LoadingCommand, DeviceCommand):
             budget_ms=self.budget,
             up=parse_up(self.up),
             drop_invalid=self.drop_invalid,
+            lod=levels["lod"],
+            lod_budget=levels["budget"],
         )
         try:
             print(viewer.url, flush=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import cast
 
 _OF_OBJ = re.compile(r"^(?:mtllib|map_\w+|norm|bump)\s+(?:.*\s)?(\S+)\s*$", re.MULTILINE)
+_OF_USDA = re.compile(r"@([^@\n]+)@")
 _OBJ_HEAD = 2**20
 """Bytes of an OBJ that are searched for its material library."""
 
@@ -55,8 +56,10 @@ def _texts(path: Path) -> Iterator[str]:
     suffix = path.suffix.lower()
     if suffix == ".toml":
         yield from _strings(tomllib.loads(path.read_text()))
-    elif suffix == ".gltf":
+    elif suffix == ".gltf" or path.name in ("meta.json", "lod-meta.json"):
         yield from _strings(json.loads(path.read_text()))
+    elif suffix == ".usda":
+        yield from _OF_USDA.findall(path.read_text(errors="replace"))
     elif suffix in (".obj", ".mtl"):
         with path.open("rb") as stream:
             yield from _OF_OBJ.findall(stream.read(_OBJ_HEAD).decode(errors="replace"))

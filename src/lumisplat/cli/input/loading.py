@@ -66,5 +66,6 @@ def scene_settings(file: Path | None) -> ls.RenderConfig:
 
 
 def size_on_disk(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder (unpacked SOG)."""
-    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
+    """Bytes of a file, or of all files in a folder (an unpacked SOG, or a streamed one with its captures)."""
+    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files)

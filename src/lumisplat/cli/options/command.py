@@ -77,8 +77,13 @@ class LoadingCommand(Command):
         """``incident`` of `lumisplat.load`."""
         return False
 
+    @property
+    def levels(self) -> dict[str, int | None]:
+        """``lod`` and ``budget`` of `lumisplat.load`, if a command has options for them."""
+        return {}
+
     def load_asset(
-        self, path: Path, report: Report, up: tuple[float, float, float] | None = None
+        self, path: Path, report: Report, up: tuple[float, float, float] | None = None, **levels: int | None
     ) -> ls.Gaussians | ls.Mesh | ls.Scene:
         """Loads one file, and reports the progress under its name.
 
@@ -86,6 +91,7 @@ class LoadingCommand(Command):
             path: The file.
             report: Shows the progress.
             up: As of `lumisplat.load`.
+            **levels: ``lod`` and ``budget`` of `lumisplat.load`, in place of those of the command.
 
         Raises:
             FormatError: The file cannot be read.
@@ -98,6 +104,7 @@ class LoadingCommand(Command):
             up=up,
             incident=self.keeps_incident,
             progress=partial(report, f"loading {path.name}"),
+            **(self.levels | levels),
         )
 
     def load_scene(
@@ -115,3 +122,43 @@ class LoadingCommand(Command):
             FormatError: A file cannot be read.
         """
         return load_scene(paths, lambda path: self.load_asset(path, report, up))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelsCommand(LoadingCommand):
+    """Options of the commands that load captures in levels of detail."""
+
+    lod: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0, the finest)")] = None
+    """Level of detail of streamed SOGs, which may be entries of a scene.toml that says none."""
+    lod_budget: Annotated[int | None, arg(metavar="COUNT", help_behavior_hint="")] = None
+    """Of streamed SOGs, their finest level of no more Gaussians than this."""
+
+    @property
+    def levels(self) -> dict[str, int | None]:
+        """As the options say.
+
+        Raises:
+            ConfigError: One is negative.
+        """
+        for option, value, least in (("--lod", self.lod, 0), ("--lod-budget", self.lod_budget, 1)):
+            if value is not None and value < least:
+                raise ls.ConfigError(f"{option} is {value}, expected {least} or more")
+        return {"lod": self.lod, "budget": self.lod_budget}
+
+    def check_levels(self, paths: Sequence[Path]) -> None:
+        """Refuses a level of files that have none.
+
+        Raises:
+            ConfigError: No file can be, or name, a streamed SOG.
+        """
+        option = "--lod" if self.lod is not None else "--lod-budget" if self.lod_budget is not None else None
+        if option and not any(path.is_dir() or path.suffix.lower() in (".json", ".toml") for path in paths):
+            named = ", ".join(map(str, paths[:3]))
+            raise ls.ConfigError(f"{option} is of streamed SOGs (a folder with a lod-meta.json), got {named}")
+
+    def load_scene(
+        self, paths: Sequence[Path], report: Report, up: tuple[float, float, float] | None = None
+    ) -> ls.Scene:
+        """As `LoadingCommand.load_scene`, after `check_levels`."""
+        self.check_levels(paths)
+        return super().load_scene(paths, report, up)

@@ -66,7 +66,8 @@ _OF_KIND = {
 }
 """Keys that only some actors have, and which actors these are."""
 
-Load = Callable[[Path], Gaussians | Mesh | Scene]
+Load = Callable[..., Gaussians | Mesh | Scene]
+"""Loads a file by its path; entries that say so give ``lod`` and ``budget``, too."""
 
 
 def read_actors(document: TomlTable, load: Load) -> list[Actor]:

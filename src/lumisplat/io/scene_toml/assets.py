@@ -15,12 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from weakref import WeakValueDictionary
 
 import numpy as np
 
 from lumisplat.config.checks import suggestion
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.files.format import STREAMED_SOG, format_of
 from lumisplat.io.meshes.mesh_arrays import drop_unplaced_textures
 from lumisplat.io.scene_toml.actors import Load
 from lumisplat.io.scene_toml.lights import move_light
@@ -64,6 +66,8 @@ ENTRY_KEYS = {
         "kernel_degree": WHOLE,
         "sh_degree": WHOLE,
         "shadow_only": FLAG,
+        "lod": WHOLE,
+        "lod_budget": WHOLE,
         "crop_low": VECTOR,
         "crop_high": VECTOR,
     },
@@ -216,8 +220,9 @@ class Assets:
             file = table.file("path")
             if file.suffix.lower() == ".toml":
                 raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
-            known_by = ("file", str(file))
-            scene = self._once(known_by, lambda: as_scene(self.load(file)))
+            levels = _levels(table, file, given)
+            known_by = ("file", str(file), repr(levels))
+            scene = self._once(known_by, lambda: as_scene(self.load(file, **levels)))
         if _is_capture(scene) is not (heading == "splats"):
             whole = "a scene" if scene.splats else "a mesh"
             found, other = ("a capture", "splats") if _is_capture(scene) else (whole, "meshes")
@@ -248,6 +253,17 @@ class Assets:
             splats=tuple(replace(i, material=own or i.material) for i in scene.splats),
             meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes),
         )
+
+
+def _levels(table: TomlTable, file: Path, given: Values) -> dict[str, int | None]:
+    """What an entry says of the level of detail of its file, as arguments of `lumisplat.load`; else nothing."""
+    said = [(key, least) for key, least in (("lod", 0), ("lod_budget", 1)) if key in given]
+    for key, least in said:
+        if given[key] < least:
+            raise table.wrong(key, f"{least} or more")
+        if format_of(file) != STREAMED_SOG:
+            raise table.error(f"{key} is of a streamed SOG, got {given['path']!r}", key)
+    return {"lod": given.get("lod"), "budget": given.get("lod_budget")} if said else {}
 
 
 def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:

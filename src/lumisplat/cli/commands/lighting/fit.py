@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -93,7 +94,7 @@ class Fit(LoadingCommand, DeviceCommand):
         config = self._config(scene_settings(file))
         with progress_bars() as report:
             self.start_warp()
-            document = ls.SceneDocument.open(scenes, lambda path: self.load_asset(path, report))
+            document = ls.SceneDocument.open(scenes, partial(self.load_asset, report=report))
             if document.problems:
                 raise ls.SceneError(document.problems[0])
             fit = ls.fit_lights(

@@ -1,0 +1,96 @@
+"""Levels of detail of streamed SOGs: options of commands, keys of scene files, and what frames of them depend on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli.input.file_marks import file_marks
+from support.files.cli_files import Workplace
+from support.files.splat_files import streamed
+from support.kinds import expect_kind
+
+
+@pytest.fixture
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+    """A folder with a streamed SOG of 50, 23 and 8 Gaussians."""
+    streamed(tmp_path / "city")
+    return Workplace(tmp_path, capsys)
+
+
+@pytest.mark.parametrize(
+    ("options", "count"), [([], 50), (["--lod", "1"], 23), (["--lod-budget", "30"], 23), (["--lod-budget", "8"], 8)]
+)
+def test_a_level_is_converted_and_shown(work: Workplace, options: list[str], count: int) -> None:
+    """That which is asked for, of the folder or its file."""
+    assert work.run("convert", "@city", "@out.ply", *options).status == 0
+    assert work.capture("out.ply").count == count
+    shown = json.loads(work.run("info", "@city/lod-meta.json", "--json", *options).out)
+    assert shown[0]["gaussians"] == count
+
+
+def test_a_level_is_rendered(work: Workplace) -> None:
+    """Of a file, and of an entry of a scene file that says nothing else."""
+    for scene in ("@city", "@scene.toml"):
+        work.path("scene.toml").write_text('[[splats]]\npath = "city"\n')
+        pictures: list[bytes] = []
+        for options in ([], ["--lod", "2"]):
+            outcome = work.run("render", scene, "-o", "@out.png", "--width", "16", "--height", "16", *options)
+            assert (outcome.status, outcome.err) == (0, "")
+            pictures.append(work.path("out.png").read_bytes())
+        assert pictures[0] != pictures[1]
+
+
+@pytest.mark.parametrize(("keys", "count"), [("lod = 2", 8), ("lod_budget = 30", 23), ("", 23)])
+def test_entries_of_scene_files(work: Workplace, keys: str, count: int) -> None:
+    """What an entry says counts more than the option; a file is loaded once for each level."""
+    work.path("scene.toml").write_text(f'[[splats]]\npath = "city"\n{keys}\n[[splats]]\npath = "city"\nlod = 0\n')
+    scene = expect_kind(ls.Scene, ls.load(work.path("scene.toml"), lod=1))
+    assert [splat.gaussians.count for splat in scene.splats] == [count, 50]
+    document = ls.SceneDocument.open(work.path("scene.toml"))
+    assert document.scene().splats[1].gaussians.count == 50 and not document.problems
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info", "@capture.ply", "--lod", "1"], "--lod is of streamed SOGs (a folder with a lod-meta.json), got "),
+        (["convert", "@capture.ply", "@b.ply", "--lod-budget", "9"], "--lod-budget is of streamed SOGs"),
+        (["render", "@capture.ply", "--lod", "1"], "--lod is of streamed SOGs"),
+        (["render", "@city", "--lod", "-1"], "--lod is -1, expected 0 or more"),
+        (["view", "@city", "--lod-budget", "0"], "--lod-budget is 0, expected 1 or more"),
+        (["info", "@city", "--lod", "3"], "has no level 3: its levels are 0 (finest) to 2"),
+    ],
+)
+def test_mistakes_are_named(work: Workplace, arguments: list[str], message: str) -> None:
+    """In one line."""
+    outcome = work.run(*arguments)
+    assert outcome.status == 2 and message in outcome.err and outcome.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ('path = "capture.ply"\nlod = 1', r"line 3.*lod is of a streamed SOG, got 'capture.ply'"),
+        ('path = "city"\nlod = -1', r"line 3.*lod.*expected 0 or more"),
+        ('path = "city"\nlod_budget = 0', r"line 3.*lod_budget.*expected 1 or more"),
+        ('path = "city"\nlod = 7', r"has no level 7"),
+    ],
+)
+def test_mistakes_in_entries_are_named(work: Workplace, entry: str, message: str) -> None:
+    """With their line."""
+    work.path("scene.toml").write_text(f"[[splats]]\n{entry}\n")
+    with pytest.raises(ls.FormatError, match=message):
+        ls.load(work.path("scene.toml"))
+
+
+def test_frames_depend_on_the_captures_of_all_levels(work: Workplace) -> None:
+    """And on the textures that a layer of text names: a change of them is a change of the scene."""
+    work.path("stage.usda").write_text("#usda 1.0\n(\n    subLayers = [@./city/notes.usda@]\n)\n")
+    work.path("city/notes.usda").write_text("#usda 1.0\n")
+    work.path("scene.toml").write_text('[[splats]]\npath = "city"\n[[meshes]]\npath = "stage.usda"\n')
+    marks = file_marks([work.path("scene.toml")], work.path("frames"))
+    assert {"city/lod-meta.json", "city/0_0/meta.json", "city/0_0/means_l.webp", "city/notes.usda"} <= marks.keys()
