@@ -73,6 +73,7 @@ _WRITERS = {
     ".spz": "splats.spz.write_spz",
     ".sog": "splats.sog.writer.write_sog",
     "/meta.json": "splats.sog.writer.write_sog",
+    f"/{STREAMED_SOG}": "splats.sog.streaming.write_streamed_sog",
 }
 """Writers of captures; the first one that a path ends with is used."""
 
@@ -87,7 +88,10 @@ READABLE = (
     ".ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder or its meta.json or lod-meta.json, .obj, .stl, "
     ".glb, .gltf, .usda, .usdc, .usdz, .usd, .toml"
 )
-WRITABLE = ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, .usda, .usdc, .usdz, .usd, or meta.json in a folder (SOG)"
+WRITABLE = (
+    ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, .usda, .usdc, .usdz, .usd, or, in a folder, meta.json (SOG) or "
+    "lod-meta.json (SOG in levels of detail)"
+)
 
 
 def read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: LoadOptions) -> Loaded:

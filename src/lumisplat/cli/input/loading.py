@@ -66,6 +66,7 @@ def scene_settings(file: Path | None) -> ls.RenderConfig:
 
 
 def size_on_disk(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder (an unpacked SOG, or a streamed one with its captures)."""
+    """Bytes of a file, or of all in the folder of an unpacked or streamed SOG, given by itself or by its list."""
+    path = path.parent if path.name in ("meta.json", "lod-meta.json") else path
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files)

@@ -61,6 +61,20 @@ def write_sog(path: PathLike, gaussians: Gaussians) -> None:
     Raises:
         FormatError: There are too many Gaussians for an image, or a file cannot be written.
     """
+    warn_losses(path, gaussians)
+    if gaussians.count > IMAGE_SIDE_MAX**2:
+        raise FormatError(path, f"{gaussians.count:,} Gaussians are more than a SOG holds, {IMAGE_SIDE_MAX**2:,}")
+    contents = sog_contents(gaussians.subset(morton_order(gaussians.means)))
+    if Path(path).name.lower() == "meta.json":
+        write_folder(Path(path), contents)
+        return
+    with atomic_write(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as bundle:
+        for name, data in contents.items():
+            bundle.writestr(zipfile.ZipInfo(name, FILE_TIME), data)
+
+
+def warn_losses(path: PathLike, gaussians: Gaussians) -> None:
+    """Logs what of a capture SOG cannot store."""
     warn_lost_materials(path, "SOG", gaussians)
     if gaussians.kernel_degree != KERNEL_DEGREE:
         _log.warning(
@@ -68,27 +82,30 @@ def write_sog(path: PathLike, gaussians: Gaussians) -> None:
             os.fspath(path),
             gaussians.kernel_degree,
         )
-    if gaussians.count > IMAGE_SIDE_MAX**2:
-        raise FormatError(path, f"{gaussians.count:,} Gaussians are more than a SOG holds, {IMAGE_SIDE_MAX**2:,}")
-    contents = sog_contents(gaussians.subset(morton_order(gaussians.means)))
-    if Path(path).name.lower() == "meta.json":
-        _write_folder(Path(path), contents)
-        return
-    with atomic_write(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as bundle:
-        for name, data in contents.items():
-            bundle.writestr(zipfile.ZipInfo(name, FILE_TIME), data)
 
 
-def _write_folder(meta: Path, contents: Contents) -> None:
+def remove_file(path: Path) -> None:
+    """Removes a file, if it is there.
+
+    Raises:
+        FormatError: It cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
+
+
+def write_folder(meta: Path, contents: Contents) -> None:
     """Writes the files of a capture into a folder.
 
     The old ``meta.json`` goes first and the new one comes last: a folder without one is no capture, so that none is
     half old and half new.
+
+    Raises:
+        FormatError: A file cannot be written.
     """
-    try:
-        meta.unlink(missing_ok=True)
-    except OSError as error:
-        raise FormatError(meta, f"cannot be written: {error.strerror or error}") from None
+    remove_file(meta)
     for name in sorted(contents, key=lambda name: name == meta.name):
         with atomic_write(meta.with_name(name)) as temporary:
             temporary.write_bytes(contents[name])

@@ -1,0 +1,128 @@
+"""Streamed SOG that is written: its levels, its leaves, and who reads it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.errors import FormatError
+from lumisplat.io.splats.sog import streaming
+from support.files.splat_files import capture, load_gaussians
+from support.kinds import expect_kind
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves of some dozens of Gaussians, and captures of two or three leaves."""
+    sizes = {"SOG_CHUNK_COUNT": 100, "SOG_CHUNK_EXTENT": 3.0, "SOG_LEAF_LEAST": 40, "SOG_LEVEL_LEAST": 70}
+    for name, value in sizes.items():
+        monkeypatch.setattr(streaming, name, value)
+
+
+def leaves_of(node: dict[str, Any]) -> list[dict[str, Any]]:
+    """The leaves below a node."""
+    return [leaf for child in node["children"] for leaf in leaves_of(child)] if "children" in node else [node]
+
+
+def sorted_rows(values: np.ndarray) -> np.ndarray:
+    """Rows in an order of their own."""
+    return values[np.lexsort(values.T)]
+
+
+def test_the_finest_level_is_the_capture(tmp_path: Path) -> None:
+    """As near as a SOG has it: positions to a step of 16 bits, each Gaussian once."""
+    given = capture(300, 1)
+    ls.save(tmp_path / "city" / "lod-meta.json", given)
+    read = load_gaussians(tmp_path / "city")
+    assert read.count == 300
+    np.testing.assert_allclose(sorted_rows(read.means)[:, 2], sorted_rows(given.means)[:, 2], atol=1e-3)
+    ls.save(tmp_path / "a.sog", given)
+    alone = load_gaussians(tmp_path / "a.sog")
+    for field in ("opacities", "scales"):
+        np.testing.assert_allclose(
+            np.sort(getattr(read, field), axis=0), np.sort(getattr(alone, field), axis=0), rtol=0.05
+        )
+    assert read.sh_degree == 1
+
+
+def test_levels_halve_and_cover_the_same(tmp_path: Path) -> None:
+    """Each has about half of the one before, in each leaf; the file counts them; what they hide stays alike."""
+    given = capture(600, 0)
+    path = tmp_path / "lod-meta.json"
+    ls.save(path, given)
+    said = json.loads(path.read_text())
+    assert said["lodLevels"] == 4 == streaming.level_count(600)
+    levels = [expect_kind(ls.Gaussians, ls.load(path, lod=level)) for level in range(4)]
+    assert [one.count for one in levels] == said["counts"] and said["count"] == sum(said["counts"])
+    for fine, coarse in pairwise(levels):
+        assert 0.4 < coarse.count / fine.count <= 0.5
+    middle = [np.average(one.means, axis=0, weights=one.opacities * one.scales.max(axis=1) ** 2) for one in levels]
+    assert np.abs(middle[3] - middle[0]).max() < 0.6
+    assert expect_kind(ls.Gaussians, ls.load(path, budget=levels[2].count)).count == levels[2].count
+
+
+def test_leaves_are_apart_and_small(tmp_path: Path) -> None:
+    """Each has all levels, and a box around its Gaussians within those of the nodes above it."""
+    ls.save(tmp_path / "lod-meta.json", capture(600, 0))
+    said = json.loads((tmp_path / "lod-meta.json").read_text())
+    leaves = leaves_of(said["tree"])
+    assert len(leaves) > 4
+    captures = [load_gaussians(tmp_path / name) for name in said["filenames"]]
+    assert max(one.count for one in captures) <= 100 + 100
+    inside = 0
+    for leaf in leaves:
+        assert sorted(leaf["lods"]) == ["0", "1", "2", "3"]
+        low, high = (np.array(leaf["bound"][end]) for end in ("min", "max"))
+        for rows in leaf["lods"].values():
+            means = captures[rows["file"]].means[rows["offset"] : rows["offset"] + rows["count"]]
+            assert (means > low - 0.01).all() and (means < high + 0.01).all()
+            inside += len(means)
+        assert leaf["lods"]["0"]["count"] <= 100
+    assert inside == said["count"]
+    top_low, top_high = (np.array(said["tree"]["bound"][end]) for end in ("min", "max"))
+    assert (top_low <= np.min([leaf["bound"]["min"] for leaf in leaves], axis=0)).all()
+    assert (top_high >= np.max([leaf["bound"]["max"] for leaf in leaves], axis=0)).all()
+
+
+def test_equal_places_end(tmp_path: Path) -> None:
+    """Gaussians that are all at one place, or all but one, cannot be divided for ever."""
+    for far in (0.0, 500.0):
+        means = np.zeros((260, 3))
+        means[0, 1] = far
+        ls.save(tmp_path / "lod-meta.json", capture(260, 0, means=means))
+        assert load_gaussians(tmp_path).count == 260
+
+
+def test_a_folder_is_whole_or_none(tmp_path: Path) -> None:
+    """Where writing ends halfway, there is no lod-meta.json, not the old one beside new captures."""
+    ls.save(tmp_path / "city" / "lod-meta.json", capture(300, 0))
+    shutil.rmtree(tmp_path / "city" / "1_0")
+    (tmp_path / "city" / "1_0").write_text("in the way")
+    with pytest.raises(FormatError, match="1_0"):
+        ls.save(tmp_path / "city" / "lod-meta.json", capture(300, 0, seed=1))
+    assert not (tmp_path / "city" / "lod-meta.json").exists()
+
+
+def test_splat_transform_reads_its_captures(tmp_path: Path) -> None:
+    """It reads no lod-meta.json; of each capture that one names, what we read."""
+    command = os.environ.get("SPLAT_TRANSFORM") or shutil.which("splat-transform")
+    if not command:
+        pytest.skip("needs PlayCanvas's splat-transform: npm install -g @playcanvas/splat-transform@2.7.1")
+    ls.save(tmp_path / "lod-meta.json", capture(300, 1))
+    for name in json.loads((tmp_path / "lod-meta.json").read_text())["filenames"][:2]:
+        done = subprocess.run(
+            [*command.split(), tmp_path / name, tmp_path / "b.ply", "-w"], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        theirs, ours = load_gaussians(tmp_path / "b.ply"), load_gaussians(tmp_path / name)
+        np.testing.assert_allclose(theirs.means, ours.means, rtol=2e-5, atol=2e-5)
+        np.testing.assert_allclose(theirs.sh, ours.sh, rtol=2e-5, atol=2e-5)
