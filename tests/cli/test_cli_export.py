@@ -67,6 +67,18 @@ def test_a_scene_with_all_that_it_has(work: Workplace, caplog: pytest.LogCapture
     assert (camera.width, camera.height) == (64, 48)
 
 
+def test_a_folder_for_blender(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Files for what Blender reads; the lamp that glTF lacks is named."""
+    outcome = work.run("export", "@scene.toml", "-o", "@room.blend-ready")
+    assert outcome.status == 0 and "1 capture, 60 Gaussians, 1 mesh instance, 2 lights, 1 camera" in outcome.out
+    assert {name for name in work.files() if name.startswith("room")} == {
+        "room.blend-ready/scene.glb",
+        "room.blend-ready/captures/capture.ply",
+        "room.blend-ready/import_into_blender.py",
+    }
+    assert caplog.messages[-1].endswith("scene.glb: glTF cannot hold area lamps (panel)")
+
+
 def test_files_and_cameras_become_a_scene(work: Workplace) -> None:
     """Any files are one scene; --cameras are those of another file."""
     outcome = work.run("export", "@capture.ply", "@mesh.obj", "--cameras", "@cameras.json", "-o", "@all.gltf")

@@ -28,6 +28,8 @@ class Export(LoadingCommand):
 
     For film and simulation, with area lamps, the sky and what moves: lumisplat export scene.toml -o scene.usdz
 
+    As a folder that Blender puts together by a script: lumisplat export scene.toml -o room.blend-ready
+
     Files of glTF and OpenUSD have y up: what stands upright in the scene stands upright there. What they cannot hold,
     such as area lamps in glTF, is said in a line. Light on captures goes with them if they are baked: lumisplat bake.
     """
@@ -36,7 +38,7 @@ class Export(LoadingCommand):
     """A scene.toml, or captures and meshes of any format that is read; actors are where they are at time 0, but
     move in OpenUSD."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.glb, or .gltf, the same as text; or .usdz, .usdc, or .usda, the same as text."""
+    """.glb, or .gltf, the same as text; or .usdz, .usdc, or .usda, the same as text; or a folder, .blend-ready."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Cameras of a transforms.json or another camera file, in place of those of the scene."""
     up: UpOption = "auto"

@@ -20,9 +20,14 @@ _CENTRED = 1e-6
 """Distance of a principal point from the middle of the image, pixels, that is none."""
 
 
+def can_hold_camera(camera: Camera) -> bool:
+    """Whether glTF has such a camera: a pinhole, or parallel rays."""
+    return camera.model is not CameraModel.FISHEYE and not camera.is_distorted
+
+
 def add_camera(document: GltfDocument, camera: Camera, scene: Scene, file_from_world: Matrix) -> int | None:
     """Appends a camera and its node; returns the node's index, None if glTF has no such camera."""
-    if camera.model is CameraModel.FISHEYE or camera.is_distorted:
+    if not can_hold_camera(camera):
         return None
     half_width, half_height = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
     if camera.model is CameraModel.ORTHOGRAPHIC:
@@ -39,7 +44,7 @@ def add_camera(document: GltfDocument, camera: Camera, scene: Scene, file_from_w
 
 def camera_losses(cameras: Sequence[Camera]) -> list[str]:
     """What of cameras glTF cannot hold, a phrase each."""
-    lenses = sum(camera.model is CameraModel.FISHEYE or camera.is_distorted for camera in cameras)
+    lenses = sum(not can_hold_camera(camera) for camera in cameras)
     shifted = sum(
         abs(camera.cx - 0.5 * camera.width) > _CENTRED or abs(camera.cy - 0.5 * camera.height) > _CENTRED
         for camera in cameras

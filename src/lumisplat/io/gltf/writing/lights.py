@@ -22,6 +22,11 @@ from lumisplat.scene.lights import (
 )
 
 
+def can_hold_light(light: Light) -> bool:
+    """Whether glTF has such a light; one that is off it has not."""
+    return light.enabled and not isinstance(light, LightRect | LightEnvironment)
+
+
 def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> int | None:
     """Appends a light and its node; returns the node's index, None if glTF has no such light.
 

@@ -47,7 +47,7 @@ def write_gltf(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> 
     if not (scene.splats or scene.meshes or scene.lights or cameras):
         raise FormatError(path, "the scene is empty: there is nothing to write")
     document = GltfDocument()
-    file_from_world = _upright(scene)
+    file_from_world = upright(scene)
     materials = MaterialWriter(document)
     nodes = [*_splat_nodes(document, scene.splats, file_from_world)]
     nodes += _mesh_nodes(document, scene.meshes, materials, file_from_world)
@@ -55,7 +55,7 @@ def write_gltf(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> 
     seen = [add_camera(document, camera, scene, file_from_world) for camera in cameras]
     nodes += [node for node in (*lit, *seen) if node is not None]
     losses = [*_capture_losses(scene.splats), *_material_losses(materials)]
-    losses += [*_light_losses(scene.lights), *camera_losses(cameras)]
+    losses += [*light_losses(scene.lights), *camera_losses(cameras)]
     if not nodes:
         raise FormatError(path, f"glTF cannot hold {'; '.join(losses)}: there is nothing else to write")
     document.save(path, nodes)
@@ -63,7 +63,7 @@ def write_gltf(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> 
         _log.warning("%s: glTF cannot hold %s", os.fspath(path), "; ".join(losses))
 
 
-def _upright(scene: Scene) -> Matrix:
+def upright(scene: Scene) -> Matrix:
     """``file_from_world``: the up of the scene becomes y, its front z."""
     up = np.array(scene.up_direction)
     front = front_vector(up)
@@ -133,7 +133,7 @@ def _material_losses(materials: MaterialWriter) -> list[str]:
     return losses + (["which glass is there where bodies overlap"] if materials.ranked else [])
 
 
-def _light_losses(lights: Sequence[Light]) -> list[str]:
+def light_losses(lights: Sequence[Light]) -> list[str]:
     """Which lights glTF cannot hold, a phrase each."""
     on = [light for light in lights if light.enabled]
     rects = [light.name or "a rectangle" for light in on if isinstance(light, LightRect)]
