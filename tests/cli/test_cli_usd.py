@@ -10,6 +10,7 @@ import pytest
 import lumisplat as ls
 from support.files.cli_files import Workplace
 from support.files.usd_files import usd_core, validation_messages
+from support.kinds import expect_kind
 
 SCENE = """
 up = "y-down"
@@ -110,3 +111,28 @@ def test_what_moves_has_formats_of_its_own(work: Workplace) -> None:
         ls.FormatError, match=r"a\.glb: cannot hold what moves: animations can be saved as \.usd, \.usda"
     ):
         ls.save(work.path("a.glb"), animation)
+
+
+def test_what_moves_is_animated(work: Workplace) -> None:
+    """Each frame is the picture of its time: of the actor where it is then, by the camera that moves."""
+    usd_core()
+    ball = ls.Actor(ls.sphere(0.5), ls.Keyframes([0.0, 1.0], [(-1.0, 0.0, 4.0), (1.0, 0.0, 4.0)]), name="ball")
+    views = [ls.Camera.look_at((x, 0, 0), (0, 0, 4), up=(0, 1, 0), width=32, height=24, name="eye") for x in (0, 1)]
+    lamp = ls.Scene(lights=[ls.LightPoint((0.0, 3.0, 1.0), intensity=20.0)], up="y-up")
+    path = ls.CameraPath(views, times=[0.0, 1.0])
+    ls.save(work.path("walk.usdc"), ls.Animation(lamp, [ball], fps=2.0, frame_count=3, camera_path=path))
+    outcome = work.run("animate", "@walk.usdc", "-o", "@frames", "--format", "npz")
+    assert (outcome.status, outcome.err) == (0, "") and "3 frames in" in outcome.out
+    read = ls.load_animation(work.path("walk.usdc"))
+    renderer = ls.create_renderer(device="cpu")
+    pictures: list[np.ndarray] = []
+    for frame, time in enumerate(read.times):
+        assert read.camera_path is not None
+        (shown,) = read.actors_at(float(time))
+        still = ls.Scene(meshes=[expect_kind(ls.MeshInstance, shown)], lights=read.scene.lights, up="y-up")
+        pictures.append(renderer.render(still, read.camera_path.at(float(time))).color)
+        with np.load(work.path(f"frames/frame_{frame:04d}.npz")) as held:
+            np.testing.assert_array_equal(held["color"], pictures[-1])
+    assert not np.array_equal(pictures[0], pictures[1])
+    again = work.run("animate", "@walk.usdc", "-o", "@frames", "--format", "npz")
+    assert "3 of them were there" in again.out
