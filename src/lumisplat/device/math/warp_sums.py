@@ -49,7 +49,7 @@ _ADD = (
         float v[16];
         #pragma unroll
         for (int i = 0; i < 16; ++i)
-            v[i] = i < LENGTH ? part[i] : 0.0f;
+            v[i] = has_part && i < LENGTH ? part[i] : 0.0f;
         // Lanes change halves with each other, until each pair of lanes has all of one number.
         EXCHANGES
         const float total = v[0] + __shfl_xor_sync(all, v[0], 1);
