@@ -33,6 +33,7 @@ def changed_cameras(camera: ls.Camera) -> dict[str, Any]:
         "aperture": 0.01,
         "distortion": (0.0, 0.0, 0.0, 0.0, 0.0, 1e-9),
         "exposure": 0.5,
+        "window": (0, 0, 16, 16),
     }
 
 

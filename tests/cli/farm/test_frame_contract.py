@@ -208,4 +208,4 @@ def test_every_option_of_pictures_is_in_their_manifest(work) -> None:
     stamp = json.loads(work.path("out/render.json").read_text())
     options = {field.name for field in fields(Render) if not is_dataclass(field.default_factory)}
     missing = options - stamp.keys() - {"viewpoint", "lens", "rays", "light"}
-    assert missing == {"output", "resume", "frames", "debug", "stats"}
+    assert missing == {"output", "resume", "frames", "tiles", "debug", "stats"}
