@@ -47,6 +47,9 @@ def main() -> int:
             try:
                 version = tried(python, wheel, args.extras, Path(folder) / f"try-{number}")
                 print(f"{python}: {version}, all works, {time.monotonic() - started:.0f} s", flush=True)
+            except FileNotFoundError as error:
+                failed += 1
+                print(f"{python}: no such interpreter: {error.filename}", flush=True)
             except subprocess.CalledProcessError as error:
                 failed += 1
                 last = (error.stderr or error.stdout or "no word").strip().splitlines()[-1]

@@ -16,6 +16,10 @@ _CASES = (
     (("render", "--shadow-me"), ["--shadow-method"]),
     (("render", "a.ply", "--pipeline", "tr"), ["trace"]),
     (("completion", "--de"), ["--debug"]),
+    (("farm", "a"), ["animate"]),
+    (("farm", "animate", "--workers"), ["--workers"]),
+    (("farm", "render", "a.ply", "--pipeline", "tr"), ["trace"]),
+    (("animate", "--workers"), []),
 )
 """What has been typed, and what it is completed to."""
 

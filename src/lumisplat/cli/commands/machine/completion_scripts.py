@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import lumisplat as ls
 
@@ -20,6 +22,8 @@ class CommandWords:
     options: list[str] = field(default_factory=list[str])
     choices: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
     """Of an option, such as ``--pipeline``, its values; of options that take any value, none."""
+    inner: list[str] = field(default_factory=list[str])
+    """Its own commands, such as ``animate`` of ``farm``; they are commands of the name ``farm animate``."""
 
 
 def command_words(script: str) -> dict[str, CommandWords]:
@@ -35,15 +39,20 @@ def command_words(script: str) -> dict[str, CommandWords]:
     line = next((line for line in script.splitlines() if line.startswith(_MARK)), None)
     if line is None:
         raise ls.ConfigError("this version of tyro lists no options for completion: pip install tyro==1.0.17")
-    commands: dict[str, CommandWords] = {}
-    for name, command in ast.literal_eval(line.removeprefix(_MARK))["subcommands"].items():
-        words = commands[name] = CommandWords()
+    return dict(_commands("", ast.literal_eval(line.removeprefix(_MARK))["subcommands"]))
+
+
+def _commands(above: str, found: dict[str, Any]) -> Iterator[tuple[str, CommandWords]]:
+    """The words of commands and of those in them, by their names after those of the commands above them."""
+    for name, command in found.items():
+        words = CommandWords(inner=list(command["subcommands"]))
         for option in command["options"]:
             words.options.extend(option["flags"])
             if option["type"] != "flag":
                 values = sorted(set(option.get("choices", [])) - {"None"})
                 words.choices.update(dict.fromkeys(option["flags"], values))
-    return commands
+        yield above + name, words
+        yield from _commands(f"{above}{name} ", command["subcommands"])
 
 
 def bash_script(commands: dict[str, CommandWords]) -> str:
@@ -54,18 +63,28 @@ def bash_script(commands: dict[str, CommandWords]) -> str:
         for option, choices in words.choices.items()
     ]
     options = [f'      "{name} -"*) words="{" ".join(words.options)}" ;;' for name, words in commands.items()]
+    outer = {name: words.inner for name, words in commands.items() if words.inner}
+    inner = [
+        f'    {name}) if [ "$COMP_CWORD" -eq 2 ]; then inner="{" ".join(words)}"; '
+        f'else command="{name} ${{COMP_WORDS[2]}}"; fi ;;'
+        for name, words in outer.items()
+    ]
+    top = " ".join(name for name in commands if " " not in name)
     return "\n".join(
         [
             "_lumisplat() {",
-            '  local word="${COMP_WORDS[COMP_CWORD]}" command="${COMP_WORDS[1]}" words=""',
+            '  local word="${COMP_WORDS[COMP_CWORD]}" command="${COMP_WORDS[1]}" words="" inner=""',
+            '  case "$command" in',
+            *inner,
+            "  esac",
             '  case "$command ${COMP_WORDS[COMP_CWORD-1]}" in',
             *values,
             '    *) case "$command $word" in',
             *options,
             "    esac ;;",
             "  esac",
-            f'  if [ "$COMP_CWORD" -eq 1 ]; then words="{" ".join(commands)} --help --version"; fi',
-            '  COMPREPLY=($(compgen -W "$words" -- "$word"))',
+            f'  if [ "$COMP_CWORD" -eq 1 ]; then words="{top} --help --version"; fi',
+            '  COMPREPLY=($(compgen -W "$words $inner" -- "$word"))',
             "}",
             "complete -o bashdefault -o default -F _lumisplat lumisplat",
             "",
@@ -80,13 +99,19 @@ def zsh_script(commands: dict[str, CommandWords]) -> str:
 
 def fish_script(commands: dict[str, CommandWords]) -> str:
     """For fish."""
-    lines = [f"complete -c lumisplat -n __fish_use_subcommand -f -a '{' '.join(commands)}'"]
+    top = " ".join(name for name in commands if " " not in name)
+    lines = [f"complete -c lumisplat -n __fish_use_subcommand -f -a '{top}'"]
     for name, words in commands.items():
+        seen = "; and ".join(f"__fish_seen_subcommand_from {part}" for part in name.split())
+        if words.inner:
+            inner = " ".join(words.inner)
+            seen += f"; and not __fish_seen_subcommand_from {inner}"
+            lines.append(f"complete -c lumisplat -n '{seen}' -f -a '{inner}'")
         for option in words.options:
             kind = f"-l {option[2:]}" if option.startswith("--") else f"-s {option[1:]}"
             choices = words.choices.get(option)
             value = "" if choices is None else f" -x -a '{' '.join(choices)}'" if choices else " -r"
-            lines.append(f"complete -c lumisplat -n '__fish_seen_subcommand_from {name}' {kind}{value}")
+            lines.append(f"complete -c lumisplat -n '{seen}' {kind}{value}")
     return "\n".join([*lines, ""])
 
 
