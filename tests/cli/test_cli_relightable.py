@@ -73,6 +73,7 @@ def test_materials_are_of_poses_that_were_refined(
     ("options", "problem"),
     [
         (("-o", "a.spz"), "a.spz, expected a .ply: others have no columns for --relightable"),
+        (("-o", "a.compressed.ply"), "a.compressed.ply, expected a .ply: others have no columns for --relightable"),
         (("-o", "a.ply", "--pipeline", "trace"), "--relightable is of --pipeline raster and --projection ewa"),
         (("-o", "a.ply", "--exposures"), "of one exposure: leave out --exposures"),
         (("-o", "a.ply", "--material-steps", "-1"), "iterations is -1, expected"),
@@ -82,3 +83,11 @@ def test_mistakes(options: tuple[str, ...], problem: str, tmp_path: Path, capsys
     """Are told before anything is read."""
     assert main(["train", str(tmp_path), *options, "--relightable"]) == 2
     assert problem in capsys.readouterr().err
+
+
+def test_a_weight_of_zero_is_one_that_was_given(tmp_path: Path) -> None:
+    """Then the others are 0, too, as without --relightable."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    assert main(["train", str(folder), "-o", str(output), *SHORT, "--relightable", "--flatness", "0"]) == 0
+    settings = (output.with_suffix(".training") / "settings.toml").read_text()
+    assert "flatness = 0.0" in settings and "depth_spread = 0.0" in settings

@@ -97,7 +97,8 @@ def find_materials(
     config = config or MaterialsConfig()
     check_kind("config", config, MaterialsConfig)
     check_argument("find_materials", gaussians, Gaussians, "Gaussians", " (lumisplat.load reads files)")
-    if output is not None and Path(output).suffix.lower() != ".ply":
+    name = ".ply" if output is None else Path(output).name.lower()
+    if not name.endswith(".ply") or name.endswith(".compressed.ply"):
         raise ConfigError(f"output is {output}, expected a .ply: other captures have no columns for materials")
     if output is not None:
         for path in (Path(output), environment_path(Path(output))):

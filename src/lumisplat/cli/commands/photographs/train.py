@@ -81,11 +81,11 @@ class Train(DeviceCommand):
     --normals 0.05 and --depth-spread 0.3."""
     material_steps: Annotated[int, arg(metavar="N")] = 300
     """Steps of --relightable that refine materials by a photograph each."""
-    flatness: Annotated[float, arg(metavar="WEIGHT")] = 0.0
+    flatness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """For relighting: how much it counts that Gaussians are flat; try 0.3."""
-    normals: Annotated[float, arg(metavar="WEIGHT")] = 0.0
+    normals: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """For relighting: how much it counts that Gaussians lie on surfaces; try 0.05. A step takes twice as long."""
-    depth_spread: Annotated[float, arg(metavar="WEIGHT")] = 0.0
+    depth_spread: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """For relighting: how much it counts that surfaces are thin; try 0.3."""
     prune_below: Annotated[float, arg(metavar="WEIGHT")] = 0.01
     """At the end, remove Gaussians that never show with so much weight in a pixel of a photograph, 0..1."""
@@ -105,7 +105,8 @@ class Train(DeviceCommand):
         refuse_standard_output(self.output)
         if self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
-        if self.relightable and self.output.suffix.lower() != ".ply":
+        is_plain = self.output.suffix.lower() == ".ply" and not self.output.name.lower().endswith(".compressed.ply")
+        if self.relightable and not is_plain:
             raise ls.ConfigError(f"-o is {self.output}, expected a .ply: others have no columns for --relightable")
         if self.relightable and (self.pipeline, self.projection) != ("raster", "ewa"):
             raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
@@ -175,8 +176,10 @@ class Train(DeviceCommand):
             )
 
     def _config(self) -> ls.TrainConfig:
-        terms = (self.flatness, self.normals, self.depth_spread)
-        flatness, normals, depth_spread = _RELIGHTABLE if self.relightable and not any(terms) else terms
+        given = (self.flatness, self.normals, self.depth_spread)
+        if self.relightable and given == (None, None, None):
+            given = _RELIGHTABLE
+        flatness, normals, depth_spread = (weight or 0.0 for weight in given)
         return ls.TrainConfig(
             iterations=self.iterations,
             cap=self.cap,
