@@ -1,26 +1,20 @@
-"""``lumisplat farm``: the frames of animate, orbit, render and dataset, made by workers."""
+"""``lumisplat farm``: the frames of animate, orbit, render and dataset, and trainings, made by workers."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
-import lumisplat as ls
 from lumisplat.cli.commands.animate import Animate
+from lumisplat.cli.commands.farm.run_farm import run_farm
+from lumisplat.cli.commands.farm.train import FarmTrain
 from lumisplat.cli.commands.orbit import Orbit
 from lumisplat.cli.commands.photographs.dataset import Dataset
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.farm.places import FarmRoom
-from lumisplat.cli.farm.run import FarmRun
-from lumisplat.cli.farm.worker import Order
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.farm import FarmGroup, FarmOptions
-from lumisplat.cli.output.console import progress_bars
-from lumisplat.cli.output.standard_output import refuse_standard_output
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,34 +81,9 @@ class FarmDataset(Dataset):
         self.finish()
 
 
-def run_farm(
-    command: FarmAnimate | FarmOrbit | FarmRender | FarmDataset, *, overwrite: bool, video: Path | None
-) -> None:
-    """Makes the frames of a command by workers.
-
-    Args:
-        command: Whose frames they are.
-        overwrite: Whether to make those that are there anew.
-        video: A video of them; None: none.
-
-    Raises:
-        ConfigError: --stats is given.
-        LumisplatError: As of `FarmRun.run`.
-    """
-    refuse_standard_output(command.output)
-    if command.stats:
-        raise ls.ConfigError("--stats is of one process: give it to the command without farm")
-    room = FarmRoom(workers=command.farm.workers, cores=command.farm.cores, device=command.device)
-    order = Order(command, os.getcwd(), command.debug)
-    with progress_bars() as report:
-        run = FarmRun(order, command.farm.address, room, report, overwrite=overwrite, video=video)
-        lines = run.run()
-    print(lines)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Farm:
-    """Render frames by workers: on all GPUs of this machine, on its cores, or on a cluster of Ray.
+    """Render frames, or train, by workers: on all GPUs of this machine, on its cores, or on a cluster of Ray.
 
     After an interruption, the same command goes on: frames that are there stay. Workers that die are replaced.
     Exit status: 0: all frames are there. 2: a mistake. 3: some frames could not be made. 130: interrupted.
@@ -124,8 +93,9 @@ class Farm:
         Annotated[FarmAnimate, subcommand("animate")]
         | Annotated[FarmOrbit, subcommand("orbit")]
         | Annotated[FarmRender, subcommand("render")]
-        | Annotated[FarmDataset, subcommand("dataset")],
+        | Annotated[FarmDataset, subcommand("dataset")]
+        | Annotated[FarmTrain, subcommand("train")],
         OmitArgPrefixes,
         OmitSubcommandPrefixes,
     ]
-    """What is rendered."""
+    """What is made."""
