@@ -125,6 +125,29 @@ def test_objects_stand_on_the_ground_and_touch_nothing(duck) -> None:
     assert looked_at == COUNT and len(turns) > COUNT
 
 
+def test_things_know_their_places_in_frames(duck, tmp_path) -> None:
+    """Frames count captures before meshes, and objects may be either, or several of both."""
+    ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
+    ls.save(tmp_path / "pair.glb", ls.Scene(meshes=[ls.box(0.2), ls.MeshInstance(ls.box(0.1), position=(0.3, 0, 0))]))
+    files = (duck, str(tmp_path / "ball.ply"), str(tmp_path / "pair.glb"))
+    objects = ls.DatasetObjects(files=files, count=(3, 4), size=0.05)
+    scene = replace(block_scene(), splats=[random_gaussians(1, count=30)], up="y-up")
+    kinds = set()
+    for view in views_of(small_config(objects=objects, poses=ls.DatasetPoses(seen=0.0)), scene):
+        instances = (*view.scene.splats, *view.scene.meshes)
+        assert sorted(place for thing in view.things for place in thing.instances) == list(range(len(instances)))
+        assert [thing.id for thing in view.things] == list(range(1, len(view.things) + 1))
+        for thing in view.things:
+            kinds.add(thing.kind)
+            assert [isinstance(instances[place], ls.SplatInstance) for place in thing.instances] == {
+                "capture": [True],
+                "mesh": [False],
+                "scene": [False, False],
+            }[thing.kind]
+            np.testing.assert_allclose(instances[thing.instances[0]].transform, thing.world_from_object, atol=1e-12)
+    assert kinds == {"capture", "mesh", "scene"}
+
+
 def test_what_finds_no_room_is_left_out_and_named(duck) -> None:
     """Objects as large as the scene; the view is there without them."""
     objects = ls.DatasetObjects(files=(duck,), count=(2, 2), size=(2.0, 2.0))
