@@ -65,13 +65,13 @@ def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
 def test_cameras_in_free_space_keep_their_clearance() -> None:
     """Never inside of the block, though most of its inside is farther from its sides than that; nor at the floor."""
     poses = ls.DatasetPoses(
-        where=ls.PosePlaces.INSIDE, height=(0.1, 0.9), clearance=0.03, seen=0.2, pitch=(-60.0, -10.0)
+        where=ls.PosePlaces.INSIDE, height=(0.0, 0.9), clearance=0.05, seen=0.2, pitch=(-60.0, -10.0)
     )
     for view in views_of(small_config(poses=poses)):
         eye, forward = view.camera.eye, view.camera.camera_from_world[2, :3]
-        assert 0.1 <= eye[1] <= 0.9
+        assert 0.0 <= eye[1] <= 0.9
         # Rays to 32 sides see what is near, if not its nearest point.
-        assert distance_to_block(eye) >= 0.8 * 0.03 * DIAGONAL and eye[1] >= 0.8 * 0.03 * DIAGONAL
+        assert distance_to_block(eye) >= 0.8 * 0.05 * DIAGONAL and eye[1] >= 0.8 * 0.05 * DIAGONAL
         assert -60.0 - 1e-9 <= math.degrees(math.asin(forward[1])) <= -10.0 + 1e-9
 
 
@@ -123,6 +123,19 @@ def test_objects_stand_on_the_ground_and_touch_nothing(duck) -> None:
             middle, radius = spheres[aimed[0]]
             assert 3.0 <= np.linalg.norm(middle - eye) / radius <= 5.0 + 1e-6
     assert looked_at == COUNT and len(turns) > COUNT
+
+
+def test_objects_stand_upright_whatever_way_up_they_and_the_scene_are(duck, tmp_path) -> None:
+    """Captures have y down, meshes y up: of both, up is up in scenes of either kind."""
+    ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
+    turned = ls.MeshInstance(ls.plane(4.0, 4.0), rotation_degrees=(180.0, 0.0, 0.0))
+    block = ls.MeshInstance(ls.box(1.0), position=(0.0, -0.5, 0.0))
+    for scene, up in ((block_scene(), 1.0), (ls.Scene(meshes=[turned, block], up="y-down"), -1.0)):
+        for file, own_up in ((duck, 1.0), (str(tmp_path / "ball.ply"), -1.0)):
+            objects = ls.DatasetObjects(files=(file,), count=(1, 1), size=0.05)
+            thing = ls.DatasetViews(scene, small_config(objects=objects), device="cpu").view(0).things[2]
+            axis = thing.world_from_object[:3, 1] / np.cbrt(np.linalg.det(thing.world_from_object[:3, :3]))
+            np.testing.assert_allclose(own_up * axis, (0.0, up, 0.0), atol=1e-9)
 
 
 def test_things_know_their_places_in_frames(duck, tmp_path) -> None:
