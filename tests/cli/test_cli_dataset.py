@@ -60,13 +60,13 @@ def test_views_go_on_and_are_the_same_by_parts(work) -> None:
     """Parts make the whole, to the bit, once all are there; more views leave those that are there."""
     whole = make(work, "whole", "--views", "5", "--seed", "7", "--shards", "2")
     assert whole.status == 0, whole.err
-    assert "5 frames in" in whole.out and "transforms.json: " in whole.out and " shards; " in whole.out
+    assert "5 views in" in whole.out and "transforms.json: " in whole.out and " shards; " in whole.out
     first = make(work, "parts", "--views", "3", "--seed", "7")
     assert first.status == 0 and "transforms.json: " in first.out and not work.path("parts/shards").exists()
     part = make(work, "parts", "--views", "5", "--seed", "7", "--frames", "4")
     assert "1 view is missing: the same command without --frames makes it" in part.out
     done = make(work, "parts", "--views", "5", "--seed", "7", "--shards", "2")
-    assert "5 frames in" in done.out and "4 of them were there" in done.out
+    assert "5 views in" in done.out and "4 of them were there" in done.out
     assert contents(work, "parts") == contents(work, "whole")
     refused = make(work, "parts", "--views", "5", "--seed", "8")
     assert refused.status == 2 and "holds frames from before a change of dataset.seed" in refused.err
@@ -79,7 +79,7 @@ def test_a_farm_makes_the_same(work) -> None:
     assert make(work, "whole", "--views", "4").status == 0
     assert make(work, "farm", "--views", "4", "--frames", "2").status == 0
     done = make(work, "farm", "--views", "4", "--workers", "2", farm=True)
-    assert done.status == 0 and "3 frames by 2 workers" in done.out, done.err
+    assert done.status == 0 and "3 views by 2 workers" in done.out, done.err
     assert "1 of them was there" in done.out and "contact_sheet.png shows the first" in done.out
     assert contents(work, "farm") == contents(work, "whole")
 

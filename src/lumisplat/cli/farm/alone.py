@@ -78,7 +78,7 @@ def film_lines(frames: FrameList, made: int, video: Path | None, report: Report)
         return _join(frames.folder, report)
     there = len(frames.wanted) - made
     were = "was" if there == 1 else "were"
-    lines = f"{counted(len(frames.wanted), 'frame')} in {frames.folder.folder}"
+    lines = f"{counted(len(frames.wanted), frames.unit)} in {frames.folder.folder}"
     lines += f", {there} of them {were} there" * bool(there)
     if video is None or frames.fps is None:
         return lines

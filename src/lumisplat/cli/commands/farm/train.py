@@ -65,6 +65,7 @@ class FarmTrain(Train):
             folder=FrameFolder(self.output, "txt", "train.json", tuple(path.stem + ".txt" for path in captures)),
             origin=self._origin(),
             wanted=tuple(range(len(captures))),
+            unit="training",
         )
         return FrameJob(frames=frames, render=self._train, write=self._write)
 

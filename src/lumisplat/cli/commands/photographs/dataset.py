@@ -159,6 +159,7 @@ class Dataset(FrameCommand):
                 folder=FrameFolder(self.output, "json", "dataset.json", names),
                 origin=self._origin(settings, config, renderer.device),
                 wanted=wanted,
+                unit="view",
             ),
             render=maker.render,
             write=maker.write,
