@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.dataset.space import Space
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.lights import LightDirectional, LightEnvironment, LightPoint
 from support.scenes.dataset_scenes import BLOCK_HIGH, BLOCK_LOW, block_scene, distance_to_block, small_config
@@ -64,6 +65,9 @@ def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
 
 def test_cameras_in_free_space_keep_their_clearance() -> None:
     """Never inside of the block, though most of its inside is farther from its sides than that; nor at the floor."""
+    space = Space(block_scene(), "cpu")
+    inside, beside = np.array([0.1, 0.5, 0.1]), np.array([0.9, 0.5, 0.1])
+    assert not space.is_free(inside, 0.05) and space.is_free(beside, 0.35) and not space.is_free(beside, 0.45)
     poses = ls.DatasetPoses(
         where=ls.PosePlaces.INSIDE, height=(0.0, 0.9), clearance=0.05, seen=0.2, pitch=(-60.0, -10.0)
     )
@@ -132,7 +136,7 @@ def test_objects_stand_upright_whatever_way_up_they_and_the_scene_are(duck, tmp_
     block = ls.MeshInstance(ls.box(1.0), position=(0.0, -0.5, 0.0))
     for scene, up in ((block_scene(), 1.0), (ls.Scene(meshes=[turned, block], up="y-down"), -1.0)):
         for file, own_up in ((duck, 1.0), (str(tmp_path / "ball.ply"), -1.0)):
-            objects = ls.DatasetObjects(files=(file,), count=(1, 1), size=0.05)
+            objects = ls.DatasetObjects(files=(file,), count=(1, 1), size=(0.05, 0.05))
             thing = ls.DatasetViews(scene, small_config(objects=objects), device="cpu").view(0).things[2]
             axis = thing.world_from_object[:3, 1] / np.cbrt(np.linalg.det(thing.world_from_object[:3, :3]))
             np.testing.assert_allclose(own_up * axis, (0.0, up, 0.0), atol=1e-9)
@@ -143,7 +147,7 @@ def test_things_know_their_places_in_frames(duck, tmp_path) -> None:
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
     ls.save(tmp_path / "pair.glb", ls.Scene(meshes=[ls.box(0.2), ls.MeshInstance(ls.box(0.1), position=(0.3, 0, 0))]))
     files = (duck, str(tmp_path / "ball.ply"), str(tmp_path / "pair.glb"))
-    objects = ls.DatasetObjects(files=files, count=(3, 4), size=0.05)
+    objects = ls.DatasetObjects(files=files, count=(3, 4), size=(0.05, 0.05))
     scene = replace(block_scene(), splats=[random_gaussians(1, count=30)], up="y-up")
     kinds = set()
     for view in views_of(small_config(objects=objects, poses=ls.DatasetPoses(seen=0.0)), scene):
