@@ -88,6 +88,10 @@ if TYPE_CHECKING:
         save_cameras,
         save_config,
     )
+    from lumisplat.io.blocks.index import BlockIndex, open_blocks
+    from lumisplat.io.blocks.plan import WorkerPlan, plan_views
+    from lumisplat.io.blocks.views import BlockPart, load_blocks, visible_blocks
+    from lumisplat.io.blocks.writing import write_blocks
     from lumisplat.io.document.entries import SceneEntry
     from lumisplat.io.document.scene_document import SceneDocument
     from lumisplat.io.images.rows.joined import join_windows
@@ -173,6 +177,8 @@ _MODULE_OF = {
     "AtlasLayout": "config",
     "AvatarLighter": "relighting.avatar_lighter",
     "AvatarLightingConfig": "config",
+    "BlockIndex": "io.blocks.index",
+    "BlockPart": "io.blocks.views",
     "Camera": "scene.camera",
     "CameraModel": "scene.camera",
     "CameraPath": "scene.animation.camera_path",
@@ -277,6 +283,7 @@ _MODULE_OF = {
     "TrainConfig": "config",
     "TrainResult": "training.train",
     "Viewer": "viewer.viewer",
+    "WorkerPlan": "io.blocks.plan",
     "apf_y": "metrics.lighting",
     "bake": "baking.bake",
     "bind_gaussians": "scene.animation.rigged_gaussians",
@@ -309,6 +316,7 @@ _MODULE_OF = {
     "join_windows": "io.images.rows.joined",
     "load": "io",
     "load_animation": "io",
+    "load_blocks": "io.blocks.views",
     "load_camera_path": "io",
     "load_cameras": "io",
     "load_config": "io",
@@ -323,8 +331,10 @@ _MODULE_OF = {
     "ms_ssim": "metrics.ms_ssim",
     "ms_ssim_scales": "metrics.ms_ssim",
     "ncm_ab": "metrics.lighting",
+    "open_blocks": "io.blocks.index",
     "orbit_cameras": "scene.ops.orbit",
     "paa_y": "metrics.lighting",
+    "plan_views": "io.blocks.plan",
     "plane": "scene.primitives",
     "psnr": "metrics.images",
     "ray_gradients": "renderer.ray_gradients",
@@ -356,6 +366,8 @@ _MODULE_OF = {
     "transform": "scene.editing.transform",
     "transmittance": "renderer.one_shot",
     "view": "viewer.view",
+    "visible_blocks": "io.blocks.views",
+    "write_blocks": "io.blocks.writing",
 }
 
 __all__ = [
@@ -367,6 +379,8 @@ __all__ = [
     "AtlasLayout",
     "AvatarLighter",
     "AvatarLightingConfig",
+    "BlockIndex",
+    "BlockPart",
     "Camera",
     "CameraModel",
     "CameraPath",
@@ -471,6 +485,7 @@ __all__ = [
     "TrainConfig",
     "TrainResult",
     "Viewer",
+    "WorkerPlan",
     "apf_y",
     "bake",
     "bind_gaussians",
@@ -503,6 +518,7 @@ __all__ = [
     "limit_sh_degree",
     "load",
     "load_animation",
+    "load_blocks",
     "load_camera_path",
     "load_cameras",
     "load_config",
@@ -517,8 +533,10 @@ __all__ = [
     "ms_ssim",
     "ms_ssim_scales",
     "ncm_ab",
+    "open_blocks",
     "orbit_cameras",
     "paa_y",
+    "plan_views",
     "plane",
     "psnr",
     "ray_gradients",
@@ -550,6 +568,8 @@ __all__ = [
     "transform",
     "transmittance",
     "view",
+    "visible_blocks",
+    "write_blocks",
 ]
 
 

@@ -1,0 +1,112 @@
+"""Which blocks of a capture a view shows, and their Gaussians.
+
+A block is left out only if the rasteriser would show none of its Gaussians: their ellipses reach, in pixels, as far as
+bounds of the projection's derivative say (docs/adr/0073-captures-in-blocks.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP
+from lumisplat.errors import SceneError
+from lumisplat.io.blocks.index import BlockIndex
+from lumisplat.io.blocks.rows import read_rows, unpacked
+from lumisplat.math.arrays import Doubles
+from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.gaussians import Gaussians
+
+REACH = math.sqrt(-2.0 * math.log(ALPHA_MIN))
+"""Standard deviations at which a Gaussian of opacity 1 ends."""
+_DILATION_PX = REACH * math.sqrt(0.3) + 1.0
+"""How far the filter of the rasteriser widens a splat, and a pixel for rounding, pixels."""
+
+
+class BlockPart(NamedTuple):
+    """A level of a block."""
+
+    block: int
+    """Number of the block."""
+    level: int
+    """0: the finest."""
+
+
+def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) -> list[BlockPart]:
+    """The blocks that an unlit, rasterised frame needs, with the level that is fine enough for each.
+
+    Args:
+        index: Of the capture.
+        camera: A pinhole; with a window, what that shows.
+        pixels: How large the mean Gaussian of a coarser level may be where the block is nearest to the eye, pixels; 0:
+            all are of the finest level, and frames are those of the whole capture, to the bit.
+
+    Raises:
+        SceneError: The camera is no sharp pinhole: rays may see anything.
+    """
+    if camera.model is not CameraModel.PINHOLE or camera.is_distorted or camera.camera_from_world_end is not None:
+        raise SceneError("blocks are chosen for pinholes, without distortion or rolling shutter: load all of them")
+    seen, nearest = _seen(index, camera)
+    focal = max(camera.fx, camera.fy)
+    return [
+        BlockPart(number, _level([one.scale_mean * focal / nearest[number] for one in block.levels], pixels))
+        for number, block in enumerate(index.blocks)
+        if seen[number]
+    ]
+
+
+def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
+    """The Gaussians of blocks, in the order of the parts.
+
+    Raises:
+        FormatError: A file cannot be read.
+        SceneError: There is no part.
+    """
+    if not parts:
+        raise SceneError("no block is visible: there is nothing to render")
+    levels = [index.blocks[part.block].levels[part.level] for part in parts]
+    width = index.row_bytes // 4
+    rows = np.empty((sum(level.count for level in levels), width), np.float32)
+    first = 0
+    for level in levels:
+        rows[first : first + level.count] = read_rows(index.folder / level.file, width, level.count)
+        first += level.count
+    return unpacked(rows, antialiased=index.antialiased)
+
+
+def bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:
+    """Bytes of some blocks on disk."""
+    return index.row_bytes * sum(index.blocks[part.block].levels[part.level].count for part in parts)
+
+
+def _level(sizes: list[float], pixels: float) -> int:
+    """The coarsest level that is fine enough; of a level each Gaussian covers so many pixels."""
+    fine = [level for level, size in enumerate(sizes) if size <= pixels]
+    return fine[-1] if fine else 0
+
+
+def _seen(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Doubles]:
+    """Whether blocks may be seen, (B,), and the view depth of what is nearest of them, not before the near plane."""
+    low, high = index.bounds()
+    scale = np.array([max(level.scale_max for level in block.levels) for block in index.blocks])
+    choices = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    corners = np.where(choices[None], high[:, None], low[:, None])
+    pose = camera.camera_from_world
+    view = corners @ pose[:3, :3].T + pose[:3, 3]
+    x, y, z = view[..., 0], view[..., 1], view[..., 2]
+    outside = (z <= camera.near * (1.0 - 1e-5)).all(axis=1)
+    (left, top), (width, height) = camera.image_corner, camera.image_size
+    sides = (x, camera.cx, camera.fx, camera.width, left, width), (y, camera.cy, camera.fy, camera.height, top, height)
+    for across, center, focal, size, first, count in sides:
+        margin = (JACOBIAN_CLAMP - 1.0) * 0.5 * size / focal
+        steepest = max(abs(center + 0.5), abs(size + 0.5 - center)) / focal + margin
+        reach = REACH * scale * math.sqrt(1.0 + steepest * steepest)
+        ends = (first - center - _DILATION_PX) / focal, (first + count - center + _DILATION_PX) / focal
+        # Of what is before the eye; a block that is partly behind it is cut by the near plane, which is linear, too.
+        outside |= (across - ends[1] * z > reach[:, None]).all(axis=1)
+        outside |= (ends[0] * z - across > reach[:, None]).all(axis=1)
+    return ~outside, np.maximum(z.min(axis=1), camera.near)

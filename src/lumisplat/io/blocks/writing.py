@@ -1,0 +1,157 @@
+"""A stream of Gaussians cut into blocks of space, in memory for a piece of the stream and one block."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.config.checks import is_number
+from lumisplat.constants.blocks import BLOCK_DEPTH_MAX, BLOCK_GAUSSIANS_MAX, BLOCK_LEVEL_SHARE
+from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.io.blocks.index import GAUSSIAN_FLOATS, INDEX, Block, BlockIndex, BlockLevel
+from lumisplat.io.blocks.rows import packed, pieces, read_rows, unpacked
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import PathLike
+from lumisplat.math.arrays import FloatArray, IntArray
+from lumisplat.scene.editing.decimate import decimate
+from lumisplat.scene.gaussians import Gaussians
+
+
+def write_blocks(
+    folder: PathLike,
+    chunks: Iterable[Gaussians],
+    cell: float,
+    *,
+    levels: int = 0,
+    block_max: int = BLOCK_GAUSSIANS_MAX,
+) -> BlockIndex:
+    """Writes a capture in blocks of space: cubes, those with many Gaussians cut in eight, and so on.
+
+    Args:
+        folder: A new folder. Its index, ``blocks.json``, is written last: a folder without it is no capture.
+        chunks: The capture in any order, a part at a time; means, rotations, scales, opacities and harmonics are kept,
+            all of one degree.
+        cell: Edge of the largest cubes, scene units.
+        levels: Coarser levels of detail beside the finest, each with a quarter of the Gaussians of the one before, see
+            `lumisplat.decimate`.
+        block_max: Gaussians of a block at most; more that are in one place stay together.
+
+    Raises:
+        ConfigError: The cell's edge is not positive, or a number is out of range.
+        SceneError: There are no Gaussians, or they differ in degree or antialiasing.
+        FormatError: The folder holds a capture already, or cannot be written.
+    """
+    if not is_number(cell) or not 0.0 < cell < math.inf:
+        raise ConfigError(f"cell is {cell}, expected the edge of a cube in scene units")
+    if levels < 0 or block_max < 1:
+        raise ConfigError(f"levels is {levels} and block_max {block_max}, expected 0 or more, and 1 or more")
+    place = Path(folder)
+    if (place / INDEX).exists():
+        raise FormatError(place, "holds a capture in blocks already: give a new folder")
+    try:
+        return _Writer(place, cell, levels, block_max).write(chunks)
+    except OSError as error:
+        raise FormatError(folder, f"cannot be written: {error.strerror or error}") from None
+
+
+class _Writer:
+    """Sorts Gaussians into files of cells, then makes blocks of these.
+
+    Args:
+        folder: The capture's.
+        cell: Edge of a cube.
+        levels: Coarser levels.
+        block_max: Gaussians of a block.
+    """
+
+    def __init__(self, folder: Path, cell: float, levels: int, block_max: int) -> None:
+        self._folder, self._cell, self._levels, self._block_max = folder, cell, levels, block_max
+        self._kind: tuple[int, bool] | None = None
+        self._count = 0
+
+    def write(self, chunks: Iterable[Gaussians]) -> BlockIndex:
+        """Writes all blocks, then the index."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        for leftover in (
+            *self._folder.glob("cell*.part"),
+            *self._folder.glob("[0-9]*.bin"),
+        ):  # of a run that was killed
+            leftover.unlink()
+        cells: dict[tuple[int, ...], Path] = {}
+        for chunk in chunks:
+            self._check(chunk)
+            self._sort(packed(chunk), self._cell, "cell", cells)
+        if self._kind is None:
+            raise SceneError("zero Gaussians: there is nothing to write")
+        sh_count, antialiased = self._kind
+        blocks = [block for key in sorted(cells) for block in self._blocks(cells[key], np.array(key), 0)]
+        index = BlockIndex(self._folder, sh_count, antialiased, tuple(blocks))
+        with atomic_write(self._folder / INDEX) as temporary:
+            temporary.write_text(index.text())
+        return index
+
+    def _check(self, chunk: Gaussians) -> None:
+        kind = chunk.sh.shape[1], chunk.antialiased
+        if self._kind not in (None, kind):
+            raise SceneError("the parts of a capture differ in the degree of their harmonics, or in antialiasing")
+        self._kind = kind
+
+    @property
+    def _width(self) -> int:
+        assert self._kind is not None
+        return GAUSSIAN_FLOATS + 3 * self._kind[0]
+
+    def _sort(self, rows: FloatArray, edge: float, name: str, cells: dict[tuple[int, ...], Path]) -> None:
+        """Appends rows to the files of the cubes that they are in."""
+        keys: IntArray = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
+        found, cell_of = np.unique(keys, axis=0, return_inverse=True)
+        order = np.argsort(cell_of.ravel(), kind="stable")
+        ends = np.cumsum(np.bincount(cell_of.ravel()))
+        ordered = rows[order]
+        for key, end, count in zip(found.tolist(), ends.tolist(), np.diff(ends, prepend=0).tolist(), strict=True):
+            path = cells.setdefault(tuple(key), self._folder / f"{name}{'_'.join(map(str, key))}.part")
+            with open(path, "ab") as file:
+                file.write(ordered[end - count : end].astype("<f4", copy=False).tobytes())
+
+    def _blocks(self, path: Path, key: IntArray, depth: int) -> Iterator[Block]:
+        """The blocks of a cube's file, which is used up."""
+        count = path.stat().st_size // (4 * self._width)
+        if count <= self._block_max or depth >= BLOCK_DEPTH_MAX:
+            yield self._block(path, count)
+            return
+        edge = self._cell / 2**depth
+        parts: dict[tuple[int, ...], Path] = {}
+        for rows in pieces(path, self._width):
+            self._sort(rows, 0.5 * edge, f"cell{depth + 1}_", parts)
+        path.unlink()
+        for part in sorted(parts):
+            yield from self._blocks(parts[part], np.array(part), depth + 1)
+
+    def _block(self, path: Path, count: int) -> Block:
+        """A block of a file, and its coarser levels."""
+        name = f"{self._count:06d}"
+        self._count += 1
+        lows, highs, sizes, largest = [], [], [], []
+        for rows in pieces(path, self._width):
+            lows.append(rows[:, :3].min(axis=0))
+            highs.append(rows[:, :3].max(axis=0))
+            scales = rows[:, 7:10].max(axis=1)
+            largest.append(scales.max())
+            sizes.append(scales.sum(dtype=np.float64))
+        path.rename(self._folder / f"{name}.bin")
+        levels = [BlockLevel(f"{name}.bin", count, float(max(largest)), float(sum(sizes) / count))]
+        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+        for number in range(1, self._levels + 1):
+            fewer = max(1, levels[-1].count // BLOCK_LEVEL_SHARE)
+            before = read_rows(self._folder / levels[-1].file, self._width, levels[-1].count)
+            coarser = decimate(unpacked(before, antialiased=False), fewer)
+            file = f"{name}_{number}.bin"
+            (self._folder / file).write_bytes(packed(coarser).astype("<f4", copy=False).tobytes())
+            scales = coarser.scales.max(axis=1)
+            levels.append(BlockLevel(file, coarser.count, float(scales.max()), float(scales.mean())))
+            low, high = np.minimum(low, coarser.means.min(axis=0)), np.maximum(high, coarser.means.max(axis=0))
+        (x0, y0, z0), (x1, y1, z1) = low.astype(float).tolist(), high.astype(float).tolist()
+        return Block((x0, y0, z0), (x1, y1, z1), tuple(levels))
