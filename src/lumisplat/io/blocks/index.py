@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -65,6 +66,12 @@ class BlockIndex:
         """Of a Gaussian on disk."""
         return 4 * (GAUSSIAN_FLOATS + 3 * self.sh_count)
 
+    @cached_property
+    def scale_max(self) -> Doubles:
+        """Largest standard deviation of each block's Gaussians, scene units, (B,)."""
+        return np.array([max(level.scale_max for level in block.levels) for block in self.blocks])
+
+    @cached_property
     def bounds(self) -> tuple[Doubles, Doubles]:
         """Least and largest coordinates of all blocks, shapes (B, 3)."""
         return np.array([block.low for block in self.blocks]), np.array([block.high for block in self.blocks])

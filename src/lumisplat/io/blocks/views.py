@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP
 from lumisplat.errors import SceneError
-from lumisplat.io.blocks.index import BlockIndex
+from lumisplat.io.blocks.index import Block, BlockIndex
 from lumisplat.io.blocks.rows import read_rows, unpacked
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
@@ -52,11 +52,8 @@ def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) ->
         raise SceneError("blocks are chosen for pinholes, without distortion or rolling shutter: load all of them")
     seen, nearest = _seen(index, camera)
     focal = max(camera.fx, camera.fy)
-    return [
-        BlockPart(number, _level([one.scale_mean * focal / nearest[number] for one in block.levels], pixels))
-        for number, block in enumerate(index.blocks)
-        if seen[number]
-    ]
+    sizes = pixels * nearest / focal
+    return [BlockPart(number, _level(index.blocks[number], sizes[number])) for number in np.flatnonzero(seen).tolist()]
 
 
 def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
@@ -83,22 +80,21 @@ def bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:
     return index.row_bytes * sum(index.blocks[part.block].levels[part.level].count for part in parts)
 
 
-def _level(sizes: list[float], pixels: float) -> int:
-    """The coarsest level that is fine enough; of a level each Gaussian covers so many pixels."""
-    fine = [level for level, size in enumerate(sizes) if size <= pixels]
+def _level(block: Block, size: float) -> int:
+    """The coarsest level of a block whose mean Gaussian is no larger than that, scene units; else the finest."""
+    fine = [number for number, level in enumerate(block.levels) if level.scale_mean <= size]
     return fine[-1] if fine else 0
 
 
 def _seen(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Doubles]:
     """Whether blocks may be seen, (B,), and the view depth of what is nearest of them, not before the near plane."""
-    low, high = index.bounds()
-    scale = np.array([max(level.scale_max for level in block.levels) for block in index.blocks])
+    (low, high), scale = index.bounds, index.scale_max
     choices = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     corners = np.where(choices[None], high[:, None], low[:, None])
     pose = camera.camera_from_world
     view = corners @ pose[:3, :3].T + pose[:3, 3]
     x, y, z = view[..., 0], view[..., 1], view[..., 2]
-    outside = (z <= camera.near * (1.0 - 1e-5)).all(axis=1)
+    outside: npt.NDArray[np.bool_] = (z <= camera.near * (1.0 - 1e-5)).all(axis=1)
     (left, top), (width, height) = camera.image_corner, camera.image_size
     sides = (x, camera.cx, camera.fx, camera.width, left, width), (y, camera.cy, camera.fy, camera.height, top, height)
     for across, center, focal, size, first, count in sides:
@@ -109,4 +105,5 @@ def _seen(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Dou
         # Of what is before the eye; a block that is partly behind it is cut by the near plane, which is linear, too.
         outside |= (across - ends[1] * z > reach[:, None]).all(axis=1)
         outside |= (ends[0] * z - across > reach[:, None]).all(axis=1)
-    return ~outside, np.maximum(z.min(axis=1), camera.near)
+    nearest: Doubles = np.maximum(z.min(axis=1), camera.near)
+    return np.logical_not(outside), nearest

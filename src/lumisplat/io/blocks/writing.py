@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.constants.blocks import BLOCK_DEPTH_MAX, BLOCK_GAUSSIANS_MAX, BLOCK_LEVEL_SHARE
@@ -15,7 +16,7 @@ from lumisplat.io.blocks.index import GAUSSIAN_FLOATS, INDEX, Block, BlockIndex,
 from lumisplat.io.blocks.rows import packed, pieces, read_rows, unpacked
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.math.arrays import FloatArray, IntArray
+from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
 
@@ -87,7 +88,7 @@ class _Writer:
         if self._kind is None:
             raise SceneError("zero Gaussians: there is nothing to write")
         sh_count, antialiased = self._kind
-        blocks = [block for key in sorted(cells) for block in self._blocks(cells[key], np.array(key), 0)]
+        blocks = [block for key in sorted(cells) for block in self._blocks(cells[key], 0)]
         index = BlockIndex(self._folder, sh_count, antialiased, tuple(blocks))
         with atomic_write(self._folder / INDEX) as temporary:
             temporary.write_text(index.text())
@@ -106,17 +107,28 @@ class _Writer:
 
     def _sort(self, rows: FloatArray, edge: float, name: str, cells: dict[tuple[int, ...], Path]) -> None:
         """Appends rows to the files of the cubes that they are in."""
-        keys: IntArray = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
-        found, cell_of = np.unique(keys, axis=0, return_inverse=True)
-        order = np.argsort(cell_of.ravel(), kind="stable")
-        ends = np.cumsum(np.bincount(cell_of.ravel()))
+        keys: npt.NDArray[np.int64] = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
+        low = keys.min(axis=0)
+        size = keys.max(axis=0) - low + 1
+        if math.prod(size.tolist()) <= 2**16:  # so few that numbers of 16 bits are sorted, ten times faster
+            place = keys - low
+            codes = ((place[:, 0] * size[1] + place[:, 1]) * size[2] + place[:, 2]).astype(np.uint16)
+            order = np.argsort(codes, kind="stable")
+            counts = np.bincount(codes)
+            numbers = np.flatnonzero(counts)
+            found = np.stack(np.unravel_index(numbers, size.tolist()), axis=1) + low
+            ends = np.cumsum(counts[numbers])
+        else:
+            found, cell_of = np.unique(keys, axis=0, return_inverse=True)
+            order = np.argsort(cell_of.ravel(), kind="stable")
+            ends = np.cumsum(np.bincount(cell_of.ravel()))
         ordered = rows[order]
         for key, end, count in zip(found.tolist(), ends.tolist(), np.diff(ends, prepend=0).tolist(), strict=True):
             path = cells.setdefault(tuple(key), self._folder / f"{name}{'_'.join(map(str, key))}.part")
             with open(path, "ab") as file:
                 file.write(ordered[end - count : end].astype("<f4", copy=False).tobytes())
 
-    def _blocks(self, path: Path, key: IntArray, depth: int) -> Iterator[Block]:
+    def _blocks(self, path: Path, depth: int) -> Iterator[Block]:
         """The blocks of a cube's file, which is used up."""
         count = path.stat().st_size // (4 * self._width)
         if count <= self._block_max or depth >= BLOCK_DEPTH_MAX:
@@ -128,22 +140,21 @@ class _Writer:
             self._sort(rows, 0.5 * edge, f"cell{depth + 1}_", parts)
         path.unlink()
         for part in sorted(parts):
-            yield from self._blocks(parts[part], np.array(part), depth + 1)
+            yield from self._blocks(parts[part], depth + 1)
 
     def _block(self, path: Path, count: int) -> Block:
         """A block of a file, and its coarser levels."""
         name = f"{self._count:06d}"
         self._count += 1
-        lows, highs, sizes, largest = [], [], [], []
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        total = largest = 0.0
         for rows in pieces(path, self._width):
-            lows.append(rows[:, :3].min(axis=0))
-            highs.append(rows[:, :3].max(axis=0))
+            low, high = np.minimum(low, rows[:, :3].min(axis=0)), np.maximum(high, rows[:, :3].max(axis=0))
             scales = rows[:, 7:10].max(axis=1)
-            largest.append(scales.max())
-            sizes.append(scales.sum(dtype=np.float64))
+            largest = max(largest, float(scales.max()))
+            total += float(scales.sum(dtype=np.float64))
         path.rename(self._folder / f"{name}.bin")
-        levels = [BlockLevel(f"{name}.bin", count, float(max(largest)), float(sum(sizes) / count))]
-        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+        levels = [BlockLevel(f"{name}.bin", count, largest, total / count)]
         for number in range(1, self._levels + 1):
             fewer = max(1, levels[-1].count // BLOCK_LEVEL_SHARE)
             before = read_rows(self._folder / levels[-1].file, self._width, levels[-1].count)
@@ -153,5 +164,5 @@ class _Writer:
             scales = coarser.scales.max(axis=1)
             levels.append(BlockLevel(file, coarser.count, float(scales.max()), float(scales.mean())))
             low, high = np.minimum(low, coarser.means.min(axis=0)), np.maximum(high, coarser.means.max(axis=0))
-        (x0, y0, z0), (x1, y1, z1) = low.astype(float).tolist(), high.astype(float).tolist()
+        (x0, y0, z0), (x1, y1, z1) = low.tolist(), high.tolist()
         return Block((x0, y0, z0), (x1, y1, z1), tuple(levels))
