@@ -25,6 +25,8 @@ from lumisplat.io.blocks.index import Block, BlockLevel
 SIDE = 2000.0
 """Of the city, metres."""
 GIB = 2.0**30
+AT_ONCE = 8 * 10**6
+"""Gaussians of a window at most."""
 MEMORY_GIB = 16
 """Of a worker, for Gaussians."""
 
@@ -146,15 +148,15 @@ def write(folder: Path, millions: int) -> None:
 
 
 def render(folder: Path, view: str, device: str) -> None:
-    """Renders a view of the blocks that it sees, and all of a picture in bands whose blocks are loaded in turn."""
+    """Renders a view of the blocks that it sees, in windows where these have too many Gaussians to load at once."""
     index, camera = ls.open_blocks(folder), VIEWS[view]
     renderer = ls.create_renderer(None, device)
-    bands = 1
-    while max(count(index, one) for one in cut(camera, bands)) > 8 * 10**6:
-        bands *= 2
+    cuts = 1
+    while max(count(index, one) for one in cut(camera, cuts)) > AT_ONCE:
+        cuts *= 2
     files: dict[tuple[int, int, int, int], str] = {}
     loaded: list[int] = []
-    for number, part in enumerate(cut(camera, bands)):
+    for number, part in enumerate(cut(camera, cuts)):
         seen = ls.visible_blocks(index, part)
         scene = ls.Scene([ls.load_blocks(index, seen)] if seen else [])
         loaded.append(scene.gaussian_count)
@@ -162,12 +164,12 @@ def render(folder: Path, view: str, device: str) -> None:
         renderer.render(scene, part).save(name)
         files[part.window or (0, 0, camera.width, camera.height)] = name
     ls.join_windows(f"{folder}/{view}.png", files)
-    report(view, bands=bands, gaussians=sum(loaded), most_at_once=max(loaded))
+    report(view, windows=cuts**2, gaussians=sum(loaded), most_at_once=max(loaded))
 
 
-def cut(camera: ls.Camera, bands: int) -> list[ls.Camera]:
-    """The camera, or its bands."""
-    return [camera] if bands == 1 else camera.windows(1, bands)
+def cut(camera: ls.Camera, cuts: int) -> list[ls.Camera]:
+    """The camera, or its windows."""
+    return [camera] if cuts == 1 else camera.windows(cuts, cuts)
 
 
 def count(index: ls.BlockIndex, camera: ls.Camera) -> int:

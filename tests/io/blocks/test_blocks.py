@@ -122,7 +122,7 @@ def test_far_blocks_are_coarser(tmp_path: Path) -> None:
 
 
 def test_a_plan_of_workers(tmp_path: Path) -> None:
-    """Blocks are loaded once where memory holds them, and again where not; views that do not fit are cut in bands."""
+    """Blocks are loaded once where memory holds them, and again where not; views that do not fit are cut."""
     capture = random_gaussians(
         5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0), scale_range=(0.01, 0.05)
     )
@@ -140,12 +140,13 @@ def test_a_plan_of_workers(tmp_path: Path) -> None:
     two = ls.plan_views(index, cameras, 2, size)
     assert [plan.views for plan in two] == [range(2), range(2, 4)]
     assert sum(plan.moved_bytes for plan in two) > one.moved_bytes
-    largest = max(
-        index.row_bytes * sum(index.blocks[part.block].levels[0].count for part in ls.visible_blocks(index, camera))
-        for camera in cameras
-    )
-    (small,) = ls.plan_views(index, cameras, 1, int(0.8 * largest))
-    assert small.tiles > 4 and small.held_bytes <= 0.8 * largest and small.moved_bytes > one.moved_bytes
+    above = ls.Camera.look_at((0.0, -30.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=96, height=96, fov_y=0.8)
+    needed = index.row_bytes * ls.load_blocks(index, ls.visible_blocks(index, above)).count
+    (enough,) = ls.plan_views(index, [above, above], 1, needed)
+    assert (enough.tiles, enough.held_bytes, enough.moved_bytes) == (2, needed, needed)
+    (small,) = ls.plan_views(index, [above, above], 1, int(0.7 * needed))
+    assert small.tiles == 8 and small.too_large == 0
+    assert small.held_bytes <= 0.7 * needed and small.moved_bytes > needed
     (tiny,) = ls.plan_views(index, cameras, 1, 100)
     assert tiny.too_large > 0
     with pytest.raises(ls.ConfigError, match="workers is 0"):

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from lumisplat.config.checks import is_whole
+from lumisplat.constants.parts import WINDOW_STEP
 from lumisplat.errors import ConfigError
 from lumisplat.io.blocks.index import BlockIndex
 from lumisplat.io.blocks.views import BlockPart, bytes_of, visible_blocks
 from lumisplat.scene.camera import Camera
 
-TILES_MAX = 64
-"""Bands that a view is cut in at most."""
+CUTS_MAX = 8
+"""Columns, and rows, of windows that a view is cut in at most."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class WorkerPlan:
     moved_bytes: int
     """All that it loads."""
     too_large: int
-    """Windows whose blocks do not fit, though their view is cut in 64."""
+    """Windows whose blocks do not fit, though their view is cut in 8 x 8."""
 
 
 def plan_views(
@@ -39,7 +40,7 @@ def plan_views(
     """What each worker holds and loads, where each takes a run of views that follow each other.
 
     A worker keeps the blocks that it has seen last, as many as its memory holds. A view whose blocks do not fit at once
-    is cut into bands (`Camera.windows`), whose pixels are those of the whole view.
+    is cut into 2 x 2, 4 x 4 or 8 x 8 windows (`Camera.windows`), whose pixels are those of the whole view.
 
     Args:
         index: Of the capture; its files need not be there.
@@ -81,12 +82,12 @@ def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_b
 
 
 def _windows(index: BlockIndex, camera: Camera, memory_bytes: int, pixels: float) -> list[list[BlockPart]]:
-    """The blocks of a view, or those of each of its bands, of which there are as few as will do."""
-    bands = 1
+    """The blocks of a view, or those of each of its windows, of which there are as few as will do."""
+    cuts = 1
     while True:
-        cameras = [camera] if bands == 1 else camera.windows(1, bands)
+        cameras = [camera] if cuts == 1 else camera.windows(cuts, cuts)
         found = [visible_blocks(index, one, pixels=pixels) for one in cameras]
         fits = all(bytes_of(index, parts) <= memory_bytes for parts in found)
-        if fits or bands >= TILES_MAX or 16 * 2 * bands > camera.height:
+        if fits or cuts >= CUTS_MAX or 2 * cuts * WINDOW_STEP > min(camera.width, camera.height):
             return found
-        bands *= 2
+        cuts *= 2

@@ -94,7 +94,7 @@ def _seen(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Dou
     pose = camera.camera_from_world
     view = corners @ pose[:3, :3].T + pose[:3, 3]
     x, y, z = view[..., 0], view[..., 1], view[..., 2]
-    outside: npt.NDArray[np.bool_] = (z <= camera.near * (1.0 - 1e-5)).all(axis=1)
+    outside = np.array((z <= camera.near * (1.0 - 1e-5)).all(axis=1), np.bool_)
     (left, top), (width, height) = camera.image_corner, camera.image_size
     sides = (x, camera.cx, camera.fx, camera.width, left, width), (y, camera.cy, camera.fy, camera.height, top, height)
     for across, center, focal, size, first, count in sides:
