@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.compare.ways import renderer_of
+from support.compare.ways import WAYS, renderer_of
 from support.scenes import lit_scene
 from support.scenes.lenses import LENSES, layers, lens, rolling
 from support.scenes.pipelines import SAMPLED
 from support.scenes.raster_scenes import checker_quad, front_camera, random_gaussians, similarity
 
+SCHEDULES = [way for way in WAYS if way != "cpu as graph"]
+"""Both schedules on the CPU, and every GPU there is."""
+DEVICES = [way for way in WAYS if not way.startswith("cpu as")]
 WINDOWS = [(16, 0, 32, 16), (48, 32, 23, 21), (0, 16, 16, 37)]
 """Within a picture of 71 x 53: at its upper edge, in its lower right corner, at its left and lower edge."""
 SIZE = 71, 53
@@ -43,7 +46,7 @@ def assert_cut_out(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) ->
             np.testing.assert_array_equal(image, expected[part], f"{name} of {window}")
 
 
-@pytest.mark.parametrize("way", ["cpu", "cpu as cuda"])
+@pytest.mark.parametrize("way", SCHEDULES)
 @pytest.mark.parametrize("strategy", list(ls.RasterStrategy))
 def test_unlit_frames(strategy: ls.RasterStrategy, way: str) -> None:
     """Sorted and stochastic, in both schedules: Gaussians larger than windows, too, and meshes with alpha."""
@@ -61,15 +64,16 @@ def test_unlit_frames(strategy: ls.RasterStrategy, way: str) -> None:
     assert_cut_out(renderer_of(way, config), scene, front_camera(*SIZE, cx=30.3, cy=20.1))
 
 
+@pytest.mark.parametrize("way", DEVICES)
 @pytest.mark.parametrize("pipeline", SAMPLED)
-def test_lit_frames(pipeline: ls.Pipeline) -> None:
+def test_lit_frames(pipeline: ls.Pipeline, way: str) -> None:
     """Soft shadows, mirrors, glass, captures and relit sets, with the layers of light."""
     aovs = ("albedo", "lights", "variance", "sample_count")
     if pipeline is ls.Pipeline.PATH:
         aovs += ("direct_diffuse", "indirect_diffuse", "indirect_glossy")
     config = lit_scene.config(pipeline, samples=2, shadows=ls.Shadows.SOFT, aovs=aovs)
     scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
-    assert_cut_out(ls.create_renderer(config, "cpu"), scene, lit_scene.camera(*SIZE))
+    assert_cut_out(renderer_of(way, config), scene, lit_scene.camera(*SIZE))
 
 
 @pytest.mark.parametrize("name", RAY_CAMERAS)
@@ -80,7 +84,7 @@ def test_rays_of_all_lenses(name: str) -> None:
     assert_cut_out(ls.create_renderer(config, "cpu"), ls.Scene([layers(camera)]), camera)
 
 
-@pytest.mark.parametrize("way", ["cpu", "cpu as cuda"])
+@pytest.mark.parametrize("way", SCHEDULES)
 @pytest.mark.parametrize("name", ["distorted fisheye", "rolling shutter"])
 def test_rasterised_along_rays(name: str, way: str) -> None:
     """Sigma points and rays of pixels."""
