@@ -1,11 +1,13 @@
 """Captures whose materials are known, and what `lumisplat delight` finds of them.
 
-``python -m bench.delighted [--scenes room statue sunny]`` prints a JSON object a scene, and writes pictures to
+``python -m bench.delighted [--scenes room spot "glossy spot"]`` prints a JSON object a scene, and writes pictures to
 /tmp/delighted: captured colours, albedo found and true albedo side by side. Captures are sets of Gaussians with the
-light of `lumisplat bake` in their colours, degree 0, at 8 bounces. All is compared in pictures from 8 sides, where
-they are opaque: albedo in linear light, after one factor a channel, as how bright the light was cannot be known;
-pictures in a new light as displays show them, after the same factor. ``shadow_left`` is how much of the light on the
-floor is still in its albedo: the slope of one's logarithm by the other's.
+light of `lumisplat bake` in their colours, degree 0, or 3 and 32 samples where surfaces are glossy, at 8 bounces. All
+is compared in pictures from 8 sides, where they are opaque: albedo in linear light, after one factor a channel, as how
+bright the light was cannot be known; pictures in a new light as displays show them, after the same factor.
+``shadow_left`` is how much of the light on the floor is still in its albedo: the slope of one's logarithm by the
+other's. ``roughness``: for each true one, mean and root-mean-square error of what was found on the floor and on the
+cow, and how sure that says it is.
 """
 
 from __future__ import annotations
@@ -22,12 +24,16 @@ import numpy as np
 import lumisplat as ls
 from bench.presets import DATA
 from bench.timing import parser
+from lumisplat.constants.delight import SURE
 from lumisplat.io.images.png import write_png
-from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.relighting.delight.captured import outgoing_radiance
 
 OUT = Path("/tmp/delighted")
 MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)
+GLOSSY = (0.15, 0.3, 0.5, 0.8)
+"""Roughnesses, a quadrant each."""
 SH_CONSTANT = 0.28209479177387814
 WIDTH, HEIGHT = 160, 120
 
@@ -43,6 +49,8 @@ class Case:
     cameras: list[ls.Camera]
     floor: slice | None = None
     """Gaussians on which a shadow falls."""
+    material: ls.MaterialPbr = MATT
+    """Of all: with or without highlights."""
 
 
 def colored(gaussians: ls.Gaussians, linear: Doubles) -> ls.Gaussians:
@@ -105,19 +113,40 @@ def room(device: str) -> Case:
 
 
 def spot(sky: Doubles, device: str) -> Case:
-    """A spotted cow on a chequered floor under a sky."""
-    cow = ls.gaussians_from_mesh(_first_mesh(DATA / "meshes" / "spot.obj"), 7000)
+    """A matt spotted cow on a chequered floor under a sky."""
+    truth, on_floor, cameras = spot_and_floor(7000)
+    captured = _baked(_under(sky, truth, MATT), device)
+    return Case(truth, captured, cameras, on_floor)
+
+
+def glossy_spot(sky: Doubles, device: str) -> Case:
+    """The same, half as fine and glossy: a roughness in each quadrant around it."""
+    truth, on_floor, cameras = spot_and_floor(3500)
+    turn = np.arctan2(truth.means[:, 2], truth.means[:, 0]) / np.pi + 1.0
+    truth = replace(truth, roughness=np.array(GLOSSY, np.float32)[np.floor(2.0 * turn).astype(int) % 4])
+    material = ls.MaterialPbr()
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=32)
+    captured = _baked(_under(sky, truth, material), device, config, 3)
+    return Case(truth, captured, cameras, on_floor, material)
+
+
+def _under(sky: Doubles, truth: ls.Gaussians, material: ls.MaterialPbr) -> ls.Scene:
+    light = ls.LightEnvironment(image=sky.astype(np.float32))
+    return ls.Scene([ls.SplatInstance(truth, material=material)], lights=[light])
+
+
+def spot_and_floor(count: int) -> tuple[ls.Gaussians, slice, list[ls.Camera]]:
+    """So many Gaussians of each, those of the floor, and views."""
+    cow = ls.gaussians_from_mesh(_first_mesh(DATA / "meshes" / "spot.obj"), count)
     means, low = cow.means, float(cow.means[:, 1].min())
     spots = np.sin(9 * means[:, 0]) * np.sin(9 * means[:, 1]) * np.sin(9 * means[:, 2]) > 0.05
     on_cow = np.where(spots[:, None], (0.35, 0.2, 0.12), (0.75, 0.7, 0.62))
     corners = 2.5 * np.array([(-1, 0, -1), (1, 0, -1), (1, 0, 1), (-1, 0, 1)], np.float32)
     corners[:, 1] = low
-    floor = ls.gaussians_from_mesh(ls.Mesh(corners, np.array([(0, 2, 1), (0, 3, 2)], np.int32)), 7000)
+    floor = ls.gaussians_from_mesh(ls.Mesh(corners, np.array([(0, 2, 1), (0, 3, 2)], np.int32)), count)
     checks = (np.floor(floor.means[:, 0] / 0.6) + np.floor(floor.means[:, 2] / 0.6)) % 2 > 0
     on_floor = np.where(checks[:, None], (0.5, 0.52, 0.5), (0.3, 0.24, 0.2))
     truth = painted(ls.merge([cow, floor]), np.concatenate([on_cow, on_floor]))
-    light = ls.LightEnvironment(image=sky.astype(np.float32))
-    captured = _baked(ls.Scene([ls.SplatInstance(truth, material=MATT)], lights=[light]), device)
     cameras = [
         ls.Camera.look_at(
             (3.2 * np.cos(a), 0.6 + 0.8 * (k % 3), 3.2 * np.sin(a)),
@@ -128,7 +157,7 @@ def spot(sky: Doubles, device: str) -> Case:
         )
         for k, a in enumerate(2.0 * np.pi * np.arange(8) / 8)
     ]
-    return Case(truth, captured, cameras, slice(cow.count, truth.count))
+    return truth, slice(cow.count, truth.count), cameras
 
 
 def overcast_sky() -> Doubles:
@@ -150,6 +179,8 @@ CASES: dict[str, Callable[[str], Case]] = {
     "room": room,
     "spot": lambda device: spot(overcast_sky(), device),
     "spot in the sun": lambda device: spot(sunny_sky(), device),
+    "glossy spot": lambda device: glossy_spot(overcast_sky(), device),
+    "glossy spot in the sun": lambda device: glossy_spot(sunny_sky(), device),
 }
 
 
@@ -160,9 +191,9 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
     found = ls.estimate_materials(case.captured, device=device)
     seconds = time.process_time() - start
     assert case.truth.albedo is not None and found.gaussians.albedo is not None
-    shown = decode_srgb(np.clip(case.captured.sh[:, 0] * SH_CONSTANT + 0.5, 0.0, 1.0)).astype(np.float64)[:count]
+    given = np.asarray(found.gaussians.normals, np.float64)
+    shown, normals = outgoing_radiance(case.captured, given)[:count], given[:count]
     truth, albedo = case.truth.albedo.astype(np.float64), found.gaussians.albedo[:count].astype(np.float64)
-    normals = np.asarray(found.gaussians.normals)[:count]
     agree = np.einsum("ij,ij->i", normals, np.asarray(case.truth.normals)) > 0.5
     true, mine, old = (views(colored(case.truth, rgb), case.cameras, device) for rgb in (truth, albedo, shown))
     factor = np.median(np.concatenate(true) / np.maximum(np.concatenate(mine), 1e-4), axis=0)
@@ -178,11 +209,35 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
     if case.floor is not None:
         left = shade(albedo, truth)[case.floor] @ shade(shown, truth)[case.floor]
         figures["shadow_left"] = round(float(left / np.sum(shade(shown, truth)[case.floor] ** 2)), 3)
-    given, turned = np.asarray(case.truth.normals), normals
-    true_lit = relit(case, truth, given, device)
-    figures["relit_db"] = psnr(relit(case, albedo * factor, turned, device), true_lit)
-    figures["captured_relit_db"] = psnr(relit(case, shown * old_factor, turned, device), true_lit)
+    turned = normals.astype(np.float32)
+    rough, true_rough = np.asarray(found.gaussians.roughness)[:count], np.asarray(case.truth.roughness)
+    true_lit = relit(case, truth, np.asarray(case.truth.normals), true_rough, device)
+    unknown = np.full(count, 0.8, np.float32)
+    figures["relit_db"] = psnr(relit(case, albedo * factor, turned, rough, device), true_lit)
+    figures["captured_relit_db"] = psnr(relit(case, shown * old_factor, turned, unknown, device), true_lit)
+    if case.floor is not None and case.material is not MATT:
+        figures["relit_db_all_0.8"] = psnr(relit(case, albedo * factor, turned, unknown, device), true_lit)
+        figures["roughness"] = roughness_figures(case, rough, found.sureness[:count], agree)
     return figures, rows_of(case, (shown, albedo * factor, truth), device)
+
+
+def roughness_figures(case: Case, found: FloatArray, sureness: FloatArray, agree: Flags) -> dict[str, Any]:
+    """Of Gaussians whose normals are right: of all, of sure ones, and of the floor and the cow by their true one."""
+    true, on_floor = np.asarray(case.truth.roughness), np.zeros(len(found), bool)
+    on_floor[case.floor] = True
+
+    def rmse(rows: Flags) -> float:
+        return round(float(np.sqrt(np.square(found - true)[rows].mean())), 3)
+
+    figures: dict[str, Any] = {"rmse": rmse(agree), "rmse_of_sure": rmse(agree & (sureness > SURE))}
+    figures["rmse_all_0.8"] = round(float(np.sqrt(np.square(0.8 - true)[agree].mean())), 3)
+    figures["sure"] = round(float((sureness > SURE).mean()), 3)
+    for name, place in (("floor", on_floor), ("cow", ~on_floor)):
+        for value in GLOSSY:
+            rows = agree & place & np.isclose(true, value)
+            mean, sure = (round(float(values[rows].mean()), 2) for values in (found, sureness))
+            figures[f"{name} {value}"] = {"mean": mean, "rmse": rmse(rows), "sureness": sure}
+    return figures
 
 
 def views(gaussians: ls.Gaussians, cameras: list[ls.Camera], device: str) -> list[Doubles]:
@@ -197,11 +252,13 @@ def shade(colors: Doubles, albedo: Doubles) -> Doubles:
     return logs - np.median(logs)
 
 
-def relit(case: Case, albedo: Doubles, normals: FloatArray, device: str) -> Doubles:
+def relit(case: Case, albedo: Doubles, normals: FloatArray, roughness: FloatArray, device: str) -> Doubles:
     """Display values, 0..1, of the covered pixels of all views in another light, (P, 3)."""
-    plain = replace(painted(case.truth, np.clip(albedo, 0.0, 1.0)), normals=normals)
+    plain = replace(painted(case.truth, np.clip(albedo, 0.0, 1.0)), normals=normals, roughness=roughness)
     sun = ls.LightDirectional(direction=(-0.4, -1.0, 0.5), intensity=1.5)
-    scene = ls.Scene([ls.SplatInstance(plain, material=MATT)], lights=[sun, ls.LightEnvironment(color=(0.5, 0.5, 0.6))])
+    scene = ls.Scene(
+        [ls.SplatInstance(plain, material=case.material)], lights=[sun, ls.LightEnvironment(color=(0.5, 0.5, 0.6))]
+    )
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=8)
     frames = [ls.render(scene, camera, config, device=device) for camera in case.cameras]
     shown = [frame.pixels_srgb()[frame.alpha > 0.99] for frame in frames]
@@ -225,9 +282,9 @@ def psnr(a: Doubles, b: Doubles) -> float:
     return round(float(-10.0 * np.log10(np.mean((np.clip(a, 0.0, 1.0) - b) ** 2))), 2)
 
 
-def _baked(scene: ls.Scene, device: str) -> ls.Gaussians:
+def _baked(scene: ls.Scene, device: str, config: ls.RenderConfig | None = None, degree: int = 0) -> ls.Gaussians:
     """What a capture of the scene's set knows: its colours."""
-    return replace(ls.bake(scene, degree=0, device=device).splats[0].gaussians, normals=None)
+    return replace(ls.bake(scene, config, degree=degree, device=device).splats[0].gaussians, normals=None)
 
 
 def _area(mesh: ls.Mesh) -> float:

@@ -179,6 +179,20 @@ def test_a_shaded_ball_loses_its_shade(ball: tuple[ls.Gaussians, np.ndarray]) ->
     assert spread(found) < 0.3 * spread(shown)
 
 
+def test_what_looks_the_same_from_all_sides_is_not_glossy(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Harmonics of degree 1 that are zero: rough. Degree 0: 0.8 to the bit, and nothing is sure."""
+    plain, albedo = ball
+    flat = colored(plain, albedo)
+    sh = np.concatenate([flat.sh, np.zeros((plain.count, 3, 3), np.float32)], axis=1)
+    config = ls.DelightConfig(cells=4)
+    found = ls.estimate_materials(replace(flat, sh=sh), config, device="cpu")
+    assert np.median(np.asarray(found.gaussians.roughness)) > 0.65
+    assert found.sureness.shape == (plain.count,)
+    unknown = ls.estimate_materials(flat, config, device="cpu")
+    assert (np.asarray(unknown.gaussians.roughness) == np.float32(0.8)).all()
+    assert not unknown.sureness.any()
+
+
 def test_normals_that_came_with_a_capture_stay(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Even where they point inwards, to the bit."""
     plain, albedo = ball
@@ -241,9 +255,12 @@ def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]
     half = np.arange(n) < n // 2
     estimate = MaterialEstimate(
         plain, SkyCells.even(4), np.ones((16, 3)), np.full((1, 3), 3.5), np.full(n, -1), half.astype(np.float32),
-        np.ones(n, np.float32), False, half,
+        np.ones(n, np.float32), np.where(half, 0.9, 0.1).astype(np.float32), False, half,
     )  # fmt: skip
     text = "\n".join(estimate.remarks)
     assert "50.0% of the Gaussians would reflect more than all light" in text
     assert "50.0% of the Gaussians is not explained" in text
     assert "3.5" in text
+    assert "views from all sides tell the roughness of 50% of the Gaussians" in text
+    unsure = "\n".join(replace(estimate, sureness=np.zeros(n, np.float32)).remarks)
+    assert "roughness is 0.8 everywhere" in unsure

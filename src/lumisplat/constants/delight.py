@@ -124,6 +124,46 @@ LIGHT_SEEN = 0.03
 ROUGHNESS_UNKNOWN = 0.8
 """Roughness of Gaussians whose highlights say nothing."""
 
+ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
+"""Roughnesses that are tried: below the first one, harmonics of degree 3 show the same."""
+
+ROUGHNESS_ROWS = 2048
+"""Gaussians that are tried at once: some 100 MB."""
+
+LOBE_VIEWS = 96
+"""Views of the upper hemisphere in which colours are compared. With 24, what harmonics cannot keep of a sharp highlight
+turns up in what they do, and roughness 0.3 is found as 0.4; with 48, as 0.33."""
+
+VIEW_COSINE_LEAST = 0.2
+"""Cosine between normal and view, from which on they are: nobody sees Gaussians edge-on."""
+
+BIN_RINGS = 8
+"""Rings of equal solid angle into which the light above a Gaussian is sorted."""
+
+BIN_SECTORS = 20
+"""Equal sectors of each: bins are 11 degrees wide."""
+
+BIN_SAMPLES = 4
+"""Times as many directions of each bin are integrated over."""
+
+ALBEDO_STEPS = 4
+"""Steps of Gauss-Newton to the albedo that goes with a roughness."""
+
+HIGHLIGHT_NOISE = 0.008
+"""Error of captured colours, display-referred, that is expected at least: 2 of 255."""
+
+LIKE_ALBEDO = 0.1
+"""Difference of albedo, natural logarithm, of neighbours that may be of one material."""
+
+LIKE_NORMALS = 4
+"""Exponent of the cosine between their normals."""
+
+MATT_LEAST = 0.2
+"""Share of what is seen from most sides that is left when highlights are taken away, at least."""
+
+SURE = 0.8
+"""Sureness of a roughness from which on highlights are said to tell it."""
+
 GAUSSIANS_LEAST = 64
 """Gaussians of which a surface consists, at least."""
 

@@ -16,18 +16,20 @@ from lumisplat.constants.delight import (
     BRIGHT_ROUNDS,
     GAUSSIANS_LEAST,
     LIGHT_SEEN,
+    MATT_LEAST,
     OPACITY_SEEN,
     PAIRS,
     RADIANCE_LEAST,
-    ROUGHNESS_UNKNOWN,
 )
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, FloatArray, read_only_view
 from lumisplat.relighting.delight.albedo_fit import Light, LightFit, albedo_pairs, first_light, with_usual_albedos
 from lumisplat.relighting.delight.captured import lamps_of, outgoing_radiance
 from lumisplat.relighting.delight.incident import Incident, IncidentRays, Report
+from lumisplat.relighting.delight.lobes import Lobes
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
+from lumisplat.relighting.delight.roughness_fit import Roughness, RoughnessFit, arriving_light
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.checks import check_argument
@@ -79,8 +81,9 @@ def estimate_materials(
     """Materials of a capture and the light in which it was taken, found from the capture alone.
 
     The light that reaches a Gaussian is largely seen in the capture itself: rays find it. What is not, the sky and
-    lamps that were too bright for a display, is such that Gaussians which may have one albedo have it. Surfaces are
-    taken for matt. Source: docs/method/delighting.md.
+    lamps that were too bright for a display, is such that Gaussians which may have one albedo have it. Where
+    colours change with the direction of view, highlights tell the roughness, and are taken out of the albedo: of
+    dielectrics, and not by lamps in rooms. Source: docs/method/delighting.md.
 
     How bright the sky was and what albedos surfaces have is only known together. Of a room, bounces between its walls
     tell them apart to some degree; of an object, the lightest surfaces are taken to reflect 0.8.
@@ -136,7 +139,9 @@ class _Delighter:
             lamps = np.full(self.gaussians.count, -1)
         smoother = Smoother.of(near, normals, lamps)
         cells = SkyCells.even(self.config.cells)
-        incident = smoother.incident(self.rays.incident(normals, lamps, cells, self.report))
+        # Where a lamp's light comes from is not kept apart: highlights of it are not known.
+        shines = self.gaussians.sh_degree > 0 and lamps.max(initial=-1) < 0
+        incident = smoother.incident(self.rays.incident(normals, lamps, cells, self.report, keeps_ways=shines))
         if inside:  # what no wall stops in a room are gaps between Gaussians
             cells, incident = cells.of(np.empty(0, int)), replace(incident, sky=incident.sky[:, :0])
         outgoing = outgoing_radiance(self.gaussians, normals)
@@ -149,17 +154,26 @@ class _Delighter:
             light = LightFit(outgoing, incident, pairs, cells).solved(light)
         if not inside:
             light = with_usual_albedos(light, outgoing, incident)
+        rough = Roughness.unknown(self.gaussians.count)
+        if shines:
+            fit = RoughnessFit(self.gaussians, normals, near, Lobes.of(self.gaussians.sh_degree))
+            self.report("finding highlights", 0.0)
+            rough = fit.found(arriving_light(normals, cells, incident, light))
+            outgoing = np.maximum(outgoing - rough.highlight, MATT_LEAST * outgoing)
+            light = LightFit(outgoing, incident, pairs, cells).solved(light)
+            light = light if inside else with_usual_albedos(light, outgoing, incident)
         irradiance = incident.total(light.sky, light.lamps)
         albedo = filled(outgoing / np.maximum(irradiance, RADIANCE_LEAST), irradiance, near)
         seen = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)
         return MaterialEstimate(
-            gaussians=self._with_materials(albedo, normals),
+            gaussians=self._with_materials(albedo, normals, rough.value),
             cells=cells,
             sky=light.sky,
             lamps=light.lamps,
             lamp_of=lamps,
             residual=_unexplained(outgoing, np.clip(albedo, 0.0, 1.0) * irradiance),
             confidence=np.clip(seen, 0.0, 1.0).astype(np.float32),
+            sureness=rough.sureness,
             is_inside=inside,
             out_of_range=(albedo > 1.0).any(axis=1) & (lamps < 0),
         )
@@ -177,12 +191,12 @@ class _Delighter:
         radiances = np.concatenate([light.sky[others], np.repeat(light.sky[bright], BRIGHT_PARTS**2, axis=0)])
         return cells.of(others).joined(parts), replace(incident, sky=sky), replace(light, sky=radiances)
 
-    def _with_materials(self, albedo: Doubles, normals: Doubles) -> Gaussians:
+    def _with_materials(self, albedo: Doubles, normals: Doubles, roughness: FloatArray) -> Gaussians:
         """The capture with what was found."""
         return replace(
             self.gaussians,
             albedo=read_only_view(np.clip(albedo, 0.0, 1.0).astype(np.float32)),
-            roughness=read_only_view(np.full(self.gaussians.count, ROUGHNESS_UNKNOWN, np.float32)),
+            roughness=roughness,
             metallic=None,
             normals=read_only_view(normals.astype(np.float32)),
         )

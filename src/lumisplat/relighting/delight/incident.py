@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.constants.delight import (
@@ -30,6 +31,7 @@ from lumisplat.scene.sampling.blue_noise import Pairs
 from lumisplat.scene.scene import Scene
 
 Report = Callable[[str, float], None]
+HalfArray = npt.NDArray[np.float16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +44,10 @@ class Incident:
     """Of each of K cells of a sky of radiance 1, shape (N, K)."""
     lamps: FloatArray
     """Of each of L lamps of radiance 1, shape (N, L)."""
+    ways: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
+    """Directions in which what the capture shows was kept apart, unit, shape (W, 3); none if it was not."""
+    by_way: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
+    """The share of ``observed`` that comes from each, shape (W, N, 3)."""
 
     def total(self, sky: Doubles, lamps: Doubles) -> Doubles:
         """That of a sky and lamps, shape (N, 3).
@@ -112,7 +118,9 @@ class IncidentRays:
             votes = by_sky + (1.0 - np.abs(by_sky)) * votes
         return agreed_sides(axes, votes, near)[:, None] * axes, inside
 
-    def incident(self, normals: Doubles, lamps: Rows, cells: SkyCells, report: Report) -> Incident:
+    def incident(
+        self, normals: Doubles, lamps: Rows, cells: SkyCells, report: Report, *, keeps_ways: bool = False
+    ) -> Incident:
         """What shines on Gaussians that face along their normals.
 
         Args:
@@ -120,7 +128,9 @@ class IncidentRays:
             lamps: The lamp that each is part of, shape (N,); -1: none.
             cells: Of all directions.
             report: Called with what is being done and the fraction done, 0..1.
+            keeps_ways: Whether what the capture shows is also kept apart for each cell.
         """
+        by_way = np.zeros((len(cells) if keeps_ways else 0, len(normals), 3), np.float16)
         observed, sky = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
         for cell in range(len(cells)):
             report("tracing the light", cell / len(cells))
@@ -128,12 +138,16 @@ class IncidentRays:
             hits = self._leave(rows, normals[rows], ways)
             alpha = 1.0 - hits.transmittance.astype(np.float64)
             is_lamp = (hits.gaussian_index >= 0) & (lamps[np.maximum(hits.gaussian_index, 0)] >= 0)
-            observed[rows] += (shares * alpha * ~is_lamp)[:, None] * radiance_met(hits, alpha)
+            seen = (shares * alpha * ~is_lamp)[:, None] * radiance_met(hits, alpha)
+            observed[rows] += seen
+            if keeps_ways:
+                by_way[cell, rows] = seen
             sky[rows, cell] = shares * hits.transmittance
         groups = range(int(lamps.max(initial=-1)) + 1)
         from_lamps = [self._from_lamp(normals, np.flatnonzero(lamps == lamp)) for lamp in groups]
         shares = np.stack(from_lamps, axis=1) if from_lamps else np.zeros((len(normals), 0))
-        return Incident(observed, sky, shares.astype(np.float32))
+        ways = cells.directions if keeps_ways else np.zeros((0, 3))
+        return Incident(observed, sky, shares.astype(np.float32), ways, by_way)
 
     def from_sky(self, normals: Doubles, cells: SkyCells, report: Report) -> FloatArray:
         """Of each cell of the sky, as ``Incident.sky``, shape (N, K)."""

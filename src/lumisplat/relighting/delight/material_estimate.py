@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.delight import RESIDUAL_LARGE, SKY_IMAGE_ROWS, TOO_LIGHT
+from lumisplat.constants.delight import RESIDUAL_LARGE, SKY_IMAGE_ROWS, SURE, TOO_LIGHT
 from lumisplat.io.images.exr import write_exr
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows
 from lumisplat.math.panorama import panorama_directions
@@ -35,6 +35,9 @@ class MaterialEstimate:
     """What materials and light leave unexplained of each Gaussian's captured radiance, as a share of it, 0.., (N,)."""
     confidence: FloatArray
     """How much of the light at a Gaussian was seen in the capture rather than found, 0..1, shape (N,)."""
+    sureness: FloatArray
+    """By how much highlights narrow down the roughness of each Gaussian, 0..1, shape (N,). At 0 it is 0.8, which is not
+    found but taken: nothing tells, as in a capture whose colours do not change with the direction of view."""
     is_inside: bool
     """Whether the capture was taken from inside of it, as that of a room is."""
     out_of_range: Flags
@@ -80,6 +83,13 @@ class MaterialEstimate:
         if len(self.lamps):
             brightness = ", ".join(f"{lamp.mean():.3g}" for lamp in self.lamps)
             lines.append(f"lamps, times as bright as display white: {brightness}")
+        if self.sureness.any():
+            share = float((self.sureness > SURE).mean())
+            lines.append(
+                f"views from all sides tell the roughness of {share:.0%} of the Gaussians; else it is nearer to 0.8"
+            )
+        else:
+            lines.append("roughness is 0.8 everywhere: colours do not change with the view, or lamps are in it")
         if (share := float(self.out_of_range.mean())) > TOO_LIGHT:
             lines.append(f"{share:.1%} of the Gaussians would reflect more than all light, and have albedo 1")
         if (share := float((self.residual > RESIDUAL_LARGE).mean())) > TOO_LIGHT:

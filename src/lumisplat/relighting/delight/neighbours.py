@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -27,6 +27,21 @@ def neighbours_of(gaussians: Gaussians) -> Pairs:
         radius *= float(np.clip(np.sqrt(NEIGHBOURS / degree), 0.25, 3.0))
         pairs = cross_pairs(means, means, radius)
     return pairs
+
+
+def normal_variances(gaussians: Gaussians, normals: Doubles, near: Pairs) -> Doubles:
+    """By how much a surface turns within each Gaussian: variance of its normal along an axis, radians^2, shape (N,).
+
+    Normals of neighbours on the same side turn by so much a distance, in the mean of squares; a Gaussian covers its
+    two larger scales. Where nothing is near, it is 0.
+    """
+    first, second = (rows[near.first != near.second] for rows in (near.first, near.second))
+    apart = np.square(gaussians.means[first].astype(np.float64) - gaussians.means[second]).sum(axis=1)
+    cosines = np.clip(np.einsum("ij,ij->i", normals[first], normals[second]), 0.0, 1.0)
+    turned = np.bincount(first, cosines * 2.0 * (1.0 - cosines), len(normals))
+    distances = np.bincount(first, cosines * apart, len(normals))
+    covered = np.sort(np.square(gaussians.scales.astype(np.float64)), axis=1)[:, 1:].mean(axis=1)
+    return turned * covered / np.maximum(distances, 1e-6 * covered)
 
 
 Values = TypeVar("Values", FloatArray, Doubles)
@@ -56,5 +71,6 @@ class Smoother:
         return smooth
 
     def incident(self, incident: Incident) -> Incident:
-        """Smooth light."""
-        return Incident(self.mean(incident.observed), self.mean(incident.sky), self.mean(incident.lamps))
+        """Smooth light; what comes from each direction stays as it is."""
+        smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "sky", "lamps")}
+        return replace(incident, **smooth)

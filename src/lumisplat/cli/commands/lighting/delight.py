@@ -25,7 +25,8 @@ class Delight(LoadingCommand, DeviceCommand):
     The result has an albedo, a normal and a roughness for each Gaussian beside its captured colours: lights of a scene
     then shine on it as on a mesh. First try: lumisplat delight garden.ply -o garden.relit.ply
 
-    Minutes for 100,000 Gaussians, more the fuzzier they are; --cells 8 takes half of it. Surfaces are taken for matt.
+    Minutes for 100,000 Gaussians, more the fuzzier they are; --cells 8 takes half of it. Captures with harmonics (info
+    tells their degree) also give their roughness by highlights; it is 0.8 where nothing tells.
     """
 
     capture: Positional[Annotated[Path, arg(metavar="CAPTURE")]]

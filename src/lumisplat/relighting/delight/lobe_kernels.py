@@ -1,0 +1,50 @@
+"""What rough dielectrics show of light from parts of the hemisphere (docs/method/delighting.md#highlights).
+
+One item is a roughness, a view and a bin of directions; it reads the bin's samples, and writes its two numbers.
+"""
+
+import warp as wp
+
+from lumisplat.device.material.rough_dielectric import diffuse_factor, highlight_factor
+from lumisplat.device.math.directions import PI
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def tabulate_lobes(
+    start: int,
+    spread: float,
+    roughness: wp.array[float],
+    views: wp.array[wp.vec3],
+    samples: wp.array2d[wp.vec3],
+    matt_out: wp.array[float],
+    highlight_out: wp.array[float],
+):
+    """Radiance of each part of a surface of albedo 1 whose normal is z, by the irradiance over pi from a bin.
+
+    Args:
+        start: First item.
+        spread: Added to the squared alpha of highlights, as samples are apart.
+        roughness: Of the surfaces, (R,).
+        views: Unit, (M,).
+        samples: Directions of each bin, (Q, S).
+        matt_out: (R * M * Q,).
+        highlight_out: Likewise.
+    """
+    i = start + wp.tid()
+    bins = samples.shape[0]
+    view = views[(i // bins) % views.shape[0]]
+    rough = roughness[i // (bins * views.shape[0])]
+    alpha = rough * rough
+    normal = wp.vec3(0.0, 0.0, 1.0)
+    matt = float(0.0)
+    highlight = float(0.0)
+    arriving = float(0.0)
+    for k in range(samples.shape[1]):
+        way = samples[i % bins, k]
+        arriving += way[2]
+        matt += way[2] * diffuse_factor(view[2], way[2], alpha)
+        highlight += way[2] * highlight_factor(normal, view, way, wp.sqrt(alpha * alpha + spread))
+    matt_out[i] = PI * matt / arriving
+    highlight_out[i] = PI * highlight / arriving

@@ -1,0 +1,232 @@
+"""Roughness from highlights: tables against the books' equations, and surfaces whose roughness is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants.delight import BIN_RINGS, BIN_SECTORS, ROUGHNESS_GRID, ROUGHNESS_UNKNOWN
+from lumisplat.constants.materials import SPREAD_SHARE
+from lumisplat.math.color import encode_srgb
+from lumisplat.math.sh import even_directions, sh_basis
+from lumisplat.relighting.delight.albedo_fit import Light
+from lumisplat.relighting.delight.incident import Incident
+from lumisplat.relighting.delight.lobes import Lobes, bin_samples, bins_of, frames_of, kept_by_harmonics
+from lumisplat.relighting.delight.neighbours import neighbours_of, normal_variances
+from lumisplat.relighting.delight.roughness_fit import Roughness, RoughnessFit, arriving_light, widened
+from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.scene.sampling.blue_noise import cross_pairs
+from support.oracles import bsdf_oracle
+
+Z = np.array([0.0, 0.0, 1.0])
+
+
+def material(alpha: float) -> bsdf_oracle.Material:
+    """A white dielectric of ior 1.5."""
+    return {
+        "model": "pbr", "alpha": alpha, "specular": [0.04], "grazing": 1.0, "dielectric": 1.0, "eta": 1.0 / 1.5,
+        "diffuse": [1.0],
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def lobes() -> Lobes:
+    """Tables for captures of degree 3."""
+    return Lobes.of(3)
+
+
+def test_tables_are_the_books_equations(lobes: Lobes) -> None:
+    """Both parts, each roughness: means over a bin's directions, weighted by cosines, in float64."""
+    samples = bin_samples()
+    spread = SPREAD_SHARE**2 * 2.0 * np.pi / (samples.shape[0] * samples.shape[1])
+    cosines = samples[..., 2]
+    rows = np.arange(0, len(samples), 7)
+    for number, roughness in enumerate(ROUGHNESS_GRID):
+        view, light = lobes.views[::5, None, None], samples[None, rows]
+        wide = float(np.sqrt(roughness**4 + spread))
+        highlight = np.pi * bsdf_oracle.pbr_specular(material(wide), Z, view, light)[..., 0]
+        matt = np.pi * bsdf_oracle.pbr_diffuse(material(roughness**2), Z, view, light)[..., 0]
+        for found, values in ((lobes.highlight, highlight), (lobes.matt, matt)):
+            expected = (values * cosines[rows]).sum(axis=-1) / cosines[rows].sum(axis=-1)
+            assert np.allclose(found[number, ::5][:, rows], expected, rtol=2e-4, atol=2e-5)
+
+
+def test_frames_and_bins_agree() -> None:
+    """Frames are rotations that take z to the normals; every sample of a bin is found in it."""
+    normals = even_directions(50)
+    frames = frames_of(normals)
+    assert np.allclose(frames @ np.swapaxes(frames, 1, 2), np.eye(3), atol=1e-12)
+    assert np.allclose(np.linalg.det(frames), 1.0)
+    assert np.allclose(frames @ Z, normals)
+    samples = bin_samples()
+    numbers = np.repeat(np.arange(len(samples)), samples.shape[1])
+    assert np.array_equal(bins_of(samples.reshape(-1, 3)), numbers)
+
+
+def test_harmonics_keep_what_they_can_show(lobes: Lobes) -> None:
+    """Degree 1 comes through to the ridge; a function of degree 6 hardly does; degree 0 keeps the mean alone."""
+    low = sh_basis(lobes.views, 1)[:, 1:]
+    assert np.abs(kept_by_harmonics(lobes.views, 3) @ low - low).max() < 0.02
+    high = np.cos(12.0 * np.arctan2(lobes.views[:, 1], lobes.views[:, 0]))
+    assert np.square(kept_by_harmonics(lobes.views, 1) @ high).mean() < 0.1 * np.square(high).mean()
+    assert np.allclose(kept_by_harmonics(lobes.views, 0), 1.0 / len(lobes.views))
+
+
+def test_light_is_sorted_into_the_bins_above_gaussians() -> None:
+    """From the sky and from the capture, each cell's irradiance in the bin of its direction; nothing is lost."""
+    normals = even_directions(9)
+    cells = SkyCells.even(4)
+    rng = np.random.default_rng(2)
+    cosines = np.maximum(normals @ cells.directions.T, 0.0)
+    sky = (cosines * rng.random(cosines.shape)).astype(np.float32)
+    by_way = (cosines.T[..., None] * rng.random((16, 9, 3))).astype(np.float16)
+    light = Light(rng.random((16, 3)), np.zeros((0, 3)))
+    incident = Incident(by_way.sum(axis=0), sky, np.zeros((9, 0), np.float32), cells.directions, by_way)
+    arriving = arriving_light(normals, cells, incident, light)
+    assert arriving.shape == (9, BIN_RINGS * BIN_SECTORS, 3)
+    assert np.allclose(arriving.sum(axis=1), incident.total(light.sky, light.lamps), atol=2e-3)
+    local = np.einsum("nij,ki->nkj", frames_of(normals), cells.directions)
+    mean = np.einsum("nqc,qk->nk", arriving, bin_samples().mean(axis=1))
+    expected = np.einsum("nkc,nkj->nj", sky[..., None] * light.sky + np.swapaxes(by_way, 0, 1), local)
+    assert np.abs(mean - expected).max() < 0.12 * np.abs(expected).max()
+
+
+def glossy(
+    roughness: float, degree: int, noise: float = 0.0, turns: float = 0.0
+) -> tuple[ls.Gaussians, np.ndarray, np.ndarray]:
+    """Gaussians of one material below a bright patch, as the float64 equations show them; normals, light of bins.
+
+    They lie on a ball that turns by so many radians, ``turns``, within a standard deviation of each; 0: far apart.
+    """
+    rng = np.random.default_rng(3)
+    count = 30
+    normals = even_directions(count)
+    samples = bin_samples()
+    middle = samples.mean(axis=1) / np.linalg.norm(samples.mean(axis=1), axis=1, keepdims=True)
+    patch = middle @ (np.array((0.5, 0.1, 0.86)) / np.linalg.norm((0.5, 0.1, 0.86))) > 0.9
+    radiance = np.where(patch, 4.0, 0.25)[:, None, None] * np.ones((1, samples.shape[1], 1))
+    solid = 2.0 * np.pi / (samples.shape[0] * samples.shape[1])
+    views = even_directions(120)
+    views = views[views[:, 2] > 0.0]
+    light = samples.reshape(-1, 3)
+    sums, areas = np.zeros((len(views), 3)), np.zeros((len(views), 1))
+    for weight, normal in turned_normals(turns):  # each shows as much as it is turned to the view
+        area = weight * np.maximum(views @ normal, 0.0)[:, None]
+        sums += area * radiance_of(roughness, normal, views, light, radiance.ravel() * solid)
+        areas += area
+    shown = encode_srgb(np.clip(sums / areas, 0.0, 1.0))
+    sh = np.empty((count, (degree + 1) ** 2, 3))
+    for row, frame in enumerate(frames_of(normals)):
+        noisy = shown - 0.5 + noise * rng.standard_normal(shown.shape)
+        sh[row] = np.linalg.lstsq(sh_basis(-views @ frame.T, degree), noisy, rcond=None)[0]
+    arriving = np.zeros((count, len(samples), 3), np.float32)
+    flat = radiance.ravel() * light[:, 2] * solid / np.pi
+    arriving[:] = flat.reshape(len(samples), -1).sum(axis=1)[None, :, None]
+    scale = 0.01
+    plain = ls.Gaussians(
+        normals * (scale / turns if turns else 100.0),
+        np.tile((1.0, 0.0, 0.0, 0.0), (count, 1)),
+        np.full((count, 3), scale),
+        np.ones(count),
+        sh.astype(np.float32),
+    )
+    return plain, normals, arriving
+
+
+def turned_normals(spread: float) -> list[tuple[float, np.ndarray]]:
+    """Normals around z whose slopes are normally distributed, by Gauss and Hermite, and how much they count."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(5 if spread else 1)
+    weights = weights / weights.sum()
+    pairs = [(i, j) for i in range(len(nodes)) for j in range(len(nodes)) if weights[i] * weights[j] > 1e-3]
+    normals = [np.array((spread * nodes[i], spread * nodes[j], 1.0)) for i, j in pairs]
+    shares = np.array([weights[i] * weights[j] for i, j in pairs])
+    return [
+        (float(share), normal / np.linalg.norm(normal))
+        for share, normal in zip(shares / shares.sum(), normals, strict=True)
+    ]
+
+
+def radiance_of(
+    roughness: float, normal: np.ndarray, views: np.ndarray, light: np.ndarray, power: np.ndarray
+) -> np.ndarray:
+    """What a brown surface shows to views, linear, (V, 3); nothing to those behind it."""
+    arriving = power * np.maximum(light @ normal, 0.0)
+    lit, seen = arriving > 0.0, views @ normal > 0.0
+    wide = float(np.sqrt(roughness**4 + SPREAD_SHARE**2 * 2.0 * np.pi / len(light)))
+    ways = views[seen][:, None], light[lit][None]
+    highlight = bsdf_oracle.pbr_specular(material(wide), normal, *ways)[..., 0] @ arriving[lit]
+    matt = bsdf_oracle.pbr_diffuse(material(roughness**2), normal, *ways)[..., 0] @ arriving[lit]
+    shown = np.zeros((len(views), 3))
+    shown[seen] = np.array((0.5, 0.3, 0.2)) * matt[:, None] + highlight[:, None]
+    return shown
+
+
+def found(plain: ls.Gaussians, normals: np.ndarray, arriving: np.ndarray, reach: float = 0.01) -> Roughness:
+    """What is found with neighbours so far away, in distances from the middle."""
+    means = plain.means.astype(np.float64)
+    near = cross_pairs(means, means, reach * float(np.linalg.norm(means[0])))
+    return RoughnessFit(plain, normals, near, Lobes.of(plain.sh_degree)).found(arriving)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.5, 0.7])
+def test_a_known_roughness_is_found(roughness: float) -> None:
+    """From harmonics of degree 3 of what the equations show in any frame; with noise of 1 of 255, too."""
+    rough = found(*glossy(roughness, 3, 1.0 / 255.0))
+    assert np.abs(rough.value - roughness).max() < 0.05
+    assert rough.sureness.min() > 0.8
+
+
+@pytest.mark.parametrize(("roughness", "turns", "near", "flat"), [(0.5, 0.15, 0.03, 0.06), (0.6, 0.2, 0.1, 0.11)])
+def test_what_curvature_blurs_is_not_taken_for_roughness(
+    roughness: float, turns: float, near: float, flat: float
+) -> None:
+    """What normals within a Gaussian show together: on balls, nearly the same roughness; as if flat, a rougher one."""
+    case = glossy(roughness, 3, 1.0 / 255.0, turns)
+    assert np.abs(found(*case, 0.9).value - roughness).max() < near
+    assert np.median(found(*case).value) > roughness + flat
+
+
+def test_normals_vary_as_surfaces_turn() -> None:
+    """On a ball, by its curvature times the scale; on a plane, by the back of a sheet, and alone not at all."""
+    ball = ls.gaussians_from_mesh(ls.sphere(2.0), 800)
+    normals = np.asarray(ball.normals, np.float64)
+    expected = np.square(ball.scales.max(axis=1) / 2.0)
+    assert np.median(normal_variances(ball, normals, neighbours_of(ball)) / expected) == pytest.approx(1.0, abs=0.1)
+    flat = ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 200)
+    both = np.repeat([[0.0, 1.0, 0.0]], flat.count, axis=0) * np.where(np.arange(flat.count) % 2, 1.0, -1.0)[:, None]
+    assert normal_variances(flat, both, neighbours_of(flat)).max() < 1e-12
+    alone = cross_pairs(ball.means, ball.means, 1e-3)
+    assert normal_variances(ball, normals, alone).max() < 1e-12
+
+
+def test_rougher_lobes_stand_for_curved_surfaces() -> None:
+    """Interpolated on the grid: shares add up, a plane keeps all, and variances add to those of slopes."""
+    grid = np.array(ROUGHNESS_GRID)
+    variances = np.array((0.0, 0.005, 0.05))
+    shares = widened(variances)
+    assert np.allclose(shares.sum(axis=2), 1.0)
+    assert np.allclose(shares[0], np.eye(len(grid)))
+    expected = np.minimum((grid**4 + 2.0 * variances[:, None]) ** 0.25, 1.0)
+    assert np.allclose(shares @ grid, expected)
+
+
+def test_what_harmonics_do_not_hold_is_not_claimed() -> None:
+    """Degree 0 leaves the prior, to the bit; the sharpest are only said to be sharp; lower degrees are less sure."""
+    unknown = found(*glossy(0.4, 0))
+    assert (unknown.value == np.float32(ROUGHNESS_UNKNOWN)).all()
+    assert unknown.sureness.max() < 1e-9
+    assert found(*glossy(0.15, 3)).value.max() < 0.35
+    assert found(*glossy(0.4, 1, 0.02)).sureness.mean() < found(*glossy(0.4, 3, 0.02)).sureness.mean()
+
+
+def test_noise_is_not_taken_for_highlights() -> None:
+    """Colours that change with the direction by chance alone make nothing sharp, and nothing sure."""
+    plain, normals, arriving = glossy(1.0, 3)
+    rng = np.random.default_rng(8)
+    sh = plain.sh.copy()
+    sh[:, 1:] += 0.1 * rng.standard_normal(sh[:, 1:].shape)
+    noisy = ls.Gaussians(plain.means, plain.rotations_wxyz, plain.scales, plain.opacities, sh)
+    rough = found(noisy, normals, arriving)
+    assert np.median(rough.value) > 0.65
+    assert np.median(rough.sureness) < 0.6
