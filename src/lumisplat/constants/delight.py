@@ -158,9 +158,6 @@ LIKE_ALBEDO = 0.1
 LIKE_NORMALS = 4
 """Exponent of the cosine between their normals."""
 
-MATT_LEAST = 0.2
-"""Share of what is seen from most sides that is left when highlights are taken away, at least."""
-
 SURE = 0.8
 """Sureness of a roughness from which on highlights are said to tell it."""
 

@@ -16,7 +16,6 @@ from lumisplat.constants.delight import (
     BRIGHT_ROUNDS,
     GAUSSIANS_LEAST,
     LIGHT_SEEN,
-    MATT_LEAST,
     OPACITY_SEEN,
     PAIRS,
     RADIANCE_LEAST,
@@ -82,8 +81,8 @@ def estimate_materials(
 
     The light that reaches a Gaussian is largely seen in the capture itself: rays find it. What is not, the sky and
     lamps that were too bright for a display, is such that Gaussians which may have one albedo have it. Where
-    colours change with the direction of view, highlights tell the roughness, and are taken out of the albedo: of
-    dielectrics, and not by lamps in rooms. Source: docs/method/delighting.md.
+    colours change with the direction of view, highlights tell the roughness: of dielectrics, and not by lamps in
+    rooms. They stay in the albedo. Source: docs/method/delighting.md.
 
     How bright the sky was and what albedos surfaces have is only known together. Of a room, bounces between its walls
     tell them apart to some degree; of an object, the lightest surfaces are taken to reflect 0.8.
@@ -159,9 +158,6 @@ class _Delighter:
             fit = RoughnessFit(self.gaussians, normals, near, Lobes.of(self.gaussians.sh_degree))
             self.report("finding highlights", 0.0)
             rough = fit.found(arriving_light(normals, cells, incident, light))
-            outgoing = np.maximum(outgoing - rough.highlight, MATT_LEAST * outgoing)
-            light = LightFit(outgoing, incident, pairs, cells).solved(light)
-            light = light if inside else with_usual_albedos(light, outgoing, incident)
         irradiance = incident.total(light.sky, light.lamps)
         albedo = filled(outgoing / np.maximum(irradiance, RADIANCE_LEAST), irradiance, near)
         seen = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)

@@ -38,14 +38,12 @@ class Roughness:
     """0..1, shape (N,)."""
     sureness: FloatArray
     """By how much highlights narrow down what it may be, 0..1: at 0, it is `ROUGHNESS_UNKNOWN`; shape (N,)."""
-    highlight: Doubles
-    """Radiance of highlights that is seen from most sides, as far as it is sure, linear, shape (N, 3)."""
 
     @staticmethod
     def unknown(count: int) -> Roughness:
         """Of Gaussians that look the same from everywhere."""
         value = read_only_view(np.full(count, ROUGHNESS_UNKNOWN, np.float32))
-        return Roughness(value, read_only_view(np.zeros(count, np.float32)), np.zeros((count, 3)))
+        return Roughness(value, read_only_view(np.zeros(count, np.float32)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,26 +73,22 @@ class RoughnessFit:
             self._misfits(rows, arriving[rows].astype(np.float64), widened(variances[rows]))
             for rows in np.array_split(np.arange(len(arriving)), -(-len(arriving) // ROUGHNESS_ROWS))
         ]
-        misfit, albedo, highlight = (np.concatenate(values) for values in zip(*parts, strict=True))
+        misfit, albedo = (np.concatenate(values) for values in zip(*parts, strict=True))
         likely = self._likely(self._pooled(misfit, np.median(albedo, axis=1)))
         grid = np.array(ROUGHNESS_GRID)
         mean = likely @ grid
         variance = np.maximum(likely @ np.square(grid) - np.square(mean), 0.0)
         sure = np.clip(1.0 - variance / grid.var(), 0.0, 1.0)
         value = ROUGHNESS_UNKNOWN + sure * (mean - ROUGHNESS_UNKNOWN)
-        shown = sure[:, None] * np.einsum("nr,nrc->nc", likely, highlight)
-        return Roughness(
-            read_only_view(value.astype(np.float32)), read_only_view(sure.astype(np.float32)), np.asarray(shown)
-        )
+        return Roughness(read_only_view(value.astype(np.float32)), read_only_view(sure.astype(np.float32)))
 
-    def _misfits(self, rows: Rows, arriving: Doubles, wider: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-        """Of each roughness: mean squared error, albedo and the median highlight, shapes (n, R), (n, R, 3) twice."""
+    def _misfits(self, rows: Rows, arriving: Doubles, wider: Doubles) -> tuple[Doubles, Doubles]:
+        """Of each roughness: mean squared error and albedo, shapes (n, R), (n, R, 3)."""
         lobes, compared = self.lobes, self.lobes.compared
         captured = self._captured(rows)
         linear = decode_srgb(captured)
         misfits: list[Doubles] = []
         albedos: list[Doubles] = []
-        highlights: list[Doubles] = []
         for matt_table, highlight_table in zip(lobes.matt, lobes.highlight, strict=True):
             matt, highlight = (np.tensordot(table, arriving, (1, 1)) for table in (matt_table, highlight_table))
             most = ((linear - highlight) / np.maximum(matt, RADIANCE_LEAST))[compared]
@@ -107,9 +101,7 @@ class RoughnessFit:
             error, _ = self._errors(albedo * matt + highlight, captured)
             misfits.append(np.square(error).mean(axis=(0, 2)))
             albedos.append(albedo)
-            highlights.append(np.median(highlight[compared], axis=0))
-        albedo, highlight = wider @ np.stack(albedos, axis=1), wider @ np.stack(highlights, axis=1)
-        return np.einsum("nrs,ns->nr", wider, np.stack(misfits, axis=1)), albedo, highlight
+        return np.einsum("nrs,ns->nr", wider, np.stack(misfits, axis=1)), wider @ np.stack(albedos, axis=1)
 
     def _errors(self, linear: Doubles, captured: Doubles) -> tuple[Doubles, Doubles]:
         """Of display values that harmonics keep, in the views that are compared; slopes of the encoding in all."""
