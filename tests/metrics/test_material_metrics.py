@@ -27,6 +27,14 @@ def test_black_tells_nothing_of_a_scale():
     np.testing.assert_allclose(channel_scale(found, truth), (2.0, 1.0 / 3.0, 1.0))
 
 
+def test_a_few_stray_pixels_are_no_scale():
+    """A channel that is black in all but a fiftieth keeps what was found; one that is not has the scale of the rest."""
+    found, truth = np.full((100, 3), 0.001), np.zeros((100, 3))
+    found[:2, 0], truth[:2, 0] = 0.002, 0.5
+    found[:1, 1], truth[:1, 1] = 0.002, 0.5
+    np.testing.assert_allclose(channel_scale(found, truth), (250.0, 1.0, 1.0))
+
+
 def test_weights_of_a_scale():
     """A pixel that counts more than all others together decides."""
     found, truth = np.full((3, 3), 0.5), np.array([[0.1] * 3, [0.2] * 3, [0.4] * 3])

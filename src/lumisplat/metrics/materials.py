@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.materials_measured import BLACK, ENVIRONMENT_ROWS
+from lumisplat.constants.materials_measured import BLACK, ENVIRONMENT_ROWS, LIT_SHARE
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.panorama import panorama_directions, panorama_lookup, panorama_solid_angles
@@ -26,11 +26,12 @@ def channel_scale(found: npt.ArrayLike, truth: npt.ArrayLike, weights: npt.Array
         weights: How much each of them counts, shape (N,); None: all the same.
 
     Returns:
-        1 for a channel that is black everywhere.
+        1 for a channel that is black, but for less than a fiftieth of what counts.
     """
     given, wanted = np.asarray(found, np.float64), np.asarray(truth, np.float64)
     shares = np.ones(len(given)) if weights is None else np.asarray(weights, np.float64)
     counted = shares[:, None] * (np.minimum(given, wanted) >= BLACK)
+    counted *= counted.sum(axis=0) >= LIT_SHARE * shares.sum()
     ratios = np.divide(wanted, given, out=np.ones_like(given), where=given >= BLACK)
     red, green, blue = (_weighted_median(ratios[:, channel], counted[:, channel]) for channel in range(3))
     return red, green, blue
