@@ -62,7 +62,7 @@ def relit_psnr(found: ls.Gaussians, folder: Path, scale: tuple[float, ...], devi
     truth = RelightableSet.open(folder)
     assert found.albedo is not None
     scaled = replace(found, albedo=np.clip(found.albedo * np.array(scale), 0.0, 1.0))
-    skies = {name: truth.radiance(name) for name in truth.unseen}
+    skies = {name: ls.load_radiance(folder / "relit" / f"{name}.exr") for name in truth.unseen}
     figures: dict[str, float] = {}
     for name, pictures in relit_pictures(scaled, skies, [view.camera for view in truth.views], device).items():
         errors = [
