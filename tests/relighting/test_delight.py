@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.color import encode_srgb
+from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.rotations import rotation_matrix
 from lumisplat.relighting.delight import delight as steps
 from lumisplat.relighting.delight.albedo_fit import Light, LightFit, first_light
-from lumisplat.relighting.delight.captured import lamps_of
+from lumisplat.relighting.delight.captured import is_white, lamps_of
 from lumisplat.relighting.delight.incident import Incident, IncidentRays
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
@@ -113,7 +113,7 @@ def test_a_lamp_lights_by_its_area_and_distance() -> None:
     floor = ls.gaussians_from_mesh(ls.plane(2.0), 200)
     both = ls.merge([colored(lamp, np.ones((lamp.count, 3))), colored(floor, np.full((floor.count, 3), 0.3))])
     normals = np.concatenate([-np.abs(np.asarray(lamp.normals)), np.abs(np.asarray(floor.normals))]).astype(float)
-    groups = lamps_of(both, normals)
+    groups = lamps_of(both, is_white(both, normals))
     assert (groups[: lamp.count] == 0).all()
     assert (groups[lamp.count :] == -1).all()
     shares = incident_of(both, normals, SkyCells.even(4), groups).lamps[lamp.count :, 0]
@@ -153,7 +153,7 @@ def test_even_light_and_known_albedo_come_back(ball: tuple[ls.Gaussians, np.ndar
     """A ball under a sky of one radiance shows its albedo: delighting changes it by one factor, in the same order."""
     plain, albedo = ball
     captured = colored(plain, albedo)
-    found = ls.estimate_materials(captured, ls.DelightConfig(cells=8), device="cpu")
+    found = ls.estimate_materials(captured, ls.DelightConfig(cells=8, matt=True), device="cpu")
     assert not found.is_inside
     assert found.gaussians.means is captured.means or np.array_equal(found.gaussians.means, captured.means)
     assert np.array_equal(found.gaussians.sh, captured.sh)
@@ -169,7 +169,7 @@ def test_a_shaded_ball_loses_its_shade(ball: tuple[ls.Gaussians, np.ndarray]) ->
     plain, albedo = ball
     up = np.asarray(plain.normals)[:, 1].astype(np.float64)
     captured = colored(plain, albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None])  # half of the sky shines
-    found = np.asarray(ls.delight(captured, ls.DelightConfig(cells=8), device="cpu").albedo)
+    found = np.asarray(ls.delight(captured, ls.DelightConfig(cells=8, matt=True), device="cpu").albedo)
 
     def spread(values: np.ndarray) -> float:
         ratio = np.log(np.maximum(values, 1e-3) / albedo)
@@ -177,6 +177,28 @@ def test_a_shaded_ball_loses_its_shade(ball: tuple[ls.Gaussians, np.ndarray]) ->
 
     shown = albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None]
     assert spread(found) < 0.3 * spread(shown)
+
+
+def test_what_was_captured_comes_back_in_its_own_light() -> None:
+    """A dark ball, too, of which half is mirrored: relit by the light that was found, it is what it was."""
+    one = ls.gaussians_from_mesh(ls.sphere(1.0), 300)
+    both = ls.merge([one, ls.transform(one, translation=(6.0, 0.0, 0.0))])
+    is_dark = both.means[:, 0] > 3.0
+    albedo = np.where(is_dark[:, None], 0.03, 0.6) * np.ones(3)
+    truth = replace(both, albedo=albedo.astype(np.float32), roughness=np.full(both.count, 0.8, np.float32))
+
+    def lit(gaussians: ls.Gaussians, sky: ls.LightEnvironment) -> tuple[ls.Gaussians, np.ndarray]:
+        scene = ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[sky])
+        baked = ls.bake(scene, degree=0, device="cpu").splats[0].gaussians
+        return baked, decode_srgb(np.clip(SH_CONSTANT * baked.sh[:, 0] + 0.5, 0.0, 1.0)).mean(axis=1)
+
+    captured, wanted = lit(truth, ls.LightEnvironment(color=(0.8, 0.8, 0.8)))
+    apart = {}
+    for matt in (False, True):
+        found = ls.estimate_materials(captured, ls.DelightConfig(cells=6, matt=matt), device="cpu")
+        _, again = lit(found.gaussians, ls.LightEnvironment(found.sky_image()))
+        apart[matt] = np.median(np.abs(again / wanted - 1.0)[is_dark])
+    assert apart[False] < 0.08 and apart[True] > 0.25
 
 
 def test_what_looks_the_same_from_all_sides_is_not_glossy(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
@@ -240,6 +262,11 @@ def test_what_cannot_be_delighted_is_said(
         ls.delight(replace(colored(plain, albedo), opacities=np.full(plain.count, 0.05, np.float32)))
     with pytest.raises(ls.SceneError, match="as bright as display white"):
         ls.delight(colored(plain, np.ones((plain.count, 3))), device="cpu")
+    scattered = replace(plain, means=40.0 * plain.means, normals=None)  # more groups than lamps are told apart
+    with pytest.raises(ls.SceneError, match="as bright as display white"):
+        ls.delight(colored(scattered, np.ones((plain.count, 3))), device="cpu")
+    with pytest.raises(ls.SceneError, match="all Gaussians are black"):
+        ls.delight(colored(plain, np.zeros((plain.count, 3))), device="cpu")
     with pytest.raises(ls.SceneError, match="delight takes"):
         ls.delight(ls.Scene([plain]))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.ConfigError, match="cells"):
@@ -256,11 +283,14 @@ def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]
     estimate = MaterialEstimate(
         plain, SkyCells.even(4), np.ones((16, 3)), np.full((1, 3), 3.5), np.full(n, -1), half.astype(np.float32),
         np.ones(n, np.float32), np.where(half, 0.9, 0.1).astype(np.float32), False, half,
+        np.arange(n) < n // 4, np.arange(n) < n // 5,
     )  # fmt: skip
     text = "\n".join(estimate.remarks)
     assert "50.0% of the Gaussians would reflect more than all light" in text
     assert "50.0% of the Gaussians is not explained" in text
     assert "3.5" in text
+    assert "25.0% of the Gaussians are as bright as display white" in text
+    assert "20.0% of the Gaussians are darker than what they would mirror" in text
     assert "views from all sides tell the roughness of 50% of the Gaussians" in text
     unsure = "\n".join(replace(estimate, sureness=np.zeros(n, np.float32)).remarks)
     assert "roughness is 0.8 everywhere" in unsure

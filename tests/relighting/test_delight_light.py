@@ -14,7 +14,7 @@ from lumisplat.math.panorama import panorama_directions, panorama_lookup
 from lumisplat.math.rotations import rotation_matrix
 from lumisplat.math.sh import sh_basis
 from lumisplat.relighting.delight.albedo_fit import Light, first_light, with_usual_albedos
-from lumisplat.relighting.delight.captured import lamps_of, outgoing_radiance
+from lumisplat.relighting.delight.captured import is_white, lamps_of, outgoing_radiance
 from lumisplat.relighting.delight.incident import Incident, IncidentRays
 from lumisplat.relighting.delight.sky_cells import SkyCells
 
@@ -49,19 +49,21 @@ def incident(gaussians: ls.Gaussians, normals: np.ndarray, lamps: np.ndarray) ->
 def test_the_light_of_a_lamp_is_not_counted_twice() -> None:
     """What is a lamp is not seen as well: the floor sees it as white if it is none, and else nothing but the dark."""
     both, normals = lamp_over_floor()
-    groups = lamps_of(both, normals)
+    groups = lamps_of(both, is_white(both, normals))
     assert (groups[:LAMP] == 0).all() and (groups[LAMP:] == -1).all()
     as_white, as_lamp = (incident(both, normals, some) for some in (np.full(both.count, -1), groups))
     assert as_white.observed[LAMP:].mean() > 0.03
     assert as_lamp.observed[LAMP:].mean() < 0.05 * as_white.observed[LAMP:].mean()
     assert as_lamp.lamps[LAMP:, 0].min() > 0.0 and not as_white.lamps.size
+    # A lamp of the radiance that was captured shines as what was captured does: its Gaussians overlap.
+    assert np.isclose(as_lamp.lamps[LAMP:, 0].mean(), as_white.observed[LAMP:].mean(), rtol=0.05)
     np.testing.assert_array_equal(as_lamp.sky, as_white.sky)
 
 
 def test_lamps_shine_on_one_side_and_cast_shadows() -> None:
     """What is below a screen is dark; above a lamp that faces down, as well."""
     both, normals = lamp_over_floor(screen=True)
-    groups = lamps_of(both, normals)
+    groups = lamps_of(both, is_white(both, normals))
     lit = incident(both, normals, groups).lamps[:, 0]
     floor, screen = lit[LAMP : LAMP + FLOOR], lit[LAMP + FLOOR :]
     middle = np.abs(both.means[LAMP : LAMP + FLOOR, [0, 2]]).max(axis=1) < 0.4
@@ -75,7 +77,7 @@ def test_what_does_not_show_is_no_lamp() -> None:
     """A white group of opacity 0, as formats with 8 bits have it, has no area from which light could come."""
     both, normals = lamp_over_floor()
     clear = replace(both, opacities=np.where(np.arange(both.count) < LAMP, 0.0, both.opacities))
-    assert (lamps_of(clear, normals) == -1).all()
+    assert (lamps_of(clear, is_white(clear, normals)) == -1).all()
 
 
 def test_the_lightest_surfaces_get_a_usual_albedo() -> None:

@@ -61,11 +61,15 @@ class DelightConfig:
     """The light at each Gaussian is traced in so many times so many cells of all directions, 4..32."""
     inside: bool | None = None
     """Whether the capture was taken from inside of it, as a room is; None: if a good part of it sees no sky."""
+    matt: bool = False
+    """Whether the materials that will relight the capture are matt (``MaterialPbr(specular=0)``): then all that it shows
+    is of the albedo. Else they are as `MaterialPbr` has them, and what such a surface mirrors is taken out of it."""
     seed: int = 0
     """Of rays and of which Gaussians are compared."""
 
     def __post_init__(self) -> None:
         check_whole("cells", self.cells, 4, 32)
+        check_flag("matt", self.matt)
         if self.inside is not None:
             check_flag("inside", self.inside)
         check_whole("seed", self.seed, 0, 2**32 - 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.constants.delight import ALPHA_LEAST, CLIPPED, LAMP_GAP, LAMPS_MAX, VIEW_DIRECTIONS, VIEW_TILT
-from lumisplat.math.arrays import Doubles, FloatArray, Rows
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import even_directions
 from lumisplat.renderer.ray_queries import RayHits
@@ -34,10 +34,14 @@ def radiance_met(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Dou
     return decode_srgb(np.clip(hits.radiance / np.maximum(alpha, ALPHA_LEAST)[:, None], 0.0, 1.0))
 
 
-def lamps_of(gaussians: Gaussians, normals: Doubles) -> Rows:
-    """The group of Gaussians as bright as could be captured that each is in, largest first, shape (N,); -1: none."""
-    shows = gaussians.opacities > 0.0
-    bright = np.flatnonzero((colors_along(gaussians, -normals) >= CLIPPED).all(axis=1) & shows)
+def is_white(gaussians: Gaussians, normals: Doubles) -> Flags:
+    """Which Gaussians are as bright as could be captured, seen from before them, and so may have been brighter; (N,)."""
+    return (colors_along(gaussians, -normals) >= CLIPPED).all(axis=1) & (gaussians.opacities > 0.0)
+
+
+def lamps_of(gaussians: Gaussians, white: Flags) -> Rows:
+    """The group of white Gaussians that each is in, largest first, shape (N,); -1: none, or beyond the last."""
+    bright = np.flatnonzero(white)
     groups = np.full(gaussians.count, -1)
     if not bright.size:
         return groups

@@ -21,9 +21,9 @@ from lumisplat.constants.delight import (
     RADIANCE_LEAST,
 )
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Doubles, FloatArray, read_only_view
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.relighting.delight.albedo_fit import Light, LightFit, albedo_pairs, first_light, with_usual_albedos
-from lumisplat.relighting.delight.captured import lamps_of, outgoing_radiance
+from lumisplat.relighting.delight.captured import is_white, lamps_of, outgoing_radiance
 from lumisplat.relighting.delight.incident import Incident, IncidentRays, Report
 from lumisplat.relighting.delight.lobes import Lobes
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
@@ -130,21 +130,18 @@ class _Delighter:
         near = neighbours_of(self.gaussians)
         axes = estimate_normals(self.gaussians).astype(np.float64)
         normals, inside = self.rays.facing(axes, near, self.config.inside, known=self.gaussians.normals is not None)
-        lamps = lamps_of(self.gaussians, normals)
-        reflects = np.flatnonzero(lamps < 0)
-        if not reflects.size:
-            raise SceneError("all Gaussians are as bright as display white: no material can be told of any")
-        if not inside:  # what is white on an object reflects
-            lamps = np.full(self.gaussians.count, -1)
+        white = is_white(self.gaussians, normals)
+        outgoing = self._checked_outgoing(normals, white)
+        # What is white on an object reflects.
+        lamps = lamps_of(self.gaussians, white) if inside else np.full(self.gaussians.count, -1)
         smoother = Smoother.of(near, normals, lamps)
         cells = SkyCells.even(self.config.cells)
         # Where a lamp's light comes from is not kept apart: highlights of it are not known.
-        shines = self.gaussians.sh_degree > 0 and lamps.max(initial=-1) < 0
+        shines = self.gaussians.sh_degree > 0 and lamps.max(initial=-1) < 0 and not self.config.matt
         incident = smoother.incident(self.rays.incident(normals, lamps, cells, self.report, keeps_ways=shines))
         if inside:  # what no wall stops in a room are gaps between Gaussians
             cells, incident = cells.of(np.empty(0, int)), replace(incident, sky=incident.sky[:, :0])
-        outgoing = outgoing_radiance(self.gaussians, normals)
-        pairs = albedo_pairs(near, reflects, PAIRS, np.random.default_rng([self.config.seed, 5]))
+        pairs = albedo_pairs(near, np.flatnonzero(~white), PAIRS, np.random.default_rng([self.config.seed, 5]))
         self.report("finding the light", 0.0)
         light = LightFit(outgoing, incident, pairs, cells).solved(first_light(outgoing, incident))
         for _ in range(0 if inside else BRIGHT_ROUNDS):
@@ -153,13 +150,16 @@ class _Delighter:
             light = LightFit(outgoing, incident, pairs, cells).solved(light)
         if not inside:
             light = with_usual_albedos(light, outgoing, incident)
-        rough = Roughness.unknown(self.gaussians.count)
+        rough, lobes = Roughness.unknown(self.gaussians.count), Lobes.of(self.gaussians.sh_degree)
         if shines:
-            fit = RoughnessFit(self.gaussians, normals, near, Lobes.of(self.gaussians.sh_degree))
+            fit = RoughnessFit(self.gaussians, normals, near, lobes)
             self.report("finding highlights", 0.0)
             rough = fit.found(arriving_light(normals, cells, incident, light))
         irradiance = incident.total(light.sky, light.lamps)
-        albedo = filled(outgoing / np.maximum(irradiance, RADIANCE_LEAST), irradiance, near)
+        shown = outgoing / np.maximum(irradiance, RADIANCE_LEAST)
+        matt, mirrored = self._parts(rough, lobes)
+        albedo = filled(np.maximum(shown - mirrored, MATT_LEAST * shown) / matt, irradiance, near)
+        explained = (np.clip(albedo, 0.0, 1.0) * matt + np.minimum(mirrored, shown)) * irradiance
         seen = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)
         return MaterialEstimate(
             gaussians=self._with_materials(albedo, normals, rough.value),
@@ -167,12 +167,37 @@ class _Delighter:
             sky=light.sky,
             lamps=light.lamps,
             lamp_of=lamps,
-            residual=_unexplained(outgoing, np.clip(albedo, 0.0, 1.0) * irradiance),
+            residual=_unexplained(outgoing, explained),
             confidence=np.clip(seen, 0.0, 1.0).astype(np.float32),
             sureness=rough.sureness,
             is_inside=inside,
             out_of_range=(albedo > 1.0).any(axis=1) & (lamps < 0),
+            is_white=white & (lamps < 0),
+            is_too_dark=(shown < mirrored).all(axis=1),
         )
+
+    def _checked_outgoing(self, normals: Doubles, white: Flags) -> Doubles:
+        """Radiance of Gaussians, shape (N, 3).
+
+        Raises:
+            SceneError: It is that of display white or of black everywhere.
+        """
+        if white.all():
+            raise SceneError("all Gaussians are as bright as display white: no material can be told of any")
+        outgoing = outgoing_radiance(self.gaussians, normals)
+        if outgoing.max() < RADIANCE_LEAST:
+            raise SceneError("all Gaussians are black: no light fell on them that could tell a material")
+        return outgoing
+
+    def _parts(self, rough: Roughness, lobes: Lobes) -> tuple[Doubles, Doubles]:
+        """Shares of light that Gaussians of albedo 1 show, and mirror where no highlight was found, shape (N, 1) both.
+
+        Such Gaussians are taken to be lit from everywhere: of a broad highlight, that is seen from most sides.
+        """
+        if self.config.matt:
+            return np.ones((len(rough.value), 1)), np.zeros((len(rough.value), 1))
+        matt, mirrored = lobes.in_even_light(rough.value)
+        return matt[:, None], ((1.0 - rough.sureness) * mirrored)[:, None]
 
     def _finer(
         self, normals: Doubles, smoother: Smoother, cells: SkyCells, incident: Incident, light: Light

@@ -132,20 +132,25 @@ class IncidentRays:
         """
         by_way = np.zeros((len(cells) if keeps_ways else 0, len(normals), 3), np.float16)
         observed, sky = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
+        groups = range(int(lamps.max(initial=-1)) + 1)
+        met = np.zeros(len(groups))
         for cell in range(len(cells)):
             report("tracing the light", cell / len(cells))
             rows, ways, shares = self._ways(normals, cells, cell)
             hits = self._leave(rows, normals[rows], ways)
             alpha = 1.0 - hits.transmittance.astype(np.float64)
-            is_lamp = (hits.gaussian_index >= 0) & (lamps[np.maximum(hits.gaussian_index, 0)] >= 0)
+            lamp = np.where(hits.gaussian_index >= 0, lamps[hits.gaussian_index], -1)
+            is_lamp = lamp >= 0
+            met += np.bincount(lamp[is_lamp], (shares * alpha)[is_lamp], len(groups))
             seen = (shares * alpha * ~is_lamp)[:, None] * radiance_met(hits, alpha)
             observed[rows] += seen
             if keeps_ways:
                 by_way[cell, rows] = seen
             sky[rows, cell] = shares * hits.transmittance
-        groups = range(int(lamps.max(initial=-1)) + 1)
         from_lamps = [self._from_lamp(normals, np.flatnonzero(lamps == lamp)) for lamp in groups]
         shares = np.stack(from_lamps, axis=1) if from_lamps else np.zeros((len(normals), 0))
+        brought = shares.sum(axis=0)
+        shares *= np.where((brought > 0.0) & (met > 0.0), met / np.maximum(brought, 1e-12), 1.0)
         ways = cells.directions if keeps_ways else np.zeros((0, 3))
         return Incident(observed, sky, shares.astype(np.float32), ways, by_way)
 
@@ -166,7 +171,10 @@ class IncidentRays:
         return rows, ways[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
 
     def _from_lamp(self, normals: Doubles, members: Rows) -> Doubles:
-        """Irradiance over pi of a lamp of radiance 1, shape (N,); its area is that of its Gaussians."""
+        """Irradiance over pi of a lamp of radiance 1, shape (N,), but for one factor.
+
+        The area is that of its Gaussians, which overlap; how much too large that is, rays tell that meet the lamp.
+        """
         scales = np.sort(self._capture.scales[members].astype(np.float64), axis=1)
         area = np.pi * (scales[:, 1] * scales[:, 2] * self._capture.opacities[members])
         found = np.zeros(len(normals))

@@ -17,7 +17,7 @@ from lumisplat.constants.delight import (
     VIEW_COSINE_LEAST,
 )
 from lumisplat.constants.materials import SPREAD_SHARE
-from lumisplat.math.arrays import Doubles, Flags, Rows
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting.delight import lobe_kernels
 from lumisplat.runtime.buffers import Buffers
@@ -61,6 +61,21 @@ class Lobes:
     def compared(self) -> Flags:
         """Views whose colours are compared: not the grazing ones, shape (M,)."""
         return self.views[:, 2] > VIEW_COSINE_LEAST
+
+
+    def in_even_light(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
+        """What is seen from most sides in light of radiance 1 from everywhere: of a matt part of albedo 1, and mirrored.
+
+        Args:
+            roughness: 0..1, shape (N,).
+
+        Returns:
+            Radiances, shape (N,) both.
+        """
+        cosines = bin_samples()[..., 2].mean(axis=1)
+        shares = cosines / cosines.sum()
+        matt, mirrored = (np.median((table @ shares)[:, self.compared], axis=1) for table in (self.matt, self.highlight))
+        return np.interp(roughness, ROUGHNESS_GRID, matt), np.interp(roughness, ROUGHNESS_GRID, mirrored)
 
 
 def frames_of(normals: Doubles) -> Doubles:

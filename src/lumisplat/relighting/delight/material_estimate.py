@@ -42,6 +42,10 @@ class MaterialEstimate:
     """Whether the capture was taken from inside of it, as that of a room is."""
     out_of_range: Flags
     """Gaussians whose albedo would be above 1, and is 1: more light reached them than was found; shape (N,)."""
+    is_white: Flags
+    """Gaussians, but for lamps, that may have been brighter than could be captured: their albedo is a guess; (N,)."""
+    is_too_dark: Flags
+    """Gaussians that are darker than what a surface as they have mirrors: relit, they come out lighter; shape (N,)."""
 
     def sky_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
         """The sky as a latitude-longitude image for `LightEnvironment`, shape (H, 2 H, 3); black if there is none.
@@ -92,6 +96,10 @@ class MaterialEstimate:
             lines.append("roughness is 0.8 everywhere: colours do not change with the view, or lamps are in it")
         if (share := float(self.out_of_range.mean())) > TOO_LIGHT:
             lines.append(f"{share:.1%} of the Gaussians would reflect more than all light, and have albedo 1")
+        if (share := float(self.is_white.mean())) > TOO_LIGHT:
+            lines.append(f"{share:.1%} of the Gaussians are as bright as display white: their albedo is a guess")
+        if (share := float(self.is_too_dark.mean())) > TOO_LIGHT:
+            lines.append(f"{share:.1%} of the Gaussians are darker than what they would mirror, and come out lighter")
         if (share := float((self.residual > RESIDUAL_LARGE).mean())) > TOO_LIGHT:
             lines.append(f"the captured colour of {share:.1%} of the Gaussians is not explained")
         return tuple(lines)
