@@ -188,7 +188,7 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
     """Figures, and rows of pictures: captured, found, true."""
     count = case.truth.count
     start = time.process_time()
-    found = ls.estimate_materials(case.captured, device=device)
+    found = ls.estimate_materials(case.captured, ls.DelightConfig(matt=case.material is MATT), device=device)
     seconds = time.process_time() - start
     assert case.truth.albedo is not None and found.gaussians.albedo is not None
     given = np.asarray(found.gaussians.normals, np.float64)

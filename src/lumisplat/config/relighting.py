@@ -62,8 +62,8 @@ class DelightConfig:
     inside: bool | None = None
     """Whether the capture was taken from inside of it, as a room is; None: if a good part of it sees no sky."""
     matt: bool = False
-    """Whether the materials that will relight the capture are matt (``MaterialPbr(specular=0)``): then all that it shows
-    is of the albedo. Else they are as `MaterialPbr` has them, and what such a surface mirrors is taken out of it."""
+    """Whether the materials that will relight the capture are matt (``MaterialPbr(specular=0)``): then all that it
+    shows is of the albedo. Else they are as `MaterialPbr` has them, and what such a surface mirrors is not."""
     seed: int = 0
     """Of rays and of which Gaussians are compared."""
 

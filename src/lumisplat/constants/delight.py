@@ -158,6 +158,9 @@ LIKE_ALBEDO = 0.1
 LIKE_NORMALS = 4
 """Exponent of the cosine between their normals."""
 
+MATT_LEAST = 0.2
+"""Share of what Gaussians show that is left, at least, when what they mirror is taken away."""
+
 SURE = 0.8
 """Sureness of a roughness from which on highlights are said to tell it."""
 

@@ -35,7 +35,7 @@ def radiance_met(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Dou
 
 
 def is_white(gaussians: Gaussians, normals: Doubles) -> Flags:
-    """Which Gaussians are as bright as could be captured, seen from before them, and so may have been brighter; (N,)."""
+    """Which Gaussians are as bright as could be captured, seen from before them: they may have been brighter; (N,)."""
     return (colors_along(gaussians, -normals) >= CLIPPED).all(axis=1) & (gaussians.opacities > 0.0)
 
 

@@ -16,6 +16,7 @@ from lumisplat.constants.delight import (
     BRIGHT_ROUNDS,
     GAUSSIANS_LEAST,
     LIGHT_SEEN,
+    MATT_LEAST,
     OPACITY_SEEN,
     PAIRS,
     RADIANCE_LEAST,
@@ -157,7 +158,7 @@ class _Delighter:
             rough = fit.found(arriving_light(normals, cells, incident, light))
         irradiance = incident.total(light.sky, light.lamps)
         shown = outgoing / np.maximum(irradiance, RADIANCE_LEAST)
-        matt, mirrored = self._parts(rough, lobes)
+        matt, mirrored = self._parts(rough.value, lobes)
         albedo = filled(np.maximum(shown - mirrored, MATT_LEAST * shown) / matt, irradiance, near)
         explained = (np.clip(albedo, 0.0, 1.0) * matt + np.minimum(mirrored, shown)) * irradiance
         seen = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)
@@ -173,7 +174,7 @@ class _Delighter:
             is_inside=inside,
             out_of_range=(albedo > 1.0).any(axis=1) & (lamps < 0),
             is_white=white & (lamps < 0),
-            is_too_dark=(shown < mirrored).all(axis=1),
+            is_too_dark=np.asarray((shown < mirrored).all(axis=1)),
         )
 
     def _checked_outgoing(self, normals: Doubles, white: Flags) -> Doubles:
@@ -189,15 +190,12 @@ class _Delighter:
             raise SceneError("all Gaussians are black: no light fell on them that could tell a material")
         return outgoing
 
-    def _parts(self, rough: Roughness, lobes: Lobes) -> tuple[Doubles, Doubles]:
-        """Shares of light that Gaussians of albedo 1 show, and mirror where no highlight was found, shape (N, 1) both.
-
-        Such Gaussians are taken to be lit from everywhere: of a broad highlight, that is seen from most sides.
-        """
+    def _parts(self, roughness: FloatArray, lobes: Lobes) -> tuple[Doubles, Doubles]:
+        """Shares of light that Gaussians of albedo 1 scatter and mirror, as if it came evenly, shape (N, 1) both."""
         if self.config.matt:
-            return np.ones((len(rough.value), 1)), np.zeros((len(rough.value), 1))
-        matt, mirrored = lobes.in_even_light(rough.value)
-        return matt[:, None], ((1.0 - rough.sureness) * mirrored)[:, None]
+            return np.ones((len(roughness), 1)), np.zeros((len(roughness), 1))
+        matt, mirrored = lobes.in_even_light(roughness)
+        return matt[:, None], mirrored[:, None]
 
     def _finer(
         self, normals: Doubles, smoother: Smoother, cells: SkyCells, incident: Incident, light: Light

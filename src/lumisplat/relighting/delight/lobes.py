@@ -62,9 +62,8 @@ class Lobes:
         """Views whose colours are compared: not the grazing ones, shape (M,)."""
         return self.views[:, 2] > VIEW_COSINE_LEAST
 
-
     def in_even_light(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
-        """What is seen from most sides in light of radiance 1 from everywhere: of a matt part of albedo 1, and mirrored.
+        """What most views see in even light of radiance 1: of the matt part of a surface of albedo 1, and mirrored.
 
         Args:
             roughness: 0..1, shape (N,).
@@ -74,7 +73,9 @@ class Lobes:
         """
         cosines = bin_samples()[..., 2].mean(axis=1)
         shares = cosines / cosines.sum()
-        matt, mirrored = (np.median((table @ shares)[:, self.compared], axis=1) for table in (self.matt, self.highlight))
+        matt, mirrored = (
+            np.median((table @ shares)[:, self.compared], axis=1) for table in (self.matt, self.highlight)
+        )
         return np.interp(roughness, ROUGHNESS_GRID, matt), np.interp(roughness, ROUGHNESS_GRID, mirrored)
 
 

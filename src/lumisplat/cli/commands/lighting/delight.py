@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.up import UpOption, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.pictures import check_writable
@@ -42,6 +42,9 @@ class Delight(LoadingCommand, DeviceCommand):
     """Which way is up in the image of --sky; auto: y down."""
     cells: Annotated[int, arg(metavar="4..32")] = 12
     """The light is traced in N x N parts of all directions. The time is in proportion to N x N."""
+    matt: Flag = False
+    """Take all that the capture shows for its albedo, for materials that mirror nothing (specular = 0 in a scene.toml).
+    Else albedo is what is left beside what a material without settings mirrors, and comes back as it was captured."""
     seed: Annotated[int, arg(metavar="N")] = 0
     """Of all random numbers: the same seed gives the same capture."""
 
@@ -52,7 +55,7 @@ class Delight(LoadingCommand, DeviceCommand):
                 replace(self, output=file).run()
             return
         self._check_outputs()
-        config = ls.DelightConfig(cells=self.cells, inside=_INSIDE[self.inside], seed=self.seed)
+        config = ls.DelightConfig(cells=self.cells, inside=_INSIDE[self.inside], matt=self.matt, seed=self.seed)
         with progress_bars() as report:
             self.start_warp()
             capture = self._loaded(report)
