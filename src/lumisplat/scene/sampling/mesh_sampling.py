@@ -72,7 +72,7 @@ class SurfaceSamples(NamedTuple):
 
 def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> SurfaceSamples:
     """As `gaussians_from_mesh`, with the triangles that the Gaussians lie on."""
-    hints = {Scene: ": give scene.meshes[0].mesh, for example", MeshInstance: ": give its .mesh"}
+    hints: dict[type, str] = {Scene: ": give scene.meshes[0].mesh, for example", MeshInstance: ": give its .mesh"}
     check_argument("gaussians_from_mesh", mesh, Mesh, "a Mesh", hints.get(type(mesh), ""))
     areas, face_normals = face_areas_and_normals(mesh)
     count = default_count([mesh]) if count is None else count
