@@ -68,17 +68,19 @@ class LightFit:
         """Steps of Gauss-Newton with one width of edges."""
         first = np.concatenate([start.sky, start.lamps])
         radiances, prior = first.copy(), self._prior()
-        columns = np.concatenate([self.incident.sky, self.incident.lamps], axis=1)
-        shown = np.log(np.maximum(self.outgoing, RADIANCE_LEAST))
+        rows, pairs = np.unique(self.pairs, return_inverse=True)  # of many Gaussians, few are in pairs
+        one, other = pairs.reshape(-1, 2).T
+        columns = np.concatenate([self.incident.sky[rows], self.incident.lamps[rows]], axis=1)
+        shown, observed = np.log(np.maximum(self.outgoing[rows], RADIANCE_LEAST)), self.incident.observed[rows]
         for _ in range(LIGHT_STEPS):
-            irradiance = np.maximum(self.incident.observed + columns @ radiances, RADIANCE_LEAST)
+            irradiance = np.maximum(observed + columns @ radiances, RADIANCE_LEAST)
             differences = shown - np.log(irradiance)
-            differences = differences[self.pairs[:, 0]] - differences[self.pairs[:, 1]]
+            differences = differences[one] - differences[other]
             weights = self._weights(differences, width)
             largest = 0.0
             for channel in range(3):
                 slopes = columns * (radiances[:, channel] / irradiance[:, channel, None]).astype(np.float32)
-                jacobian = slopes[self.pairs[:, 1]] - slopes[self.pairs[:, 0]]
+                jacobian = slopes[other] - slopes[one]
                 weighted = jacobian * weights[:, channel, None].astype(np.float32)
                 moved = np.log(radiances[:, channel] / first[:, channel])
                 hessian = (weighted.T @ jacobian).astype(np.float64) + prior
@@ -98,7 +100,7 @@ class LightFit:
         return alike[:, None] / (1.0 + (differences / width) ** 2)
 
     def _prior(self) -> Doubles:
-        """The quadratic form of a sky that is smooth, and of light that is as it began, shape (K + L, K + L)."""
+        """The quadratic form of changes of light: smooth over the sky, and small; shape (K + L, K + L)."""
         lamps, share = self.incident.lamps.shape[1], self.cells.solid_angles / (4.0 * np.pi)
         form = LIGHT_PRIOR * np.diag(np.concatenate([share, np.full(lamps, 1.0 / max(lamps, 1))]))
         first, second = self.cells.neighbours.T
