@@ -417,6 +417,7 @@ DEFAULTS: dict[str, Any] = {
     "shadow_color": CONFIG.shadow_rays.color_strength,
     "tone_map": CONFIG.tone_map,
     "environment_rotation": 0,
+    "lod": "0, the finest",
 }
 
 
