@@ -21,6 +21,8 @@ math_eqref_format = "equation {number}"
 
 # Public names live in lumisplat and are resolved on first use, so autodoc is told where to look.
 autodoc_typehints = "description"
+# Python's range, a type of some parameters, has the name of the range of lights.
+suppress_warnings = ["ref.python"]
 autodoc_member_order = "bysource"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
