@@ -13,7 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
-from lumisplat.cli.options.captures import count_of, value_ranges
+from lumisplat.cli.options.captures import count_of, holds_all_columns, value_ranges
 from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.output.console import Report, byte_size, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
@@ -107,12 +107,11 @@ class Convert(LevelsCommand):
         if target is None or not sources:
             raise ls.ConfigError("convert needs what it reads and what it writes: lumisplat convert IN OUT")
         ls.check_format(target)  # found now, rather than after the work
-        is_small = not target.name.lower().endswith(".ply") or target.name.lower().endswith(".compressed.ply")
         for option, given in (
             (f"--columns {self.columns}", self.columns != "lumisplat"),
             ("--incident", self.incident),
         ):
-            if given and is_small:
+            if given and not holds_all_columns(target):
                 raise ls.ConfigError(f"{option} is of a .ply, got {target}")
         return sources, target
 

@@ -1,14 +1,21 @@
-"""What options of captures say as text: ranges of values, and how many Gaussians."""
+"""What options of captures say as text: ranges of values, how many Gaussians, and which files hold all columns."""
 
 from __future__ import annotations
 
 import inspect
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import lumisplat as ls
 
 _Range = tuple[float | None, float | None]
+
+
+def holds_all_columns(path: Path) -> bool:
+    """Whether a capture of that name has room for materials: a .ply that is not compressed."""
+    name = path.name.lower()
+    return name.endswith(".ply") and not name.endswith(".compressed.ply")
 
 
 def value_ranges(texts: Sequence[str]) -> dict[str, _Range]:

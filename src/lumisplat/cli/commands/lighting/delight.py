@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.options.captures import holds_all_columns
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.up import UpOption, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
@@ -75,7 +76,7 @@ class Delight(LoadingCommand, DeviceCommand):
 
     def _check_outputs(self) -> None:
         """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
-        if self.output.suffix.lower() != ".ply" or self.output.name.lower().endswith(".compressed.ply"):
+        if not holds_all_columns(self.output):
             raise ls.FormatError(self.output, "expected .ply: other formats have no room for materials")
         if self.sky is not None and self.sky.suffix.lower() != ".exr":
             raise ls.FormatError(self.sky, "unknown extension for the image of a sky, expected .exr")

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.options.captures import holds_all_columns
 from lumisplat.cli.options.command import DeviceCommand, Flag
 from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars, spoken_time
 from lumisplat.cli.output.standard_output import refuse_standard_output
@@ -105,8 +106,7 @@ class Train(DeviceCommand):
         refuse_standard_output(self.output)
         if self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
-        is_plain = self.output.suffix.lower() == ".ply" and not self.output.name.lower().endswith(".compressed.ply")
-        if self.relightable and not is_plain:
+        if self.relightable and not holds_all_columns(self.output):
             raise ls.ConfigError(f"-o is {self.output}, expected a .ply: others have no columns for --relightable")
         if self.relightable and (self.pipeline, self.projection) != ("raster", "ewa"):
             raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
