@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+import lumisplat as ls
 from lumisplat.io.images.exr import read_exr
 from support.files.cli_files import Workplace
 
@@ -51,6 +52,42 @@ def test_workers_share_a_frame(work) -> None:
     assert again.status == 0 and again.out.strip() == str(work.path("shared.exr"))
 
 
+def test_workers_share_the_samples_of_tiles(work) -> None:
+    """Blocks of tiles by two workers, and blocks of the whole by one process: to the bit. No part is left."""
+    options = ("@capture.ply", *OPTIONS, "--samples", "40", "--aov", "albedo,depth")
+    assert work.run("render", *options, "-o", "@alone.exr", "--split-samples").status == 0
+    done = work.run("farm", "render", *options, "-o", "@shared.exr", "--split-samples", "--tiles", "2x1", *TWO)
+    assert done.status == 0 and "6 parts by 2 workers in " in done.out, done.err
+    assert done.out.startswith(f"{work.path('shared.exr')}\n")
+    assert_same(work.path("shared.exr"), work.path("alone.exr"))
+    assert not [name for name in work.files() if ".tiles" in name or ".samples" in name]
+    assert not work.path("shared.tiles").exists()
+
+
+def test_blocks_of_tiles_go_when_their_tile_is_there(work, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interrupted in the second tile: the first is there without its blocks; the rest alone is made then."""
+    options = ("@capture.ply", *OPTIONS, "--samples", "40", "-o", "@out.exr", "--split-samples", "--tiles", "2x1")
+    made: list[range] = []
+    render = ls.render_samples
+
+    def counted(renderer, scene, camera, samples, **options):
+        made.append(samples)
+        if len(made) == 4:
+            raise KeyboardInterrupt
+        return render(renderer, scene, camera, samples, **options)
+
+    monkeypatch.setattr(ls, "render_samples", counted)
+    stopped = work.run("render", *options)
+    assert stopped.status == 130 and "holds 4 of 6 parts; the same command with --resume goes on" in stopped.err, (
+        stopped.err
+    )
+    left = {name for name in work.files() if name.startswith("out.")}
+    assert left == {"out.render.json", "out.tiles/0_0_16_16.exr", "out.tiles/16_0_8_16.samples/000000.npz"}
+    assert work.run("render", *options, "--resume").status == 0
+    assert made[4:] == [range(32, 40)]
+    assert {name for name in work.files() if name.startswith("out.")} == {"out.render.json", "out.exr"}
+
+
 @pytest.mark.deep
 def test_a_killed_worker_and_a_killed_driver(work, tmp_path: Path) -> None:
     """Blocks that are there stay; the picture is that of one process."""
@@ -87,7 +124,8 @@ def test_a_killed_worker_and_a_killed_driver(work, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--tiles", "2x2"), "--tiles and --split-samples are both given: choose one"),
+        (("--tiles", "2x2", "--denoise"), "--denoise and --tiles do not go together"),
+        (("--tiles", "2x1", "--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
         (("--noise", "0.1"), "to share them, set samples"),
         (("--pipeline", "realtime"), "drawn in one go"),
         (("--pipeline", "raster", "--lighting", "off"), "drawn in one go"),

@@ -75,8 +75,9 @@ class Render(LevelsCommand, FrameCommand):
     of about 2048 x 2048 pixels. The pixels are the same. After an interruption, with --resume, parts that are there
     stay; workers share them: lumisplat farm render."""
     split_samples: Flag = False
-    """Add the samples of each picture up in blocks of 32, which workers share (lumisplat farm render): the same picture
-    whoever makes them, and nearly that without the option. Needs --samples, in pipelines other than realtime."""
+    """Add the samples of each picture, or of each of its --tiles, up in blocks of 32, which workers share (lumisplat
+    farm render): the same picture whoever makes them, and nearly that without the option. Needs --samples, in pipelines
+    other than realtime."""
     warm_up: Annotated[int | None, setting("N", "32")] = None
     """Of --pipeline realtime: frames before each picture, in which light finds its way; along --path only before the
     first."""
@@ -132,6 +133,7 @@ class Render(LevelsCommand, FrameCommand):
         if self.resume or self.tiles or self.split_samples:
             with progress_bars() as report:
                 job = self.open_frames(report)
+                job = replace(job, frames=replace(job.frames, go_on="with --resume"))
                 lines = make_alone(job, report, overwrite=not self.resume, video=None, fewer="--frames")
             print(lines)
             return
@@ -168,10 +170,15 @@ class Render(LevelsCommand, FrameCommand):
         )
         if self.tiles:
             tiles = Tiles.of(shots, [*frames.wanted], self.tiles, self.output, _STAMP, has_layers=bool(self.aov))
+            if self.split_samples:
+                shared = SharedSamples.of_tiles(tiles, ls.sample_blocks(source.renderer, pictures.scene))
+                return self._shared_job(pictures, frames, shared)
             shots = list(tiles.shots)
             frames = replace(frames, folder=tiles.folder, wanted=tiles.wanted, unit="tile")
         elif self.split_samples:
-            return self._shared_job(pictures, frames)
+            blocks = ls.sample_blocks(source.renderer, pictures.scene)
+            shared = SharedSamples.of(shots, [*frames.wanted], blocks, self.output, _STAMP)
+            return self._shared_job(pictures, frames, shared)
         elif folder != self.output:
             raise ls.ConfigError(f"-o {self.output} is one picture, and frames are many: give a folder")
         return FrameJob(
@@ -202,11 +209,9 @@ class Render(LevelsCommand, FrameCommand):
         shots = shots or self._shots([self.own_camera(scene, *self.scene)])
         return _Pictures(scene, shots, self.frame_source(renderer, self._warm_up()), writer)
 
-    def _shared_job(self, pictures: _Pictures, frames: FrameList) -> FrameJob:
-        """Blocks of samples of all pictures, and the pictures."""
+    def _shared_job(self, pictures: _Pictures, frames: FrameList, shared: SharedSamples) -> FrameJob:
+        """Blocks of samples of all pictures or tiles, and these."""
         source, scene = pictures.source, pictures.scene
-        blocks = ls.sample_blocks(source.renderer, scene)
-        shared = SharedSamples.of(pictures.shots, [*frames.wanted], blocks, self.output, _STAMP)
 
         def write(made: ls.Frame | ls.SamplePart, index: int) -> None:
             if isinstance(made, ls.SamplePart):
@@ -226,8 +231,6 @@ class Render(LevelsCommand, FrameCommand):
         Raises:
             ConfigError: Some of it is asked for.
         """
-        if self.split_samples:
-            raise ls.ConfigError("--tiles and --split-samples are both given: choose one")
         given = {"--deep": self.deep, "--cryptomatte": self.cryptomatte, "--denoise": self.light.denoise}
         if whole := " and ".join(name for name, is_given in given.items() if is_given):
             raise ls.ConfigError(f"{whole} and --tiles do not go together: it is of the whole picture")

@@ -33,6 +33,8 @@ class FrameList:
     """Frames that others are made of, which come after them."""
     unit: str = "frame"
     """What one of them is called."""
+    go_on: str = "without --overwrite"
+    """How a command that has begun anew is changed to go on."""
 
     def begin(self, overwrite: bool) -> list[int]:
         """Makes the folder ready; the frames that are missing.
@@ -47,7 +49,7 @@ class FrameList:
     def there(self, overwrite: bool = False) -> str:
         """How many of the frames are there, and how to go on."""
         count = sum(map(self.folder.is_finished, self.wanted))
-        again = "the same command without --overwrite" if overwrite else "the same command"
+        again = f"the same command {self.go_on}" if overwrite else "the same command"
         return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), self.unit)}; {again} goes on"
 
     def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> ls.LumisplatError:
@@ -86,7 +88,12 @@ class FrameJob:
         folder, origin = self.frames.folder, self.frames.origin
         if folder.is_finished(index):
             return None
-        frame = self.render(index, report)
+        try:
+            frame = self.render(index, report)
+        except ls.FormatError:
+            if folder.is_finished(index):  # another process has made it, and removed its parts
+                return None
+            raise
         folder.check_current(origin)
         self.write(frame, index)
         try:
@@ -95,6 +102,7 @@ class FrameJob:
             with suppress(OSError):
                 folder.path(index).unlink()
             raise
+        folder.tidy(index)
         return frame
 
 

@@ -1,9 +1,11 @@
-"""Pictures in parts: each part is a file of its own until all of a picture are there."""
+"""Pictures in parts: each part is a file of its own until what it is part of is there."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 from typing import Protocol
@@ -14,7 +16,7 @@ from lumisplat.cli.output.pictures import Shot
 
 
 class PartedPicture(Protocol):
-    """A picture, and the files of its parts."""
+    """A picture of parts."""
 
     @property
     def path(self) -> Path:
@@ -22,12 +24,12 @@ class PartedPicture(Protocol):
         ...
 
     @property
-    def parts(self) -> tuple[Path, ...]:
-        """The files of its parts."""
+    def is_whole(self) -> bool:
+        """Whether it is there, or all that it is joined of."""
         ...
 
     def join(self) -> None:
-        """Writes the picture, if it is not there, and removes its parts.
+        """Writes the picture, if it is not there.
 
         Raises:
             FormatError: A part cannot be read, or the picture cannot be written.
@@ -40,15 +42,19 @@ class PartFolder(FrameFolder):
     """Parts of one or more pictures, numbered picture after picture."""
 
     pictures: tuple[PartedPicture, ...] = ()
-    owners: tuple[int, ...] = ()
-    """Of each part, the number of its picture."""
+    holders: tuple[tuple[Path, ...], ...] = ()
+    """Of each part, the files that it is a part of: once one of them is there, the part is needed no more."""
 
     def is_finished(self, index: int) -> bool:
-        """Whether a part is there, or the picture that holds it."""
-        return self.path(index).is_file() or self.pictures[self.owners[index]].path.is_file()
+        """Whether a part is there, or something that it is a part of."""
+        return any(path.is_file() for path in (self.path(index), *self.holders[index]))
+
+    def tidy(self, index: int) -> None:
+        """As of `FrameFolder.tidy`."""
+        remove_parts(self._parts.get(self.path(index), []))
 
     def join(self, report: Report) -> list[Path]:
-        """Writes the pictures whose parts are there.
+        """Writes the pictures whose parts are there, and removes the parts.
 
         Args:
             report: Shows the progress.
@@ -59,20 +65,28 @@ class PartFolder(FrameFolder):
         Raises:
             FormatError: As of `PartedPicture.join`.
         """
-        whole = [one for one in self.pictures if one.path.is_file() or all(map(Path.is_file, one.parts))]
+        whole = [picture for picture in self.pictures if picture.is_whole]
         for number, picture in enumerate(whole):
             report("joining parts", number / len(whole))
             picture.join()
+            remove_parts(self._parts.get(picture.path, []))
         report("joining parts", 1.0)
         return [picture.path for picture in whole]
+
+    @cached_property
+    def _parts(self) -> dict[Path, list[Path]]:
+        """The parts of each file that has any."""
+        parts: dict[Path, list[Path]] = {}
+        for index, holders in enumerate(self.holders):
+            for holder in holders:
+                parts.setdefault(holder, []).append(self.path(index))
+        return parts
 
     def _frames(self) -> list[Path]:
         return list(dict.fromkeys([*super()._frames(), *(one.path for one in self.pictures if one.path.is_file())]))
 
 
-def part_folder(
-    shots: list[Shot], units: list[list[Path]], output: Path, stamp: str
-) -> tuple[Path, str, tuple[str, ...]]:
+def part_folder(shots: list[Shot], units: list[list[Path]], output: Path, stamp: str) -> tuple[Path, str, list[str]]:
     """Where the parts of pictures lie.
 
     Args:
@@ -85,25 +99,21 @@ def part_folder(
         The folder, the name of the stamp there, and those of all files.
     """
     folder = shots[0].path.parent
-    names = tuple(str(path.relative_to(folder)) for files in units for path in files)
+    names = [str(path.relative_to(folder)) for files in units for path in files]
     return folder, stamp if folder == output else f"{output.stem}.{stamp}", names
 
 
-def owners_of(units: list[list[Path]]) -> tuple[int, ...]:
-    """The number of the picture that each file belongs to."""
-    return tuple(number for number, files in enumerate(units) for _ in files)
-
-
-def numbers_of(units: list[list[Path]], pictures: list[int]) -> tuple[int, ...]:
+def numbers_of(units: list[list[Path]], pictures: Iterable[int]) -> tuple[int, ...]:
     """The numbers of all files of some pictures."""
     ends = list(accumulate(map(len, units), initial=0))
     return tuple(number for picture in pictures for number in range(ends[picture], ends[picture + 1]))
 
 
-def remove_parts(parts: tuple[Path, ...]) -> None:
-    """Removes the files of a picture's parts and their folder, if it is empty then."""
-    with suppress(OSError):
-        for part in parts:
+def remove_parts(parts: list[Path]) -> None:
+    """Removes parts, and their folders if they are empty then."""
+    for part in parts:
+        with suppress(OSError):
             part.unlink(missing_ok=True)
-        for folder in {part.parent for part in parts}:
+    for folder in sorted({part.parent for part in parts}, key=lambda path: -len(path.parts)):
+        with suppress(OSError):
             folder.rmdir()

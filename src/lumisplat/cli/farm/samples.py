@@ -1,13 +1,17 @@
-"""Pictures whose samples are shared: blocks of them are files until all are there, and are merged by their sums."""
+"""Pictures whose samples are shared: blocks of them are files until all are there, and are merged by their sums.
+
+So may be those of tiles of pictures: then the blocks of a tile make the tile, and tiles the picture.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import lumisplat as ls
-from lumisplat.cli.farm.parts import PartFolder, numbers_of, owners_of, part_folder, remove_parts
+from lumisplat.cli.farm.parts import PartFolder, numbers_of, part_folder
+from lumisplat.cli.farm.tiles import Tiles
 from lumisplat.cli.output.console import Report
 from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.pictures import Shot
@@ -15,28 +19,30 @@ from lumisplat.cli.output.pictures import Shot
 
 @dataclass(frozen=True)
 class SharedPicture:
-    """A picture, and the files of its blocks of samples."""
+    """A picture of blocks of samples, which a unit of work merges."""
 
     path: Path
-    parts: tuple[Path, ...]
+
+    @property
+    def is_whole(self) -> bool:
+        """As of `PartedPicture`."""
+        return self.path.is_file()
 
     def join(self) -> None:
-        """As of `PartedPicture`; the last unit of work has written the picture."""
-        if self.path.is_file():
-            remove_parts(self.parts)
+        """As of `PartedPicture`: it is there."""
 
 
 @dataclass(frozen=True)
 class SharedSamples:
-    """Blocks of samples of a command's pictures; after those of a picture comes the picture itself."""
+    """Blocks of samples of a command's pictures or tiles; after those of a shot comes the shot itself."""
 
     folder: PartFolder
     shots: tuple[Shot, ...]
-    """The pictures."""
+    """The pictures or tiles."""
     blocks: tuple[range, ...]
-    """Numbers of samples, the same of each picture."""
+    """Numbers of samples, the same of each shot."""
     wanted: tuple[int, ...]
-    """The numbers of units of the pictures that are wanted."""
+    """The numbers of units of the shots that are wanted."""
 
     @staticmethod
     def of(shots: list[Shot], wanted: list[int], blocks: list[range], output: Path, stamp: str) -> SharedSamples:
@@ -49,34 +55,47 @@ class SharedSamples:
             output: As of `part_folder`.
             stamp: Likewise.
         """
-        pictures = [
-            SharedPicture(
-                shot.path, tuple(shot.path.with_suffix(".samples") / f"{block.start:06d}.npz" for block in blocks)
-            )
-            for shot in shots
-        ]
-        units = [[*picture.parts, picture.path] for picture in pictures]
+        units = [_units(shot, blocks) for shot in shots]
         place, name, names = part_folder(shots, units, output, stamp)
-        folder = PartFolder(place, "", name, names, tuple(pictures), owners_of(units))
+        pictures = tuple(SharedPicture(shot.path) for shot in shots)
+        holders = tuple(holder for shot in shots for holder in [*[(shot.path,)] * len(blocks), ()])
+        folder = PartFolder(place, "", name, tuple(names), pictures, holders)
         return SharedSamples(folder, tuple(shots), tuple(blocks), numbers_of(units, wanted))
+
+    @staticmethod
+    def of_tiles(tiles: Tiles, blocks: list[range]) -> SharedSamples:
+        """The blocks of tiles.
+
+        Args:
+            tiles: The tiles.
+            blocks: Numbers of samples.
+        """
+        units = [_units(shot, blocks) for shot in tiles.shots]
+        place = tiles.folder.folder
+        names = tuple(str(path.relative_to(place)) for files in units for path in files)
+        holders: list[tuple[Path, ...]] = []
+        for shot, picture in zip(tiles.shots, tiles.folder.holders, strict=True):
+            holders += [*[(shot.path, *picture)] * len(blocks), picture]
+        folder = replace(tiles.folder, names=names, holders=tuple(holders))
+        return SharedSamples(folder, tiles.shots, tuple(blocks), numbers_of(units, tiles.wanted))
 
     @property
     def needs(self) -> dict[int, tuple[int, ...]]:
-        """Units that must be there before others: blocks before their picture."""
+        """Units that must be there before others: blocks before their shot."""
         count = len(self.blocks)
         ends = [index for index in self.wanted if index % (count + 1) == count]
         return {end: tuple(range(end - count, end)) for end in ends}
 
     def shot(self, index: int) -> Shot:
-        """The picture that a unit is of."""
-        return self.shots[self.folder.owners[index]]
+        """The picture or tile that a unit is of."""
+        return self.shots[index // (len(self.blocks) + 1)]
 
-    def is_picture(self, index: int) -> bool:
-        """Whether a unit is a picture, else a block of one."""
+    def is_shot(self, index: int) -> bool:
+        """Whether a unit is a picture or tile, else a block of one."""
         return index % (len(self.blocks) + 1) == len(self.blocks)
 
     def make(self, source: FrameSource, scene: ls.Scene, index: int, report: Report) -> ls.Frame | ls.SamplePart:
-        """A block, or a picture of its blocks.
+        """A block, or a picture or tile of its blocks.
 
         Args:
             source: Renders it.
@@ -90,12 +109,17 @@ class SharedSamples:
             LumisplatError: As of `FrameSource.frame`.
         """
         camera = source.focused(scene, self.shot(index).camera)
-        if not self.is_picture(index):
+        if not self.is_shot(index):
             block = self.blocks[index % (len(self.blocks) + 1)]
             return ls.render_samples(source.renderer, scene, camera, block, progress=report)
         return source.finished(ls.merge_samples(source.renderer, scene, camera, self._parts(index)))
 
     def _parts(self, index: int) -> Iterator[ls.SamplePart]:
-        """The blocks of a picture, loaded one by one."""
-        for path in self.folder.pictures[self.folder.owners[index]].parts:
-            yield ls.SamplePart.load(path)
+        """The blocks of a shot, loaded one by one."""
+        for number in range(index - len(self.blocks), index):
+            yield ls.SamplePart.load(self.folder.path(number))
+
+
+def _units(shot: Shot, blocks: list[range]) -> list[Path]:
+    """The files by which a shot is made: its blocks, and itself."""
+    return [*(shot.path.with_suffix(".samples") / f"{block.start:06d}.npz" for block in blocks), shot.path]

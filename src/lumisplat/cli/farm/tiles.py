@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import lumisplat as ls
-from lumisplat.cli.farm.parts import PartFolder, numbers_of, owners_of, part_folder, remove_parts
+from lumisplat.cli.farm.parts import PartFolder, numbers_of, part_folder
 from lumisplat.cli.output.pictures import Shot
 
 AUTO = "auto"
@@ -25,9 +25,9 @@ class TiledPicture:
     """Files by the windows that they show."""
 
     @property
-    def parts(self) -> tuple[Path, ...]:
+    def is_whole(self) -> bool:
         """As of `PartedPicture`."""
-        return tuple(self.tiles.values())
+        return self.path.is_file() or all(map(Path.is_file, self.tiles.values()))
 
     def join(self) -> None:
         """As of `PartedPicture`."""
@@ -37,7 +37,6 @@ class TiledPicture:
             except ls.FormatError:
                 if not self.path.is_file():  # else another run has joined it, and removed the tiles
                     raise
-        remove_parts(self.parts)
 
 
 @dataclass(frozen=True)
@@ -78,9 +77,10 @@ class Tiles:
             }
             tiles += [Shot(camera, path) for camera, path in zip(cameras, files.values(), strict=True)]
             pictures.append(TiledPicture(shot.path, files))
-        units = [list(picture.parts) for picture in pictures]
+        units = [list(picture.tiles.values()) for picture in pictures]
+        holders = tuple((picture.path,) for picture in pictures for _ in picture.tiles)
         place, name, names = part_folder(shots, units, output, stamp)
-        folder = PartFolder(place, "", name, names, tuple(pictures), owners_of(units))
+        folder = PartFolder(place, "", name, tuple(names), tuple(pictures), holders)
         return Tiles(folder, tuple(tiles), numbers_of(units, wanted))
 
 

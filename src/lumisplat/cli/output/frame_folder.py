@@ -51,6 +51,9 @@ class FrameFolder:
         """Whether a frame is there."""
         return self.path(index).is_file()
 
+    def tidy(self, index: int) -> None:
+        """Removes what a frame was made of, once it is there."""
+
     def prepare(self, origin: Mapping[str, str], overwrite: bool) -> None:
         """Makes the folder ready for frames of an origin; frames of this origin that are there already stay.
 
