@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli import main
-from lumisplat.cli.commands.photographs.train import seconds_of
+from lumisplat.cli.input.numbers import seconds_of
 from support.scenes.training_scenes import folder_of
 
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--prune-below", "0", "--device", "cpu")
@@ -101,4 +101,4 @@ def test_poses_are_asked_of_an_extra(
 @pytest.mark.parametrize(("text", "seconds"), [("90", 90.0), ("90s", 90.0), ("10m", 600.0), ("1.5 h", 5400.0)])
 def test_times_are_as_people_write_them(text: str, seconds: float) -> None:
     """With a unit, or without one in seconds."""
-    assert seconds_of(text) == seconds
+    assert seconds_of("--stop-after", text) == seconds

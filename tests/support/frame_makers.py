@@ -29,8 +29,8 @@ class FakeMaker:
     seconds: float = 0.0
     """What a frame takes."""
     wrong: dict[int, str] = field(default_factory=dict[int, str])
-    """Frames and what they do: ``exit``, ``kill``, ``full`` (no space), ``setting`` (a mistake), ``data``, ``extra`` (a
-    package is missing)."""
+    """Frames and what they do: ``exit``, ``kill``, ``hang``, ``full`` (no space), ``setting`` (a mistake), ``data``,
+    ``extra`` (a package is missing), ``bug`` (a mistake of ours)."""
     again: bool = False
     needs: Path | None = None
     """A file without which no worker starts."""
@@ -98,6 +98,8 @@ def _raise(error: Callable[[Path], Exception]) -> Callable[[Path], None]:
 _WRONG: dict[str, Callable[[Path], Any]] = {
     "exit": lambda _: os._exit(7),
     "kill": _kill,
+    "hang": lambda _: time.sleep(1000.0),
+    "bug": _raise(lambda _: ValueError("shapes differ")),
     "full": _raise(lambda path: ls.FormatError(path, "cannot be written: No space left on device")),
     "setting": _raise(lambda _: ls.ConfigError("samples is 0, expected 1 or more")),
     "extra": _raise(lambda _: ls.MissingExtraError("OpenUSD", "usd")),

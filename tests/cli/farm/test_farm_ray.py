@@ -158,14 +158,15 @@ def test_a_cluster_that_has_died_is_not_waited_for(monkeypatch: pytest.MonkeyPat
         connect("auto")
 
 
-def test_another_ray_on_the_other_side_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An older one refuses the client: a line that has both versions."""
+@pytest.mark.parametrize("where", ["", " on Ray Client", " on node 127.0.0.1"])
+def test_another_ray_on_the_other_side_is_said(monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    """An older one refuses us: a line that has both versions. The words are those of Ray 2.60 about a head of 2.40."""
     ray = importlib.import_module("ray")
 
     def refused(**_: object) -> None:
         raise RuntimeError(
-            "Version mismatch: The cluster was started with:\n    Ray: 2.9.0\n    Python: 3.10.1\nThis process was "
-            "started with:\n    Ray: 2.60.0\n    Python: 3.11.7\n"
+            "Version mismatch: The cluster was started with:\n    Ray: 2.40.0\n    Python: 3.10.1\n"
+            f"This process{where} was started with:\n    Ray: 2.60.0\n    Python: 3.11.7\n"
         )
 
     monkeypatch.setattr(ray, "init", refused)
@@ -173,6 +174,6 @@ def test_another_ray_on_the_other_side_is_said(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(ls.ConfigError) as raised:
         connect("ray://farm:10001")
     assert str(raised.value) == (
-        "--address ray://farm:10001: no cluster of Ray can be used there: Version mismatch: The cluster was started "
-        "with: Ray: 2.9.0 Python: 3.10.1 This process was started with: Ray: 2.60.0 Python: 3.11.7"
+        "--address ray://farm:10001: the cluster is of Ray 2.40.0 with Python 3.10.1, this process of Ray 2.60.0 with "
+        "Python 3.11.7: install the same on both sides"
     )

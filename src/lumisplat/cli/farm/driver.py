@@ -3,13 +3,15 @@
 A worker has two frames in hand, so that it never waits for the driver; once fewer frames wait than there are workers,
 one, so that none waits behind another while a worker is idle. A worker that is lost is replaced, and its frames are
 given out again; only the one that it was at is held against it, and is left after the second time. So is a frame that
-has failed twice. Frames that fail one after the other, with none done between them, end the job: then the disk is full,
+has failed twice. A worker that is at a frame for longer than the limit, if there is one, is ended, and counts as lost.
+Frames that fail one after the other, with none done between them, end the job: then the disk is full,
 or the like.
 """
 
 from __future__ import annotations
 
 import logging
+import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -53,6 +55,17 @@ class Tally:
         return sum(made) / len(made) if made else 0.0
 
 
+@dataclass(frozen=True)
+class FrameLimit:
+    """How long a worker may be at a frame."""
+
+    seconds: float
+    name: str
+    """As it was given, such as ``--frame-timeout 10m``."""
+    clock: Callable[[], float] = time.monotonic
+    """The time, seconds."""
+
+
 @dataclass
 class _Worker:
     """A worker that has not ended."""
@@ -60,6 +73,8 @@ class _Worker:
     is_ready: bool = False
     in_hand: deque[int] = field(default_factory=deque[int])
     """The frames that it was given, in its order: it is at the first."""
+    since: float = 0.0
+    """When it has begun with that one."""
 
 
 class Driver:
@@ -71,6 +86,7 @@ class Driver:
         begin: Called once, with the frames as the first worker sees them; returns the numbers of the missing ones.
         on_progress: Called after each frame.
         on_loading: Called with a label and a fraction while workers load their scene.
+        limit: How long a worker may be at a frame; None: as long as it takes.
     """
 
     def __init__(
@@ -80,9 +96,12 @@ class Driver:
         begin: Callable[[FrameList], Iterable[int]],
         on_progress: Callable[[Tally], None],
         on_loading: Callable[[str, float], None],
+        *,
+        limit: FrameLimit | None = None,
     ) -> None:
         self._executor, self._count = executor, workers
         self._begin, self._on_progress, self._on_loading = begin, on_progress, on_loading
+        self._limit = limit
         self._workers: dict[int, _Worker] = {}
         self._waiting: deque[int] = deque()
         self._tries: dict[int, int] = {}
@@ -106,6 +125,7 @@ class Driver:
         while self._workers and not self._is_finished:
             for event in self._executor.events(_WAIT_S):
                 self._take(event)
+            self._end_hung()
         if self.frames is None:
             raise self._refusal or ls.DeviceError("no worker could be started")
         why = self._refusal or ls.DeviceError("all workers were lost")
@@ -130,12 +150,12 @@ class Driver:
             case Refused(number, error):
                 self._bad_start(number, error)
             case Done(number, frame, seconds):
-                self._workers[number].in_hand.remove(frame)
+                self._put_down(number, frame)
                 self._failures = 0
                 self.tally.done[frame] = seconds
                 self._on_progress(self.tally)
             case Failed(number, frame, error, is_mistake):
-                self._workers[number].in_hand.remove(frame)
+                self._put_down(number, frame)
                 if is_mistake and not self.tally.done:
                     raise error
                 self._count_failure(frame, error)
@@ -176,8 +196,37 @@ class Driver:
         if self._workers:
             self._say(f"one worker fewer: {one_line(error)}")
 
-    def _bury(self, number: int, how: str) -> None:
-        """Gives out again what a lost worker had in hand, and starts another in its place."""
+    def _put_down(self, number: int, frame: int) -> None:
+        """Takes what a worker has done from its hand: it begins with the next."""
+        self._workers[number].in_hand.remove(frame)
+        self._workers[number].since = self._now()
+
+    def _now(self) -> float:
+        return self._limit.clock() if self._limit is not None else 0.0
+
+    def _end_hung(self) -> None:
+        """Ends workers that are at a frame for too long."""
+        if (limit := self._limit) is None:
+            return
+        for number, worker in list(self._workers.items()):
+            if worker.in_hand and limit.clock() - worker.since > limit.seconds:
+                self._executor.stop(number)
+                how = f"it takes longer than {limit.name}"
+                self._bury(number, f"{how}, and was ended", ls.DeviceError(how))
+                self._hand_out()
+
+    @property
+    def _unit(self) -> str:
+        return "frame" if self.frames is None else self.frames.unit
+
+    def _bury(self, number: int, how: str, error: BaseException | None = None) -> None:
+        """Gives out again what a lost worker had in hand, and starts another in its place.
+
+        Args:
+            number: The worker's.
+            how: What is known of its end.
+            error: Why the frame that it was at is left, if it is; None: for its end.
+        """
         worker = self._workers.pop(number)
         self.tally.lost += 1
         if not worker.is_ready:
@@ -186,10 +235,10 @@ class Driver:
         rest = worker.in_hand
         at = rest.popleft() if rest else None
         self._waiting.extendleft(reversed(rest))
-        doing = f", at frame {at}" if at is not None else ""
+        doing = f", at {self._unit} {at}" if at is not None else ""
         _log.warning("a worker was lost (%s)%s", how, doing)
         if at is not None:
-            self._count_failure(at, ls.DeviceError(f"a worker was lost: {how}"))
+            self._count_failure(at, error or ls.DeviceError(f"a worker was lost: {how}"))
         if self._bad_starts < STARTS_IN_A_ROW and not self._is_finished:
             self._start()
 
@@ -213,12 +262,15 @@ class Driver:
             for number, worker in ready:
                 may_wait = depth == 1 or len(self._waiting) >= len(ready)
                 if len(worker.in_hand) < depth and may_wait and (frame := self._next()) is not None:
+                    worker.since = worker.since if worker.in_hand else self._now()
                     worker.in_hand.append(frame)
                     self._executor.submit(number, frame)
 
     def _next(self) -> int | None:
         """The first frame that waits, and for no other; those that wait for one that has failed, fail."""
         assert self.frames is not None
+        if not self.frames.needs:
+            return self._waiting.popleft() if self._waiting else None
         undone = {*self._waiting, *(frame for worker in self._workers.values() for frame in worker.in_hand)}
         for frame in list(self._waiting):
             needs = self.frames.needs.get(frame, ())

@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import re
 import socket
 import time
 from collections.abc import Sequence
@@ -32,6 +33,8 @@ _CURRENT = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluste
 """Where Ray keeps the address of the cluster that was started last on this machine."""
 _CONNECT_S = 10.0
 """How long an address may take to answer, seconds."""
+_VERSIONS = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
+"""In what Ray says of two sides that differ."""
 _SAID = 300
 """Characters of what Ray says that are passed on."""
 
@@ -103,8 +106,9 @@ class RayActors:
         if not owners:
             time.sleep(timeout)
             return []
-        answered, _ = self._ray.wait(list(owners), num_returns=1, timeout=timeout)
-        return [event for ref in answered for event in self._heard(owners[ref], ref)]
+        self._ray.wait(list(owners), num_returns=1, timeout=timeout)
+        answered, _ = self._ray.wait(list(owners), num_returns=len(owners), timeout=0.0)  # all that have by now
+        return [event for ref in answered if owners[ref] in self._actors for event in self._heard(owners[ref], ref)]
 
     def close(self) -> None:
         """As `Executor.close`."""
@@ -143,15 +147,15 @@ def connect(address: str) -> str:
         os.environ.setdefault(
             "RAY_AUTH_MODE", "token"
         )  # else it is not shown where an address is given, as of Ray 2.60
-    ray = load_ray()
     _check_reachable(address)
+    ray = load_ray()
     options: dict[str, Any] = {"address": address}
     if address == "ray":  # a new one, where "auto" would also take one that is there
         options = {"address": "local", "include_dashboard": False}
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
     except Exception as error:  # Ray raises whatever its parts do
-        raise ls.ConfigError(f"--address {address}: no cluster of Ray can be used there: {_short(error)}") from None
+        raise ls.ConfigError(f"--address {address}: {_why_not(error)}") from None
     resources = ray.cluster_resources()
     room = f"{resources.get('CPU', 0):g} CPUs, {resources.get('GPU', 0):g} GPUs"
     if address != "ray":
@@ -195,7 +199,10 @@ def _has_token() -> bool:
 
 
 def _check_reachable(address: str) -> None:
-    """Raises ConfigError if nothing listens at an address: Ray itself would try for minutes."""
+    """Raises ConfigError if nothing listens at an address: Ray itself would try for minutes.
+
+    A cluster that listens on 127.0.0.1 alone is sought there, where Ray would try another address of this machine.
+    """
     named = address
     if address == "auto":  # Ray remembers clusters that have died
         named = os.environ.get("RAY_ADDRESS", "")
@@ -209,6 +216,35 @@ def _check_reachable(address: str) -> None:
     except (OSError, OverflowError) as error:
         place = "there" if named == address else f"at {named}"
         raise ls.ConfigError(f"--address {address}: nobody listens {place}: {error}") from None
+    if host in ("127.0.0.1", "localhost") and not _listens(_own_address(), int(port)):
+        os.environ.setdefault(_LOOPBACK, "0")
+
+
+def _own_address() -> str:
+    """The address of this machine by which others reach it; no packet is sent to find it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("8.8.8.8", 53))
+        except OSError:  # it has no network
+            return "127.0.0.1"
+        return probe.getsockname()[0]
+
+
+def _listens(host: str, port: int) -> bool:
+    """Whether somebody listens."""
+    try:
+        socket.create_connection((host, port), _CONNECT_S).close()
+    except OSError:
+        return False
+    return True
+
+
+def _why_not(error: BaseException) -> str:
+    """Why a cluster cannot be used, of an error of Ray's."""
+    if "Version mismatch" in str(error) and len(sides := _VERSIONS.findall(str(error))) == 2:
+        there, here = (f"Ray {ray} with Python {python}" for ray, python in sides)
+        return f"the cluster is of {there}, this process of {here}: install the same on both sides"
+    return f"no cluster of Ray can be used there: {_short(error)}"
 
 
 def _short(error: BaseException) -> str:

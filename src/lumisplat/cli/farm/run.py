@@ -8,7 +8,7 @@ from pathlib import Path
 
 import lumisplat as ls
 from lumisplat.cli.farm.alone import film_lines
-from lumisplat.cli.farm.driver import Driver, Tally
+from lumisplat.cli.farm.driver import Driver, FrameLimit, Tally
 from lumisplat.cli.farm.executor import Executor
 from lumisplat.cli.farm.job import FrameList
 from lumisplat.cli.farm.places import FarmRoom, local_places
@@ -33,13 +33,22 @@ class FarmRun:
         report: Shows the progress.
         overwrite: Whether to make frames that are there anew.
         video: A video of them; None: none.
+        limit: How long a worker may be at one of them; None: as long as it takes.
     """
 
     def __init__(
-        self, order: Order, address: str, room: FarmRoom, report: Report, *, overwrite: bool, video: Path | None
+        self,
+        order: Order,
+        address: str,
+        room: FarmRoom,
+        report: Report,
+        *,
+        overwrite: bool,
+        video: Path | None,
+        limit: FrameLimit | None = None,
     ) -> None:
         self._order, self._address, self._room, self._report = order, address, room, report
-        self._overwrite, self._video = overwrite, video
+        self._overwrite, self._video, self._limit = overwrite, video, limit
 
     def run(self) -> str:
         """Makes the frames that are missing, then the video.
@@ -55,7 +64,7 @@ class FarmRun:
         begun = time.monotonic()
         executor, count = self._executor()
         self._report(f"starting {counted(count, 'worker')}", 0.0)
-        driver = Driver(executor, count, self._begin, self._show, self._report)
+        driver = Driver(executor, count, self._begin, self._show, self._report, limit=self._limit)
         try:
             tally = driver.run()
         except KeyboardInterrupt:

@@ -59,6 +59,8 @@ class Worker:
             self._job = self._order.command.open_frames(report)
         except (ls.LumisplatError, OSError, MemoryError) as error:
             return Refused(self._number, self._told(error))
+        except Exception as error:  # a mistake of ours
+            return Refused(self._number, self._told(_ours(error)))
         return Ready(self._number, self._job.frames)
 
     def make(self, frame: int) -> Event:
@@ -70,6 +72,8 @@ class Worker:
         except (ls.LumisplatError, OSError, MemoryError) as error:
             wrong = isinstance(error, ls.ConfigError) or (self._made == 0 and is_mistake(error, self._job.frames))
             return Failed(self._number, frame, self._told(error), wrong)
+        except Exception as error:  # a mistake of ours: the worker goes on
+            return Failed(self._number, frame, self._told(_ours(error)), False)
         self._made += 1
         return Done(self._number, frame, 0.0 if made is None else time.perf_counter() - begun)
 
@@ -90,6 +94,14 @@ class _Collected(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Keeps a line."""
         self._lines.append(record.getMessage())
+
+
+def _ours(error: Exception) -> ls.LumisplatError:
+    """What to say of an error that is no mistake of the user: it crosses to the driver, whatever it holds."""
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    said = ls.LumisplatError(f"{type(error).__name__}: {error}, in {at.filename}, line {at.lineno}")
+    said.__cause__ = error
+    return said
 
 
 def _nothing(label: str, fraction: float) -> None:

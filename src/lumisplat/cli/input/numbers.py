@@ -1,4 +1,4 @@
-"""Numbers as they are typed: with commas or spaces between, and ranges of frames."""
+"""Numbers as they are typed: with commas or spaces between, ranges of frames, and times."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ _HALF_OPEN = re.compile(r"(\d*):(\d*)")
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?|nan|inf)"
 _TYPED_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*,?", re.IGNORECASE)
+
+_DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
+_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
 
 _COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbers", 6: "six numbers"}
 
@@ -113,3 +116,19 @@ def _frames_of(part: str, count: int) -> range | None:
     if found := _HALF_OPEN.fullmatch(part):
         return range(int(found[1] or 0), int(found[2] or count))
     return None
+
+
+def seconds_of(option: str, text: str) -> float:
+    """A time as people write it, in seconds.
+
+    Args:
+        option: Whose value it is, for messages.
+        text: Such as ``90s``, ``10m`` or ``1.5h``.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    match = _DURATION.fullmatch(text.strip().lower())
+    if match is None or float(match[1]) <= 0.0:
+        raise ls.ConfigError(f"{option} is '{text}', expected a time such as 90s, 10m or 1.5h")
+    return float(match[1]) * _SECONDS[match[2] or "s"]

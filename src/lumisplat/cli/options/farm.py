@@ -18,6 +18,11 @@ class FarmOptions:
     """Processes, each of which holds the scene. More than a cluster has room for wait until nodes join."""
     cores: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: their share of the machine)")] = None
     """CPU cores of each worker."""
+    frame_timeout: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="(default: as long as it takes)")] = (
+        None
+    )
+    """How long a worker may be at a frame, as 90s, 10m or 1.5h: one that is at it for longer is ended, as it hangs, and
+    the frame is tried once more. The first frame of all may wait for kernels to compile."""
     address: Annotated[str, arg(metavar="local|auto|ray|ray://HOST:PORT")] = "local"
     """local: processes of this machine; no Ray is needed. With Ray (pip install 'lumisplat[farm]'), auto: the cluster
     that this machine belongs to; ray://HOST:10001: one elsewhere; ray: one that is started here for this job."""

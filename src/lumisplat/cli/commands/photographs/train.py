@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,13 +9,12 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.input.numbers import seconds_of
 from lumisplat.cli.options.captures import holds_all_columns
 from lumisplat.cli.options.command import DeviceCommand, Flag
 from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars, spoken_time
 from lumisplat.cli.output.standard_output import refuse_standard_output
 
-_DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
-_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
 _CAPTURES = (".ply", ".spz")
 _POSES = ("transforms.json", "transforms_train.json", "sparse", "cameras.bin", "cameras.txt")
 """Files that have poses, of which one is in a folder that needs none to be found."""
@@ -112,7 +110,10 @@ class Train(DeviceCommand):
             raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
         if self.relightable and self.exposures:
             raise ls.ConfigError("--relightable finds materials of photographs of one exposure: leave out --exposures")
-        config, stop_after = self._config(), None if self.stop_after is None else seconds_of(self.stop_after)
+        config, stop_after = (
+            self._config(),
+            None if self.stop_after is None else seconds_of("--stop-after", self.stop_after),
+        )
         materials = ls.MaterialsConfig(iterations=self.material_steps, seed=self.seed)
         background = self._checked_background()
         self.start_warp()
@@ -237,15 +238,3 @@ class Train(DeviceCommand):
     def _again(self) -> str:
         """What is to be typed to go on."""
         return "the same command without --overwrite" if self.overwrite else "the same command"
-
-
-def seconds_of(text: str) -> float:
-    """A time as people write it, in seconds.
-
-    Raises:
-        ConfigError: It is none.
-    """
-    match = _DURATION.fullmatch(text.strip().lower())
-    if match is None or float(match[1]) <= 0.0:
-        raise ls.ConfigError(f"--stop-after is '{text}', expected a time such as 90s, 10m or 1.5h")
-    return float(match[1]) * _SECONDS[match[2] or "s"]
