@@ -8,6 +8,7 @@ also on nodes that have joined since.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import logging
 import os
 import re
@@ -147,6 +148,8 @@ def connect(address: str) -> str:
         os.environ.setdefault(
             "RAY_AUTH_MODE", "token"
         )  # else it is not shown where an address is given, as of Ray 2.60
+    if importlib.util.find_spec("ray") is None:
+        raise _missing()
     _check_reachable(address)
     ray = load_ray()
     options: dict[str, Any] = {"address": address}
@@ -188,7 +191,11 @@ def load_ray() -> Any:
     try:
         return importlib.import_module("ray")
     except ImportError:
-        raise ls.MissingExtraError("--address with Ray", "farm") from None
+        raise _missing() from None
+
+
+def _missing() -> ls.MissingExtraError:
+    return ls.MissingExtraError("--address with Ray", "farm")
 
 
 def _has_token() -> bool:
