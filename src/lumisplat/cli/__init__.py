@@ -17,6 +17,7 @@ from tyro.conf import FlagCreatePairsOff, subcommand
 import lumisplat as ls
 from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.bench import Bench
+from lumisplat.cli.commands.blocks import Blocks
 from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
 from lumisplat.cli.commands.export import Export
@@ -79,6 +80,8 @@ The lights of a room from a photograph: lumisplat fit room.toml photo.jpg --came
 
 A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 5 --decimate 25% -o middle.spz
 
+A capture larger than memory, for views that load what they see: lumisplat blocks city.ply -o city
+
 A whole scene for other programs: lumisplat export scene.toml -o scene.glb
 
 What this machine has, and what is missing: lumisplat doctor"""
@@ -94,6 +97,7 @@ _Command = (
     | Annotated[Dataset, subcommand("dataset")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Convert, subcommand("convert")]
+    | Annotated[Blocks, subcommand("blocks")]
     | Annotated[Export, subcommand("export")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]

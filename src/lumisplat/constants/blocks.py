@@ -11,3 +11,19 @@ BLOCK_LEVEL_SHARE = 4
 
 BLOCK_PIECE = 2**18
 """Gaussians that are read, sorted or copied at once."""
+
+BLOCK_SAMPLE = 2**16
+"""Gaussians of a file by which the edge of its cubes is chosen."""
+
+BLOCK_CELLS = 4096
+"""Cubes at most that such a sample is in."""
+
+BLOCK_CELLS_MAX = 2**16
+"""Cubes of a capture at most, each of which is a file: more are a wrong edge."""
+
+BLOCK_PREVIEW = 2**18
+"""Gaussians of a capture by which a view of all of it is framed."""
+
+BLOCK_MEMORY = 5
+"""Memory of Gaussians of blocks that are rendered, as a factor of their bytes on disk: 6.7 million of 56 bytes each
+took 1.7 GiB on a CPU."""

@@ -8,8 +8,15 @@ USD_ENTRIES_A_BYTE = 1024
 """Most entries in a byte of a binary layer: integers take two bits at least, and LZ4 makes no more than 255 bytes of
 one. Eleven million in 93 bytes took 20 seconds and 740 MB before the library noticed."""
 
+LZ4_EXPANSION_MAX = 256
+"""Bytes that LZ4 makes of one at most, and some."""
+
 USD_ENTRY_BYTES = 40
 """Memory that an entry takes while it is checked, bytes: four million paths took 142 MB."""
+
+USD_NESTING_MAX = 64
+"""How deep values of a binary layer may lie in others: dictionaries in dictionaries, which the library reads by
+recursion."""
 
 USD_LAYERS_MAX = 10_000
 """Most layers of a stage."""

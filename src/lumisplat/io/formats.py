@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from lumisplat.errors import ConfigError, FormatError
-from lumisplat.io.files.format import STREAMED_SOG, format_of
+from lumisplat.io.files.format import BLOCKS, STREAMED_SOG, format_of
 from lumisplat.io.files.source import PathLike
 
 if TYPE_CHECKING:
@@ -42,9 +42,9 @@ class LoadOptions(NamedTuple):
     incident: bool
     """Of PLYs."""
     lod: int | None
-    """Of streamed SOGs."""
+    """Of streamed SOGs and captures in blocks."""
     budget: int | None
-    """Of streamed SOGs: Gaussians."""
+    """Likewise: Gaussians."""
 
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -61,7 +61,10 @@ _READERS = {
     ".gltf": "gltf.scene.read_gltf",
     **dict.fromkeys(USD, "usd.scene.read_usd"),
 }
-"""Besides these, .ply is read by its header, .toml by what it names, and a streamed SOG at a level."""
+"""Besides these, .ply is read by its header, .toml by what it names, and streamed SOGs and blocks at a level."""
+
+_LEVELED = {STREAMED_SOG: "splats.sog.streamed.read_streamed_sog", BLOCKS: "blocks.views.read_blocks"}
+"""Readers of captures in levels of detail."""
 
 _OURS = "lumisplat"
 _PLY_WRITERS = {_OURS: "splats.splat_ply.write_splat_ply", "r3dg": "splats.r3dg_ply.write_r3dg_ply"}
@@ -86,8 +89,8 @@ _SCENE_WRITERS = {
 """Writers of scenes with their cameras, to which captures and meshes are scenes, too."""
 
 READABLE = (
-    ".ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder or its meta.json or lod-meta.json, .obj, .stl, "
-    ".glb, .gltf, .usda, .usdc, .usdz, .usd, .toml"
+    ".ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder or its meta.json or lod-meta.json, a folder of "
+    "blocks, .obj, .stl, .glb, .gltf, .usda, .usdc, .usdz, .usd, .toml"
 )
 WRITABLE = (
     ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, .usda, .usdc, .usdz, .usd, .blend-ready (a folder), or, in a "
@@ -111,8 +114,8 @@ def read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: Loa
         return _import("ply_files.read_ply")(path, options.progress, incident=options.incident)
     if extension == ".toml":
         return _import("scene_toml.scene_file.read_scene_file")(path, load, options.up)
-    if extension == STREAMED_SOG:
-        return _import("splats.sog.streamed.read_streamed_sog")(path, options.lod, options.budget)
+    if extension in _LEVELED:
+        return _import(_LEVELED[extension])(path, options.lod, options.budget)
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     reader: Callable[..., Loaded] = _import(_READERS[extension])

@@ -162,6 +162,8 @@ def test_mistakes(tmp_path: Path) -> None:
         ls.write_blocks(tmp_path / "a", [], 1.0)
     with pytest.raises(ls.SceneError, match="differ in the degree"):
         ls.write_blocks(tmp_path / "a", [capture, street(50, degree=0)], 1.0)
+    assert not (tmp_path / "a").exists()  # nothing is left of what failed
+    (tmp_path / "a").mkdir()
     (tmp_path / "a" / "cell0_0_0.part").write_bytes(b"left by a run that was killed")
     index = ls.write_blocks(tmp_path / "a", [capture], 1.0)
     np.testing.assert_array_equal(sorted_rows(all_of(index)), sorted_rows(capture))

@@ -17,7 +17,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.errors import FormatError, MissingExtraError
 from lumisplat.io.usd import library
-from lumisplat.io.usd.opening.crate import _is_tree, check_crate
+from lumisplat.io.usd.opening.crate import _check_sections, _is_tree, check_crate
 from support.files.splat_files import capture
 from support.files.usd_files import EXTENSIONS, field, usd_core, write_usda
 from support.scenes.usd_scene import full_scene
@@ -67,11 +67,22 @@ def mutated(data: bytes, chance: random.Random, is_text: bool) -> bytes:
     return bytes(changed)
 
 
-def check_mutations(tmp_path: Path, extension: str, seeds: range) -> None:
+def moving_scene() -> ls.Animation:
+    """Something that moves, deforms and is looked at by a camera that moves: values with samples in time."""
+    cameras = [ls.Camera.look_at((x, 2, 1), (0, 0, 0), name="view") for x in (3, 4)]
+    crate = ls.Actor(ls.box(0.3), ls.Keyframes([0, 1], [(0, 0, 3), (1, 0, 3)]), name="crate")
+    scene = ls.Scene([capture(5)])
+    return ls.Animation(scene, [crate], fps=4.0, frame_count=5, camera_path=ls.CameraPath(cameras, [0.0, 1.0]))
+
+
+def check_mutations(tmp_path: Path, extension: str, seeds: range, *, moves: bool = False) -> None:
     """Every mutation is read, or refused in one line, by each of the readers."""
     path = tmp_path / f"a{extension}"
-    camera = ls.Camera.look_at((3, 2, 1), (0, 0, 0), name="view")
-    ls.save(path, full_scene("y-down"), cameras=[camera])
+    if moves:
+        ls.save(path, moving_scene())
+    else:
+        camera = ls.Camera.look_at((3, 2, 1), (0, 0, 0), name="view")
+        ls.save(path, full_scene("y-down"), cameras=[camera])
     data, read = path.read_bytes(), 0
     for seed in seeds:
         path.write_bytes(mutated(data, random.Random(seed), extension == ".usda"))
@@ -97,6 +108,97 @@ def test_many_mutations(tmp_path: Path, extension: str) -> None:
     """Two thousand of each kind of file."""
     usd_core()
     check_mutations(tmp_path, extension, range(2000))
+
+
+@pytest.mark.parametrize(("extension", "count"), [(".usda", 25), (".usdc", 50)])
+def test_mutations_of_what_moves(tmp_path: Path, extension: str, count: int) -> None:
+    """A few, and in the deep suite two thousand."""
+    usd_core()
+    check_mutations(tmp_path, extension, range(count), moves=True)
+
+
+@pytest.mark.deep
+def test_many_mutations_of_what_moves(tmp_path: Path) -> None:
+    """Two thousand of a binary file, whose samples are lists in lists."""
+    usd_core()
+    check_mutations(tmp_path, ".usdc", range(2000), moves=True)
+
+
+def values_of(data: bytes) -> list[int]:
+    """The values of a binary layer."""
+    (table,) = struct.unpack_from("<q", data, 16)
+    (sections,) = struct.unpack_from("<Q", data, table)
+    content: dict[str, bytes] = {}
+    for number in range(sections):
+        name, start, size = struct.unpack_from("<16sqq", data, table + 8 + 32 * number)
+        content[name.rstrip(b"\0").decode()] = data[start : start + size]
+    return _check_sections("a", content, {name: struct.unpack_from("<Q", one)[0] for name, one in content.items()})
+
+
+@pytest.mark.parametrize(
+    ("kind", "is_array", "at", "number", "message"),
+    [
+        (34, False, 1, 2**30 + 1, "has a list of 1,073,741,825 items"),  # 8 GB, before it was checked
+        (41, False, 0, 2**40, "has a list of 1,099,511,627,776 items"),
+        (24, True, 0, 2**33, "has a list of 8,589,934,592 items"),
+        (31, False, 0, 2**50, "has a list of 1,125,899,906,842,624 items"),
+        (41, False, 8, 0x9000_0006, "has number 2,415,919,110 of "),  # ended the process
+    ],
+)
+def test_values_that_no_file_can_hold(
+    tmp_path: Path, kind: int, is_array: bool, at: int, number: int, message: str
+) -> None:
+    """Lists longer than the file, and numbers of tokens that do not exist: of relationships, orders and arrays."""
+    usd_core()
+    path = tmp_path / "a.usdc"
+    ls.save(path, full_scene("y-down"))
+    data = bytearray(path.read_bytes())
+    found = [one for one in values_of(bytes(data)) if one >> 48 & 0xFF == kind and bool(one >> 63) == is_array]
+    place = next(one & (1 << 48) - 1 for one in found if not one >> 62 & 1)
+    struct.pack_into("<I" if at == 8 else "<Q", data, place + at, number)
+    path.write_bytes(data)
+    assert message in refused(path)
+
+
+def test_numbers_between_sections(tmp_path: Path) -> None:
+    """Whatever byte of the tables behind the values is wrong, a file is refused or read: nothing crashes."""
+    usd_core()
+    path = tmp_path / "a.usdc"
+    ls.save(path, moving_scene())
+    data = path.read_bytes()
+    (table,) = struct.unpack_from("<q", data, 16)
+    start = min(struct.unpack_from("<16sqq", data, table + 8 + 32 * number)[1] for number in range(6))
+    for at in range(start, table, 37):
+        for byte in (0x00, 0xFF, data[at] ^ 0x10):
+            path.write_bytes(data[:at] + bytes([byte]) + data[at + 1 :])
+            with suppress(FormatError):
+                ls.load_animation(path)
+
+
+def test_values_in_values_pass(tmp_path: Path) -> None:
+    """What the library writes is what is expected: dictionaries, references, variants, samples, lists of all kinds."""
+    usd, sdf = usd_core(), usd_core("Sdf")
+    stage = usd.Stage.CreateInMemory(".usdc")
+    prim = stage.DefinePrim("/a", "Xform")
+    deep: dict[str, object] = {"number": 1, "name": "x"}
+    for _ in range(20):
+        deep = {"in": deep, "list": [1.0, 2.0]}
+    prim.SetCustomDataByKey("deep", deep)
+    stage.DefinePrim("/b")
+    prim.GetReferences().AddInternalReference("/b", sdf.LayerOffset(1.0, 2.0))
+    prim.GetPayloads().AddInternalPayload("/b")
+    prim.GetVariantSets().AddVariantSet("v").AddVariant("one")
+    prim.GetVariantSets().GetVariantSet("v").SetVariantSelection("one")
+    samples = prim.CreateAttribute("samples", sdf.ValueTypeNames.StringArray)
+    for time in range(5):
+        samples.Set(["one", "two", f"{time}"], time)
+    prim.CreateAttribute("tokens", sdf.ValueTypeNames.TokenArray).Set(["x", "y"])
+    prim.CreateAttribute("assets", sdf.ValueTypeNames.AssetArray).Set([sdf.AssetPath("p.png")])
+    prim.CreateAttribute("many", sdf.ValueTypeNames.IntArray).Set(list(range(1000)))
+    path = tmp_path / "a.usdc"
+    stage.GetRootLayer().Export(str(path))
+    with path.open("rb") as file:
+        check_crate(path, file, path.stat().st_size)
 
 
 def test_counts_that_no_file_can_hold(tmp_path: Path) -> None:

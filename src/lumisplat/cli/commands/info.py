@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import WITH_CAMERAS, size_on_disk
+from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, size_on_disk
 from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.output.console import byte_size, print_table, progress_bars
 
 if TYPE_CHECKING:
     from lumisplat.math.arrays import FloatArray
 
-    Held = ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
+    Held = ls.BlockIndex | ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
 
 _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
@@ -58,11 +58,13 @@ class Info(LevelsCommand):
             raise failures[-1]
 
     def _print(self, path: Path) -> None:
-        from lumisplat.cli.output.describe import camera_rows, gaussian_rows, mesh_rows, radiance_rows
+        from lumisplat.cli.output.describe import block_rows, camera_rows, gaussian_rows, mesh_rows, radiance_rows
 
         kind, held = self._load(path)
         size = ("file", byte_size(size_on_disk(path)))
         match held:
+            case ls.BlockIndex():
+                print_table(str(path), [("kind", kind), size, *block_rows(held)])
             case ls.Gaussians():
                 print_table(str(path), [("kind", kind), size, *gaussian_rows(held)])
             case ls.Mesh():
@@ -81,6 +83,8 @@ class Info(LevelsCommand):
         kind, held = self._load(path)
         head = {"file": str(path), "kind": kind, "bytes": size_on_disk(path)}
         match held:
+            case ls.BlockIndex():
+                return head | facts.block_facts(held)
             case ls.Gaussians():
                 return head | facts.capture_facts(held)
             case ls.Mesh():
@@ -99,6 +103,8 @@ class Info(LevelsCommand):
         suffix = path.suffix.lower()
         if _holds_cameras(path):
             return "cameras", ls.load_cameras(path)
+        if self.lod is None and self.lod_budget is None and (folder := block_folder(path)) is not None:
+            return "blocks", ls.open_blocks(folder)
         if suffix in (".hdr", ".pic", ".exr"):
             return "radiance", ls.load_radiance(path)
         with progress_bars() as report:
@@ -112,7 +118,7 @@ def _holds_cameras(path: Path) -> bool:
     if os.path.isdir(path):  # Path.is_dir raises on names that are too long; the reader says so
         return any((path / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
     of_colmap = path.stem in ("cameras", "images") and path.suffix in (".bin", ".txt")
-    return of_colmap or (path.suffix.lower() == ".json" and path.name not in ("meta.json", "lod-meta.json"))
+    return of_colmap or (path.suffix.lower() == ".json" and path.name not in ("meta.json", "lod-meta.json", BLOCKS))
 
 
 def _cameras(path: Path) -> list[ls.Camera]:

@@ -13,10 +13,11 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.job import FrameJob, FrameList
+from lumisplat.cli.input.block_views import block_views
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
-from lumisplat.cli.options.command import Flag, LevelsCommand
+from lumisplat.cli.options.command import Flag, ViewsCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.output.console import Report, progress_bars
@@ -30,7 +31,7 @@ _log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Orbit(LevelsCommand, FrameCommand):
+class Orbit(ViewsCommand, FrameCommand):
     """Go once round a scene, or along a --path, frame by frame, and make a video of it.
 
     After an interruption, the same command goes on: frames that are there stay.
@@ -85,12 +86,15 @@ class Orbit(LevelsCommand, FrameCommand):
         check_writable(self.output)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
-        scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+        whole = next((f"--{name}" for name in ("lod", "lod_budget") if getattr(self, name) is not None), "")
+        lit, up = environment is not None, self.viewpoint.upright
+        blocks = block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole.replace("_", "-"), upright=up)
+        scene = blocks.preview if blocks else up(self.load_scene(self.scene, report))
         scene = self.light.lit_scene(scene, environment)
         cameras = along or self._round(scene, count)
         for line in frame_remarks(config, scene, [], self.rays, self.light):
             _log.warning("%s", line)
-        source = self.frame_source(renderer)
+        source = self.frame_source(renderer, blocks=blocks)
         folder = FrameFolder(self.output, "png", "orbit.json")
         frames = FrameList(
             folder=folder,
@@ -129,7 +133,18 @@ class Orbit(LevelsCommand, FrameCommand):
     def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [*self.scene, *(path for path in (self.path, self.light.environment) if path is not None)]
-        chosen = ("seconds", "fps", "turns", "width", "height", "drop_invalid", "crease_angle", "lod", "lod_budget")
+        chosen = (
+            "seconds",
+            "fps",
+            "turns",
+            "width",
+            "height",
+            "drop_invalid",
+            "crease_angle",
+            "lod",
+            "lod_budget",
+            "lod_pixels",
+        )
         return {
             "lumisplat": ls.__version__,
             "device": device,

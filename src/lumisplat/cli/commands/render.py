@@ -15,10 +15,11 @@ from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.farm.samples import SharedSamples
 from lumisplat.cli.farm.tiles import Tiles
+from lumisplat.cli.input.block_views import BlockViews, block_views
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
-from lumisplat.cli.options.command import Flag, LevelsCommand
+from lumisplat.cli.options.command import Flag, ViewsCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
@@ -52,12 +53,13 @@ class _Pictures:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(LevelsCommand, FrameCommand):
+class Render(ViewsCommand, FrameCommand):
     """Render a scene to pictures."""
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl), both (.glb, .gltf, .usda, .usdc, .usdz),
-    or a scene.toml, which has lights, cameras and settings, too. Several make one scene."""
+    or a scene.toml, which has lights, cameras and settings, too. Several make one scene. Of a capture in blocks, which
+    lumisplat blocks makes, unlit, rasterised pictures load what they see."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
     """A folder, or for one frame a file: .png, .exr or .npz. - is standard output, in PNG or as --format says."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
@@ -200,14 +202,28 @@ class Render(LevelsCommand, FrameCommand):
         check_writable(self.output)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
-        scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+        blocks = self._blocks(config, lit=environment is not None)
+        scene = blocks.preview if blocks else self.viewpoint.upright(self.load_scene(self.scene, report))
         scene = self.light.lit_scene(scene, environment)
         if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(self, _OF_REALTIME)):
             _log.warning("%s", not_used(config, unused, "realtime"))
         for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
             _log.warning("%s", line)
         shots = shots or self._shots([self.own_camera(scene, *self.scene)])
-        return _Pictures(scene, shots, self.frame_source(renderer, self._warm_up()), writer)
+        return _Pictures(scene, shots, self.frame_source(renderer, self._warm_up(), blocks), writer)
+
+    def _blocks(self, config: ls.RenderConfig, *, lit: bool) -> BlockViews | None:
+        """What shows a capture in blocks, view by view; None: scenes are loaded whole."""
+        given = {
+            "--deep": self.deep,
+            "--cryptomatte": self.cryptomatte,
+            "--split-samples": self.split_samples,
+            "--lod": self.lod is not None,
+            "--lod-budget": self.lod_budget is not None,
+            "gaussian_index": "gaussian_index" in config.aovs,
+        }
+        whole = next((name for name, is_given in given.items() if is_given), "")
+        return block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole, upright=self.viewpoint.upright)
 
     def _shared_job(self, pictures: _Pictures, frames: FrameList, shared: SharedSamples) -> FrameJob:
         """Blocks of samples of all pictures or tiles, and these."""

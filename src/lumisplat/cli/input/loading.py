@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -11,6 +12,9 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 """Extensions of OpenUSD."""
 WITH_CAMERAS = (".toml", ".glb", ".gltf", *USD)
 """Extensions of scenes, which may have cameras."""
+
+BLOCKS = "blocks.json"
+"""The index of a capture in blocks."""
 
 
 def load_scene(paths: Sequence[Path], load: Callable[[Path], ls.Gaussians | ls.Mesh | ls.Scene]) -> ls.Scene:
@@ -66,7 +70,14 @@ def scene_settings(file: Path | None) -> ls.RenderConfig:
 
 
 def size_on_disk(path: Path) -> int:
-    """Bytes of a file, or of all in the folder of an unpacked or streamed SOG, given by itself or by its list."""
-    path = path.parent if path.name in ("meta.json", "lod-meta.json") else path
+    """Bytes of a file, or of all in the folder of an unpacked or streamed SOG or of blocks, or of its list's folder."""
+    path = path.parent if path.name in ("meta.json", "lod-meta.json", BLOCKS) else path
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files)
+
+
+def block_folder(path: Path) -> Path | None:
+    """The folder of a capture in blocks, given by itself or by its index; None: it is something else."""
+    if path.name == BLOCKS:
+        return path.parent
+    return path if os.path.isfile(path / BLOCKS) else None

@@ -129,9 +129,9 @@ class LevelsCommand(LoadingCommand):
     """Options of the commands that load captures in levels of detail."""
 
     lod: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0, the finest)")] = None
-    """Level of detail of streamed SOGs, which may be entries of a scene.toml that says none."""
+    """Level of detail of streamed SOGs and captures in blocks, which may be entries of a scene.toml that says none."""
     lod_budget: Annotated[int | None, arg(metavar="COUNT", help_behavior_hint="")] = None
-    """Of streamed SOGs, their finest level of no more Gaussians than this."""
+    """Of the same, their finest level of no more Gaussians than this."""
 
     @property
     def levels(self) -> dict[str, int | None]:
@@ -154,7 +154,9 @@ class LevelsCommand(LoadingCommand):
         option = "--lod" if self.lod is not None else "--lod-budget" if self.lod_budget is not None else None
         if option and not any(path.is_dir() or path.suffix.lower() in (".json", ".toml") for path in paths):
             named = ", ".join(map(str, paths[:3]))
-            raise ls.ConfigError(f"{option} is of streamed SOGs (a folder with a lod-meta.json), got {named}")
+            raise ls.ConfigError(
+                f"{option} is of streamed SOGs (a folder with a lod-meta.json) and blocks, got {named}"
+            )
 
     def load_scene(
         self, paths: Sequence[Path], report: Report, up: tuple[float, float, float] | None = None
@@ -162,3 +164,12 @@ class LevelsCommand(LoadingCommand):
         """As `LoadingCommand.load_scene`, after `check_levels`."""
         self.check_levels(paths)
         return super().load_scene(paths, report, up)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewsCommand(LevelsCommand):
+    """Options of the commands that show captures in blocks view by view."""
+
+    lod_pixels: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: 0, the finest of all)")] = None
+    """Of captures in blocks that are shown view by view: blocks that are far are of a coarser level, whose mean
+    Gaussian is no larger than this."""

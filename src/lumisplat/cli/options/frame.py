@@ -18,7 +18,7 @@ from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting, without_none
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 from lumisplat.cli.output.frame_folder import flat_settings
-from lumisplat.cli.output.frame_source import FrameSource, WarmUp
+from lumisplat.cli.output.frame_source import FrameSource, SceneOfViews, WarmUp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,17 +92,22 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         ls.Frame.check_denoiser()
         return replace(config, aovs=(*config.aovs, "albedo"))
 
-    def frame_source(self, renderer: ls.Renderer, warm_up: WarmUp | None = None) -> FrameSource:
+    def frame_source(
+        self, renderer: ls.Renderer, warm_up: WarmUp | None = None, blocks: SceneOfViews | None = None
+    ) -> FrameSource:
         """What renders the frames of the command.
 
         Args:
             renderer: Renders them.
             warm_up: Of ``--pipeline realtime``; None: of a sequence.
+            blocks: In place of scenes, what each camera sees of a capture in blocks.
 
         Raises:
             ConfigError: --focus is no pixel.
         """
-        return FrameSource(renderer, self.lens.aperture, self.lens.pixel(), self.light.denoise, warm_up or WarmUp())
+        return FrameSource(
+            renderer, self.lens.aperture, self.lens.pixel(), self.light.denoise, warm_up or WarmUp(), blocks
+        )
 
     def _check_size(self) -> None:
         """Refuses sizes that no camera has, before files are loaded and named as the ones to blame."""

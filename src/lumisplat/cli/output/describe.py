@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
 from lumisplat.cli.output.console import byte_size
-from lumisplat.cli.output.facts import black_share
+from lumisplat.cli.output.facts import black_share, block_facts
 from lumisplat.cli.output.pictures import file_stems
 
 if TYPE_CHECKING:
@@ -60,6 +60,21 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
         rows.append(("also has", ", ".join(extras)))
     rows += [("comment", comment) for comment in gaussians.comments]
     return rows
+
+
+def block_rows(index: ls.BlockIndex) -> Rows:
+    """A capture in blocks."""
+    known = block_facts(index)
+    counts = [f"{count:,}" for count in known["level_gaussians"]]
+    low, high = index.bounds
+    rows = [
+        ("Gaussians", counts[0]),
+        ("SH degree", f"{known['sh_degree']}"),
+        ("bounds", box(low.min(axis=0), high.max(axis=0))),
+        ("blocks", f"{known['blocks']:,}"),
+        ("antialiased", "yes (Mip-Splatting)" if index.antialiased else "no"),
+    ]
+    return rows + [("coarser", "   ".join(counts[1:]))] * bool(counts[1:])
 
 
 def splat_rows(splat: ls.SplatInstance) -> Rows:

@@ -35,6 +35,23 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
     }
 
 
+def block_facts(index: ls.BlockIndex) -> Facts:
+    """A capture in blocks, from its index alone."""
+    low, high = index.bounds
+    levels = max(len(block.levels) for block in index.blocks)
+    return {
+        "gaussians": index.count,
+        "sh_degree": math.isqrt(index.sh_count) - 1,
+        "bounds": _box((low.min(axis=0), high.max(axis=0))),
+        "blocks": len(index.blocks),
+        "level_gaussians": [
+            sum(block.levels[min(level, len(block.levels) - 1)].count for block in index.blocks)
+            for level in range(levels)
+        ],
+        "antialiased": index.antialiased,
+    }
+
+
 def mesh_facts(mesh: ls.Mesh) -> Facts:
     """A mesh, in its own coordinates."""
     return {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, counted
@@ -28,6 +29,14 @@ class WarmUp:
     """Before every picture, which are of different places; else before the first of a sequence only."""
 
 
+class SceneOfViews(Protocol):
+    """What has a scene for each view."""
+
+    def scene(self, camera: ls.Camera) -> ls.Scene:
+        """What a camera sees."""
+        ...
+
+
 @dataclass
 class FrameSource:
     """Renders frames."""
@@ -40,6 +49,8 @@ class FrameSource:
     denoises: bool = False
     """Whether the light of lit frames is denoised."""
     warm_up: WarmUp = field(default_factory=WarmUp)
+    blocks: SceneOfViews | None = None
+    """In place of scenes, what each camera sees of a capture in blocks."""
     _is_warm: bool = field(default=False, init=False)
     _has_warned: bool = field(default=False, init=False)
 
@@ -51,6 +62,8 @@ class FrameSource:
             DeviceError: As of `lumisplat.Renderer.render`.
             SceneError: Likewise, or the pixel in focus shows nothing.
         """
+        if self.blocks is not None:
+            scene = self.blocks.scene(camera)
         return self.finished(self._rendered(scene, self.focused(scene, camera), report))
 
     def focused(self, scene: ls.Scene, camera: ls.Camera) -> ls.Camera:

@@ -12,10 +12,11 @@ from typing import Any, cast
 import numpy as np
 
 from lumisplat.errors import FormatError
+from lumisplat.io.files.format import BLOCKS
 from lumisplat.io.files.source import PathLike, read_bytes
 from lumisplat.math.arrays import Doubles
 
-INDEX = "blocks.json"
+INDEX = BLOCKS
 """The index in the folder of a capture; it is written last: without it, there is no capture."""
 VERSION = 1
 GAUSSIAN_FLOATS = 11
@@ -94,29 +95,32 @@ def open_blocks(folder: PathLike) -> BlockIndex:
     """The index of a capture in blocks.
 
     Args:
-        folder: As of `lumisplat.write_blocks`.
+        folder: As of `lumisplat.write_blocks`, or its ``blocks.json``.
 
     Raises:
         FormatError: There is no index, it is damaged, or a file is missing or has another size than it says.
     """
-    path = Path(folder) / INDEX
+    folder = Path(folder).parent if Path(folder).name == INDEX else Path(folder)
+    path = folder / INDEX
     try:
         stored: Any = json.loads(read_bytes(path))
         if stored["version"] != VERSION:
             raise FormatError(path, f"has version {stored['version']}, expected {VERSION}")
         index = BlockIndex(
-            Path(folder),
+            folder,
             _one_of(stored["sh_count"], (1, 4, 9, 16)),
             bool(stored["antialiased"]),
             tuple(_block(one) for one in stored["blocks"]),
         )
+        if not index.blocks:
+            raise ValueError("it has no blocks")
     except FormatError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(path, f"damaged, or no index of blocks: {error}") from None
     for block in index.blocks:
         for level in block.levels:
-            _check_file(Path(folder) / level.file, level.count * index.row_bytes)
+            _check_file(folder / level.file, level.count * index.row_bytes)
     return index
 
 

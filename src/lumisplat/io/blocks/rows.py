@@ -39,14 +39,19 @@ def unpacked(rows: FloatArray, *, antialiased: bool) -> Gaussians:
     )
 
 
-def read_rows(path: Path, width: int, count: int) -> FloatArray:
-    """All rows of a block.
+def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -> FloatArray:
+    """The rows of a block, or some of them.
 
     Raises:
         FormatError: The file cannot be read, or is shorter.
     """
     try:
-        rows = np.fromfile(path, np.dtype("<f4"), count * width)
+        if chosen == slice(None):
+            rows = np.fromfile(path, np.dtype("<f4"), count * width)
+        else:
+            return np.array(np.memmap(path, "<f4", "r", shape=(count, width))[chosen], np.float32)
+    except ValueError:
+        raise FormatError(path, "is shorter than the index says") from None
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     if len(rows) != count * width:

@@ -6,7 +6,9 @@ bounds of the projection's derivative say (docs/adr/0073-captures-in-blocks.md).
 
 from __future__ import annotations
 
+import logging
 import math
+import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,12 +16,17 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP
-from lumisplat.errors import SceneError
-from lumisplat.io.blocks.index import Block, BlockIndex
+from lumisplat.constants.blocks import BLOCK_MEMORY, BLOCK_PREVIEW
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.blocks.index import Block, BlockIndex, open_blocks
 from lumisplat.io.blocks.rows import read_rows, unpacked
-from lumisplat.math.arrays import Doubles
+from lumisplat.io.files.limits import check_memory
+from lumisplat.io.files.source import PathLike
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
+
+_log = logging.getLogger("lumisplat")
 
 REACH = math.sqrt(-2.0 * math.log(ALPHA_MIN))
 """Standard deviations at which a Gaussian of opacity 1 ends."""
@@ -60,11 +67,14 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     """The Gaussians of blocks, in the order of the parts.
 
     Raises:
-        FormatError: A file cannot be read.
+        FormatError: A file cannot be read, or they are larger than the machine's memory.
         SceneError: There is no part.
     """
     if not parts:
         raise SceneError("no block is visible: there is nothing to render")
+    needed = BLOCK_MEMORY * bytes_of(index, parts)
+    remedy = "show a part of the picture at a time, or coarser levels of what is far"
+    check_memory(index.folder, f"{needed // BLOCK_MEMORY // index.row_bytes:,} Gaussians", needed, remedy)
     levels = [index.blocks[part.block].levels[part.level] for part in parts]
     width = index.row_bytes // 4
     rows = np.empty((sum(level.count for level in levels), width), np.float32)
@@ -73,6 +83,57 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
         rows[first : first + level.count] = read_rows(index.folder / level.file, width, level.count)
         first += level.count
     return unpacked(rows, antialiased=index.antialiased)
+
+
+def all_blocks(index: BlockIndex, level: int = 0) -> list[BlockPart]:
+    """All blocks at a level, or the coarsest that they have."""
+    return [BlockPart(number, min(level, len(block.levels) - 1)) for number, block in enumerate(index.blocks)]
+
+
+def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = None) -> Gaussians:
+    """A whole capture at one level of detail.
+
+    Args:
+        path: Its folder, or the index in it.
+        lod: As of `lumisplat.io.load`.
+        budget: Likewise.
+
+    Raises:
+        FormatError: It cannot be read, or has no such level.
+    """
+    index = open_blocks(path)
+    levels = max(len(block.levels) for block in index.blocks)
+    if lod is not None and lod >= levels:
+        raise FormatError(path, f"has no level {lod}: there are {levels}, from 0, the finest")
+    chosen = all_blocks(index, lod or 0)
+    if lod is None and budget is not None:
+        tried = (all_blocks(index, level) for level in range(levels))
+        chosen = next((one for one in tried if bytes_of(index, one) <= budget * index.row_bytes), None)
+        if chosen is None:
+            chosen = all_blocks(index, levels - 1)
+            count = bytes_of(index, chosen) // index.row_bytes
+            _log.warning("%s: its coarsest level has %s Gaussians, more than asked for", os.fspath(path), f"{count:,}")
+    return load_blocks(index, chosen)
+
+
+def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
+    """Some of a capture's Gaussians from everywhere in it, to see where it is: about so many, or all if it has fewer.
+
+    Args:
+        index: Of the capture.
+        count: How many.
+
+    Raises:
+        FormatError: A file cannot be read.
+    """
+    step, width = max(1, index.count // count), index.row_bytes // 4
+    first = 0
+    rows: list[FloatArray] = []
+    for block in index.blocks:
+        level = block.levels[0]
+        rows.append(read_rows(index.folder / level.file, width, level.count, slice(first, None, step)))
+        first = (first - level.count) % step  # as of the rows of all blocks, one after the other
+    return unpacked(np.concatenate(rows), antialiased=index.antialiased)
 
 
 def bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
-from lumisplat.constants.blocks import BLOCK_DEPTH_MAX, BLOCK_GAUSSIANS_MAX, BLOCK_LEVEL_SHARE
+from lumisplat.constants import KERNEL_DEGREE
+from lumisplat.constants.blocks import BLOCK_CELLS_MAX, BLOCK_DEPTH_MAX, BLOCK_GAUSSIANS_MAX, BLOCK_LEVEL_SHARE
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io.blocks.index import GAUSSIAN_FLOATS, INDEX, Block, BlockIndex, BlockLevel
 from lumisplat.io.blocks.rows import packed, pieces, read_rows, unpacked
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.splats.columns import warn_lost_materials
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
+
+_OURS = re.compile(r"cell[0-9_-]+\.part|\d{6,}(_\d+)?\.bin|\..*\.lumisplat(\.json)?")
+"""Files of a capture that is not finished."""
 
 
 def write_blocks(
@@ -28,34 +34,71 @@ def write_blocks(
     *,
     levels: int = 0,
     block_max: int = BLOCK_GAUSSIANS_MAX,
+    progress: Callable[[float], None] | None = None,
 ) -> BlockIndex:
     """Writes a capture in blocks of space: cubes, those with many Gaussians cut in eight, and so on.
 
     Args:
-        folder: A new folder. Its index, ``blocks.json``, is written last: a folder without it is no capture.
+        folder: A new or empty folder. Its index, ``blocks.json``, is written last: a folder without it is no capture.
+            If something goes wrong, what was written is removed; what a run that was killed has left, the next one
+            removes.
         chunks: The capture in any order, a part at a time; means, rotations, scales, opacities and harmonics are kept,
-            all of one degree.
+            all of one degree; normals and materials are left out, with a log line.
         cell: Edge of the largest cubes, scene units.
         levels: Coarser levels of detail beside the finest, each with a quarter of the Gaussians of the one before, see
             `lumisplat.decimate`.
         block_max: Gaussians of a block at most; more that are in one place stay together.
+        progress: Called with the fraction of all Gaussians whose blocks are made, 0..1, once all have been read.
 
     Raises:
         ConfigError: The cell's edge is not positive, or a number is out of range.
-        SceneError: There are no Gaussians, or they differ in degree or antialiasing.
-        FormatError: The folder holds a capture already, or cannot be written.
+        SceneError: There are no Gaussians, they differ in degree or antialiasing, or have another kernel.
+        FormatError: The folder holds a capture or anything else already, or cannot be written.
     """
     if not is_number(cell) or not 0.0 < cell < math.inf:
         raise ConfigError(f"cell is {cell}, expected the edge of a cube in scene units")
     if levels < 0 or block_max < 1:
         raise ConfigError(f"levels is {levels} and block_max {block_max}, expected 0 or more, and 1 or more")
     place = Path(folder)
-    if (place / INDEX).exists():
-        raise FormatError(place, "holds a capture in blocks already: give a new folder")
     try:
-        return _Writer(place, cell, levels, block_max).write(chunks)
+        is_new = _made(place)
+        try:
+            return _Writer(place, cell, levels, block_max).write(chunks, progress or (lambda _: None))
+        except BaseException:
+            _remove_leftovers(place)
+            if is_new:
+                place.rmdir()
+            raise
+    except FormatError:
+        raise
     except OSError as error:
         raise FormatError(folder, f"cannot be written: {error.strerror or error}") from None
+
+
+def _made(place: Path) -> bool:
+    """Makes the folder, and removes what a run that was killed has left in it; whether there was none.
+
+    Raises:
+        FormatError: There is something else in it.
+        OSError: It cannot be made.
+    """
+    if (place / INDEX).exists():
+        raise FormatError(place, "holds a capture in blocks already: give a new folder")
+    if place.exists() and not place.is_dir():
+        raise FormatError(place, "is a file, expected a folder for the blocks")
+    is_new = not place.exists()
+    place.mkdir(parents=True, exist_ok=True)
+    other = next((file.name for file in place.iterdir() if not _OURS.fullmatch(file.name)), None)
+    if other is not None:
+        raise FormatError(place, f"holds other files ({other}): give a new folder")
+    _remove_leftovers(place)
+    return is_new
+
+
+def _remove_leftovers(place: Path) -> None:
+    for file in place.iterdir():
+        if _OURS.fullmatch(file.name):
+            file.unlink()
 
 
 class _Writer:
@@ -73,14 +116,8 @@ class _Writer:
         self._kind: tuple[int, bool] | None = None
         self._count = 0
 
-    def write(self, chunks: Iterable[Gaussians]) -> BlockIndex:
+    def write(self, chunks: Iterable[Gaussians], progress: Callable[[float], None]) -> BlockIndex:
         """Writes all blocks, then the index."""
-        self._folder.mkdir(parents=True, exist_ok=True)
-        for leftover in (
-            *self._folder.glob("cell*.part"),
-            *self._folder.glob("[0-9]*.bin"),
-        ):  # of a run that was killed
-            leftover.unlink()
         cells: dict[tuple[int, ...], Path] = {}
         for chunk in chunks:
             self._check(chunk)
@@ -88,7 +125,13 @@ class _Writer:
         if self._kind is None:
             raise SceneError("zero Gaussians: there is nothing to write")
         sh_count, antialiased = self._kind
-        blocks = [block for key in sorted(cells) for block in self._blocks(cells[key], 0)]
+        total, blocks = sum(path.stat().st_size for path in cells.values()), list[Block]()
+        done = 0
+        for key in sorted(cells):
+            for block in self._blocks(cells[key], 0):
+                blocks.append(block)
+                done += 4 * self._width * block.levels[0].count
+                progress(done / total)
         index = BlockIndex(self._folder, sh_count, antialiased, tuple(blocks))
         with atomic_write(self._folder / INDEX) as temporary:
             temporary.write_text(index.text())
@@ -96,6 +139,10 @@ class _Writer:
 
     def _check(self, chunk: Gaussians) -> None:
         kind = chunk.sh.shape[1], chunk.antialiased
+        if chunk.kernel_degree != KERNEL_DEGREE:
+            raise SceneError(f"a capture of kernel degree {chunk.kernel_degree}: blocks are rasterised, as Gaussians")
+        if self._kind is None:
+            warn_lost_materials(self._folder, "a capture in blocks", chunk)
         if self._kind not in (None, kind):
             raise SceneError("the parts of a capture differ in the degree of their harmonics, or in antialiasing")
         self._kind = kind
@@ -122,6 +169,10 @@ class _Writer:
             found, cell_of = np.unique(keys, axis=0, return_inverse=True)
             order = np.argsort(cell_of.ravel(), kind="stable")
             ends = np.cumsum(np.bincount(cell_of.ravel()))
+        touched: list[tuple[int, ...]] = [(x, y, z) for x, y, z in found.tolist()]
+        if len(cells.keys() | set(touched)) > BLOCK_CELLS_MAX:
+            more = f"more than {BLOCK_CELLS_MAX:,} cubes"
+            raise ConfigError(f"cell is {self._cell:g}, of which the capture would fill {more}: give a larger one")
         ordered = rows[order]
         for key, end, count in zip(found.tolist(), ends.tolist(), np.diff(ends, prepend=0).tolist(), strict=True):
             path = cells.setdefault(tuple(key), self._folder / f"{name}{'_'.join(map(str, key))}.part")

@@ -9,17 +9,21 @@ from lumisplat.io.files.source import check_regular
 
 STREAMED_SOG = "lod-meta.json"
 """The file of a streamed SOG that lists its levels and chunks."""
+BLOCKS = "blocks.json"
+"""The file of a capture in blocks that lists them."""
 _INNER_LISTED = 8
 """How many captures of a folder a message lists."""
 
 
 def format_of(path: Path) -> str:
-    """The extension of a file that exists; ``.sog`` for a SOG folder or its meta.json, `STREAMED_SOG` if streamed."""
+    """The extension of a file that exists; ``.sog`` for a SOG folder or its meta.json, `STREAMED_SOG` or `BLOCKS`."""
     if path.is_dir():
         if (path / "meta.json").is_file():
             return ".sog"
         if (path / STREAMED_SOG).is_file():
             return STREAMED_SOG
+        if (path / BLOCKS).is_file():
+            return BLOCKS
         given = f": give one of the captures in it, {inner}" if (inner := _inner_sog(path)) else ""
         raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{given}")
     if not path.exists():
@@ -27,8 +31,8 @@ def format_of(path: Path) -> str:
     check_regular(path, path.stat())
     if path.stat().st_size == 0:
         raise FormatError(path, "is empty: zero bytes")
-    if path.name == STREAMED_SOG:
-        return STREAMED_SOG
+    if path.name in (STREAMED_SOG, BLOCKS):
+        return path.name
     return ".sog" if path.name == "meta.json" else path.suffix.lower()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 from lumisplat.constants import DECODED_BYTES_FREE, EXPANSION_MAX, TEXTURE_BYTES_FREE
@@ -74,3 +75,24 @@ def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, store
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")
     floats = 3 + 4 + 3 + 1 + 3 * sh_coefficients
     check_expansion(path, f"{count:,} Gaussians", count * floats * 4, stored_bytes)
+
+
+def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> None:
+    """Refuses what is larger than the machine's memory, where the system says how much there is.
+
+    Args:
+        path: The file.
+        what: Name of the content, for the message.
+        needed_bytes: Memory that it takes.
+        remedy: What to do.
+
+    Raises:
+        FormatError: It does not fit.
+    """
+    if not hasattr(os, "sysconf"):
+        return
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed_bytes > there:
+        raise FormatError(
+            path, f"{what} would take {needed_bytes / 1e9:.1f} GB of memory, of {there / 1e9:.1f} GB: {remedy}"
+        )

@@ -20,12 +20,13 @@ PlyRows = npt.NDArray[np.void]
 """Rows with a field for each property."""
 
 
-def read_ply_rows(header: PlyHeader, element: PlyElement) -> Iterator[PlyRows]:
-    """Reads the rows of an element in blocks that fit into the cache.
+def read_ply_rows(header: PlyHeader, element: PlyElement, block_rows: int | None = None) -> Iterator[PlyRows]:
+    """Reads the rows of an element in blocks.
 
     Args:
         header: Header of the file.
         element: One of its elements; neither it nor an element before it may have list properties.
+        block_rows: Rows of a block of a binary file; None: as many as fit into the cache.
 
     Yields:
         Structured arrays with ``element.count`` rows in total.
@@ -43,7 +44,7 @@ def read_ply_rows(header: PlyHeader, element: PlyElement) -> Iterator[PlyRows]:
     _check_size(header, element, start + element.count * dtype.itemsize)
     with Path(header.path).open("rb") as file:
         file.seek(start)
-        step = max(1, BLOCK_BYTES // max(1, dtype.itemsize))
+        step = block_rows or max(1, BLOCK_BYTES // max(1, dtype.itemsize))
         for first in range(0, element.count, step):
             rows = np.fromfile(file, dtype, min(step, element.count - first))
             if len(rows) < min(step, element.count - first):

@@ -161,8 +161,7 @@ def _rows_to_keep(
     invalid, problems = _invalid_rows(columns, scales)
     if not problems:
         return slice(None)
-    dropped = np.count_nonzero(invalid)
-    listed = ", ".join(problems[:PROBLEMS_LISTED]) + (", and more" if len(problems) > PROBLEMS_LISTED else "")
+    dropped, listed = np.count_nonzero(invalid), _listed(problems)
     summary = f"{listed}, in {dropped:,} of {columns.count:,} Gaussians"
     if not drop_invalid:
         raise FormatError(path, f"{summary}; --drop-invalid (drop_invalid=True) drops them")
@@ -170,6 +169,17 @@ def _rows_to_keep(
         raise FormatError(path, f"{summary}: no valid Gaussian is left")
     _log.warning("%s: dropped %s Gaussians: %s", os.fspath(path), f"{dropped:,}", listed)
     return ~invalid
+
+
+@np.errstate(all="ignore")  # as of `gaussians_from_columns`
+def invalid_rows(columns: SplatColumns) -> tuple[npt.NDArray[np.bool_], str]:
+    """Which Gaussians cannot be used, shape (N,), and why, in words; of logarithms and logits, without materials."""
+    invalid, problems = _invalid_rows(columns, _scales(columns.log_scales))
+    return invalid, _listed(problems)
+
+
+def _listed(problems: list[str]) -> str:
+    return ", ".join(problems[:PROBLEMS_LISTED]) + (", and more" if len(problems) > PROBLEMS_LISTED else "")
 
 
 def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np.bool_], list[str]]:

@@ -22,7 +22,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.ply.header import PlyElement, PlyHeader, ply_header_bytes
-from lumisplat.io.ply.rows import read_ply_rows
+from lumisplat.io.ply.rows import PlyRows, read_ply_rows
 from lumisplat.io.splats.columns import (
     OPTIONAL,
     PROPERTY_NAMES,
@@ -50,6 +50,9 @@ ANTIALIASED_COMMENT = "SplatRenderMode: mip"
 
 KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
 """Our own comment: no trainer writes the degree to its files."""
+
+_CACHED_ROWS = 4096
+"""Rows whose columns are separated at once."""
 
 _ANTIALIASED = re.compile(r"\s*(?:antialiased\s+(?P<postshot>[01])|SplatRenderMode:\s*(?P<brush>\w+))\s*", re.I)
 _KERNEL_DEGREE = re.compile(r"\s*lumisplat\s+kernel_degree\s+(-?\d{1,9})\s*", re.I)
@@ -105,28 +108,59 @@ def read_splat_ply(
     Raises:
         FormatError: The file is not a Gaussian capture, lacks a property, or is truncated.
     """
-    vertex = header.element("vertex")
-    if vertex is None or not is_gaussian_element(vertex):
-        raise FormatError(header.path, "a point cloud, not a Gaussian capture: no opacity, scale, rotation")
-    coefficients = _check_properties(header.path, vertex)
+    vertex, coefficients = splat_element(header)
     columns: SplatColumns | None = None
     start = 0
     for rows in read_ply_rows(header, vertex):
         # Allocated only after the first block, when the file is known to be as long as its header states.
         columns = columns or _allocate(header, vertex, coefficients, incident)
-        with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 are refused later, as infinite
-            for name, target in column_views(columns):
-                if name in vertex.names:  # but for the third scale of 2D Gaussians
-                    target[start : start + len(rows)] = rows[name]
+        _fill(columns, start, rows)
         start += len(rows)
         if progress:
             progress(start / vertex.count)
     if columns is None:
         raise FormatError(header.path, "holds zero Gaussians: there is nothing to render")
-    if "scale_2" not in vertex.names:
-        columns.log_scales[:, 2] = columns.log_scales[:, :2].min(axis=1) + math.log(FLAT_THICKNESS)
+    _flatten_2d(columns, vertex)
     _leave_out_unknown_materials(header, vertex, columns)
     return columns
+
+
+def splat_element(header: PlyHeader) -> tuple[PlyElement, int]:
+    """The element of the Gaussians of an uncompressed PLY, and its number of SH coefficients per channel.
+
+    Raises:
+        FormatError: The file is not a Gaussian capture, or lacks a property.
+    """
+    vertex = header.element("vertex")
+    if vertex is None or not is_gaussian_element(vertex):
+        raise FormatError(header.path, "a point cloud, not a Gaussian capture: no opacity, scale, rotation")
+    return vertex, _check_properties(header.path, vertex)
+
+
+def columns_of_rows(header: PlyHeader, vertex: PlyElement, coefficients: int, rows: PlyRows) -> SplatColumns:
+    """Some rows of an uncompressed PLY, without materials; arguments as of `splat_element`."""
+    columns = _allocate(replace(header, comments=()), replace(vertex, count=len(rows), properties=()), coefficients)
+    columns.antialiased = antialiased_from_comments(header.comments)
+    columns.kernel_degree = kernel_degree_from_comments(header.comments)
+    for start in range(0, len(rows), _CACHED_ROWS):
+        _fill(columns, start, rows[start : start + _CACHED_ROWS])
+    _flatten_2d(columns, vertex)
+    return columns
+
+
+def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
+    """Stores rows in columns, from row ``start`` of these on."""
+    assert rows.dtype.names is not None
+    with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 are refused later, as infinite
+        for name, target in column_views(columns):
+            if name in rows.dtype.names:  # but for the third scale of 2D Gaussians
+                target[start : start + len(rows)] = rows[name]
+
+
+def _flatten_2d(columns: SplatColumns, vertex: PlyElement) -> None:
+    """Gives 2D Gaussians their third scale."""
+    if "scale_2" not in vertex.names:
+        columns.log_scales[:, 2] = columns.log_scales[:, :2].min(axis=1) + math.log(FLAT_THICKNESS)
 
 
 def _check_properties(path: PathLike, vertex: PlyElement) -> int:
@@ -145,7 +179,7 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
     return coefficients
 
 
-def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident: bool) -> SplatColumns:
+def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident: bool = False) -> SplatColumns:
     """Columns of the right shapes, not yet filled."""
 
     def empty(*shape: int) -> FloatArray:

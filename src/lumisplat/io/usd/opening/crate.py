@@ -13,10 +13,11 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.usd import USD_ENTRIES_A_BYTE, USD_ENTRY_BYTES
+from lumisplat.constants.usd import LZ4_EXPANSION_MAX, USD_ENTRIES_A_BYTE, USD_ENTRY_BYTES
 from lumisplat.errors import FormatError
 from lumisplat.io.files.limits import check_expansion
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.usd.opening.crate_values import CrateValues
 
 MAGIC = b"PXR-USDC"
 _COUNTED = ("TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS")
@@ -47,6 +48,8 @@ def check_crate(path: PathLike, file: IO[bytes], size: int) -> None:
     (sections,) = _unpack(file, "<Q", table)
     if sections > (size - table) // 32:
         raise FormatError(path, f"damaged: its binary layer lists {sections:,} sections")
+    counts: dict[str, int] = {}
+    content: dict[str, bytes] = {}
     for number in range(sections):
         stored, start, length = _unpack(file, "<16sqq", table + 8 + 32 * number)
         name = stored.rstrip(b"\0").decode("latin-1")
@@ -58,33 +61,75 @@ def check_crate(path: PathLike, file: IO[bytes], size: int) -> None:
         if count > USD_ENTRIES_A_BYTE * length:
             raise FormatError(path, f"damaged: {count:,} entries in {length:,} bytes of its binary layer")
         check_expansion(path, f"{count:,} entries of its binary layer", USD_ENTRY_BYTES * count, size)
-        if name == "PATHS" and (major, minor) >= _COMPRESSED_SINCE:
-            file.seek(start)
-            _check_paths(path, file.read(length))
+        file.seek(start)
+        counts[name], content[name] = count, file.read(length)
+    if (major, minor) < _COMPRESSED_SINCE:
+        return
+    try:
+        values = _check_sections(path, content, counts)
+    except (struct.error, IndexError, ValueError) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(path, "damaged: the sections of its binary layer cannot be decoded") from None
+    CrateValues(path, file, size, (major, minor), counts).check(values)
+
+
+def _check_sections(path: PathLike, content: dict[str, bytes], counts: dict[str, int]) -> list[int]:
+    """Checks that what entries of sections name is there, and returns the values of fields.
+
+    Raises:
+        FormatError: Something is not there, or paths are no tree.
+        struct.error: A section ends too early.
+        IndexError: Likewise.
+        ValueError: Likewise, or it cannot be decoded.
+    """
+
+    def known(numbers: npt.NDArray[np.integer], section: str) -> None:
+        if numbers.size and not 0 <= int(numbers.min()) <= int(numbers.max()) < counts.get(section, 0):
+            raise FormatError(path, f"damaged: a number of its binary layer is none of its {section.lower()}")
+
+    if "TOKENS" in content:
+        (text,) = struct.unpack_from("<Q", content["TOKENS"], 8)
+        if text > LZ4_EXPANSION_MAX * len(content["TOKENS"]):
+            raise FormatError(path, f"damaged: {text:,} bytes of text in its binary layer")
+    if counts.get("STRINGS"):
+        known(np.frombuffer(content["STRINGS"], "<u4", counts["STRINGS"], 8), "TOKENS")
+    if "PATHS" in content:
+        count = struct.unpack_from("<Q", content["PATHS"], 8)[0]
+        (numbers, names, jumps), _ = _lists_of_integers(content["PATHS"], 16, count, 3)
+        known(numbers, "PATHS")
+        known(np.abs(names), "TOKENS")
+        if not _is_tree(jumps.tolist()):
+            raise FormatError(path, "damaged: the paths in its binary layer are no tree")
+    if counts.get("FIELDSETS"):
+        (fields,), _ = _lists_of_integers(content["FIELDSETS"], 8, counts["FIELDSETS"], 1)
+        known(fields[fields != -1], "FIELDS")  # -1 ends a set
+    if counts.get("SPECS"):
+        (paths, sets, _), _ = _lists_of_integers(content["SPECS"], 8, counts["SPECS"], 3)
+        known(paths, "PATHS")
+        known(sets, "FIELDSETS")
+    if not counts.get("FIELDS"):
+        return []
+    section, count = content["FIELDS"], counts["FIELDS"]
+    (names,), at = _lists_of_integers(section, 8, count, 1)
+    known(names, "TOKENS")
+    (length,) = struct.unpack_from("<Q", section, at)
+    return [*struct.unpack_from(f"<{count}Q", _uncompressed(section[at + 8 : at + 8 + length], 8 * count + 64))]
+
+
+def _lists_of_integers(section: bytes, at: int, count: int, lists: int) -> tuple[list[npt.NDArray[np.int64]], int]:
+    """So many compressed lists of integers, from a place on, and where they end."""
+    found: list[npt.NDArray[np.int64]] = []
+    for _ in range(lists):
+        (length,) = struct.unpack_from("<Q", section, at)
+        found.append(_integers(_uncompressed(section[at + 8 : at + 8 + length], 5 * count + 64), count))
+        at += 8 + length
+    return found, at
 
 
 def _unpack(file: IO[bytes], layout: str, at: int) -> tuple[Any, ...]:
     file.seek(at)
     return struct.unpack(layout, file.read(struct.calcsize(layout)))
-
-
-def _check_paths(path: PathLike, section: bytes) -> None:
-    """Checks that the jumps of a section of paths visit each of them once.
-
-    Raises:
-        FormatError: They do not, or cannot be decoded.
-    """
-    (count,) = struct.unpack_from("<Q", section, 8)
-    at = 16
-    try:
-        for _ in range(2):  # the indices of paths, and those of their names
-            at += 8 + struct.unpack_from("<Q", section, at)[0]
-        (length,) = struct.unpack_from("<Q", section, at)
-        jumps = _integers(_uncompressed(section[at + 8 : at + 8 + length], 5 * count + 64), count)
-    except (struct.error, IndexError, ValueError):
-        raise FormatError(path, "damaged: the tree of paths in its binary layer cannot be decoded") from None
-    if not _is_tree(jumps.tolist()):
-        raise FormatError(path, "damaged: the paths in its binary layer are no tree")
 
 
 def _is_tree(jumps: list[int]) -> bool:

@@ -1,0 +1,175 @@
+"""``lumisplat blocks``: captures larger than memory, as a folder of which a view loads what it sees."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.input.loading import block_folder, size_on_disk
+from lumisplat.cli.options.command import Flag, LoadingCommand
+from lumisplat.cli.output.console import Report, byte_size, counted, print_columns, progress_bars
+
+_LEVEL_SHARE = 1.34
+"""Of what is written, that of the finest level is 1, that of each coarser one a quarter of the one before."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blocks(LoadingCommand):
+    """Write captures in blocks of space, so that views load what they see: for captures larger than memory.
+
+    A city, a file a district: lumisplat blocks north.ply south.ply -o city
+
+    With coarser levels for what is far: lumisplat blocks garden.ply --coarser 3 -o garden.blocks
+
+    What three workers would hold and load: lumisplat blocks garden.blocks --plan --cameras transforms.json --workers 3
+
+    A binary .ply is read a piece at a time, whatever its size; other captures are loaded, all of them. The folder is
+    whole or is not there. Rendered like any capture: lumisplat render garden.blocks --cameras transforms.json.
+    """
+
+    files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN...", help_behavior_hint="")]] = ()
+    """Captures as convert takes them, all with harmonics of one degree; or, for --plan, a folder that was made."""
+    output: Annotated[Path | None, arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="")] = None
+    """A new folder."""
+    cell: Annotated[float | None, arg(metavar="LENGTH", help_behavior_hint="(default: as the file needs)")] = None
+    """Edge of the largest cubes that space is cut in, scene units; those with more than half a million Gaussians are
+    cut further."""
+    coarser: Annotated[int, arg(metavar="N")] = 0
+    """Levels of detail beside the finest, each with a quarter of the Gaussians of the one before; making them takes
+    much longer than the rest."""
+    plan: Flag = False
+    """Write nothing: say what workers that share views of a folder hold and load."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Of --plan: the views, in order; a camera file as render takes."""
+    workers: Annotated[int, arg(metavar="N")] = 1
+    """Of --plan: how many share the views, each a run of them."""
+    memory: Annotated[float, arg(metavar="GB")] = 8.0
+    """Of --plan: what each has for Gaussians, as they are on disk; rendering takes about five times that."""
+    lod_pixels: Annotated[float, arg(metavar="PX")] = 0.0
+    """Of --plan: as of render."""
+
+    def run(self) -> None:
+        """Writes the folder, or prints the plan."""
+        if self.plan:
+            self._plan()
+            return
+        output = self._checked_output()
+        with progress_bars() as report:
+            parts = [self._part(path, report) for path in self.files]
+            cell = self.cell or max(_cell(part) for part in parts)
+            self._check_room(output, parts)
+            cutting = partial(report, "cutting")
+            index = ls.write_blocks(output, _pieces(parts), cell, levels=self.coarser, progress=cutting)
+        levels = counted(self.coarser, "coarser level") if self.coarser else "no coarser levels"
+        print(
+            f"{output}: {index.count:,} Gaussians in {counted(len(index.blocks), 'block')}, cubes of {cell:g} and "
+            f"less, {levels}, {byte_size(size_on_disk(output))}"
+        )
+
+    def _checked_output(self) -> Path:
+        """The folder to write.
+
+        Raises:
+            ConfigError: Something is missing, or out of range.
+            FormatError: The folder is there, and not empty.
+        """
+        if not self.files:
+            raise ls.ConfigError("no file given: lumisplat blocks IN.ply -o FOLDER")
+        if self.output is None:
+            raise ls.ConfigError("-o is missing, the folder to write: lumisplat blocks IN.ply -o FOLDER")
+        if self.cameras is not None:
+            raise ls.ConfigError("--cameras is of --plan")
+        if self.cell is not None and not 0.0 < self.cell < math.inf:
+            raise ls.ConfigError(f"--cell is {self.cell:g}, expected the edge of a cube in scene units")
+        if not 0 <= self.coarser <= 16:
+            raise ls.ConfigError(f"--coarser is {self.coarser}, expected 0 to 16")
+        if (self.output / "blocks.json").exists():
+            raise ls.FormatError(self.output, "holds a capture in blocks already: give a new folder")
+        return self.output
+
+    def _part(self, path: Path, report: Report) -> ls.PlyStream | ls.Gaussians:
+        """A capture, which is read later if it can be."""
+        if ls.can_stream(path):
+            return ls.stream_ply(path, drop_invalid=self.drop_invalid, progress=partial(report, f"reading {path.name}"))
+        loaded = self.load_asset(path, report)
+        if not isinstance(loaded, ls.Gaussians):
+            raise ls.FormatError(path, "is not one capture: lumisplat convert makes one of a scene's")
+        return loaded
+
+    def _check_room(self, output: Path, parts: Sequence[ls.PlyStream | ls.Gaussians]) -> None:
+        """Refuses what the disk has no room for.
+
+        Raises:
+            FormatError: There is less.
+        """
+        count = sum(part.count for part in parts)
+        sh_count = max(part.sh_count if isinstance(part, ls.PlyStream) else part.sh.shape[1] for part in parts)
+        needed = 4 * (11 + 3 * sh_count) * count * (_LEVEL_SHARE if self.coarser else 1.0)
+        there = next(path for path in (output, *output.absolute().parents) if path.exists())
+        free = shutil.disk_usage(there).free
+        if needed > free:
+            raise ls.FormatError(output, f"needs {byte_size(needed)}, of which the disk has {byte_size(free)} free")
+
+    def _plan(self) -> None:
+        """Prints a row a worker.
+
+        Raises:
+            ConfigError: Something is missing, or out of range.
+            FormatError: The index or the camera file cannot be read.
+        """
+        folder = block_folder(self.files[0]) if len(self.files) == 1 else None
+        if folder is None:
+            raise ls.ConfigError("--plan is of one folder that lumisplat blocks has made")
+        if self.cameras is None or self.output is not None:
+            raise ls.ConfigError("--plan needs --cameras FILE, the views that workers share, and no -o")
+        if not 0.0 < self.memory < math.inf:
+            raise ls.ConfigError(f"--memory is {self.memory:g}, expected GB above 0")
+        if not 0.0 <= self.lod_pixels < math.inf:
+            raise ls.ConfigError(f"--lod-pixels is {self.lod_pixels:g}, expected 0 or more")
+        index, cameras = ls.open_blocks(folder), ls.load_cameras(self.cameras)
+        plans = ls.plan_views(index, cameras, self.workers, int(1e9 * self.memory), pixels=self.lod_pixels)
+        whole = index.row_bytes * index.count
+        print(
+            f"{folder}: {index.count:,} Gaussians, {counted(len(index.blocks), 'block')}, {byte_size(whole)} (finest)"
+        )
+        rows = [
+            [
+                f"{number}",
+                f"{plan.views.start}-{plan.views.stop - 1}" if plan.views else "none",
+                f"{plan.tiles}",
+                byte_size(plan.held_bytes),
+                byte_size(plan.moved_bytes),
+                f"{plan.too_large}",
+            ]
+            for number, plan in enumerate(plans)
+        ]
+        total = byte_size(sum(plan.moved_bytes for plan in plans))
+        most = byte_size(max(plan.held_bytes for plan in plans))
+        windows, too_large = sum(plan.tiles for plan in plans), sum(plan.too_large for plan in plans)
+        rows.append(["all", f"{len(cameras)}", f"{windows}", most, total, f"{too_large}"])
+        print_columns(["worker", "views", "windows", "held at most", "loaded", "too large"], rows)
+
+
+def _pieces(parts: Sequence[ls.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaussians]:
+    """All captures, a piece at a time."""
+    for part in parts:
+        if isinstance(part, ls.Gaussians):
+            yield part
+        else:
+            yield from part
+
+
+def _cell(part: ls.PlyStream | ls.Gaussians) -> float:
+    """An edge of cubes that suits a capture."""
+    if isinstance(part, ls.PlyStream):
+        return part.cell()
+    low, high = part.bounds()
+    return float((high - low).max()) or 1.0

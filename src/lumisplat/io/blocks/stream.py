@@ -1,0 +1,173 @@
+"""Captures that are read a piece at a time: binary Gaussian PLYs of any size."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.constants.blocks import BLOCK_CELLS, BLOCK_GAUSSIANS_MAX, BLOCK_PIECE, BLOCK_SAMPLE
+from lumisplat.errors import FormatError, MissingFileError
+from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.ply.header import PlyElement, PlyHeader, read_ply_header
+from lumisplat.io.ply.rows import read_ply_rows
+from lumisplat.io.splats.columns import REQUIRED, SplatColumns, gaussians_from_columns, invalid_rows
+from lumisplat.io.splats.compressed_ply import is_compressed_header
+from lumisplat.io.splats.material_columns import FIELDS, material_columns_of
+from lumisplat.io.splats.splat_ply import columns_of_rows, splat_element
+from lumisplat.math.arrays import Doubles
+from lumisplat.scene.gaussians import Gaussians
+
+_log = logging.getLogger("lumisplat")
+
+
+@dataclass(frozen=True)
+class PlyStream:
+    """A binary Gaussian PLY that is read a piece at a time, in the order of the file; made by `stream_ply`.
+
+    What iterating over it gives are `Gaussians`, some 262,144 at once.
+    """
+
+    path: Path
+    count: int
+    """Gaussians in the file."""
+    sh_count: int
+    """Coefficients of harmonics: 1, 4, 9 or 16."""
+    drop_invalid: bool
+    progress: Callable[[float], None] | None
+    _header: PlyHeader
+    _vertex: PlyElement
+
+    def __iter__(self) -> Iterator[Gaussians]:
+        """Reads the file.
+
+        Raises:
+            FormatError: It cannot be read, or has invalid values.
+        """
+        first = dropped = 0
+        why = ""
+        with parsing(self.path, "a PLY file"):
+            for rows in read_ply_rows(self._header, self._vertex, BLOCK_PIECE):
+                columns = columns_of_rows(self._header, self._vertex, self.sh_count, rows)
+                invalid, problems = invalid_rows(columns)
+                if problems:
+                    dropped, why = dropped + int(np.count_nonzero(invalid)), why or problems
+                    if not self.drop_invalid:
+                        self._refuse(problems, first, len(rows))
+                    columns = _subset(columns, ~invalid)
+                if columns.count:
+                    yield gaussians_from_columns(self.path, columns)
+                first += len(rows)
+                if self.progress:
+                    self.progress(first / self.count)
+        if dropped:
+            _log.warning("%s: dropped %s Gaussians: %s", os.fspath(self.path), f"{dropped:,}", why)
+
+    def _refuse(self, problems: str, first: int, count: int) -> None:
+        raise FormatError(
+            self.path,
+            f"{problems}, among Gaussians {first:,} to {first + count - 1:,}; --drop-invalid (drop_invalid=True) drops "
+            "such Gaussians",
+        )
+
+    def cell(self, block_max: int = BLOCK_GAUSSIANS_MAX) -> float:
+        """An edge of cubes for `lumisplat.write_blocks`: few enough cubes for the file, of a sample of its Gaussians.
+
+        Args:
+            block_max: As of `lumisplat.write_blocks`.
+
+        Raises:
+            FormatError: The file cannot be read, or no mean of the sample is finite.
+        """
+        means = self._sample()
+        means = means[np.isfinite(means).all(axis=1)]
+        if not len(means):
+            raise FormatError(self.path, "has no finite position in a sample of its Gaussians")
+        edge = max(float(np.ptp(means, axis=0).max()), 1e-6)
+        edge = 2.0 ** math.ceil(math.log2(edge))
+        most = min(BLOCK_CELLS, 8 + 4 * self.count // block_max)
+        while len(np.unique(np.floor(means / (0.5 * edge)), axis=0)) <= most and edge > 1e-6:
+            edge *= 0.5
+        return edge
+
+    def _sample(self) -> Doubles:
+        """Means from all over the file, shape (M, 3)."""
+        start, _ = self._header.start(self._vertex)
+        with parsing(self.path, "a PLY file"):
+            rows = np.memmap(self.path, self._header.dtype(self._vertex), "r", start, self.count)
+            chosen = rows[:: max(1, self.count // BLOCK_SAMPLE)]
+            return np.stack([chosen[name].astype(np.float64) for name in ("x", "y", "z")], axis=1)
+
+
+def stream_ply(
+    path: PathLike, *, drop_invalid: bool = False, progress: Callable[[float], None] | None = None
+) -> PlyStream:
+    """Opens a Gaussian PLY of any size, for `lumisplat.write_blocks`; memory is for a piece of it.
+
+    Means, rotations, scales, opacities and harmonics are read; a log line says if materials or normals are left out.
+
+    Args:
+        path: A binary .ply, not compressed.
+        drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their
+            number, instead of refusing the file.
+        progress: Called with the fraction read, 0..1.
+
+    Raises:
+        FormatError: The file is no binary capture, lacks a property, or is shorter than its header says.
+        MissingFileError: There is no such file.
+    """
+    path = Path(path)
+    header, vertex, coefficients = _opened(path)
+    left_out = _materials(header, vertex)
+    if left_out:
+        _log.warning("%s: %s left out: blocks have no place for them", os.fspath(path), ", ".join(left_out))
+    return PlyStream(path, vertex.count, coefficients, drop_invalid, progress, header, vertex)
+
+
+def can_stream(path: PathLike) -> bool:
+    """Whether a file is one that `stream_ply` opens; False if it cannot be read."""
+    try:
+        _opened(Path(path))
+    except (OSError, FormatError):
+        return False
+    return True
+
+
+def _opened(path: Path) -> tuple[PlyHeader, PlyElement, int]:
+    if not path.exists():
+        raise MissingFileError(path, "no such file")
+    try:
+        header = read_ply_header(path)
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+    if header.encoding == "ascii" or is_compressed_header(header):
+        kind = "text" if header.encoding == "ascii" else "compressed"
+        raise FormatError(path, f"is {kind}: a binary .ply is streamed, which lumisplat convert writes")
+    vertex, coefficients = splat_element(header)
+    if not vertex.count:
+        raise FormatError(path, "holds zero Gaussians: there is nothing to render")
+    start, _ = header.start(vertex)
+    needed = start + vertex.count * header.dtype(vertex).itemsize
+    if header.file_size < needed:
+        raise FormatError(
+            path,
+            f"truncated: the header promises {vertex.count:,} Gaussians, which take {needed:,} bytes, the file has "
+            f"{header.file_size:,}",
+        )
+    return header, vertex, coefficients
+
+
+def _materials(header: PlyHeader, vertex: PlyElement) -> list[str]:
+    """Materials and light that the file has columns for; INRIA's normals are zeros."""
+    stored = material_columns_of(vertex.names, header.comments).properties
+    names = [name for name in FIELDS[1:] if name in stored and set(stored[name]) <= set(vertex.names)]
+    return names + ["incident light"] * ("incidents_dc_0" in vertex.names)
+
+
+def _subset(columns: SplatColumns, rows: np.ndarray) -> SplatColumns:
+    return replace(columns, **{name: getattr(columns, name)[rows] for name in REQUIRED})

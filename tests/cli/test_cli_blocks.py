@@ -1,0 +1,187 @@
+"""Captures in blocks through the commands: made, shown view by view, planned; and mistakes, one line each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.scenes.raster_scenes import random_gaussians
+
+
+@pytest.fixture
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+    """A folder with a larger capture, some of it in blocks, and three cameras of which one sees no more than a part."""
+    place = Workplace(tmp_path, capsys)
+    capture = random_gaussians(5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0))
+    ls.save(place.path("town.ply"), capture)
+    up = (0.0, -1.0, 0.0)
+    cameras = [
+        ls.Camera.look_at((0.3, 0.2, 0.1), (5.0, 0.0, 3.0), up, width=64, height=48, fov_y=0.9, name="inside"),
+        ls.Camera.look_at((-20.0, -4.0, 0.0), (0.0, 0.0, 0.0), up, width=64, height=48, fov_y=0.1, name="far"),
+        ls.Camera.look_at((0.0, -900.0, 0.0), (0.0, -1000.0, 0.0), (0.0, 0.0, 1.0), width=64, height=48, name="away"),
+    ]
+    ls.save_cameras(place.path("views.json"), cameras)
+    return place
+
+
+def made(work: Workplace, *options: str) -> str:
+    """The capture in blocks."""
+    outcome = work.run("blocks", "@town.ply", "-o", "@town", "--cell", "3", *options)
+    assert outcome.status == 0, outcome.err
+    return outcome.out
+
+
+def pixels(path: Path) -> np.ndarray:
+    """A picture."""
+    return ls.load_image(path)
+
+
+def test_made_and_described(work: Workplace) -> None:
+    """A line says what was written; info reads the index, convert all of it."""
+    line = made(work, "--coarser", "1")
+    index = ls.open_blocks(work.path("town"))
+    count = len(index.blocks)
+    assert f"town: 3,000 Gaussians in {count} blocks, cubes of 3 and less, 1 coarser level" in line
+    outcome = work.run("info", "@town")
+    assert "3,000" in outcome.out and f"{count}" in outcome.out and "coarser" in outcome.out
+    (known,) = json.loads(work.run("info", "@town/blocks.json", "--json").out)
+    assert known["kind"] == "blocks" and known["blocks"] == count > 20
+    assert known["level_gaussians"] == [3000, sum(block.levels[1].count for block in index.blocks)]
+    assert work.run("convert", "@town", "@again.ply").status == 0
+    assert work.capture("again.ply").count == 3000
+
+
+def test_several_files_of_any_kind(work: Workplace) -> None:
+    """Streamed or not, they become one capture."""
+    ls.save(work.path("more.spz"), random_gaussians(6, count=70))
+    outcome = work.run("blocks", "@town.ply", "@more.spz", "-o", "@both")
+    assert outcome.status == 0, outcome.err
+    assert ls.open_blocks(work.path("both")).count == 3070
+
+
+def test_pictures_are_those_of_the_capture(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the bit, by camera files, in tiles and from the front; each view loads what it sees, where that is less."""
+    made(work)
+    loaded: list[int] = []
+    load = ls.load_blocks
+
+    def counting(index: ls.BlockIndex, parts: list[ls.BlockPart]) -> ls.Gaussians:
+        loaded.append(len(parts))
+        return load(index, parts)
+
+    monkeypatch.setattr(ls, "load_blocks", counting)
+    for source, out in (("@town.ply", "whole"), ("@town", "seen")):
+        outcome = work.run("render", source, "--cameras", "@views.json", "-o", f"@{out}", "--device", "cpu")
+        assert outcome.status == 0, outcome.err
+        assert outcome.err == ""
+    for name in ("inside", "far", "away"):
+        np.testing.assert_array_equal(pixels(work.path(f"seen/{name}.png")), pixels(work.path(f"whole/{name}.png")))
+    assert (
+        len(loaded) == 2 and 0 < min(loaded) and max(loaded) < len(ls.open_blocks(work.path("town")).blocks)
+    )  # nothing where nothing is seen
+    for source, out in (("@town.ply", "front"), ("@town", "front_seen")):
+        assert work.run("render", source, "--width", "48", "-o", f"@{out}.png", "--device", "cpu").status == 0
+    np.testing.assert_array_equal(pixels(work.path("front_seen.png")), pixels(work.path("front.png")))
+    outcome = work.run(
+        "render", "@town", "--cameras", "@views.json", "-o", "@tiles", "--tiles", "2x1", "--device", "cpu"
+    )
+    assert outcome.status == 0, outcome.err
+    np.testing.assert_array_equal(pixels(work.path("tiles/inside.png")), pixels(work.path("whole/inside.png")))
+
+
+def test_coarser_where_it_is_far(work: Workplace) -> None:
+    """--lod-pixels takes coarser levels, and an orbit shows the same capture."""
+    made(work, "--coarser", "2")
+    for tolerance, out in (("0", "fine"), ("12", "coarse")):
+        outcome = work.run(
+            "render", "@town", "--cameras", "@views.json", "--frame", "inside", "-o", f"@{out}.png",
+            "--lod-pixels", tolerance, "--device", "cpu",
+        )  # fmt: skip
+        assert outcome.status == 0, outcome.err
+    fine, coarse = pixels(work.path("fine.png")), pixels(work.path("coarse.png"))
+    assert 1e-4 < np.abs(fine - coarse).mean() < 0.1
+    for source, out in (("@town.ply", "a"), ("@town", "b")):
+        outcome = work.run(
+            "orbit", source, "--width", "32", "--seconds", "1", "--fps", "2", "-o", f"@{out}", "--device", "cpu"
+        )
+        assert outcome.status == 0, outcome.err
+    np.testing.assert_array_equal(pixels(work.path("a/frame_0001.png")), pixels(work.path("b/frame_0001.png")))
+
+
+def test_light_needs_all_of_it(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Other pipelines and scenes of several things load the whole capture, and say so."""
+    made(work)
+    outcome = work.run(
+        "render", "@town", "--pipeline", "trace", "--cameras", "@views.json", "--frame", "far", "-o", "@a.png",
+        "--width", "16", "--device", "cpu",
+    )  # fmt: skip
+    assert outcome.status == 0
+    assert "town: all of it is loaded, for --pipeline trace: only unlit, rasterised pictures" in caplog.text
+    outcome = work.run("render", "@town", "@mesh.obj", "-o", "@b.png", "--width", "16", "--device", "cpu")
+    assert "all of it is loaded, for other files of the scene" in caplog.text
+
+
+def test_what_workers_hold(work: Workplace) -> None:
+    """A row a worker, and their sum, of the plan of the library."""
+    made(work)
+    outcome = work.run("blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "2", "--memory", "0.00006")
+    assert outcome.status == 0, outcome.err
+    index, cameras = ls.open_blocks(work.path("town")), ls.load_cameras(work.path("views.json"))
+    plans = ls.plan_views(index, cameras, 2, 60_000)
+    lines = outcome.out.splitlines()
+    assert lines[0].endswith(
+        f"town: 3,000 Gaussians, {len(index.blocks)} blocks, {index.row_bytes * 3:.1f} kB (finest)"
+    )
+    rows = [line.split() for line in lines[2:]]
+    assert rows[0][:3] == ["0", "0-0", str(plans[0].tiles)] and rows[1][:3] == ["1", "1-2", str(plans[1].tiles)]
+    assert rows[0][3] == f"{plans[0].held_bytes / 1e3:.1f}"
+    assert rows[2][:2] == ["all", "3"] and rows[2][5] == f"{sum(plan.moved_bytes for plan in plans) / 1e3:.1f}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["blocks"], "no file given: lumisplat blocks IN.ply -o FOLDER"),
+        (["blocks", "@town.ply"], "-o is missing"),
+        (["blocks", "@town.ply", "-o", "@a", "--cell", "0"], "--cell is 0, expected the edge of a cube"),
+        (["blocks", "@town.ply", "-o", "@a", "--coarser", "-1"], "--coarser is -1, expected 0 to 16"),
+        (["blocks", "@mesh.obj", "-o", "@a"], "is not one capture"),
+        (["blocks", "@none.ply", "-o", "@a"], "no such file"),
+        (["blocks", "@town.ply", "@flat.ply", "-o", "@a"], "differ in the degree of their harmonics"),
+        (["blocks", "@town.ply", "-o", "@town.ply"], "is a file, expected a folder"),
+        (["blocks", "@town.ply", "-o", "@."], "holds other files ("),
+        (["blocks", "@town.ply", "--plan"], "--plan is of one folder"),
+        (["blocks", "@town", "--plan"], "--plan needs --cameras FILE"),
+        (["blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "0"], "workers is 0"),
+        (["blocks", "@town", "--plan", "--cameras", "@views.json", "--memory", "0"], "--memory is 0"),
+        (["blocks", "@town.ply", "-o", "@town"], "holds a capture in blocks already"),
+        (["render", "@town.ply", "--lod-pixels", "1", "-o", "@a.png"], "--lod-pixels is of captures in blocks"),
+        (["render", "@town", "--lod-pixels", "-1", "-o", "@a.png"], "--lod-pixels is -1, expected 0 or more"),
+        (["render", "@town", "--lod-pixels", "1", "--deep", "-o", "@a.exr"], "--lod-pixels and --deep do not go"),
+    ],
+)  # fmt: skip
+def test_mistakes(work: Workplace, arguments: list[str], message: str) -> None:
+    """One line, status 2, and nothing is left."""
+    made(work)
+    ls.save(work.path("flat.ply"), random_gaussians(1, count=20, degree=2))
+    before = work.files()
+    outcome = work.run(*arguments)
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+    assert message in outcome.err
+    assert work.files() == before
+
+
+def test_a_disk_without_room(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Said before anything is written."""
+    from collections import namedtuple
+
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage(10, 9, 1))
+    outcome = work.run("blocks", "@town.ply", "-o", "@a")
+    assert outcome.status == 2 and "of which the disk has 1 B free" in outcome.err
+    assert not work.path("a").exists()

@@ -1,0 +1,201 @@
+"""PLYs that are read a piece at a time: what `load` reads, and one line for what cannot be."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.blocks import stream, writing
+from support.scenes.raster_scenes import random_gaussians
+
+
+def written(path: Path, count: int = 500, degree: int = 1) -> ls.Gaussians:
+    """A capture and its file."""
+    capture = random_gaussians(3, count=count, degree=degree)
+    ls.save(path, capture)
+    return capture
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+@pytest.mark.parametrize("piece", [64, 10**6])
+def test_pieces_are_what_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, degree: int, piece: int) -> None:
+    """To the bit, in the order of the file, with the progress."""
+    monkeypatch.setattr(stream, "BLOCK_PIECE", piece)
+    written(tmp_path / "a.ply", degree=degree)
+    told: list[float] = []
+    opened = ls.stream_ply(tmp_path / "a.ply", progress=told.append)
+    pieces = list(opened)
+    assert len(pieces) == max(1, -(-500 // piece)) and told[-1] == 1.0 and told == sorted(told)
+    assert (opened.count, opened.sh_count) == (500, (degree + 1) ** 2)
+    whole = ls.load(tmp_path / "a.ply")
+    assert isinstance(whole, ls.Gaussians)
+    for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
+        joined = np.concatenate([getattr(one, name) for one in pieces])
+        np.testing.assert_array_equal(joined, getattr(whole, name), name)
+
+
+def test_2d_gaussians_become_flat_ones(tmp_path: Path) -> None:
+    """As `load` makes them."""
+    capture = written(tmp_path / "a.ply", 20, 0)
+    names = [
+        "x",
+        "y",
+        "z",
+        "f_dc_0",
+        "f_dc_1",
+        "f_dc_2",
+        "opacity",
+        "scale_0",
+        "scale_1",
+        "rot_0",
+        "rot_1",
+        "rot_2",
+        "rot_3",
+    ]
+    rows = np.random.default_rng(1).normal(size=(capture.count, len(names))).astype("<f4")
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {capture.count}\n"
+    head += "".join(f"property float {name}\n" for name in names) + "end_header\n"
+    (tmp_path / "flat.ply").write_bytes(head.encode() + rows.tobytes())
+    (piece,) = ls.stream_ply(tmp_path / "flat.ply")
+    loaded = ls.load(tmp_path / "flat.ply")
+    assert isinstance(loaded, ls.Gaussians)
+    np.testing.assert_array_equal(piece.scales, loaded.scales)
+
+
+def test_invalid_gaussians(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """Refused with the rows in which they are, or left out and counted once; a piece may have no others."""
+    monkeypatch.setattr(stream, "BLOCK_PIECE", 100)
+    written(tmp_path / "a.ply", 500, 0)
+    data = bytearray((tmp_path / "a.ply").read_bytes())
+    width = (len(data) - data.index(b"end_header\n") - 11) // 500
+    start = len(data) - 500 * width
+    for row in [7, *range(200, 300)]:
+        data[start + row * width : start + row * width + 4] = np.float32(np.nan).tobytes()
+    (tmp_path / "a.ply").write_bytes(data)
+    with pytest.raises(ls.FormatError, match=r"1 NaN or infinite values in x, among Gaussians 0 to 99; --drop-invalid"):
+        list(ls.stream_ply(tmp_path / "a.ply"))
+    with caplog.at_level(logging.WARNING):
+        pieces = list(ls.stream_ply(tmp_path / "a.ply", drop_invalid=True))
+    assert [one.count for one in pieces] == [99, 100, 100, 100]
+    assert [record.getMessage().partition(": ")[2] for record in caplog.records] == [
+        "dropped 101 Gaussians: 1 NaN or infinite values in x"
+    ]
+
+
+def test_what_is_not_streamed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One line each; materials are left out with one."""
+    capture = written(tmp_path / "a.ply", 50, 0)
+    data = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "cut.ply").write_bytes(data[:-1])
+    (tmp_path / "text.ply").write_bytes(data.replace(b"binary_little_endian", b"ascii"))
+    ls.save(tmp_path / "small.compressed.ply", capture)
+    (tmp_path / "points.ply").write_bytes(
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nend_header\n\0\0\0\0"
+    )
+    for name, message in (
+        ("cut.ply", "truncated: the header promises 50 Gaussians"),
+        ("text.ply", "is text: a binary .ply is streamed"),
+        ("small.compressed.ply", "is compressed: a binary .ply"),
+        ("points.ply", "a point cloud, not a Gaussian capture"),
+        ("none.ply", "no such file"),
+    ):
+        assert not ls.can_stream(tmp_path / name)
+        with pytest.raises(ls.FormatError, match=message):
+            ls.stream_ply(tmp_path / name)
+    shiny = replace(capture, roughness=np.full(50, 0.5, np.float32))
+    ls.save(tmp_path / "shiny.ply", shiny)
+    ls.stream_ply(tmp_path / "shiny.ply")
+    assert "roughness left out: blocks have no place for them" in caplog.text
+
+
+def test_cells_suit_the_capture(tmp_path: Path) -> None:
+    """Few enough cubes, however far away some Gaussians are, and small enough ones that most need not be cut again."""
+    for far in (1.0, 1000.0):
+        rng = np.random.default_rng(5)
+        means = rng.uniform(-4.0, 4.0, (20_000, 3))
+        means[:400] *= far
+        one = random_gaussians(1, count=20_000, degree=0)
+        ls.save(tmp_path / "a.ply", replace(one, means=means.astype(np.float32)))
+        opened = ls.stream_ply(tmp_path / "a.ply")
+        cell = opened.cell(block_max=1000)
+        cubes = len(np.unique(np.floor(means / cell), axis=0))
+        assert cubes <= 8 + 4 * 20
+        assert (cell <= 4.0) == (far == 1.0)
+
+
+def test_too_many_cubes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrong edge would make a file of each Gaussian; what was written is gone."""
+    monkeypatch.setattr(writing, "BLOCK_CELLS_MAX", 50)
+    with pytest.raises(
+        ls.ConfigError, match=r"cell is 0\.01, of which the capture would fill more than 50 cubes: give a larger"
+    ):
+        ls.write_blocks(tmp_path / "a", [random_gaussians(1, count=100)], 0.01)
+    assert not (tmp_path / "a").exists()
+
+
+def test_folders_of_others_stay(tmp_path: Path) -> None:
+    """A folder with anything else in it is refused, and keeps it; another kernel is, too."""
+    capture = random_gaussians(1, count=100)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ls.FormatError, match=r"holds other files \(notes.txt\): give a new folder"):
+        ls.write_blocks(tmp_path, [capture], 1.0)
+    assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
+    with pytest.raises(ls.SceneError, match="kernel degree 4: blocks are rasterised"):
+        ls.write_blocks(tmp_path / "a", [replace(capture, kernel_degree=4)], 1.0)
+    with pytest.raises(ls.FormatError, match="is a file, expected a folder"):
+        ls.write_blocks(tmp_path / "notes.txt", [capture], 1.0)
+
+
+def test_loaded_whole_and_in_part(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """`load` takes the folder or its index, at a level or within a number; a thinned one has rows from everywhere."""
+    capture = random_gaussians(2, count=2000, degree=0, extent=(8.0, 2.0, 8.0))
+    index = ls.write_blocks(tmp_path / "a", [capture], 4.0, levels=2, block_max=400)
+    whole = ls.load(tmp_path / "a")
+    assert isinstance(whole, ls.Gaussians) and whole.count == 2000
+    coarse = ls.load(tmp_path / "a" / "blocks.json", lod=1)
+    assert isinstance(coarse, ls.Gaussians) and coarse.count == sum(block.levels[1].count for block in index.blocks)
+    fitting = ls.load(tmp_path / "a", budget=coarse.count)
+    assert isinstance(fitting, ls.Gaussians) and fitting.count == coarse.count
+    least = ls.load(tmp_path / "a", budget=1)
+    assert isinstance(least, ls.Gaussians) and least.count > 1 and "more than asked for" in caplog.text
+    with pytest.raises(ls.FormatError, match="has no level 3: there are 3"):
+        ls.load(tmp_path / "a", lod=3)
+    some = ls.thin_blocks(index, 100)
+    assert some.count == 100
+    np.testing.assert_array_equal(some.means, whole.means[::20])
+
+
+_MEMORY = """
+import sys, resource, lumisplat as ls
+from lumisplat.io.blocks import stream, writing, rows
+stream.BLOCK_PIECE = rows.BLOCK_PIECE = 2**14
+opened = ls.stream_ply(sys.argv[1])
+next(iter(opened))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+ls.write_blocks(sys.argv[2], opened, 16.0)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory in kB as Linux says it")
+def test_memory_is_for_a_piece(tmp_path: Path) -> None:
+    """A million Gaussians, 60 MB, are cut in memory for a few pieces of 16,384, beside what the first piece took."""
+    one = random_gaussians(1, count=2**16, degree=0, extent=(50.0, 5.0, 50.0))
+    ls.save(tmp_path / "one.ply", one)
+    data = (tmp_path / "one.ply").read_bytes()
+    end = data.index(b"end_header\n") + 11
+    with (tmp_path / "a.ply").open("wb") as file:
+        file.write(data[:end].replace(b"vertex 65536", b"vertex 1048576"))
+        for _ in range(16):
+            file.write(data[end:])
+    command = [sys.executable, "-c", _MEMORY, str(tmp_path / "a.ply"), str(tmp_path / "out")]
+    grown = int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    assert grown < 20e6
+    assert ls.open_blocks(tmp_path / "out").count == 2**20
