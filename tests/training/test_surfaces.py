@@ -11,7 +11,7 @@ import warp as wp
 from bench import known_surfaces
 
 import lumisplat as ls
-from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_VARIANCE_MIN
+from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_SPREAD, SURFACE_VARIANCE_MIN
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.training.learnt import Learnt
 from lumisplat.training.trainer import Trainer
@@ -93,7 +93,7 @@ class Sums(Loss):
 
 
 def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
-    """The terms once more, float64: equation 13 of Huang et al. 2024, two of Gao et al. 2024.
+    """The terms once more, float64: equation 13 of Huang et al. 2024, two like those of Gao et al. 2024.
 
     Args:
         p: The Gaussians.
@@ -108,7 +108,8 @@ def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
     has = alpha > SURFACE_ALPHA
     mean = sums[..., 0] / np.where(has, alpha, 1.0)
     variance = np.maximum(sums[..., 1] / np.where(has, alpha, 1.0) - mean**2, SURFACE_VARIANCE_MIN)
-    total = one.config.depth_spread * (weight * np.sqrt(variance))[has].sum()
+    spread = SURFACE_SPREAD * -np.expm1(-np.sqrt(variance) / SURFACE_SPREAD)
+    total = one.config.depth_spread * (weight * spread)[has].sum()
     z = one.around.distance + one.around.extent * mean
     x, y = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     points = z[..., None] * np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)

@@ -35,6 +35,10 @@ SURFACE_ALPHA = 0.5
 SURFACE_VARIANCE_MIN = 1e-6
 """Variance of depth, extents^2, below which a surface is thin enough. Gao et al. 2024, code."""
 
+SURFACE_SPREAD = 0.1
+"""Standard deviation of depth, extents, beyond which it counts by ever less: what is farther apart is fog in which no
+surface is yet to be seen, and a film close to the cameras would be the thinnest of all (decision 0071)."""
+
 SURFACES_AFTER = 0.23
 """Share of the steps after which normals and depths count. 7,000 of 30,000, Huang et al. 2024, code."""
 

@@ -8,7 +8,7 @@ docs/method/training.md#surfaces.
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_VARIANCE_MIN
+from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_SPREAD, SURFACE_VARIANCE_MIN
 from lumisplat.device.film.counted import share_of
 from lumisplat.device.gaussian.splat_coverage import is_listed
 from lumisplat.device.structs.camera import CameraData
@@ -21,6 +21,7 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLA
 
 OPAQUE = wp.constant(wp.float32(SURFACE_ALPHA))
 VARIANCE_MIN = wp.constant(wp.float32(SURFACE_VARIANCE_MIN))
+SPREAD = wp.constant(wp.float32(SURFACE_SPREAD))
 AREA_MIN = wp.constant(wp.float32(1e-30))
 """Length of a cross product below which it has no direction."""
 
@@ -123,9 +124,10 @@ def compare(
         mean = sums[i, 0] / a
         variance = sums[i, 1] / a - mean * mean
         spread = wp.sqrt(wp.max(variance, VARIANCE_MIN))
-        found[1] = share * terms.depth * spread
+        thick = wp.exp(-spread / SPREAD)
+        found[1] = share * terms.depth * SPREAD * (1.0 - thick)
         if variance > VARIANCE_MIN:
-            slope = share * terms.depth / (2.0 * spread * a)
+            slope = share * terms.depth * thick / (2.0 * spread * a)
             by_square = slope
             by_depth = -2.0 * mean * slope
             by_alpha = slope * (2.0 * mean * mean - sums[i, 1] / a)
