@@ -99,7 +99,8 @@ class TrainConfig:
     """Weight of 1 less the cosine between normals of Gaussians and of the depth of their frame, 0..1000: makes them lie
     on surfaces (2DGS)."""
     depth_spread: float = 0.0
-    """Weight of the standard deviation of depth along rays, in extents, 0..1000: makes surfaces thin (R3DG)."""
+    """Weight of the standard deviation of depth along rays, in extents, 0..1000: makes surfaces thin (R3DG); one beyond
+    0.1 counts by ever less, for it is of fog without a surface."""
     normal_smoothness: float = 0.0
     """Weight of the differences between normals of neighbouring pixels, where the photograph has no edge, 0..1000
     (R3DG, there 0.01)."""

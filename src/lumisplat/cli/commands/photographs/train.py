@@ -77,7 +77,7 @@ class Train(DeviceCommand):
     relightable: Flag = False
     """Then find albedo, roughness and normals of the Gaussians, and the sky, which is written as
     NAME.environment.exr (docs/guide/relightable.md). Unless one of them is given, --flatness is 0.3,
-    --normals 0.05 and --depth-spread 0.3; give --flatness 0 where cameras are inside of a room."""
+    --normals 0.05 and --depth-spread 0.3; with --flatness 0 alone, none of them counts."""
     material_steps: Annotated[int, arg(metavar="N")] = 300
     """Steps of --relightable that refine materials by a photograph each."""
     flatness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
