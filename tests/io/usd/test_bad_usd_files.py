@@ -46,6 +46,16 @@ def test_truncated(tmp_path: Path, extension: str, fraction: float) -> None:
     refused(path)
 
 
+def test_reasons_name_the_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the library says of a file by its whole path is of the file; that it cannot be opened is no reason."""
+    usd_core()
+    monkeypatch.chdir(tmp_path)
+    for name, content in {"a.usda": "#usda 1.0\ndef Mesh (", "a.usdc": "no crate at all", "a.usdz": "no zip"}.items():
+        Path(name).write_text(content)
+        message = refused(Path(name))
+        assert str(tmp_path) not in message and "@" not in message and "layer it" not in message, message
+
+
 def mutated(data: bytes, chance: random.Random, is_text: bool) -> bytes:
     """The file with bytes or words changed, cut out, or cut off."""
     changed, at = bytearray(data), chance.randrange(len(data) - 8)

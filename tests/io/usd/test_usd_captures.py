@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import logging
+import os
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
+from lumisplat.io.usd.writing import package
 from lumisplat.math.rotations import matrices_from_quaternions
 from support.files.splat_files import capture, load_gaussians
 from support.files.usd_files import EXTENSIONS, field, usd_core, validation_messages, write_usda
@@ -280,6 +284,33 @@ def test_hidden_fields_and_guides_are_not_shown(tmp_path: Path) -> None:
         tmp_path / "a.usda", "\n".join([hidden, guide, field(name="c", place=nothing), field(count=3, name="d")])
     )
     assert load_gaussians(path).count == 3
+
+
+@pytest.mark.parametrize("left", [0, 4000])
+def test_packages_that_the_disk_has_no_room_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: int) -> None:
+    """The library says that it has saved what a full disk cut off; the file of before is still there."""
+    usd_core()
+    path = tmp_path / "a.usdz"
+    ls.save(path, capture(3))
+    before, true = path.read_bytes(), package.pxr()
+
+    class FullDisk:
+        def __init__(self, text: str) -> None:
+            self.text, self.writer = text, true.Sdf.ZipFileWriter.CreateNew(text)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self.writer, name)
+
+        def Save(self) -> bool:
+            saved = self.writer.Save()
+            os.truncate(self.text, left)
+            return saved
+
+    full = SimpleNamespace(Sdf=SimpleNamespace(ZipFileWriter=SimpleNamespace(CreateNew=FullDisk)))
+    monkeypatch.setattr(package, "pxr", lambda: full)
+    with pytest.raises(FormatError, match=r"a\.usdz: cannot be written: is the disk full\?"):
+        ls.save(path, capture(40))
+    assert path.read_bytes() == before
 
 
 @pytest.mark.data

@@ -78,7 +78,9 @@ def _reason(error: Exception, path: PathLike) -> str:
     """What the library says about an error, in a line, after a colon; without the places in its own source."""
     first: object = error.args[0] if error.args else ""
     said = " ".join(str(getattr(first, "commentary", first)).split())
-    said = _INTERNAL.sub("", said.replace(os.fspath(path), "it"))
+    for name in (os.path.abspath(path), os.fspath(path)):
+        said = said.replace(name, "it")
+    said = _INTERNAL.sub("", said).replace("Failed to open layer @it@", "")
     at = re.match(r"it:(\d+):\d+: (.*)", said)
     if at:
         does_not_parse = at[2].startswith("parse error")

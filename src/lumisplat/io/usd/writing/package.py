@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import zipfile
 from pathlib import Path
 
 from lumisplat.constants.usd import USD_PACKAGE_BYTES_MAX
@@ -48,8 +49,17 @@ def _write_package(writer: StageWriter) -> None:
             package = pxr().Sdf.ZipFileWriter.CreateNew(text)
             for file, name in files.items():  # the first one is what a package shows
                 package.AddFile(os.fspath(file), name)
-            if not package.Save():
+            if not package.Save() or not _is_whole(temporary, len(files)):
                 raise FormatError(path, "cannot be written: is the disk full?")
+
+
+def _is_whole(package: Path, count: int) -> bool:
+    """Whether all of a package is on the disk: the library says that it saved what a full one did not take."""
+    try:
+        with zipfile.ZipFile(package) as written:
+            return len(written.infolist()) == count and written.testzip() is None
+    except zipfile.BadZipFile:
+        return False
 
 
 def _export(writer: StageWriter, file: Path) -> None:
