@@ -71,6 +71,7 @@ LAYERS = (
     "relighting",
     "relighting.fitting",
     "relighting.evaluation",
+    "relighting.captured_light",
     "relighting.delight",
     "baking",
     "dataset",

@@ -80,6 +80,20 @@ def test_what_does_not_show_is_no_lamp() -> None:
     assert (lamps_of(clear, is_white(clear, normals)) == -1).all()
 
 
+def test_a_sun_is_found_where_it_stands() -> None:
+    """Cells that shine most are divided: a ball in the sun loses its shade, by a sky whose brightest cell is there."""
+    plain = ls.gaussians_from_mesh(ls.sphere(1.0), 400)
+    albedo = np.where(np.sin(6.0 * plain.means[:, 1]) > 0.0, 0.8, 0.4)
+    sun = np.array((0.3, 0.8, 0.52)) / np.linalg.norm((0.3, 0.8, 0.52))  # beside the middle of any of 16 cells
+    light = 0.25 + 0.7 * np.maximum(np.asarray(plain.normals, np.float64) @ sun, 0.0)
+    sh = (encode_srgb(albedo * light) - 0.5)[:, None, None] / SH_C0 * np.ones(3)
+    captured = replace(plain, sh=sh.astype(np.float32), albedo=None, roughness=None, normals=None)
+    found = ls.estimate_materials(captured, ls.DelightConfig(cells=4, matt=True), device="cpu")
+    brightest = found.cells.directions[found.sky.mean(axis=1).argmax()]
+    assert np.degrees(np.arccos(brightest @ sun)) < 10.0
+    assert np.log(np.asarray(found.gaussians.albedo).mean(axis=1) / albedo).std() < 0.1
+
+
 def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
     """0.8 at the 95th percentile of the lightest channel, whatever else shines on them; the sky keeps its colours."""
     rng = np.random.default_rng(1)

@@ -41,7 +41,8 @@ class MaterialEstimate:
     is_inside: bool
     """Whether the capture was taken from inside of it, as that of a room is."""
     out_of_range: Flags
-    """Gaussians whose albedo would be above 1, and is 1: more light reached them than was found; shape (N,)."""
+    """Gaussians whose albedo would be above 1 in a channel: more light reached them than was found. They are darkened
+    in all channels by one factor, to 1 in the lightest, so that they keep their hue; shape (N,)."""
     is_white: Flags
     """Gaussians, but for lamps, that may have been brighter than could be captured: their albedo is a guess; (N,)."""
     is_too_dark: Flags
@@ -95,7 +96,9 @@ class MaterialEstimate:
         else:
             lines.append("roughness is 0.8 everywhere: colours do not change with the view, or lamps are in it")
         if (share := float(self.out_of_range.mean())) > TOO_LIGHT:
-            lines.append(f"{share:.1%} of the Gaussians would reflect more than all light, and have albedo 1")
+            lines.append(
+                f"{share:.1%} of the Gaussians would reflect more than all light: albedo ends at 1, in the same hue"
+            )
         if (share := float(self.is_white.mean())) > TOO_LIGHT:
             lines.append(f"{share:.1%} of the Gaussians are as bright as display white: their albedo is a guess")
         if (share := float(self.is_too_dark.mean())) > TOO_LIGHT:
