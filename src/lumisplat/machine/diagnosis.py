@@ -9,7 +9,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -22,6 +22,7 @@ from lumisplat.errors import LumisplatError
 from lumisplat.machine import trial_kernels
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher, usable_cores
+from lumisplat.runtime.start import start_warp
 
 _DISTRIBUTION = "lumisplat"
 _FOR_DEVELOPERS = ("dev", "docs", "bench")
@@ -133,7 +134,9 @@ def diagnose() -> Diagnosis:
     Returns:
         What was found. Nothing of it is raised.
     """
-    devices = tuple(_tried(device) for device in wp.get_devices())
+    cache = _cache()
+    with _room_for_kernels(cache):
+        devices = tuple(_tried(device) for device in wp.get_devices())
     return Diagnosis(
         version=metadata.version(_DISTRIBUTION),
         python=f"{platform.python_version()}, {sys.executable}",
@@ -141,10 +144,26 @@ def diagnose() -> Diagnosis:
         cores=usable_cores(),
         packages=_packages(extra=""),
         devices=devices,
-        cache=_cache(),
+        cache=cache,
         extras=tuple(ExtraFacts(name, _packages(name)) for name in _extras() if name not in _FOR_DEVELOPERS),
         remarks=tuple(_remarks(devices)),
     )
+
+
+@contextlib.contextmanager
+def _room_for_kernels(cache: CacheFacts) -> Generator[None]:
+    """Where the cache cannot hold kernels, a folder that goes afterwards does: devices are tried all the same."""
+    if cache.problem is None:
+        yield
+        return
+    before = wp.config.kernel_cache_dir
+    with tempfile.TemporaryDirectory() as folder:
+        wp.config.kernel_cache_dir = folder
+        try:
+            start_warp()
+            yield
+        finally:
+            wp.config.kernel_cache_dir = before
 
 
 def _tried(device: Any) -> DeviceFacts:
@@ -188,11 +207,11 @@ def _trial(device: Any) -> str | None:
 
 def _cache() -> CacheFacts:
     """Where compiled kernels are kept, and whether more can be."""
-    wp.init()
-    folder = Path(wp.config.kernel_cache_dir or "")
     advice = "set the environment variable WARP_CACHE_PATH to another folder"
-    problem = None
+    folder, problem, free = Path(wp.config.kernel_cache_dir or ""), None, 0
     try:
+        start_warp()
+        folder = Path(wp.config.kernel_cache_dir or "")
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
@@ -200,7 +219,8 @@ def _cache() -> CacheFacts:
         if free < _FREE_BYTES_MIN:
             problem = f"{folder}: {free / 2**20:.0f} MiB are free for compiled kernels, expected 512: {advice}"
     except OSError as error:
-        free, problem = 0, f"{folder}: compiled kernels cannot be kept here ({error.strerror}): {advice}"
+        folder = folder if folder.is_dir() else Path(error.filename or folder)
+        problem = f"{folder}: compiled kernels cannot be kept here ({error.strerror}): {advice}"
     used = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
     return CacheFacts(folder, used, free, problem)
 

@@ -22,6 +22,7 @@ import warp as wp
 
 from lumisplat.errors import ConfigError, DeviceError, StoppedError
 from lumisplat.runtime.kernel_cache import KernelModule, load_module, warp_module_of
+from lumisplat.runtime.start import start_warp
 
 _log = logging.getLogger("lumisplat")
 
@@ -58,6 +59,7 @@ def resolve_device(name: str = "auto") -> str:
     Raises:
         DeviceError: There is no such device; the message lists the available ones.
     """
+    start_warp()
     available = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
     if name == "auto":
         return available[1] if len(available) > 1 else "cpu"

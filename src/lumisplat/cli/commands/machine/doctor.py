@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,8 @@ class Doctor(Command):
             DeviceError: Something has to be mended.
         """
         if not self.debug:
-            quiet_warp()
+            with suppress(ls.DeviceError):  # a cache that cannot be made is among what is found
+                quiet_warp()
         found = ls.diagnose()
         if self.json:
             print(json.dumps(asdict(found) | {"problems": found.problems}, indent=2, default=str))

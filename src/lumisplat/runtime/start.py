@@ -1,0 +1,28 @@
+"""Warp's start, without a warning that there is no CUDA driver."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+
+import warp as wp
+
+
+@cache
+def start_warp() -> None:
+    """Starts Warp, once.
+
+    Where there is no CUDA driver, its native code says so on file descriptor 2, whatever the level of its log. A CPU
+    is no mistake, and standard error is the program's own.
+
+    Raises:
+        OSError: The folder of compiled kernels cannot be made. The next call tries again.
+    """
+    saved = os.dup(2)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        wp.init()
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
