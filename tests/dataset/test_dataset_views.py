@@ -259,3 +259,15 @@ def test_the_block_is_where_it_is_said_to_be() -> None:
     """The formula of free space is of the scene."""
     low, high = block_scene().meshes[1].bounds()
     np.testing.assert_allclose([low, high], [BLOCK_LOW, BLOCK_HIGH], atol=1e-6)
+
+
+def test_the_box_of_a_capture_holds_all_but_its_strays() -> None:
+    """999 of 1,000 Gaussians are in a cube, one is far away: a box may miss 1 % of the cube's side at each end."""
+    captured = random_gaussians(5, count=1000)
+    means = np.random.default_rng(2).uniform(-1.0, 1.0, (1000, 3)).astype(np.float32)
+    means[0] = 50.0
+    cube = replace(captured, means=means, opacities=np.full(1000, 0.5, np.float32))
+    views = ls.DatasetViews(ls.Scene([cube]), small_config(), device="cpu")
+    (thing,) = views.view(0).things
+    np.testing.assert_allclose(thing.low, -1.0, atol=0.02)
+    np.testing.assert_allclose(thing.high, 1.0, atol=0.02)

@@ -282,7 +282,7 @@ def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFi
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         stage = lighter(scene, None)
     assert stage.lights == (LIGHT,)
-    assert "2 splat sets take their shadows from the renderer's rays" in caplog.text
+    assert "2 of 3 captures reflect light: their shadows are from the renderer's rays" in caplog.text
     frame = stage.light([puppet()])
     assert frame.lights == scene.lights
     shiny = replace(puppet(), material=ls.MaterialPbr())

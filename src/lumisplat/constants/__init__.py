@@ -659,6 +659,8 @@ FRAMING_FARTHEST = 1e17
 BULK_TAIL = 0.02
 """Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold
 an object above the ground."""
+BOX_TAIL = 0.002
+"""The same of the box of a capture in a data set, which is to hold what is seen of it, and not its strays."""
 
 # --- Limits of 32-bit indices ---
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import BOX_TAIL
 from lumisplat.dataset.objects import Asset, Placed
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.scene import Scene, SplatInstance, bulk_extent
@@ -129,7 +130,7 @@ def id_images(
 def _capture_box(splat: SplatInstance) -> tuple[Doubles, Doubles]:
     """The box of a capture in its own coordinates, without stray Gaussians."""
     gaussians = splat.gaussians
-    ends = [bulk_extent(axis, gaussians.opacities) for axis in gaussians.means.T.astype(np.float64)]
+    ends = [bulk_extent(axis, gaussians.opacities, BOX_TAIL) for axis in gaussians.means.T.astype(np.float64)]
     low, high = np.array(ends).T
     return low, high
 

@@ -282,7 +282,11 @@ def _receivers(scene: Scene, is_lit: bool) -> list[int]:
     rows = [row for row, instance in enumerate(scene.splats) if not is_lit or emits_capture_only(instance)]
     others = len(scene.splats) - len(rows)
     if others:
-        _log.warning("%d splat sets take their shadows from the renderer's rays, and none from shadow maps", others)
+        _log.warning(
+            "%d of %d captures reflect light: their shadows are from the renderer's rays, and none from shadow maps",
+            others,
+            len(scene.splats),
+        )
     return rows
 
 

@@ -233,14 +233,14 @@ def _bulk(instance: SplatInstance) -> Bounds:
     return low.copy(), high.copy()
 
 
-def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray) -> tuple[float, float]:
-    """The heights between which all but `BULK_TAIL` of the weight at each end lies, from two arrays of shape (N,)."""
+def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray, tail: float = BULK_TAIL) -> tuple[float, float]:
+    """The heights between which all but ``tail`` of the weight at each end lies, from two arrays of shape (N,)."""
     low = float(heights.min())
     extent = float(heights.max()) - low
     # Only what is in the bin of an end has to be sorted, of millions that are not.
     bins = ((heights - low) / (extent or 1.0) * (_BINS - 1)).astype(np.int32)
     share = np.cumsum(np.bincount(bins, weights, _BINS), dtype=np.float64)
-    first, last = (_height_at(heights, weights, bins, share, end * share[-1]) for end in (BULK_TAIL, 1.0 - BULK_TAIL))
+    first, last = (_height_at(heights, weights, bins, share, end * share[-1]) for end in (tail, 1.0 - tail))
     return first, last
 
 

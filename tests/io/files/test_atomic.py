@@ -30,6 +30,14 @@ def test_success_renames(tmp_path: Path) -> None:
     assert list(target.parent.iterdir()) == [target]
 
 
+def test_errors_without_a_number_are_of_the_disk(tmp_path: Path) -> None:
+    """As NumPy's of an array that a full disk cuts off."""
+    message = "cannot be written: 400 requested and 16 written: is the disk full"
+    with pytest.raises(FormatError, match=message), atomic_write(tmp_path / "a.npy"):
+        raise OSError("400 requested and 16 written")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.skipif(os.name != "posix", reason="elsewhere folders have no descriptors")
 def test_the_disk_has_a_file_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And the folder after: a power cut leaves the file of before, or that of now."""

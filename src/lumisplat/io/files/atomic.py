@@ -55,7 +55,8 @@ def atomic_write(path: PathLike) -> Generator[Path]:
             os.replace(temporary, target)
         _sync_folder(target.parent)
     except OSError as error:
-        raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
+        reason = error.strerror or f"{error}: is the disk full?"  # NumPy's own has no number
+        raise FormatError(path, f"cannot be written: {reason}") from None
 
 
 def check_can_be_written(path: PathLike) -> None:
