@@ -161,6 +161,7 @@ if TYPE_CHECKING:
     from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
     from lumisplat.training.held_out import HeldOutScore
     from lumisplat.training.materials.find_materials import FoundMaterials, find_materials
+    from lumisplat.training.run_folder import forget_training
     from lumisplat.training.train import TrainResult, train
     from lumisplat.training.trainer import DivergedError
     from lumisplat.viewer.view import view
@@ -314,6 +315,7 @@ _MODULE_OF = {
     "fit_lights": "relighting.fitting.fit_lights",
     "flip": "metrics.images",
     "focused": "renderer.one_shot",
+    "forget_training": "training.run_folder",
     "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "join_windows": "io.images.rows.joined",
@@ -521,6 +523,7 @@ __all__ = [
     "fit_lights",
     "flip",
     "focused",
+    "forget_training",
     "frame_camera",
     "gaussians_from_mesh",
     "join_windows",

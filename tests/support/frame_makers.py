@@ -35,6 +35,8 @@ class FakeMaker:
     needs: Path | None = None
     """A file without which no worker starts."""
     in_sequence: bool = False
+    kind: str = "fake"
+    """What the frames are of."""
 
     def open_frames(self, report: Report) -> FrameJob:
         """The frames."""
@@ -43,7 +45,7 @@ class FakeMaker:
             raise ls.MissingFileError(self.needs, "no such file")
         frames = FrameList(
             folder=FrameFolder(self.folder, "png", "fake.json"),
-            origin={"kind": "fake", "needs": str(self.needs.stat().st_size) if self.needs else ""},
+            origin={"kind": self.kind, "needs": str(self.needs.stat().st_size) if self.needs else ""},
             wanted=tuple(range(self.count)),
             in_sequence=self.in_sequence,
         )

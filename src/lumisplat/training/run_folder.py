@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from lumisplat.config import TrainConfig
 from lumisplat.errors import FormatError
 from lumisplat.io import save_cameras
 from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import PathLike
 from lumisplat.io.photographs.photographs import ReadFrom
 from lumisplat.io.scene_toml.toml_text import plain_value, toml_text
 from lumisplat.math.arrays import Doubles
@@ -110,6 +112,26 @@ class RunFolder:
             told = {"psnr": score.psnr, "views": score.of_views, "gaussians": gaussians.count}
             _write(self.path / "metrics.json", json.dumps(told, indent=2) + "\n")
             held_out.write_pairs(gaussians, self.path / "held out")
+
+
+def forget_training(output: PathLike) -> None:
+    """Removes what a training has left beside a capture, and the capture, so that the next one begins anew.
+
+    Args:
+        output: The capture; what `lumisplat.train` has not written stays.
+
+    Raises:
+        FormatError: The folder beside it is none of a training, or cannot be emptied.
+    """
+    folder = RunFolder.of(Path(output))
+    if folder.path.exists():
+        folder.prepare(overwrite=True)
+        with suppress(OSError):  # it holds something else, too
+            folder.path.rmdir()
+    try:
+        Path(output).unlink(missing_ok=True)
+    except OSError as error:
+        raise FormatError(output, f"cannot be removed: {error.strerror or error}") from None
 
 
 def _write(path: Path, text: str) -> None:

@@ -5,10 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
-import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,6 +15,7 @@ from lumisplat.cli.farm.places import FarmRoom, local_places
 from lumisplat.cli.farm.run import FarmRun
 from lumisplat.cli.farm.worker import Order
 from support.frame_makers import FakeMaker
+from support.processes import PROGRAM, driver_of, is_running, wait_for
 
 TWO = FarmRoom(workers=2, cores=1, device="cpu")
 
@@ -132,43 +130,6 @@ def test_two_farms_in_one_folder(tmp_path: Path) -> None:
     assert maker.contents == expected(20)
 
 
-def wait_for(condition) -> None:
-    """Waits until something is so."""
-    for _ in range(600):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("it never came")
-
-
-def driver_of(folder: Path, count: int, seconds: float, program: str = "", **options: Any) -> subprocess.Popen[Any]:
-    """A process that makes frames by two workers; it finds what the tests find."""
-    command = [sys.executable, "-c", program or PROGRAM, str(folder), str(count), str(seconds)]
-    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
-    return subprocess.Popen(command, env=environment, **options)
-
-
-PROGRAM = """
-import sys, os
-from pathlib import Path
-import lumisplat as ls
-from lumisplat.cli.farm.places import FarmRoom
-from lumisplat.cli.farm.run import FarmRun
-from lumisplat.cli.farm.worker import Order
-from support.frame_makers import FakeMaker
-
-if __name__ == "__main__":
-    maker = FakeMaker(Path(sys.argv[1]), count=int(sys.argv[2]), seconds=float(sys.argv[3]))
-    room = FarmRoom(workers=2, cores=1, device="cpu")
-    try:
-        FarmRun(Order(maker, os.getcwd()), "local", room, lambda *_: None, overwrite=False, video=None).run()
-    except ls.LumisplatError as error:
-        print(error, file=sys.stderr)
-        raise SystemExit(getattr(error, "status", 2))
-"""
-"""A driver in a process of its own."""
-
-
 def test_a_driver_that_is_killed(tmp_path: Path) -> None:
     """Its workers end with it, half-made frames leave nothing, and the next driver makes what is missing."""
     maker = FakeMaker(tmp_path / "out", count=12, seconds=0.3)
@@ -185,16 +146,6 @@ def test_a_driver_that_is_killed(tmp_path: Path) -> None:
     assert maker.contents == expected(12) and f"{len(there)} of them were there" in lines
     assert len(maker.begun) - begun == 12 - len(there)
     assert len(maker.begun) <= 12 + 2  # at most what both were at is begun twice
-
-
-def is_running(process: int) -> bool:
-    """Whether a process has not ended."""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    state = Path(f"/proc/{process}/stat")
-    return not state.exists() or state.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 @pytest.mark.deep

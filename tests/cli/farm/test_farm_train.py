@@ -40,6 +40,77 @@ def test_captures_are_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "holds frames from before a change of seed" in capsys.readouterr().err
 
 
+def test_each_folder_may_have_its_own_settings(tmp_path: Path, capsys, caplog) -> None:
+    """As those of train alone, to the bit. Folders may come later; what has changed for one is said."""
+    one, two = (str(folder_of(tmp_path / name)) for name in ("one", "two"))
+    own = tmp_path / "own.toml"
+    own.write_text("[two]\ncap = 60\nantialiased = true\n")
+    assert main(["train", two, "-o", str(tmp_path / "two.ply"), *SHORT, "--cap", "60", "--antialiased"]) == 0
+    command = ["farm", "train", "-o", str(tmp_path / "out"), *SHORT, "--settings", str(own), "--workers", "1"]
+    assert main([*command, one]) == 0
+    assert "[two] is of no folder that is given: there are one" in caplog.text
+    assert main([*command, one, two]) == 0
+    assert (tmp_path / "out/two.ply").read_bytes() == (tmp_path / "two.ply").read_bytes()
+    told = capsys.readouterr().out
+    assert "100 Gaussians" in told and "60 Gaussians" in told and "1 of them was there" in told
+    own.write_text("[two]\ncap = 70\nantialiased = true\n")
+    assert main([*command, one, two]) == 2
+    assert "holds frames from before a change of settings of two" in capsys.readouterr().err
+
+
+def test_trainings_that_end_before_their_time_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """--stop-after: a capture that is not finished, and says so; the same command goes on, to the same bits."""
+    folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "200", *SHORT[2:])
+    assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
+    command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *long, "--workers", "1"]
+    capsys.readouterr()
+    assert main([*command, "--stop-after", "0.01s"]) == 0
+    told = capsys.readouterr().out
+    assert " of 200 steps" in told and "200 of 200" not in told and told.endswith("the same command goes on\n")
+    assert (tmp_path / "out/one.unfinished.txt").is_file() and not (tmp_path / "out/one.txt").exists()
+    assert main(command) == 0
+    assert "200 of 200 steps" in capsys.readouterr().out
+    assert (tmp_path / "out/one.ply").read_bytes() == (tmp_path / "alone.ply").read_bytes()
+    assert not (tmp_path / "out/one.unfinished.txt").exists()
+
+
+def test_overwriting_begins_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What was there is removed, with its checkpoint, and nothing else; other settings are no mistake then."""
+    folder = str(folder_of(tmp_path / "one"))
+    command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *SHORT, "--workers", "1"]
+    assert main(command) == 0
+    (tmp_path / "out/other.txt").write_text("mine")
+    (tmp_path / "out/one.training/note.txt").write_text("mine")
+    assert main([*command, "--cap", "60"]) == 2
+    assert main([*command, "--cap", "60", "--overwrite"]) == 0
+    assert "60 Gaussians, 20 of 20 steps" in capsys.readouterr().out
+    assert (tmp_path / "out/other.txt").read_text() == (tmp_path / "out/one.training/note.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[a]\ncup = 3\n", "own.toml: [a] unknown key 'cup', expected options of train"),
+        ("[a]\noverwrite = true\n", "own.toml: [a] unknown key 'overwrite'"),
+        ("[a]\ncap = 'x'\n", "own.toml: [a] --cap is 'x', expected a whole number"),
+        ("[a]\ncap = [3]\n", "own.toml: [a] cap is [3], expected a number or a word"),
+        ("[a]\nexposures = 1\n", "own.toml: [a] exposures is 1, expected true or false"),
+        ("[a]\ncap = 0\n", "own.toml: [a] cap is 0"),
+        ("cap = 3\n", "own.toml: cap stands in no table: begin one by the name of a folder, [a]"),
+        ("[a\n", "own.toml: cannot be read as TOML"),
+    ],
+)
+def test_mistakes_of_settings(tmp_path, monkeypatch, capsys, content: str, message: str) -> None:
+    """One line and status 2, before anything is made."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a").mkdir()
+    (tmp_path / "own.toml").write_text(content)
+    assert main(["farm", "train", "a", "--settings", "own.toml", "--device", "cpu"]) == 2
+    told = capsys.readouterr()
+    assert message in told.err and told.err.strip().count("\n") == 0 and told.out == ""
+    assert not (tmp_path / "captures").exists()
+
+
 @pytest.mark.deep
 def test_a_killed_worker_loses_no_training(tmp_path: Path) -> None:
     """SIGKILL in the middle: another worker goes on from the checkpoint, to the same bits."""
@@ -64,8 +135,9 @@ def test_a_killed_worker_loses_no_training(tmp_path: Path) -> None:
         (("lost",), "lost: no such folder"),
         ((), "no photographs given: name one folder or more"),
         (("a/fox", "b/fox"), "a/fox and b/fox would both become fox.ply"),
-        (("a", "--overwrite"), "--overwrite is of one training: give it to the command without farm"),
-        (("a", "--stop-after", "3s"), "--stop-after is of one training"),
+        (("a", "--stop-after", "soon"), "--stop-after is 'soon', expected a time such as 90s, 10m or 1.5h"),
+        (("a", "--relightable", "--exposures"), "leave out --exposures"),
+        (("a", "--settings", "lost.toml"), "lost.toml: no such file"),
         (("a", "--workers", "0"), "--workers is 0, expected 1 or more"),
     ],
 )

@@ -77,7 +77,7 @@ class FarmRun:
         missing |= {
             index: ls.SceneError("it is not there, though a worker has made it: do all see the same folder?")
             for index in tally.done
-            if not frames.folder.is_finished(index)
+            if not frames.folder.is_finished(index) and not frames.folder.is_stopped(index)
         }
         if missing:
             raise frames.missing_error(missing, self._overwrite)

@@ -51,6 +51,10 @@ class FrameFolder:
         """Whether a frame is there."""
         return self.path(index).is_file()
 
+    def is_stopped(self, index: int) -> bool:
+        """Whether a frame was made as far as was asked for, though it is not finished; the same command goes on."""
+        return False
+
     def tidy(self, index: int) -> None:
         """Removes what a frame was made of, once it is there."""
 
@@ -66,24 +70,40 @@ class FrameFolder:
             FormatError: The folder cannot be written to.
         """
         stamp = self.folder / self.stamp
-        frames = self._frames()
-        if frames and not overwrite:
+        if self._frames() and not overwrite:
             self._check(stamp, origin)
         make_folder(self.folder)
-        if (
-            overwrite
-        ):  # the stamp first: without it, other runs in the folder stop, and a kill leaves nothing to go on with
-            for path in (stamp, *frames):
-                path.unlink(missing_ok=True)
         temporary = stamp.with_name(f".{stamp.stem}.{secrets.token_hex(6)}.lumisplat.json")  # as those of frames
         try:
-            temporary.write_text(json.dumps(dict(origin), indent=1) + "\n")
-            os.replace(temporary, stamp)
+            temporary.write_text(json.dumps(self._stamped(stamp, origin), indent=1) + "\n")
+            if overwrite:
+                self._clear(stamp)
+            while not _put(temporary, stamp):  # another run has begun at the same moment, or before its first frame
+                stored = stored_origin(stamp)
+                if overwrite:
+                    self._clear(stamp)
+                elif stored is None:
+                    stamp.unlink(missing_ok=True)
+                elif self._differing(stored, origin):
+                    raise self._begun_by_another(stored, origin)
+                else:
+                    os.replace(temporary, stamp)  # perhaps with more of the same origin
+                    return
         except OSError as error:
             raise ls.FormatError(stamp, f"cannot be written: {error.strerror or error}") from None
         finally:
             with suppress(OSError):
                 temporary.unlink()
+
+    def _clear(self, stamp: Path) -> None:
+        """Removes the stamp, then the frames.
+
+        Without the stamp, other runs in the folder stop, and remove what they write from then on; and a kill leaves
+        nothing to go on with.
+        """
+        stamp.unlink(missing_ok=True)
+        for path in self._frames():
+            path.unlink(missing_ok=True)
 
     def check_current(self, origin: Mapping[str, str]) -> None:
         """Checks that no run with other settings has begun in the folder.
@@ -91,7 +111,8 @@ class FrameFolder:
         Raises:
             ConfigError: One has, or the stamp is gone.
         """
-        if _stored(self.folder / self.stamp) != dict(origin):
+        stored = stored_origin(self.folder / self.stamp)
+        if stored is None or self._differing(stored, origin):
             raise ls.ConfigError(
                 f"{self.folder}: {self.stamp} is not what this run has written: another run with other settings has "
                 "begun there, or the folder was emptied; this one stops, so that frames do not mix"
@@ -107,18 +128,47 @@ class FrameFolder:
     def _check(self, stamp: Path, origin: Mapping[str, str]) -> None:
         """Raises ConfigError unless the frames that are there are of this origin."""
         advice = "give --overwrite to remove them, or another folder"
-        stored = _stored(stamp)
+        stored = stored_origin(stamp)
         if stored is None:
             raise ls.ConfigError(
                 f"{self.folder} holds frames, but no {self.stamp} that says what they are of: {advice}"
             )
-        changed = sorted(name for name in {*stored, *origin} if stored.get(name) != origin.get(name))
-        if changed:
-            named = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
-            raise ls.ConfigError(f"{self.folder} holds frames from before a change of {named}: {advice}")
+        if changed := self._differing(stored, origin):
+            raise ls.ConfigError(f"{self.folder} holds frames from before a change of {_listed(changed)}: {advice}")
+
+    def _begun_by_another(self, stored: Mapping[str, object], origin: Mapping[str, str]) -> ls.ConfigError:
+        """What to say of a run of another origin that has begun in the folder, and made no frame yet."""
+        return ls.ConfigError(
+            f"{self.folder}: another run has begun there, which differs in {_listed(self._differing(stored, origin))}: "
+            "choose another folder, or give --overwrite if it has ended without a frame"
+        )
+
+    def _stamped(self, stamp: Path, origin: Mapping[str, str]) -> dict[str, object]:
+        """What the stamp is to say."""
+        return dict(origin)
+
+    def _differing(self, stored: Mapping[str, object], origin: Mapping[str, str]) -> list[str]:
+        """Names of what differs between what a stamp says and an origin."""
+        return sorted(name for name in {*stored, *origin} if stored.get(name) != origin.get(name))
 
 
-def _stored(stamp: Path) -> dict[str, object] | None:
+def _listed(names: list[str]) -> str:
+    """The first of some names, and how many more there are."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _put(temporary: Path, stamp: Path) -> bool:
+    """Makes a file the stamp, unless there is one: of two runs that begin at the same moment, one does."""
+    try:
+        os.link(temporary, stamp)
+    except FileExistsError:
+        return False
+    except OSError:  # a file system without links: the run that begins last stops the other
+        os.replace(temporary, stamp)
+    return True
+
+
+def stored_origin(stamp: Path) -> dict[str, object] | None:
     """What a stamp says; None: there is none, or it is none."""
     try:
         stored: Any = json.loads(stamp.read_text())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,12 +11,14 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.commands.farm.capture_folder import CaptureFolder
 from lumisplat.cli.commands.farm.run_farm import run_farm
+from lumisplat.cli.commands.farm.train_settings import TrainSettings
 from lumisplat.cli.commands.photographs.train import Train
 from lumisplat.cli.farm.job import FrameJob, FrameList
+from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.farm import FarmGroup, FarmOptions
 from lumisplat.cli.output.console import Report
-from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.pictures import make_folder
 
 _NOT_OF_CAPTURES = ("folder", "output", "overwrite", "stop_after", "device", "debug", "farm")
@@ -36,15 +38,26 @@ class FarmTrain(Train):
     """Folders of photographs, as of train."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("captures")
     """Where captures go, as NAME.ply of a folder NAME, with train.json, which says by what settings they were made."""
+    settings: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint="")] = None
+    """What is other for single folders: a table for each by its name, [fox], with options of train as keys, cap =
+    200000, which come before those of the command."""
+    stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
+    """End each training after such a time, as 90s, 10m or 1.5h; the same command then goes on."""
+    overwrite: Flag = False
+    """Begin anew, and remove captures of these folders that are there, and what their trainings have left."""
     farm: FarmGroup = field(default_factory=FarmOptions)
     """Captures are the same to the bit as those of one process."""
 
     def run(self) -> None:
         """Makes the captures that are missing, and prints what came of each."""
-        captures = self._captures()
-        run_farm(self, overwrite=False, video=None)
-        for path in captures:
-            print(path.with_suffix(".txt").read_text(encoding="utf-8"), end="")
+        self._trainings()
+        TrainSettings.read(self.settings, self._names()).warn_of_unused()
+        run_farm(self, overwrite=self.overwrite, video=None)
+        folder = self._folder()
+        for index in range(len(self.folder)):
+            print(folder.told(index), end="")
+        if any(map(folder.is_stopped, range(len(self.folder)))):
+            print(f"{'the same command without --overwrite' if self.overwrite else 'the same command'} goes on")
 
     def open_frames(self, report: Report) -> FrameJob:
         """Checks all that can be checked.
@@ -55,30 +68,28 @@ class FarmTrain(Train):
         Raises:
             LumisplatError: Something is wrong with the options or a folder.
         """
-        captures = self._captures()
-        self._config()
+        trainings = self._trainings()
         for folder in self.folder:
             if not folder.is_dir():
                 raise ls.MissingFileError(folder, "no such folder")
         self.start_warp()
         frames = FrameList(
-            folder=FrameFolder(self.output, "txt", "train.json", tuple(path.stem + ".txt" for path in captures)),
+            folder=self._folder(),
             origin=self._origin(),
-            wanted=tuple(range(len(captures))),
+            wanted=tuple(range(len(trainings))),
             unit="training",
         )
         return FrameJob(frames=frames, render=self._train, write=self._write)
 
-    def _captures(self) -> list[Path]:
-        """The captures that are made.
+    def _folder(self) -> CaptureFolder:
+        return CaptureFolder.of(self.output, self._names())
+
+    def _names(self) -> list[str]:
+        """The names of the captures.
 
         Raises:
-            ConfigError: Two would have the same name, or an option is of one training.
+            ConfigError: There is none, or two would have the same.
         """
-        for name in ("overwrite", "stop_after"):
-            if getattr(self, name):
-                option = f"--{name.replace('_', '-')}"
-                raise ls.ConfigError(f"{option} is of one training: give it to the command without farm")
         if not self.folder:
             raise ls.ConfigError("no photographs given: name one folder or more")
         named: dict[str, Path] = {}
@@ -87,32 +98,44 @@ class FarmTrain(Train):
             if name in named:
                 raise ls.ConfigError(f"{named[name]} and {folder} would both become {name}.ply: give them apart")
             named[name] = folder
-        return [self.output / f"{name}.ply" for name in named]
+        return list(named)
+
+    def _trainings(self) -> list[Train]:
+        """The trainings, each with its own settings.
+
+        Raises:
+            LumisplatError: An option or a setting is wrong.
+        """
+        shared: dict[str, Any] = {entry.name: getattr(self, entry.name) for entry in fields(Train)}
+        shared["overwrite"] = False  # the folder has been emptied, and workers go on after others
+        trainings: list[Train] = []
+        settings = TrainSettings.read(self.settings, self._names())
+        for name, folder in zip(self._names(), self.folder, strict=True):
+            shared |= {"folder": folder, "output": self.output / f"{name}.ply"}
+            trainings.append(settings.applied(name, Train(**shared)))
+        return trainings
 
     def _train(self, index: int, report: Report) -> Any:
-        """Trains; what the command prints."""
-        options = {entry.name: getattr(self, entry.name) for entry in fields(Train)}
-        options |= {"folder": self.folder[index], "output": self._captures()[index]}
+        """Trains; what the command prints, and whether it has come to its end."""
+        training = self._trainings()[index]
         make_folder(self.output)
+        result, found = training.make(report)
         printed = io.StringIO()
-        with redirect_stdout(printed), redirect_stderr(io.StringIO()):  # its bars are not the farm's
-            Train(**options).run()
-        return printed.getvalue()
+        with redirect_stdout(printed):
+            training.tell(result, found)
+        return printed.getvalue(), result.is_finished
 
-    def _write(self, printed: Any, index: int) -> None:
+    def _write(self, made: Any, index: int) -> None:
         """Writes what came of a training, which says that it is done."""
-        path = self._captures()[index].with_suffix(".txt")
-        temporary = path.with_name(f".{path.name}.lumisplat")
-        try:
-            temporary.write_text(printed, encoding="utf-8")
-            temporary.replace(path)
-        except OSError as error:
-            raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None
-        finally:
-            with suppress(OSError):
-                temporary.unlink()
+        text, is_finished = made
+        self._folder().tell(index, text, is_finished=is_finished)
 
     def _origin(self) -> dict[str, str]:
         """All that captures follow from, but their photographs."""
         own = {entry.name: f"{getattr(self, entry.name)}" for entry in fields(Train)}
-        return {"lumisplat": ls.__version__, **{k: v for k, v in own.items() if k not in _NOT_OF_CAPTURES}}
+        settings = TrainSettings.read(self.settings, self._names())
+        return {
+            "lumisplat": ls.__version__,
+            **{k: v for k, v in own.items() if k not in _NOT_OF_CAPTURES},
+            **{CaptureFolder.key(name): settings.text(name) for name in self._names()},
+        }

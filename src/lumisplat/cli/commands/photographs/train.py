@@ -101,6 +101,18 @@ class Train(DeviceCommand):
 
     def run(self) -> None:
         """Trains, and writes the capture."""
+        self.check()
+        self.start_warp()
+        with progress_bars() as report:
+            made = self.make(report)
+        self.tell(*made)
+
+    def check(self) -> None:
+        """Checks what can be checked before photographs are read.
+
+        Raises:
+            ConfigError: An option is out of its range, or some do not go together.
+        """
         refuse_standard_output(self.output)
         if self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
@@ -110,38 +122,50 @@ class Train(DeviceCommand):
             raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
         if self.relightable and self.exposures:
             raise ls.ConfigError("--relightable finds materials of photographs of one exposure: leave out --exposures")
-        config, stop_after = (
-            self._config(),
-            None if self.stop_after is None else seconds_of("--stop-after", self.stop_after),
-        )
-        materials = ls.MaterialsConfig(iterations=self.material_steps, seed=self.seed)
-        background = self._checked_background()
-        self.start_warp()
-        with progress_bars() as report:
-            if self.poses is not None and not any((self.folder / name).exists() for name in _POSES):
-                ls.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
-            try:
-                photographs = ls.load_photographs(
-                    self.folder,
-                    scale=self.scale,
-                    hold_out=self.hold_out,
-                    background=background,
-                    straighten=not config.keeps_lenses,
-                    allow_outside=self.allow_outside,
-                )
-                result = ls.train(
-                    photographs,
-                    config,
-                    output=self.output,
-                    stop_after=stop_after,
-                    overwrite=self.overwrite,
-                    preview=self.preview,
-                    device=self.device,
-                    progress=report,
-                )
-            except KeyboardInterrupt:
-                raise KeyboardInterrupt(f"{self._again} goes on; with --stop-after 1s, it writes the capture") from None
-            found = self._materials(result, photographs, materials, report)
+        for made in (self._config, self._materials_config, self._seconds, self._checked_background):
+            made()
+
+    def make(self, report: Report) -> tuple[ls.TrainResult, ls.FoundMaterials | None]:
+        """Trains, and writes the capture.
+
+        Args:
+            report: Shows the progress.
+
+        Returns:
+            What came of it, and of --relightable.
+
+        Raises:
+            KeyboardInterrupt: It was interrupted; says how to go on.
+            LumisplatError: As of `lumisplat.train`.
+        """
+        if self.poses is not None and not any((self.folder / name).exists() for name in _POSES):
+            ls.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
+        config = self._config()
+        try:
+            photographs = ls.load_photographs(
+                self.folder,
+                scale=self.scale,
+                hold_out=self.hold_out,
+                background=self._checked_background(),
+                straighten=not config.keeps_lenses,
+                allow_outside=self.allow_outside,
+            )
+            result = ls.train(
+                photographs,
+                config,
+                output=self.output,
+                stop_after=self._seconds(),
+                overwrite=self.overwrite,
+                preview=self.preview,
+                device=self.device,
+                progress=report,
+            )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{self._again} goes on; with --stop-after 1s, it writes the capture") from None
+        return result, self._materials(result, photographs, self._materials_config(), report)
+
+    def tell(self, result: ls.TrainResult, found: ls.FoundMaterials | None) -> None:
+        """Says what came of it."""
         self._tell(result)
         if found is not None:
             self._tell_materials(found)
@@ -175,6 +199,13 @@ class Train(DeviceCommand):
                 f"{found.too_light:.0%} of what is seen is lighter than the sky that was found can make it: "
                 "highlights, light that no photograph shows, or photographs of changing exposure"
             )
+
+    def _seconds(self) -> float | None:
+        """The time after which it ends; None: none is given."""
+        return None if self.stop_after is None else seconds_of("--stop-after", self.stop_after)
+
+    def _materials_config(self) -> ls.MaterialsConfig:
+        return ls.MaterialsConfig(iterations=self.material_steps, seed=self.seed)
 
     def _config(self) -> ls.TrainConfig:
         given = (self.flatness, self.normals, self.depth_spread)

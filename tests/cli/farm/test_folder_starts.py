@@ -1,0 +1,120 @@
+"""Runs that begin in one empty folder at the same moment: of one origin they share it, of others one alone has it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli.output.frame_folder import FrameFolder
+from support.frame_makers import FakeMaker
+from support.processes import driver_of
+
+
+def at_once(tasks: list[Callable[[], None]]) -> list[Exception]:
+    """Runs tasks at the same moment; what they have raised."""
+    errors: list[Exception] = []
+    barrier = threading.Barrier(len(tasks))
+
+    def run(task: Callable[[], None]) -> None:
+        barrier.wait()
+        try:
+            task()
+        except ls.ConfigError as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=run, args=(task,)) for task in tasks]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return errors
+
+
+def starts(folder: FrameFolder, seeds: list[int], *, overwrite: bool = False) -> list[Callable[[], None]]:
+    """Runs that begin, each of an origin."""
+    return [lambda seed=seed: folder.prepare({"seed": f"{seed}"}, overwrite) for seed in seeds]
+
+
+def test_one_of_several_begins(tmp_path: Path) -> None:
+    """Eight of different origins: seven are refused, by a line that says what differs; the stamp is whole."""
+    for number in range(20):
+        folder = FrameFolder(tmp_path / f"{number}", "png")
+        errors = at_once(starts(folder, list(range(8))))
+        assert len(errors) == 7
+        assert all("another run has begun there, which differs in seed: " in str(error) for error in errors)
+        stamp = json.loads((folder.folder / "animate.json").read_text())
+        folder.check_current(stamp)
+        assert [path.name for path in folder.folder.iterdir()] == ["animate.json"]
+
+
+def test_those_of_one_origin_share_the_folder(tmp_path: Path) -> None:
+    """As the tasks of an array do, which begin together."""
+    for number in range(20):
+        folder = FrameFolder(tmp_path / f"{number}", "png")
+        assert at_once(starts(folder, [3] * 8)) == []
+        folder.check_current({"seed": "3"})
+
+
+def test_of_those_that_overwrite_one_stays(tmp_path: Path) -> None:
+    """The others find at their next frame that the folder is no longer theirs."""
+    for number in range(20):
+        folder = FrameFolder(tmp_path / f"{number}", "png")
+        folder.prepare({"seed": "0"}, False)
+        (folder.folder / "frame_0000.png").write_text("old")
+        assert at_once(starts(folder, list(range(1, 9)), overwrite=True)) == []
+        current = 0
+        for seed in range(9):
+            try:
+                folder.check_current({"seed": f"{seed}"})
+                current += 1
+            except ls.ConfigError:
+                pass
+        assert current == 1 and not (folder.folder / "frame_0000.png").exists()
+
+
+def test_a_run_that_has_made_no_frame_is_not_overrun(tmp_path: Path) -> None:
+    """Its first frame may take hours. One that has ended without any is named as such."""
+    folder = FrameFolder(tmp_path, "png")
+    folder.prepare({"seed": "1", "samples": "8"}, False)
+    with pytest.raises(ls.ConfigError) as raised:
+        folder.prepare({"seed": "2", "samples": "8"}, False)
+    assert str(raised.value) == (
+        f"{tmp_path}: another run has begun there, which differs in seed: choose another folder, or give --overwrite "
+        "if it has ended without a frame"
+    )
+    folder.check_current({"seed": "1", "samples": "8"})
+    folder.prepare({"seed": "2", "samples": "8"}, True)
+    folder.check_current({"seed": "2", "samples": "8"})
+
+
+def test_without_links_the_last_one_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some file systems have none."""
+    monkeypatch.setattr("os.link", lambda *_: (_ for _ in ()).throw(OSError(1, "Operation not permitted")))
+    folder = FrameFolder(tmp_path, "png")
+    folder.prepare({"seed": "1"}, False)
+    folder.prepare({"seed": "2"}, False)
+    folder.check_current({"seed": "2"})
+    with pytest.raises(ls.ConfigError, match="another run with other settings has begun there"):
+        folder.check_current({"seed": "1"})
+
+
+@pytest.mark.deep
+def test_two_farms_that_begin_together(tmp_path: Path) -> None:
+    """Of other origins: the frames of one, all of them; the other one has status 2 and a line."""
+    for number in range(3):
+        folder = tmp_path / f"{number}" / "out"
+        folder.parent.mkdir()
+        pipes = {"stderr": subprocess.PIPE, "text": True}
+        farms = [driver_of(folder, 6, 0.05, kind=kind, **pipes) for kind in ("one", "other")]
+        told = [farm.communicate()[1] for farm in farms]
+        statuses = [farm.returncode for farm in farms]
+        assert sorted(statuses) == [0, 2], told
+        assert len(FakeMaker(folder).contents) == 6
+        refused = told[statuses.index(2)]
+        assert "another run has begun there, which differs in kind" in refused or "before a change of kind" in refused
