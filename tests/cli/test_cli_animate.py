@@ -451,18 +451,17 @@ def test_files_that_a_scene_is_made_of(tmp_path):
 def test_what_a_killed_run_leaves_is_removed(work, monkeypatch) -> None:
     """The file beside animate.json that is being written has the name of other temporary files, and goes like them."""
     names: list[str] = []
-    replace_file = os.replace
+    link_file = os.link
 
-    def killed(source: str, target: str) -> None:
-        if str(target).endswith("animate.json"):
-            names.append(os.path.basename(source))
-            work.path("frames").joinpath(names[0]).rename(work.path("kept"))
-            raise OSError("killed")
-        replace_file(source, target)
+    def killed(source: Path, target: Path) -> None:
+        assert target.name == "animate.json"
+        names.append(os.path.basename(source))
+        work.path("frames").joinpath(names[0]).rename(work.path("kept"))
+        raise FileExistsError("killed")
 
-    monkeypatch.setattr(os, "replace", killed)
+    monkeypatch.setattr(os, "link", killed)
     assert animate(work, "frames").status == 2
-    monkeypatch.setattr(os, "replace", replace_file)
+    monkeypatch.setattr(os, "link", link_file)
     work.path("kept").rename(work.path("frames") / names[0])
     assert animate(work, "frames").status == 0
     assert not any(".lumisplat" in name for name in work.files())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -9,7 +10,8 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
+from urllib.parse import unquote
 
 _OF_OBJ = re.compile(r"^(?:mtllib|map_\w+|norm|bump)\s+(?:.*\s)?(\S+)\s*$", re.MULTILINE)
 _OF_USDA = re.compile(r"@([^@\n]+)@")
@@ -56,13 +58,34 @@ def _texts(path: Path) -> Iterator[str]:
     suffix = path.suffix.lower()
     if suffix == ".toml":
         yield from _strings(tomllib.loads(path.read_text()))
-    elif suffix == ".gltf" or path.name in ("meta.json", "lod-meta.json"):
+    elif path.name in ("meta.json", "lod-meta.json"):
         yield from _strings(json.loads(path.read_text()))
-    elif suffix == ".usda":
-        yield from _OF_USDA.findall(path.read_text(errors="replace"))
+    elif suffix in (".gltf", ".glb"):
+        for text in _strings(json.loads(path.read_text() if suffix == ".gltf" else _json_of_glb(path))):
+            yield from {text, unquote(text)}
+    elif suffix in (".usda", ".usd", ".usdc"):
+        with path.open("rb") as stream:
+            is_binary = stream.read(8) == b"PXR-USDC"
+        yield from _of_usd(path) if is_binary else _OF_USDA.findall(path.read_text(errors="replace"))
     elif suffix in (".obj", ".mtl"):
         with path.open("rb") as stream:
             yield from _OF_OBJ.findall(stream.read(_OBJ_HEAD).decode(errors="replace"))
+
+
+def _json_of_glb(path: Path) -> bytes:
+    """The document in a binary glTF, which may refer to files beside it."""
+    with path.open("rb") as stream:
+        head = stream.read(20)
+        return stream.read(int.from_bytes(head[12:16], "little")) if head[16:20] == b"JSON" else b"null"
+
+
+def _of_usd(path: Path) -> list[str]:
+    """The files that a binary layer of OpenUSD refers to: layers, and the values of all attributes and times."""
+    try:
+        library: Any = importlib.import_module("pxr.UsdUtils")
+    except ImportError:  # then nothing reads it
+        return []
+    return [text for texts in library.ExtractExternalReferences(str(path)) for text in texts]
 
 
 def _strings(value: object) -> Iterator[str]:
