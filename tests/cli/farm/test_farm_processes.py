@@ -47,6 +47,22 @@ def test_frames_of_workers_that_die(tmp_path: Path, caplog: pytest.LogCaptureFix
     assert len(maker.begun) == 14
 
 
+def test_how_far_it_is_is_shown(tmp_path: Path) -> None:
+    """How many of how many, and what one takes of a worker; the bar adds the time that is left."""
+    maker, shown = FakeMaker(tmp_path / "out", count=4, seconds=0.1), list[tuple[str, float]]()
+    order = Order(maker, os.getcwd())
+    FarmRun(order, "local", TWO, lambda *told: shown.append(told), overwrite=False, video=None).run()
+    of_frames = [told for told in shown if told[0].startswith("frames, ")]
+    assert of_frames[0] == ("frames, 0 of 4", 0.0) and [fraction for _, fraction in of_frames] == [
+        0,
+        0.25,
+        0.5,
+        0.75,
+        1,
+    ]
+    assert all("s of a worker each" in label for label, _ in of_frames[1:])
+
+
 def test_a_missing_package_is_said_once(tmp_path: Path) -> None:
     """The error of a worker crosses to the driver whole, and ends the job: it would come again in all frames."""
     with pytest.raises(ls.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"):

@@ -89,7 +89,7 @@ def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_nodes_join_and_die(tmp_path: Path) -> None:
-    """Three machines' worth of workers, two at a time: all frames are there, and at most what was at hand came twice."""
+    """Two workers at a time, on three nodes: all frames are there, and at most what was at hand came twice."""
     done = run(NODES, tmp_path)
     assert done.returncode == 0, done.stderr
     assert "60 frames by 2 workers in " in done.stdout and "1 worker lost and replaced" in done.stdout

@@ -41,6 +41,8 @@ class Tally:
 
     wanted: int = 0
     """Frames that were missing when it began."""
+    unit: str = "frame"
+    """What one of them is called."""
     done: dict[int, float] = field(default_factory=dict[int, float])
     """Frames that are there since, and what each took of a worker, seconds."""
     failed: dict[int, BaseException] = field(default_factory=dict[int, BaseException])
@@ -173,7 +175,7 @@ class Driver:
         if self.frames is None:
             self._waiting = deque(self._begin(frames))
             self.frames = frames
-            self.tally.wanted = len(self._waiting)
+            self.tally.wanted, self.tally.unit = len(self._waiting), frames.unit
             self._on_progress(self.tally)
             if frames.in_sequence and self._waiting and self._count > 1:
                 raise ls.ConfigError(

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import lumisplat as ls
-from lumisplat.cli.farm.executor import Event, Lost, Said
+from lumisplat.cli.farm.executor import Event, Failed, Lost, Refused, Said
 from lumisplat.cli.farm.places import CORES, THREADS_VARIABLE, FarmRoom
 from lumisplat.cli.farm.worker import Order, Worker
 
@@ -34,10 +34,29 @@ _CURRENT = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluste
 """Where Ray keeps the address of the cluster that was started last on this machine."""
 _CONNECT_S = 10.0
 """How long an address may take to answer, seconds."""
+_IP = re.compile(r"^\s*ip: (\S+)", re.MULTILINE)
+"""In what Ray says of an actor."""
 _VERSIONS = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
 """In what Ray says of two sides that differ."""
 _SAID = 300
 """Characters of what Ray says that are passed on."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Of an actor."""
+
+    lines: list[str]
+    """Its remarks."""
+    event: Event
+    host: str
+    """The name of its machine."""
+
+    def events(self) -> list[Event]:
+        """What the driver is told; an error says on which machine it was, if that is another one."""
+        if isinstance(self.event, Failed | Refused) and self.host != socket.gethostname():
+            self.event.error.add_note(f"on {self.host}")
+        return [*(Said(self.event.worker, line) for line in self.lines), self.event]
 
 
 class RayWorker:
@@ -46,17 +65,17 @@ class RayWorker:
     def __init__(self, number: int, order: Order, environment: dict[str, str]) -> None:
         self._worker = Worker(number, order, environment)
 
-    def open(self) -> tuple[list[str], Event]:
+    def open(self) -> Answer:
         """Loads the scene."""
         return self._answer(self._worker.open(_nothing))
 
-    def make(self, frame: int) -> tuple[list[str], Event]:
+    def make(self, frame: int) -> Answer:
         """Makes a frame."""
         return self._answer(self._worker.make(frame))
 
-    def _answer(self, event: Event) -> tuple[list[str], Event]:
+    def _answer(self, event: Event) -> Answer:
         lines, self._worker.lines[:] = list(self._worker.lines), []
-        return lines, event
+        return Answer(lines, event, socket.gethostname())
 
 
 @dataclass
@@ -121,11 +140,11 @@ class RayActors:
         """The answer of an actor, or that it is gone."""
         self._actors[number].asked.remove(ref)
         try:
-            lines, event = self._ray.get(ref)
+            answer: Answer = self._ray.get(ref)
         except self._ray.exceptions.RayError as error:
             self.stop(number)
-            return [Lost(number, _short(error))]
-        return [*(Said(number, line) for line in lines), event]
+            return [Lost(number, end_of_actor(error))]
+        return answer.events()
 
 
 def connect(address: str) -> str:
@@ -252,6 +271,21 @@ def _why_not(error: BaseException) -> str:
         there, here = (f"Ray {ray} with Python {python}" for ray, python in sides)
         return f"the cluster is of {there}, this process of {here}: install the same on both sides"
     return f"no cluster of Ray can be used there: {_short(error)}"
+
+
+def end_of_actor(error: BaseException) -> str:
+    """How an actor has ended, of an error of Ray's, in a few words."""
+    text, cause = str(error), getattr(error, "cause", None)
+    where = f" on {found[1]}" if (found := _IP.search(text)) else ""
+    if isinstance(cause, BaseException):  # an error of ours that was not caught
+        return f"{type(cause).__name__}: {' '.join(str(cause).split())}"
+    if "creation task" in text:  # the last line of a traceback is the error's
+        return f"it could not start{where}: {text.strip().splitlines()[-1].strip()}"
+    if "node has died" in text or "node was terminated" in text:
+        return f"its node{where} has died"
+    if "OutOfMemory" in type(error).__name__ or "OOM" in text:
+        return f"killed by Ray{where} for want of memory"
+    return f"its process{where} has ended" if where else _short(error)
 
 
 def _short(error: BaseException) -> str:

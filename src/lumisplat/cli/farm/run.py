@@ -106,8 +106,10 @@ class FarmRun:
         """Shows how far it is, and what a frame costs."""
         if tally.wanted == 0:
             return
+        ended = len(tally.done) + len(tally.failed)
         cost = f", {tally.cost:.3g} s of a worker each" if tally.cost else ""
-        self._report(f"frames{cost}", (len(tally.done) + len(tally.failed)) / tally.wanted)
+        failed = f", {len(tally.failed)} failed" if tally.failed else ""
+        self._report(f"{tally.unit}s, {ended} of {tally.wanted}{cost}{failed}", ended / tally.wanted)
 
 
 def _cost(tally: Tally, unit: str, workers: int, seconds: float) -> str:

@@ -131,12 +131,13 @@ def _print(table: Table) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """The message of an error without line breaks."""
+    """The message of an error without line breaks, and its notes."""
+    notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
     if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: cannot be read or written: {error.strerror}"
+        return f"{error.filename}: cannot be read or written: {error.strerror}{notes}"
     if isinstance(error, MemoryError):
-        return "out of memory: try fewer pixels or a smaller capture"
-    return " ".join(str(error).split()) or type(error).__name__
+        return f"out of memory: try fewer pixels or a smaller capture{notes}"
+    return (" ".join(str(error).split()) or type(error).__name__) + notes
 
 
 def counted(count: int, noun: str) -> str:
