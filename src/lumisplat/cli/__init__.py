@@ -39,9 +39,9 @@ from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
 from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.numbers import joined_numbers
+from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.output.console import one_line
-from lumisplat.cli.parse_errors import ArgumentsError, panels_as_errors
 from lumisplat.cli.words import logging_in_shell_words, shell_words
 
 _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.

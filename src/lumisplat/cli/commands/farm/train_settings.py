@@ -22,7 +22,7 @@ from tyro.conf import FlagCreatePairsOff
 
 import lumisplat as ls
 from lumisplat.cli.commands.photographs.train import Train
-from lumisplat.cli.parse_errors import ArgumentsError, panels_as_errors
+from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors
 
 _log = logging.getLogger("lumisplat")
 
