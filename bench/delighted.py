@@ -4,7 +4,8 @@
 /tmp/delighted: captured colours, albedo found and true albedo side by side. Captures are sets of Gaussians with the
 light of `lumisplat bake` in their colours, degree 0, or 3 and 32 samples where surfaces are glossy, at 8 bounces. All
 is compared in pictures from 8 sides, where they are opaque: albedo in linear light, after one factor a channel, as how
-bright the light was cannot be known; pictures in a new light as displays show them, after the same factor.
+bright the light was cannot be known, and encoded, as ``evaluate --materials`` has it (``albedo_srgb_db``); pictures in
+a new light as displays show them, after the same factor.
 ``shadow_left`` is how much of the light on the floor is still in its albedo: the slope of one's logarithm by the
 other's. ``roughness``: for each true one, mean and root-mean-square error of what was found on the floor and on the
 cow, and how sure that says it is.
@@ -202,6 +203,7 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
         "gaussians": count,
         "captured_db": psnr(np.concatenate(old) * old_factor, np.concatenate(true)),
         "albedo_db": psnr(np.concatenate(mine) * factor, np.concatenate(true)),
+        "albedo_srgb_db": psnr(encoded(np.concatenate(mine) * factor), encoded(np.concatenate(true))),
         "factor": [round(float(f), 3) for f in factor],
         "facing_right": round(float(agree.mean()), 3),
         "cpu_seconds": round(seconds, 1),
@@ -275,6 +277,11 @@ def rows_of(case: Case, colors: tuple[Doubles, ...], device: str) -> FloatArray:
         for k in (0, 2, 5)
     ]
     return np.clip(np.concatenate([np.concatenate(row, axis=1) for row in frames]), 0.0, 1.0)
+
+
+def encoded(linear: Doubles) -> Doubles:
+    """As displays have it, 0..1."""
+    return np.asarray(encode_srgb(np.clip(linear, 0.0, 1.0)), np.float64)
 
 
 def psnr(a: Doubles, b: Doubles) -> float:

@@ -11,9 +11,9 @@ import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.rotations import rotation_matrix
 from lumisplat.relighting.delight import delight as steps
-from lumisplat.relighting.delight.albedo_fit import Light, LightFit, first_light
+from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, first_light
 from lumisplat.relighting.delight.captured import is_white, lamps_of
-from lumisplat.relighting.delight.incident import Incident, IncidentRays
+from lumisplat.relighting.delight.incident import IncidentRays, Irradiance
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
 from lumisplat.relighting.delight.sky_cells import SkyCells
@@ -30,7 +30,7 @@ def colored(gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
     return replace(gaussians, sh=sh[:, None].astype(np.float32), albedo=None, roughness=None, normals=None)
 
 
-def incident_of(gaussians: ls.Gaussians, normals: np.ndarray, cells: SkyCells, lamps: np.ndarray) -> Incident:
+def incident_of(gaussians: ls.Gaussians, normals: np.ndarray, cells: SkyCells, lamps: np.ndarray) -> Irradiance:
     """What shines on the Gaussians of a set."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     return IncidentRays(gaussians, renderer, 0).incident(normals, lamps, cells, lambda _label, _share: None)
@@ -136,12 +136,12 @@ def test_the_light_of_which_albedos_agree_is_found() -> None:
     sky = RNG.random((900, 16)) * cells.solid_angles
     lamps = RNG.random((900, 1))
     true = Light(np.full((16, 3), (0.8, 1.0, 1.3)), np.array([[6.0, 4.0, 2.0]]))
-    incident = Incident(np.full((900, 3), 0.1), sky.astype(np.float32), lamps.astype(np.float32))
+    incident = Irradiance(np.full((900, 3), 0.1), sky.astype(np.float32), lamps.astype(np.float32))
     albedo = np.where((np.arange(900) < 450)[:, None], (0.7, 0.4, 0.2), (0.2, 0.3, 0.6))
     outgoing = albedo * incident.total(true.sky, true.lamps)
     rng = np.random.default_rng(0)
     pairs = np.concatenate([rng.integers(0, 450, (6000, 2)), rng.integers(450, 900, (6000, 2))])
-    fit = LightFit(outgoing, incident, pairs, cells)
+    fit = AlikeAlbedos(outgoing, incident, pairs, cells)
     light = fit.solved(first_light(outgoing, incident))
     found = outgoing / incident.total(light.sky, light.lamps)
     ratio = found / albedo

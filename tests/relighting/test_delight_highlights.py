@@ -11,7 +11,7 @@ from lumisplat.constants.materials import SPREAD_SHARE
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting.delight.albedo_fit import Light
-from lumisplat.relighting.delight.incident import Incident
+from lumisplat.relighting.delight.incident import Irradiance
 from lumisplat.relighting.delight.lobes import Lobes, bin_samples, bins_of, frames_of, kept_by_harmonics
 from lumisplat.relighting.delight.neighbours import neighbours_of, normal_variances
 from lumisplat.relighting.delight.roughness_fit import Roughness, RoughnessFit, arriving_light, widened
@@ -82,7 +82,7 @@ def test_light_is_sorted_into_the_bins_above_gaussians() -> None:
     sky = (cosines * rng.random(cosines.shape)).astype(np.float32)
     by_way = (cosines.T[..., None] * rng.random((16, 9, 3))).astype(np.float16)
     light = Light(rng.random((16, 3)), np.zeros((0, 3)))
-    incident = Incident(by_way.sum(axis=0), sky, np.zeros((9, 0), np.float32), cells.directions, by_way)
+    incident = Irradiance(by_way.sum(axis=0), sky, np.zeros((9, 0), np.float32), cells.directions, by_way)
     arriving = arriving_light(normals, cells, incident, light)
     assert arriving.shape == (9, BIN_RINGS * BIN_SECTORS, 3)
     assert np.allclose(arriving.sum(axis=1), incident.total(light.sky, light.lamps), atol=2e-3)

@@ -15,7 +15,7 @@ from lumisplat.math.rotations import rotation_matrix
 from lumisplat.math.sh import sh_basis
 from lumisplat.relighting.delight.albedo_fit import Light, first_light, with_usual_albedos
 from lumisplat.relighting.delight.captured import is_white, lamps_of, outgoing_radiance
-from lumisplat.relighting.delight.incident import Incident, IncidentRays
+from lumisplat.relighting.delight.incident import IncidentRays, Irradiance
 from lumisplat.relighting.delight.sky_cells import SkyCells
 
 LAMP, FLOOR = 60, 200
@@ -40,7 +40,7 @@ def lamp_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarray]:
     return both, np.where(down, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))
 
 
-def incident(gaussians: ls.Gaussians, normals: np.ndarray, lamps: np.ndarray) -> Incident:
+def incident(gaussians: ls.Gaussians, normals: np.ndarray, lamps: np.ndarray) -> Irradiance:
     """What shines on the Gaussians of a set."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     return IncidentRays(gaussians, renderer, 0).incident(normals, lamps, SkyCells.even(8), lambda _label, _share: None)
@@ -97,7 +97,7 @@ def test_a_sun_is_found_where_it_stands() -> None:
 def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
     """0.8 at the 95th percentile of the lightest channel, whatever else shines on them; the sky keeps its colours."""
     rng = np.random.default_rng(1)
-    some = Incident(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
+    some = Irradiance(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
     true = Light(rng.uniform(0.2, 2.0, (9, 3)), np.zeros((0, 3)))
     outgoing = rng.uniform(0.1, 1.0, (400, 3)) * some.total(true.sky, true.lamps)
     for start in (Light(5.0 * true.sky, true.lamps), Light(0.3 * true.sky, true.lamps)):

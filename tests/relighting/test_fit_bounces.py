@@ -75,6 +75,18 @@ def test_what_has_bounced_is_averaged_as_far_in_the_scene_at_any_size():
         np.testing.assert_allclose(smooth.averaged(ramp)[inside], ramp[inside], rtol=1e-6)
 
 
+def test_nothing_is_averaged_beyond_the_edges_of_a_picture():
+    """On a floor that fills it, a corner has a quarter of the neighbours of the middle, none from the other side."""
+    floor = ls.Scene((), [ls.plane(40.0, 40.0)])
+    above = ls.Camera.look_at((0.0, 3.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=64, height=48, fov_y=0.6)
+    frame = ls.render(floor, above, replace(DIRECT, lighting=True, aovs=("albedo",)), device="cpu")
+    smooth = SmoothLight.of(floor, frame)
+    neighbours, reach = smooth.together.sum(axis=0), max(smooth.offsets)[0]
+    assert reach > 0 and neighbours[24, 32] == (2 * reach + 1) ** 2
+    for row, column in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
+        assert neighbours[row, column] == (reach + 1) ** 2
+
+
 @pytest.mark.deep
 @pytest.mark.parametrize("width", [64, 96])
 def test_a_closed_room_by_paths_of_many_samples(width):

@@ -130,6 +130,11 @@ def test_a_mask_leaves_out_what_it_hides():
     found = fitted(closed(*unknown(*lamps)), photograph, masks=mask)
     assert_powers(found.lights, lamps, 1e-3)
     assert found.views[0].masked == 20 * photograph.shape[0]
+    # Shares are of what is seen beside it.
+    counts = (found.views[0].weights > 0.0).all(axis=2)
+    alone = [np.asarray(ls.render(closed(lamp), VIEW, DIRECT, device="cpu").color)[..., :3] for lamp in lamps]
+    given = np.array([(picture[counts] @ (0.2126, 0.7152, 0.0722)).sum() for picture in alone])
+    np.testing.assert_allclose(found.shares, given / given.sum(), rtol=0.01)
 
 
 def test_exposure_of_a_camera_is_known():

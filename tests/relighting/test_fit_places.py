@@ -69,6 +69,16 @@ def test_a_lamp_is_found_again_between_pixels_that_do_not_count():
     assert_places(found.lights, (lamp,), 0.02)
 
 
+def test_lamps_stay_in_the_room():
+    """One that shone from far above is looked for up to the height of the walls, and no farther."""
+    lamp = ls.LightPoint((2.0, 9.0, 2.5), (1.0, 1.0, 1.0), 40.0)
+    start = replace(lamp, position=(2.0, 2.0, 2.5), intensity=2.0)
+    small = view(48, 36)
+    found = fitted(open_above(start), small, taken(open_above(lamp), small), positions=True)
+    height = expect_kind(ls.LightPoint, found.lights[0]).position[1]
+    assert height == pytest.approx(3.0, abs=1e-5)  # as high as the walls
+
+
 @pytest.mark.deep
 @pytest.mark.parametrize("count", [1, 2])
 def test_three_lamps_are_found_again(count):

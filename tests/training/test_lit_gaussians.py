@@ -18,7 +18,7 @@ from lumisplat.math.sh import even_directions
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.incident import IncidentRadiance
 from lumisplat.training.materials.lit_gaussians import LitGaussians, Materials
 from support.oracles.bsdf_oracle import evaluate
 from support.oracles.lit_gaussian_oracle import Lit, lit_view, radiance
@@ -53,7 +53,7 @@ class Shown:
     def __init__(self, lit: Lit) -> None:
         self.launcher = Launcher("cpu", 2)
         self.buffers = Buffers(self.launcher.device)
-        incident = Incident(lit.directions, lit.open.astype(np.float32), lit.seen.astype(np.float32))
+        incident = IncidentRadiance(lit.directions, lit.open.astype(np.float32), lit.seen.astype(np.float32))
         self.gaussians = LitGaussians(self.launcher, self.buffers, lit.means, incident)
         self.sh = self.buffers.get("test.sh", wp.vec3, len(lit.means))
         self.gaussians.shade(Materials(lit.albedo, lit.roughness, lit.normals, lit.sky), EYE, self.sh)

@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.sh import even_directions
-from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.incident import IncidentRadiance
 from lumisplat.training.materials.lit_gaussians import Materials
 from lumisplat.training.materials.material_fit import MaterialFit
 from lumisplat.training.views import TrainingView
@@ -34,7 +34,7 @@ def fit(photographs: Path) -> MaterialFit:
     normals = capture.means / np.linalg.norm(capture.means, axis=1, keepdims=True)
     start = Materials(np.full((COUNT, 3), 0.5), np.full(COUNT, 0.5), normals.astype(np.float64), np.ones((12, 3)))
     views = [TrainingView.of(one) for one in ls.load_photographs(photographs).training]
-    config, incident = ls.MaterialsConfig(iterations=10), Incident(directions, *light)
+    config, incident = ls.MaterialsConfig(iterations=10), IncidentRadiance(directions, *light)
     return MaterialFit(capture, views, incident, start, config, device="cpu", threads=1, progress=None)
 
 

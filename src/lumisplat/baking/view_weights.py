@@ -10,6 +10,7 @@ from lumisplat.math.arrays import Doubles, Flags
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.math.sh import even_directions
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.shortest_axes import shortest_axes
 
 
 def random_turns(count: int, rng: np.random.Generator) -> Doubles:
@@ -27,8 +28,7 @@ def plane_normals(gaussians: Gaussians) -> Doubles:
     """Normals, object space, shape (N, 3): those that are stored, else the smallest axes, of either sign."""
     if gaussians.normals is not None:
         return gaussians.normals.astype(np.float64)
-    axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64))
-    return np.take_along_axis(axes, gaussians.scales.argmin(axis=1)[:, None, None], axis=2)[..., 0]
+    return shortest_axes(gaussians)
 
 
 def on_seen_sides(directions: Doubles, normals: Doubles, weights: Doubles, front: Flags) -> Doubles:

@@ -24,7 +24,7 @@ from lumisplat.constants.delight import (
     SKY_SMOOTHNESS,
 )
 from lumisplat.math.arrays import Doubles, Rows
-from lumisplat.relighting.delight.incident import Incident
+from lumisplat.relighting.delight.incident import Irradiance
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.scene.sampling.blue_noise import Pairs
 
@@ -40,7 +40,7 @@ class Light:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LightFit:
+class AlikeAlbedos:
     """The light of which pairs of Gaussians get the most alike albedos.
 
     Albedo is outgoing radiance over irradiance over pi. Of surfaces with one albedo, the logarithms of both differ by
@@ -50,7 +50,7 @@ class LightFit:
 
     outgoing: Doubles
     """Radiance of Gaussians, shape (N, 3)."""
-    incident: Incident
+    incident: Irradiance
     """What shines on them."""
     pairs: Rows
     """Of Gaussians, shape (P, 2)."""
@@ -112,7 +112,7 @@ class LightFit:
         return form
 
 
-def first_light(outgoing: Doubles, incident: Incident) -> Light:
+def first_light(outgoing: Doubles, incident: Irradiance) -> Light:
     """Grey, the same from everywhere, and so much that the lightest surfaces have a usual albedo."""
     columns = np.concatenate([incident.sky, incident.lamps], axis=1)
     lit = columns.sum(axis=1, dtype=np.float64)
@@ -124,7 +124,7 @@ def first_light(outgoing: Doubles, incident: Incident) -> Light:
     return Light(np.full((incident.sky.shape[1], 3), radiance), np.full((incident.lamps.shape[1], 3), radiance))
 
 
-def with_usual_albedos(light: Light, outgoing: Doubles, incident: Incident) -> Light:
+def with_usual_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:
     """The light, brighter or darker by one factor, so that the lightest surfaces have a usual albedo."""
     for _ in range(SCALE_STEPS):
         irradiance = np.maximum(incident.total(light.sky, light.lamps), RADIANCE_LEAST)

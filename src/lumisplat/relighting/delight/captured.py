@@ -13,10 +13,17 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.sh_colors import colors_along
 from lumisplat.scene.sampling.blue_noise import cross_pairs
 
+BLOCK = 16384
+"""Gaussians whose colours from all sides are in memory at once."""
+
 
 def outgoing_radiance(gaussians: Gaussians, normals: Doubles) -> Doubles:
     """Radiance that Gaussians send to most directions before them, so without highlights, linear, shape (N, 3)."""
-    return np.asarray(np.median(radiance_before(gaussians, normals, VIEW_DIRECTIONS), axis=0), np.float64)
+    found = np.empty((gaussians.count, 3))
+    for first in range(0, gaussians.count, BLOCK):
+        rows = np.arange(first, min(first + BLOCK, gaussians.count))
+        found[rows] = np.median(radiance_before(gaussians.subset(rows), normals[rows], VIEW_DIRECTIONS), axis=0)
+    return found
 
 
 def radiance_before(gaussians: Gaussians, normals: Doubles, count: int) -> Doubles:

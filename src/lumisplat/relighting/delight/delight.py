@@ -24,9 +24,9 @@ from lumisplat.constants.delight import (
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.relighting.captured_light.albedos import in_range
-from lumisplat.relighting.delight.albedo_fit import Light, LightFit, albedo_pairs, first_light, with_usual_albedos
+from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, albedo_pairs, first_light, with_usual_albedos
 from lumisplat.relighting.delight.captured import is_white, lamps_of, outgoing_radiance
-from lumisplat.relighting.delight.incident import Incident, IncidentRays, Report
+from lumisplat.relighting.delight.incident import IncidentRays, Irradiance, Report
 from lumisplat.relighting.delight.lobes import Lobes
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
@@ -145,11 +145,11 @@ class _Delighter:
             cells, incident = cells.of(np.empty(0, int)), replace(incident, sky=incident.sky[:, :0])
         pairs = albedo_pairs(near, np.flatnonzero(~white), PAIRS, np.random.default_rng([self.config.seed, 5]))
         self.report("finding the light", 0.0)
-        light = LightFit(outgoing, incident, pairs, cells).solved(first_light(outgoing, incident))
+        light = AlikeAlbedos(outgoing, incident, pairs, cells).solved(first_light(outgoing, incident))
         for _ in range(0 if inside else BRIGHT_ROUNDS):
             cells, incident, light = self._finer(normals, smoother, cells, incident, light)
             self.report("finding the light", 0.5)
-            light = LightFit(outgoing, incident, pairs, cells).solved(light)
+            light = AlikeAlbedos(outgoing, incident, pairs, cells).solved(light)
         if not inside:
             light = with_usual_albedos(light, outgoing, incident)
         rough, lobes = Roughness.unknown(self.gaussians.count), Lobes.of(self.gaussians.sh_degree)
@@ -199,8 +199,8 @@ class _Delighter:
         return matt[:, None], mirrored[:, None]
 
     def _finer(
-        self, normals: Doubles, smoother: Smoother, cells: SkyCells, incident: Incident, light: Light
-    ) -> tuple[SkyCells, Incident, Light]:
+        self, normals: Doubles, smoother: Smoother, cells: SkyCells, incident: Irradiance, light: Light
+    ) -> tuple[SkyCells, Irradiance, Light]:
         """The cells of the sky that shine most in parts."""
         power = light.sky.mean(axis=1) * cells.solid_angles
         bright = np.argsort(-power, kind="stable")[:BRIGHT_CELLS]

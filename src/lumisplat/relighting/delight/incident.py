@@ -35,7 +35,7 @@ HalfArray = npt.NDArray[np.float16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Incident:
+class Irradiance:
     """Irradiance over pi of N Gaussians: what a white surface would show. Linear, in units of display white."""
 
     observed: Doubles
@@ -120,7 +120,7 @@ class IncidentRays:
 
     def incident(
         self, normals: Doubles, lamps: Rows, cells: SkyCells, report: Report, *, keeps_ways: bool = False
-    ) -> Incident:
+    ) -> Irradiance:
         """What shines on Gaussians that face along their normals.
 
         Args:
@@ -152,10 +152,10 @@ class IncidentRays:
         brought = shares.sum(axis=0)
         shares *= np.where((brought > 0.0) & (met > 0.0), met / np.maximum(brought, 1e-12), 1.0)
         ways = cells.directions if keeps_ways else np.zeros((0, 3))
-        return Incident(observed, sky, shares.astype(np.float32), ways, by_way)
+        return Irradiance(observed, sky, shares.astype(np.float32), ways, by_way)
 
     def from_sky(self, normals: Doubles, cells: SkyCells, report: Report) -> FloatArray:
-        """Of each cell of the sky, as ``Incident.sky``, shape (N, K)."""
+        """Of each cell of the sky, as ``Irradiance.sky``, shape (N, K)."""
         sky = np.zeros((len(normals), len(cells)), np.float32)
         for cell in range(len(cells)):
             report("tracing the bright sky", cell / len(cells))

@@ -9,7 +9,7 @@ import numpy as np
 
 from lumisplat.constants.delight import NEIGHBOURS, NORMAL_SHARPNESS
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
-from lumisplat.relighting.delight.incident import Incident
+from lumisplat.relighting.delight.incident import Irradiance
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
 
@@ -70,7 +70,7 @@ class Smoother:
             smooth[:, column] = np.bincount(self.near.first, weighted, len(values))
         return smooth
 
-    def incident(self, incident: Incident) -> Incident:
+    def incident(self, incident: Irradiance) -> Irradiance:
         """Smooth light; what comes from each direction stays as it is."""
         smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "sky", "lamps")}
         return replace(incident, **smooth)

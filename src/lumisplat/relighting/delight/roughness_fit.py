@@ -21,7 +21,7 @@ from lumisplat.constants.delight import (
 from lumisplat.math.arrays import Doubles, FloatArray, Rows, read_only_view
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.relighting.delight.albedo_fit import Light
-from lumisplat.relighting.delight.incident import Incident
+from lumisplat.relighting.delight.incident import Irradiance
 from lumisplat.relighting.delight.lobes import Lobes, bins_of, frames_of
 from lumisplat.relighting.delight.neighbours import normal_variances
 from lumisplat.relighting.delight.sky_cells import SkyCells
@@ -154,7 +154,7 @@ def widened(variances: Doubles) -> Doubles:
     return shares
 
 
-def arriving_light(normals: Doubles, cells: SkyCells, incident: Incident, light: Light) -> FloatArray:
+def arriving_light(normals: Doubles, cells: SkyCells, incident: Irradiance, light: Light) -> FloatArray:
     """Irradiance over pi from each bin of the hemispheres of Gaussians, shape (N, Q, 3).
 
     Args:

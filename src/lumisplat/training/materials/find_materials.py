@@ -29,7 +29,7 @@ from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
-from lumisplat.training.materials.incident import Incident, traced_incident
+from lumisplat.training.materials.incident import IncidentRadiance, traced_incident
 from lumisplat.training.materials.lit_gaussians import Materials
 from lumisplat.training.materials.material_checkpoint import FoundSoFar, MaterialFiles
 from lumisplat.training.materials.material_fit import MaterialFit, materials_of
@@ -155,7 +155,7 @@ class _Search:
         error = float(np.mean(errors)) if errors else float("nan")
         return FoundMaterials(relightable, environment, error, so_far.too_light)
 
-    def _begun(self) -> tuple[FoundSoFar, Incident]:
+    def _begun(self) -> tuple[FoundSoFar, IncidentRadiance]:
         """Where steps begin, and what was traced for them."""
         config, gaussians = self._config, self._gaussians
         normals, weights = self._normals()
@@ -184,7 +184,7 @@ class _Search:
             raise SceneError("no photograph shows anything of the capture: they are of something else, or elsewhere")
         return normals, weights
 
-    def _incident(self, normals: Doubles) -> Incident:
+    def _incident(self, normals: Doubles) -> IncidentRadiance:
         directions = even_directions(self._config.directions)
         settings = RenderConfig(pipeline=Pipeline.TRACE, lighting=False)
         renderer = create_renderer(settings, self._device, threads=self._threads, progress=self._progress)
@@ -192,7 +192,7 @@ class _Search:
             self._gaussians, normals, directions, renderer, seed=self._config.seed, report=self._progress
         )
 
-    def _refined(self, so_far: FoundSoFar, incident: Incident | None) -> tuple[Materials, tuple[float, ...]]:
+    def _refined(self, so_far: FoundSoFar, incident: IncidentRadiance | None) -> tuple[Materials, tuple[float, ...]]:
         """Materials and sky after all steps, and their last errors; Ctrl C ends after a step.
 
         Args:

@@ -19,7 +19,7 @@ Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Incident:
+class IncidentRadiance:
     """Light on N Gaussians from K directions that stand for as much of the sphere each."""
 
     directions: Doubles
@@ -37,7 +37,7 @@ class Incident:
 
 def traced_incident(
     gaussians: Gaussians, normals: Doubles, directions: Doubles, renderer: Renderer, *, seed: int, report: Report
-) -> Incident:
+) -> IncidentRadiance:
     """Follows a ray from each Gaussian into each direction above its horizon.
 
     Rays go anywhere within the part of the sphere that a direction stands for: where the part is blocked by half,
@@ -66,7 +66,7 @@ def traced_incident(
         alpha = 1.0 - hits.transmittance
         color = radiance_met(hits, alpha)
         open_[rows, k], seen[rows, k] = hits.transmittance, alpha[:, None] * color
-    return Incident(directions, open_, seen)
+    return IncidentRadiance(directions, open_, seen)
 
 
 def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:

@@ -13,7 +13,7 @@ from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.training.materials import material_gradient_kernels, material_kernels
-from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.incident import IncidentRadiance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class LitGaussians:
         incident: What reaches them.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, means: FloatArray, incident: Incident) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers, means: FloatArray, incident: IncidentRadiance) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._count, self._directions = incident.open.shape
         self._materials, self._light = GaussianMaterials(), DirectionalLight()

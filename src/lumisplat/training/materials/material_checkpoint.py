@@ -17,7 +17,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.incident import IncidentRadiance
 from lumisplat.training.materials.lit_gaussians import Materials
 
 _log = logging.getLogger("lumisplat")
@@ -97,20 +97,20 @@ class MaterialFiles:
             self._tell_anew(self._found)
             return None
 
-    def write_light(self, incident: Incident) -> None:
+    def write_light(self, incident: IncidentRadiance) -> None:
         """Writes what was traced: large, and only needed until the end.
 
         Raises:
             FormatError: It cannot be written.
         """
-        self._write(self._light, {name: getattr(incident, name) for name in Incident.__slots__}, {})
+        self._write(self._light, {name: getattr(incident, name) for name in IncidentRadiance.__slots__}, {})
 
-    def read_light(self) -> Incident | None:
+    def read_light(self) -> IncidentRadiance | None:
         """What was traced, if it is still there."""
         held = self._read(self._light)
-        if held is None or not set(Incident.__slots__) <= held[1].keys():
+        if held is None or not set(IncidentRadiance.__slots__) <= held[1].keys():
             return None
-        return Incident(**{name: held[1][name] for name in Incident.__slots__})
+        return IncidentRadiance(**{name: held[1][name] for name in IncidentRadiance.__slots__})
 
     def forget_light(self) -> None:
         """Removes what was traced."""

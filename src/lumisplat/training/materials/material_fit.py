@@ -25,7 +25,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.materials import material_gradient_kernels, material_kernels
 from lumisplat.training.materials.adam import Adam
 from lumisplat.training.materials.colored_gaussians import ColoredGaussians
-from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.incident import IncidentRadiance
 from lumisplat.training.materials.lit_gaussians import LitGaussians, Materials
 from lumisplat.training.materials.neighbours import near_pairs
 from lumisplat.training.materials.sky_fit import nearest_directions, smoothness_gradient
@@ -56,7 +56,7 @@ class MaterialFit:
         self,
         gaussians: Gaussians,
         views: Sequence[TrainingView],
-        incident: Incident,
+        incident: IncidentRadiance,
         start: Materials,
         config: MaterialsConfig,
         *,

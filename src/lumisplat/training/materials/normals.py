@@ -8,10 +8,10 @@ import numpy as np
 
 from lumisplat.constants.training import SURFACE_ALPHA
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.shortest_axes import shortest_axes
 from lumisplat.scene.scene import Scene
 
 Report = Callable[[str, float], None]
@@ -52,12 +52,6 @@ def seen_normals(
     axes *= np.where((axes * towards).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
     length = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.where(length > 1e-6, sums / np.maximum(length, 1e-6), axes), weights
-
-
-def shortest_axes(gaussians: Gaussians) -> Doubles:
-    """Of either sign, unit, shape (N, 3)."""
-    axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64))
-    return np.take_along_axis(axes, gaussians.scales.argmin(axis=1)[:, None, None], axis=2)[..., 0]
 
 
 def surface_normals(camera: Camera, depth: FloatArray, alpha: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from lumisplat.constants.materials import (
 )
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.training.materials.adam import Adam
-from lumisplat.training.materials.incident import Incident
+from lumisplat.training.materials.incident import IncidentRadiance
 from lumisplat.training.materials.pairs import Pairs
 
 Report = Callable[[str, float], None]
@@ -36,7 +36,7 @@ class WhiteLight:
     """Of what blocks the rest, shape (N, 3)."""
 
     @classmethod
-    def of(cls, incident: Incident, normals: Doubles) -> WhiteLight:
+    def of(cls, incident: IncidentRadiance, normals: Doubles) -> WhiteLight:
         """That of Gaussians with these normals, shape (N, 3)."""
         cosines = np.maximum(normals @ incident.directions.T, 0.0).astype(np.float32)
         shares = cosines * np.float32(incident.solid_angle / np.pi)
