@@ -22,6 +22,7 @@ from lumisplat.constants.baking import (
     BAKE_DIRECTIONS,
     BAKE_DIRECTIONS_MAX,
     BAKE_SAMPLES,
+    LINES_A_DIRECTION,
     PILOT_DIRECTIONS,
     VIEWS_AT_ONCE,
 )
@@ -63,7 +64,7 @@ def bake(
     Args:
         scene: Sets that are to be lit have a material. Something gives light.
         config: Settings; None: paths. ``Pipeline.TRACE`` is direct light without bounces. ``samples`` are those of
-            each direction, from 2 on; None: 8. More are less noisy, and take as much longer.
+            each ray, from 2 on; None: 8. More are less noisy, and take as much longer.
         degree: Of the harmonics, 0 to 3: how much of what changes with the direction of view is kept.
         directions: From which each Gaussian is seen, 4 to 1024.
         exposure: Stops by which the light is brightened, as that of a camera.
@@ -120,8 +121,18 @@ class _Settings:
 
     @property
     def samples(self) -> int:
-        """Of each direction."""
+        """Of each ray."""
         return self.config.samples or BAKE_SAMPLES
+
+    @property
+    def samples_alone(self) -> int:
+        """Of each direction, of sets that are seen together after that."""
+        return max(self.samples // 2, 2)
+
+    @property
+    def lines(self) -> int:
+        """To each Gaussian, of those that are seen together."""
+        return LINES_A_DIRECTION * self.directions
 
 
 @dataclass(slots=True)
@@ -144,15 +155,16 @@ class _Baker:
         nonfinite = 0
         seed = self.settings.config.seed
         draws = np.random.default_rng((seed, first, 1)), np.random.default_rng((seed, first, 2))
+        samples = self.settings.samples_alone if is_relit(instance) else self.settings.samples
         for views in self._views(instance, first):
-            shown = self._shown(views, self.settings.samples)
+            shown = self._shown(views, samples)
             nonfinite += shown.nonfinite
             if instance.shadow_only:
                 parts.append(views.shadow(shown))
                 continue
             parts.append(views.harmonics(shown, self.settings))
             if is_relit(instance):
-                self.lines.append(views.lines(shown, instance, self.settings.directions, draws))
+                self.lines.append(views.lines(shown, instance, self.settings.lines, draws))
         if nonfinite:
             _log.warning("%d samples of %s were not finite and are left out", nonfinite, instance.name or "a set")
         joined = np.concatenate(parts)
@@ -237,9 +249,11 @@ class _Views:
         def seen(light: Doubles) -> Doubles:
             return lit_picture(captured, kept, light, settings.exposure, settings.config.tone_map).astype(np.float64)
 
-        noise = 0.25 * np.square(seen(even) - seen(odd)).mean(axis=2)
+        # The curve bends noise: that of the mean by half as much as that of the halves, which is taken out.
+        halves = seen(even), seen(odd)
+        noise = 0.25 * np.square(halves[0] - halves[1]).mean(axis=2)
         shares = weights / weights.sum(axis=1, keepdims=True)
-        colors = seen(0.5 * (even + odd))
+        colors = 2.0 * seen(0.5 * (even + odd)) - 0.5 * (halves[0] + halves[1])
         return fit_sh(self.directions, colors, (shares * noise).sum(axis=1), weights, settings.degree)
 
     def lines(self, shown: ShownLight, instance: SplatInstance, count: int, draws: Draws) -> Sightlines:

@@ -14,14 +14,21 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.baking import seen_together_kernels as kernels
+from lumisplat.baking.shared_light import SeenWeights, shared_light
 from lumisplat.baking.sightlines import Sightlines
+from lumisplat.baking.view_weights import plane_normals
 from lumisplat.baking.visible_lights import meets_light
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.constants.baking import (
+    BOUNCED_MIN,
+    BOUNCED_PART,
     CHANGE_SPREAD,
     COVERED_MIN,
+    DIRECT_SLOPE,
+    LINES_A_DIRECTION,
     MISFIT,
     OTHERS_MAX,
+    RAYS_A_DIRECTION,
     SIGHT_MIN,
     TOGETHER_GAUSSIANS,
     TOGETHER_STEPS,
@@ -33,7 +40,8 @@ from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.editing.morton import morton_order
-from lumisplat.scene.scene import Scene
+from lumisplat.scene.ops.recolor import base_colors
+from lumisplat.scene.scene import Scene, SplatInstance
 
 _Rows = npt.NDArray[np.int64]
 
@@ -61,20 +69,29 @@ class SeenTogether:
 
     Args:
         scene: With its lights and meshes.
-        config: Settings of what frames show; ``samples`` are paths a ray, at least 2.
+        config: Settings of what frames show; ``samples`` are paths a ray, even.
         exposure: Stops.
         launcher: The device.
     """
 
     def __init__(self, scene: Scene, config: RenderConfig, exposure: float, launcher: Launcher) -> None:
-        half = max((config.samples or 2) // 2, 1)
         self._scene, self._config, self._exposure, self._launcher = scene, config, exposure, launcher
         counts = [one.gaussians.count for one in scene.splats]
         self._firsts = np.cumsum([0, *counts])
         self._instance = np.repeat(np.arange(len(counts)), counts)
         self._relit = np.repeat([is_relit(one) for one in scene.splats], counts)
         self._means = np.concatenate([one.world_means for one in scene.splats])
+        self._colors = np.concatenate([base_colors(one.gaussians) for one in scene.splats])
+        self._normals = np.concatenate([_world_normals(one) for one in scene.splats])
+        self._knows_front = np.repeat([one.gaussians.normals is not None for one in scene.splats], counts)
+        half = max((config.samples or 2) // 2, 1)
         self._paths = Renderer(replace(config, samples=half), launcher)
+        self._bounced: tuple[Renderer, Renderer] | None = None
+        if config.pipeline is Pipeline.PATH and config.max_bounces != 0:
+            # By the same random numbers: what paths bring without bouncing is a part of what they bring.
+            few = replace(config, samples=min(max(half // BOUNCED_PART, BOUNCED_MIN), half))
+            self._bounced = Renderer(few, launcher), Renderer(replace(few, max_bounces=0), launcher)
+            self._paths = Renderer(replace(self._paths.config, max_bounces=0), launcher)
         self._blends = Renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), launcher)
 
     def changed(self, sh: Doubles, lines: Sightlines, progress: Progress | None) -> Doubles:
@@ -109,42 +126,55 @@ class SeenTogether:
         share: Doubles = np.bincount(ray, weight, count).astype(np.float64)
         kept = (share > COVERED_MIN) & (1.0 - hits.transmittance - share < OTHERS_MAX)
         kept &= np.bincount(ray, weight * ~self._relit[gaussian], count) < OTHERS_MAX
-        kept &= ~self._from_behind(ray, gaussian, weight, directions)
+        facing = self._facing(gaussian, directions[ray])
+        # Rays that see more of the backs of Gaussians with normals than of their fronts: nobody is there.
+        kept &= np.bincount(ray, weight * facing * self._knows_front[gaussian], count) <= 0.0
         if self._config.pipeline is Pipeline.PATH:  # which shows lights as bodies, in front of Gaussians and behind
             kept &= ~meets_light(self._scene.lights, origins, directions)
-        colors, noise = self._colors(origins[kept], directions[kept], share[kept, None])
+        kept = _first_kept(kept.reshape(lines.origins.shape[:2]))
         number = np.cumsum(kept) - 1
         seen = kept[ray] & self._relit[gaussian] & (weight > SIGHT_MIN)
         ray, gaussian, weight = ray[seen], gaussian[seen], weight[seen]
         weight *= (share / np.maximum(np.bincount(ray, weight, count), 1e-12))[ray]
-        return Pixels(colors, noise, number[ray], gaussian, weight, self._directions(origins[ray], gaussian))
+        along = self._directions(origins[ray], gaussian)
+        # Both sides of a sheet have light of their own.
+        sides, rows = np.unique(2 * gaussian + (facing[seen] > 0.0), return_inverse=True)
+        weights = SeenWeights(number[ray], rows, weight, int(kept.sum()), len(sides))
+        light = self._light(origins[kept], directions[kept], self._colors[sides // 2], weights)
+        colors, noise = self._shown(light, share[kept, None])
+        return Pixels(colors, noise, number[ray], gaussian, weight, along)
 
-    def _from_behind(self, ray: _Rows, gaussian: _Rows, weight: Doubles, directions: FloatArray) -> Flags:
-        """Rays that see more of the backs of Gaussians with normals than of their fronts: nobody is there."""
-        normals = np.zeros_like(self._means)
-        for first, one in zip(self._firsts, self._scene.splats, strict=False):
-            if one.gaussians.normals is not None:
-                normals[first : first + one.gaussians.count] = (
-                    one.gaussians.normals @ one.transform[:3, :3].T / one.scale
-                )
-        facing = (normals[gaussian] * directions[ray]).sum(axis=1)
-        return np.bincount(ray, weight * facing, len(directions)) > 0.0
+    def _facing(self, gaussian: _Rows, directions: FloatArray) -> Doubles:
+        """Cosines of directions to the normals of Gaussians: above 0 where they show their backs."""
+        return (self._normals[gaussian] * directions).sum(axis=1)
 
-    def _colors(self, origins: FloatArray, directions: FloatArray, share: Doubles) -> tuple[Doubles, float]:
-        """Display-referred colours of rays, and the mean variance of their noise."""
-        twice = self._paths.trace_rays(self._scene, np.tile(origins, (2, 1)), np.tile(directions, (2, 1))).radiance
-        even, odd = twice.astype(np.float64).reshape(2, -1, 3) / share
+    def _light(self, origins: FloatArray, directions: FloatArray, colors: Doubles, weights: SeenWeights) -> Doubles:
+        """Linear light of what rays meet, by every other sample and by the others, with less noise, (2, P, 3)."""
+        twice = np.tile(origins, (2, 1)), np.tile(directions, (2, 1))
+
+        def seen(paths: Renderer) -> tuple[Doubles, Doubles]:
+            hits = paths.trace_rays(self._scene, *twice)
+            found = 1.0 - hits.transmittance.astype(np.float64)
+            return hits.radiance.astype(np.float64).reshape(2, -1, 3), found.reshape(2, -1, 1)
+
+        light = shared_light(*seen(self._paths), colors, weights, DIRECT_SLOPE)
+        if self._bounced is not None:
+            (whole, found), (first, _) = map(seen, self._bounced)
+            light += shared_light(whole - first, found, colors, weights, 1.0)
+        return light
+
+    def _shown(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
+        """Display-referred colours of rays of this light, and the mean variance of their noise."""
 
         def seen(light: Doubles) -> Doubles:
             nothing = np.zeros_like(light)
-            return lit_picture(nothing, nothing[..., 0], light, self._exposure, self._config.tone_map).astype(
-                np.float64
-            )
+            shown = lit_picture(nothing, nothing[..., 0], light, self._exposure, self._config.tone_map)
+            return share * shown.astype(np.float64)
 
         # The curve bends noise: that of the mean by half as much as that of the halves, which is taken out.
-        halves = seen(even), seen(odd)
-        colors = share * (2.0 * seen(0.5 * (even + odd)) - 0.5 * (halves[0] + halves[1]))
-        return colors, float(0.25 * np.square(share * (halves[0] - halves[1])).mean()) if len(colors) else 0.0
+        halves = seen(light)
+        colors = 2.0 * seen(light.mean(axis=0)) - halves.mean(axis=0)
+        return colors, float(0.25 * np.square(halves[0] - halves[1]).mean()) if len(colors) else 0.0
 
     def _directions(self, eyes: FloatArray, gaussian: _Rows) -> FloatArray:
         """From eyes, world space, to Gaussians, in their own space."""
@@ -210,7 +240,8 @@ def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles) -> Doubles:
     Coefficients are expected to change by some hundredths, and pixels tell as much of it as their noise lets them: the
     ridge is the ratio of the two variances. By conjugate gradients, a fixed number of steps.
     """
-    ridge = (pixels.noise + MISFIT**2) / CHANGE_SPREAD**2
+    level: Doubles = np.floor(np.sqrt(np.arange(sh.shape[1], dtype=np.float64) + 0.5))[:, None]
+    ridge = (pixels.noise + MISFIT**2) / CHANGE_SPREAD**2 * (level + 1.0) ** 2
     residual = blend.gather(pixels.colors - blend.show(sh))
     change = np.zeros_like(sh)
     along, before = residual.copy(), np.square(residual).sum(axis=(0, 1))
@@ -222,6 +253,17 @@ def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles) -> Doubles:
         after = np.square(residual).sum(axis=(0, 1))
         along, before = residual + after / np.maximum(before, 1e-30) * along, after
     return sh + change
+
+
+def _first_kept(kept: Flags) -> Flags:
+    """The first of the lines of each Gaussian that tell of it, (N, L) to (N * L,): as many as it has rays."""
+    rays = kept.shape[1] * RAYS_A_DIRECTION // LINES_A_DIRECTION
+    return (kept & (np.cumsum(kept, axis=1) <= rays)).ravel()
+
+
+def _world_normals(instance: SplatInstance) -> Doubles:
+    """Normals of the planes of Gaussians, world space, shape (N, 3)."""
+    return plane_normals(instance.gaussians) @ instance.transform[:3, :3].T / instance.scale
 
 
 def _first_of(numbers: _Rows, count: int) -> IntArray:

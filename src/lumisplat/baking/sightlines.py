@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.baking import SIGHT_REACH
+from lumisplat.constants.baking import GOLDEN_STEP, SIGHT_REACH
 from lumisplat.math.arrays import Doubles, FloatArray, IntArray
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.math.transforms import transform_points
@@ -54,8 +54,9 @@ def sightlines(
 ) -> Sightlines:
     """Some rays to each Gaussian, from eyes that see its middle, through a point drawn from it.
 
-    From views that count more come more of them. Eyes are spread evenly along the distance up to which the Gaussian is
-    seen: those that are in free space anywhere, each with as many pixels of it as it shows.
+    From views that count more come more of them. Eyes are spread along the distance up to which the Gaussian is seen,
+    the farther the more: those that are in free space anywhere would be spread evenly, each with as many pixels of it
+    as it shows, but people look across rooms, and not at the wall beside them.
 
     Args:
         instance: The Gaussians, in their place.
@@ -68,12 +69,14 @@ def sightlines(
     """
     gaussians = instance.gaussians
     total = gaussians.count
-    shares = np.cumsum(weights / weights.sum(axis=1, keepdims=True), axis=1)
+    across = weights * distances
+    shares = np.cumsum(across / across.sum(axis=1, keepdims=True), axis=1)
     numbers = draws[0].random((total, count, 2))
-    wanted = (np.arange(count) + numbers[..., 0]) / count
+    # Any first few of them are spread evenly over the views.
+    wanted = (GOLDEN_STEP * np.arange(count) + numbers[:, :1, 0]) % 1.0
     view = (wanted[:, :, None] > shares[:, None, :-1]).sum(axis=2)
     along = np.take_along_axis(directions, view[:, :, None], axis=1)
-    away = np.take_along_axis(distances, view, axis=1) * numbers[..., 1] / instance.scale
+    away = np.take_along_axis(distances, view, axis=1) * np.sqrt(numbers[..., 1]) / instance.scale
     point = draws[1].standard_normal((total, count, 3))
     point *= np.minimum(1.0, SIGHT_REACH / np.maximum(np.linalg.norm(point, axis=2, keepdims=True), 1e-12))
     axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64))

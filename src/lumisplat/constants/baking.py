@@ -4,7 +4,7 @@ BAKE_DIRECTIONS = 32
 """From which each Gaussian is looked at: twice as many as the harmonics of degree 3, as half of them see its back."""
 
 BAKE_SAMPLES = 8
-"""Paths a direction; even, so that both halves tell the noise."""
+"""Paths a ray; even, so that both halves tell the noise."""
 
 VIEWS_AT_ONCE = 2**17
 """Views that are on the device at once: some 60 MiB."""
@@ -36,6 +36,29 @@ SIGNAL_MIN = 1e-8
 BAKE_DIRECTIONS_MAX = 1024
 """More directions of a Gaussian are a typing error: harmonics of degree 3 have 16 coefficients."""
 
+RAYS_A_DIRECTION = 2
+"""Rays to Gaussians that are seen together, for each direction from which they are seen alone."""
+
+LINES_A_DIRECTION = 3
+"""Lines that are tried for these: in closed rooms, a quarter to a half show the back of something, or what is not
+baked."""
+
+GOLDEN_STEP = 0.6180339887498949
+"""Fraction of the golden ratio: its multiples are spread evenly, however many there are."""
+
+SHARED_COLOR_MIN = 0.02
+"""Least base colour by which light is divided before it is shared."""
+
+DIRECT_SLOPE = 2.0
+"""How fast rays keep more of their own direct light as they differ from what is shared by more than their noise: by 1,
+edges of shadows are drawn to the mean, too, which costs 0.5 dB in a room."""
+
+BOUNCED_PART = 2
+"""One in so many paths of each ray bounces: what has bounced is shared among rays, so that fewer tell enough."""
+
+BOUNCED_MIN = 2
+"""Paths of each half of the samples that bounce at least, if there are as many."""
+
 SIGHT_REACH = 3.0
 """Standard deviations from the middle of a Gaussian up to which rays look at it, of those seen together."""
 
@@ -48,10 +71,9 @@ COVERED_MIN = 0.05
 OTHERS_MAX = 0.02
 """Share of a ray up to which what is not baked may show on it."""
 
-CHANGE_SPREAD = 0.045
-"""Standard deviation of the changes that are expected of coefficients by what is seen together. At 0.07, frames of
-degree 3 are 0.1 dB worse to 0.25 dB better in three scenes, of degree 0 up to 0.4 dB better, but a single Gaussian in
-a furnace is off by 0.065, not 0.045: by noise of its rays."""
+CHANGE_SPREAD = 0.15
+"""Standard deviation of the changes that are expected of coefficients by what is seen together, of degree 0; of degree
+l a part of 1 / (l + 1), so that noise of rays does not go into how matt surfaces change with the direction."""
 
 MISFIT = 0.03
 """Error of blended harmonics that is expected besides noise, display-referred."""
@@ -59,5 +81,5 @@ MISFIT = 0.03
 TOGETHER_STEPS = 10
 """Of conjugate gradients: with 60, frames are the same to 0.2 dB."""
 
-TOGETHER_GAUSSIANS = 2**14
-"""Gaussians that are changed together: with 32 rays each, some 2 GB of the host's memory."""
+TOGETHER_GAUSSIANS = 2**13
+"""Gaussians that are changed together: with 64 rays each, some 2 GB of the host's memory."""

@@ -1,0 +1,82 @@
+"""Light of rays that is shared among the Gaussians they see: against NumPy, noise that goes, and edges that stay."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lumisplat.baking.shared_light import SeenWeights, shared_light
+
+GAUSSIANS, RAYS = 30, 6000
+WEIGHTS = np.array([0.5, 0.3, 0.2])
+
+
+def neighbours(rng: np.random.Generator) -> SeenWeights:
+    """Rays that see three Gaussians each, next to each other."""
+    first = rng.integers(0, GAUSSIANS - 2, RAYS)
+    return SeenWeights(
+        ray=np.repeat(np.arange(RAYS), 3),
+        gaussian=(first[:, None] + np.arange(3)).ravel(),
+        weight=np.tile(WEIGHTS, RAYS),
+        rays=RAYS,
+        gaussians=GAUSSIANS,
+    )
+
+
+def test_sums_are_those_of_a_matrix():
+    """Blends are W a, and means W' r over W' 1."""
+    rng = np.random.default_rng(0)
+    seen = neighbours(rng)
+    matrix = np.zeros((RAYS, GAUSSIANS))
+    np.add.at(matrix, (seen.ray, seen.gaussian), seen.weight)
+    of_gaussians, of_rays = rng.normal(size=(GAUSSIANS, 3)), rng.normal(size=(RAYS, 3))
+    np.testing.assert_allclose(seen.blended(of_gaussians), matrix @ of_gaussians, atol=1e-12)
+    expected = (matrix.T @ of_rays) / matrix.sum(axis=0)[:, None]
+    np.testing.assert_allclose(seen.mean_of(of_rays), expected, atol=1e-12)
+
+
+ALL = np.ones((2, RAYS, 1))
+"""Every sample meets something."""
+
+
+def test_noise_of_even_light_goes_and_colours_stay():
+    """An even wall of coloured patches: its light is what it is to a tenth of the noise, patch by patch."""
+    rng = np.random.default_rng(1)
+    seen, colors = neighbours(rng), rng.uniform(0.1, 0.9, (GAUSSIANS, 3))
+    truth = 0.7 * seen.blended(colors)
+    noise = truth * rng.exponential(1.0, (2, RAYS, 1)) - truth  # as of paths: rare and bright
+    light = shared_light(truth + noise, ALL, colors, seen, 1.0)
+    assert np.abs(light - truth).mean() < 0.1 * np.abs(noise).mean()
+    np.testing.assert_allclose(light.mean(axis=(0, 1)), truth.mean(axis=0), rtol=0.03)
+    np.testing.assert_allclose(shared_light(np.stack([truth, truth]), ALL, colors, seen, 1.0)[0], truth, rtol=1e-9)
+
+
+def test_edges_of_shadows_stay():
+    """Half of the rays of each Gaussian are in shadow, which noise does not explain: rays keep their own light."""
+    rng = np.random.default_rng(2)
+    seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.5)
+    lit = rng.random((RAYS, 1)) < 0.5
+    halves = np.where(lit, 0.4, 0.0) + rng.normal(0.0, 0.02, (2, RAYS, 3))
+    np.testing.assert_allclose(shared_light(halves, ALL, colors, seen, 2.0), halves, atol=1e-12)
+
+
+def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
+    """At an outline, half of what covers it: samples that meet it bring all of its light, the others none.
+
+    Light is that of what is met, without the noise of which samples do; divided by how many are expected to, it would
+    be off by half of itself and more.
+    """
+    rng = np.random.default_rng(3)
+    seen = neighbours(rng)
+    seen = SeenWeights(seen.ray, seen.gaussian, 0.5 * seen.weight, seen.rays, seen.gaussians)
+    colors = np.full((GAUSSIANS, 3), 0.6)
+    found = rng.binomial(4, 0.5, (2, RAYS, 1)) / 4.0
+    light = shared_light(found * 0.6 * np.array([0.5, 1.0, 2.0]), found, colors, seen, 2.0)
+    np.testing.assert_allclose(light, np.broadcast_to(0.6 * np.array([0.5, 1.0, 2.0]), light.shape), rtol=1e-9)
+
+
+def test_what_no_ray_sees_is_no_trouble():
+    """Rays without sights are dark, and Gaussians without rays give nothing."""
+    seen = SeenWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)
+    light = shared_light(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((3, 3), 0.5), seen, 1.0)
+    np.testing.assert_allclose(light[:, 0], 0.3)
+    assert (light[:, 1] == 0.0).all()
