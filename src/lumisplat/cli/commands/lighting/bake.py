@@ -37,7 +37,7 @@ class Bake(LoadingCommand, DeviceCommand):
     degree: Annotated[int, arg(metavar="0..3")] = 3
     """How much of what changes with the direction of view is kept, such as highlights; 0 is one colour."""
     samples: Annotated[int, arg(metavar="N")] = 8
-    """Paths of light in each direction, at least 2. The time is in proportion; the noise falls with its root."""
+    """Paths of light of each ray, at least 2. The time is in proportion; the noise falls with its root."""
     directions: Annotated[int, arg(metavar="N")] = 32
     """From which each Gaussian is seen, 4 to 1024. The time is in proportion; more show sharper highlights better."""
     direct: Flag = False
