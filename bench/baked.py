@@ -48,6 +48,8 @@ ITERATIONS = 60
 RIDGES = (1e-3, 1e-1, 1.0, 10.0)
 """Of the best harmonics, weights of pixels being 1: those count that do best in the 16 views."""
 Doubles = npt.NDArray[np.float64]
+Rays = tuple[npt.NDArray[Any], npt.NDArray[Any]]
+"""Origins and directions, (P, 3) each."""
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,11 @@ def best_harmonics(views: list[View], start: Doubles, ridge: float) -> Doubles:
 
 def view_of(scene: ls.Scene, camera: ls.Camera, seed: int, paths: int, device: str) -> View:
     """A view: two frames of paths, of this seed and the next, and how its pixels blend Gaussians."""
+    return lit_view(scene, camera, lambda rays, half: paths_of(scene, rays, paths, seed + half, device), device)
+
+
+def lit_view(scene: ls.Scene, camera: ls.Camera, light: Callable[[Rays, int], Doubles], device: str) -> View:
+    """A view of linear radiance of rays, (P, 3), that is asked for twice, as 0 and as 1."""
     from scipy.sparse import csr_array
 
     origins, directions = (rays.reshape(-1, 3) for rays in world_rays(camera))
@@ -215,7 +222,7 @@ def view_of(scene: ls.Scene, camera: ls.Camera, seed: int, paths: int, device: s
     # Behind pixels that are not covered is nothing, and pictures are laid over it as displays show them.
     share = np.maximum(alpha[shown, None], 1e-6)
     frames = [
-        share * apply_tone_map(paths_of(scene, rays, paths, seed + half, device) / share, ls.ToneMap.NONE).astype(float)
+        share * apply_tone_map(light(rays, half) / share, ls.ToneMap.NONE).astype(float)
         for half in (0, 1)
         for rays in [(origins[shown], directions[shown])]
     ]
@@ -230,7 +237,7 @@ def view_of(scene: ls.Scene, camera: ls.Camera, seed: int, paths: int, device: s
     )
 
 
-def paths_of(scene: ls.Scene, rays: tuple[Doubles, Doubles], paths: int, seed: int, device: str) -> Doubles:
+def paths_of(scene: ls.Scene, rays: Rays, paths: int, seed: int, device: str) -> Doubles:
     """Linear radiance of rays, (P, 3)."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=paths, max_bounces=BOUNCES, seed=seed)
     return ls.trace_rays(scene, *rays, config, device=device).radiance.astype(np.float64)

@@ -92,34 +92,6 @@ def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:
     ]
 
 
-def squared_error(shown: ls.Scene, scene: ls.Scene, config: ls.RenderConfig) -> float:
-    """Of unlit frames of a capture to lit ones of the scene, display-referred, where both are opaque."""
-    errors: list[np.ndarray] = []
-    for camera in views_of(scene):
-        unlit = ls.render(shown, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
-        lit = ls.render(scene, camera, config, device="cpu")
-        inside = unlit.alpha > 0.98
-        errors.append((unlit.color - np.clip(encode_srgb(lit.color), 0.0, 1.0))[inside])
-    return float(np.square(np.concatenate(errors)).mean())
-
-
-def test_frames_of_paths_are_met_and_highlights_by_higher_degrees() -> None:
-    """A glossy ball between a red and a blue lamp: a highlight moves with the eye, and degree 3 follows it best.
-
-    Without noise, a fit with hardly a ridge comes no nearer: so sharp a highlight is likely beyond degree 3.
-    """
-    lamps = [
-        ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
-        ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
-    ]
-    shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)), 600)
-    scene = ls.Scene([shiny], lights=lamps)
-    lit = replace(TRACE, samples=2)
-    errors = [squared_error(baked(scene, TRACE, degree=degree), scene, lit) for degree in (0, 3)]
-    assert errors[1] < 0.25 * errors[0]
-    assert errors[1] < 3.5e-3  # alone, Gaussians are at 5.5e-3
-
-
 def test_a_placed_set_looks_as_one_that_is_not() -> None:
     """Turned, scaled and moved with its light, a set is baked into the same harmonics, of its own space."""
     shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=1.0, roughness=0.5)), 100)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,8 +10,77 @@ import numpy as np
 import pytest
 from bench import baked as bench
 
+import lumisplat as ls
+from lumisplat.math.color import encode_srgb
+from lumisplat.math.sh import even_directions
+from support.scenes.path_scenes import ball
+
 LEARNT, PATHS = 40, 16
 """Views that the best harmonics are fitted to, and their paths a pixel."""
+
+TRACE = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
+"""Direct light, which has no noise where lamps are points."""
+
+
+def glossy_ball() -> ls.Scene:
+    """Between a red and a blue lamp."""
+    lamps = [
+        ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
+        ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
+    ]
+    metal = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)
+    return ls.Scene([ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, metal), 300), material=metal)], lights=lamps)
+
+
+def view_from(side: Any, pixels: int) -> ls.Camera:
+    """Of the ball."""
+    return ls.Camera.look_at(3.5 * np.array(side), (0, 0, 0), (0, 1, 0), width=pixels, height=pixels, fov_y=0.6)
+
+
+def views_around(scene: ls.Scene, count: int = 120) -> list[bench.View]:
+    """In direct light, of pixels that Gaussians cover."""
+    renderer = ls.create_renderer(TRACE, "cpu")
+
+    def light(rays: bench.Rays, _half: int) -> np.ndarray:
+        return renderer.trace_rays(scene, *rays).radiance.astype(np.float64)
+
+    learnt: list[bench.View] = []
+    for side in even_directions(count):
+        view = bench.lit_view(scene, view_from(side, 20), light, "cpu")
+        whole = np.asarray(view.blend.sum(axis=1)).ravel() > 0.98
+        truth = view.truth[0][whole], view.truth[1][whole]
+        learnt.append(replace(view, truth=truth, blend=view.blend[np.flatnonzero(whole)]))
+    return learnt
+
+
+def decibels(shown: ls.Scene, scene: ls.Scene) -> float:
+    """PSNR of unlit frames of a capture beside lit ones of the scene, display-referred, where both are opaque."""
+    errors: list[np.ndarray] = []
+    for side in ((0.0, 0.3, -1.0), (0.9, 0.4, 0.2), (-0.5, -0.2, 0.9), (-0.9, 0.6, -0.4)):
+        camera = view_from(side, 48)
+        unlit = ls.render(shown, camera, replace(TRACE, samples=1), device="cpu")
+        lit = ls.render(scene, camera, TRACE, device="cpu")
+        inside = unlit.alpha > 0.98
+        errors.append((unlit.color - np.clip(encode_srgb(lit.color), 0.0, 1.0))[inside])
+    return float(-10.0 * np.log10(np.square(np.concatenate(errors)).mean()))
+
+
+def test_a_highlight_is_within_a_decibel_of_the_best_harmonics() -> None:
+    """A highlight moves with the eye, and harmonics of degree 3 follow it as far as they can; those of degree 0 do not.
+
+    The best ones know 120 other views without noise. At degree 3 they are 0.6 dB below those that know 400.
+    """
+    scene = glossy_ball()
+    learnt = views_around(scene)
+    found: dict[int, float] = {}
+    for degree in (0, 3):
+        known = bench.best_harmonics(learnt, np.zeros((scene.gaussian_count, (degree + 1) ** 2, 3)), 0.03)
+        gaussians = replace(scene.splats[0].gaussians, sh=known.astype(np.float32))
+        found[degree] = decibels(ls.Scene([ls.SplatInstance(gaussians)]), scene)
+        baked = decibels(ls.bake(scene, TRACE, degree=degree, device="cpu"), scene)
+        print(f"degree {degree}: baked {baked:.2f} dB, best {found[degree]:.2f} dB")
+        assert baked > found[degree] - 1.0
+    assert found[3] > found[0] + 4.0
 
 
 @pytest.mark.deep
