@@ -10,7 +10,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.baking import bake as bake_module
-from lumisplat.math.color import encode_srgb
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.sh import sh_basis
 from support.scenes.path_scenes import ball, diffuse
 from support.scenes.raster_scenes import similarity
@@ -137,6 +138,21 @@ def test_a_shadow_falls_on_a_shadow_only_capture(pipeline: ls.Pipeline) -> None:
     assert (after[below, 0] < before[below, 0] - 0.2).all()
     if pipeline is ls.Pipeline.TRACE:  # a path may hit the roof from anywhere
         np.testing.assert_array_equal(after[apart], before[apart])
+
+
+def test_a_dim_sun_takes_no_more_than_it_gave_a_white_surface() -> None:
+    """A capture shows light of lamps that the scene does not have: in the shadow of a dim sun, E / pi of it is gone.
+
+    Less of Gaussians that are seen from below, too, where the sun does not shine.
+    """
+    capture = replace(floor(), material=None, shadow_only=True)
+    roof = ls.MeshInstance(ls.box((9.0, 0.02, 9.0), material=diffuse(0.0)), position=(0.0, 0.5, 0.0))
+    dim = ls.LightDirectional((0.0, -1.0, 0.0), intensity=0.5)
+    (shown,) = baked(ls.Scene([capture], [roof], [dim]), replace(PATH, samples=2, max_bounces=0), directions=8).splats
+    before, after = (decode_srgb(0.5 + SH_C0 * one.gaussians.sh[:, 0]) for one in (capture, shown))
+    taken = (before - after) * np.pi / 0.5
+    np.testing.assert_allclose(taken.max(), 1.0, atol=1e-3)
+    assert np.median(taken) > 0.8
 
 
 def test_the_same_seed_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:

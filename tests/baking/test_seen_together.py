@@ -76,6 +76,25 @@ def test_a_lamp_that_is_seen_is_not_baked_into_what_it_lights(lamp: ls.LightSphe
     np.testing.assert_allclose(shown.gaussians.sh, -0.5 / SH_C0, atol=1e-4)
 
 
+def veil() -> ls.SplatInstance:
+    """A capture of white glass that keeps its look, above."""
+    white = ls.gaussians_from_mesh(ls.plane(4.0, 4.0, material=diffuse(1.0)), 60)
+    return ls.SplatInstance(replace(white, opacities=np.full_like(white.opacities, 0.1)), position=(0.0, 1.6, 0.0))
+
+
+@pytest.mark.parametrize("other", [veil(), ls.MeshInstance(ball(0.5, diffuse(0.0, 3.0), rows=8), position=(0, 2, 0))])
+def test_what_is_not_baked_is_not_baked_into_what_is_before_or_behind_it(
+    other: ls.SplatInstance | ls.MeshInstance,
+) -> None:
+    """Rays that see a bright capture or mesh on their way, or past the edge of a Gaussian: a black body stays black."""
+    black = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.0), rows=16), 60), material=diffuse(0.0))
+    splats, meshes = ([black, other], []) if isinstance(other, ls.SplatInstance) else ([black], [other])
+    lamp = ls.LightDirectional((0.0, -1.0, 0.0))
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=2, max_bounces=0)
+    shown = ls.bake(ls.Scene(splats, meshes, [lamp]), config, degree=0, device="cpu").splats[0]
+    np.testing.assert_allclose(shown.gaussians.sh, -0.5 / SH_C0, atol=1e-4)
+
+
 def test_rays_meet_lights_where_frames_of_paths_show_them() -> None:
     """Any rays, from above and below, from inside of the sphere as well; of lights that are off or unseen, none."""
     rng = np.random.default_rng(2)
