@@ -39,7 +39,7 @@ class Bake(LoadingCommand, DeviceCommand):
     samples: Annotated[int, arg(metavar="N")] = 8
     """Paths of light of each ray, at least 2. The time is in proportion; the noise falls with its root."""
     directions: Annotated[int, arg(metavar="N")] = 32
-    """From which each Gaussian is seen, 4 to 1024. The time is in proportion; 64 are 0.7 dB nearer to frames in a room."""
+    """From which each Gaussian is seen, 4 to 1024. The time is in proportion; 64 are 0.7 dB nearer in a room."""
     direct: Flag = False
     """Lights and their shadows only, without bounces: faster, and without their noise."""
     max_bounces: Annotated[int | None, setting("0..64", "8")] = None
