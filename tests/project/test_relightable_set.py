@@ -18,6 +18,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.io.images.exr import read_exr, write_exr
 from lumisplat.math.panorama import panorama_directions
+from support.oracles import bsdf_oracle as oracle
 
 ROOT = Path(__file__).resolve().parents[2]
 LIT_IN = {"environment": "test", "relit/sunny": "relit/sunny", "relit/studio": "relit/studio"}
@@ -169,6 +170,47 @@ def test_roughness_is_that_of_the_place(tool, made, balls) -> None:
         pair = [ls.load_image(one / "relit" / "studio" / f"r_{index:03}.png") for one in (folder, matt)]
         assert ls.psnr(*pair, region=inside) < 35.0
     assert json.loads((folder / "set.json").read_text())["specular"] == 1.0
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("roughness", [0.2, 0.8])
+@pytest.mark.parametrize("degrees", [10.0, 75.0])
+def test_the_dielectric_of_gltf(tool: ModuleType, roughness: float, degrees: float) -> None:
+    """Its values are those of the specification, and samples of it bring what there is to be brought."""
+    if importlib.util.find_spec("mitsuba") is None:
+        pytest.skip("needs Mitsuba")
+    try:
+        mi = tool.load_mitsuba()
+    except ImportError:
+        pytest.skip("needs a libLLVM that Mitsuba accepts")
+    tool.mitsuba_gltf.register(mi)
+    base = np.array([0.8, 0.5, 0.2])
+    bsdf = mi.load_dict(
+        {
+            "type": "gltf_dielectric",
+            "base_color": {"type": "rgb", "value": base.tolist()},
+            "roughness": {"type": "uniform", "value": roughness},
+        }
+    )
+    count = 1 << 18
+    numbers = np.random.default_rng(4).random((5, count)).astype(np.float32)
+    height, turn = numbers[0], 2.0 * np.pi * numbers[1]
+    out = np.stack([np.sqrt(1.0 - height**2) * np.cos(turn), np.sqrt(1.0 - height**2) * np.sin(turn), height], axis=1)
+    view, up = np.array([np.sin(np.radians(degrees)), 0.0, np.cos(np.radians(degrees))]), np.array([0.0, 0.0, 1.0])
+    place = mi.SurfaceInteraction3f()
+    place.wi = mi.Vector3f(*map(float, view))
+    seen_along = mi.Vector3f(*(mi.Float(column) for column in np.float32(out).T.copy()))
+    value = np.array(bsdf.eval(mi.BSDFContext(), place, seen_along, mi.Bool(True))).T
+    half = (view + out) / np.linalg.norm(view + out, axis=1, keepdims=True)
+    mirrored = oracle.schlick([0.04], 1.0, np.sum(view * half, axis=1))
+    alpha = roughness**2
+    facets = oracle.ggx(oracle.angle(up, half), alpha) * oracle.smith(oracle.angle(up, view), alpha)
+    facets *= oracle.smith(oracle.angle(up, out), alpha) / (4.0 * view[2] * height)
+    expected = height[:, None] * ((1.0 - mirrored) * base / np.pi + mirrored * facets[:, None])
+    np.testing.assert_allclose(value, expected, rtol=2e-3, atol=1e-5)
+    chance = mi.Point2f(mi.Float(numbers[3]), mi.Float(numbers[4]))
+    _, weight = bsdf.sample(mi.BSDFContext(), place, mi.Float(numbers[2]), chance, mi.Bool(True))
+    np.testing.assert_allclose(np.array(weight).mean(axis=1), 2.0 * np.pi * expected.mean(axis=0), rtol=0.02)
 
 
 @pytest.mark.deep
