@@ -82,7 +82,7 @@ def mutated(document: dict[str, Any], rng: np.random.Generator) -> None:
 
 
 def survives(path: Path, data: bytes, *, moves: bool = False) -> bool:
-    """Whether the data load, as an animation, too, if something moves; else one line that names the file refuses them."""
+    """Whether the data load, as an animation, too, if something moves; if not, one line names the file."""
     path.write_bytes(data)
     try:
         ls.load(path)
