@@ -60,6 +60,22 @@ def test_cells_of_the_sky_tile_it() -> None:
     assert not len(cells.of(np.empty(0, int)).neighbours)
 
 
+def test_a_room_whose_walls_leak_is_a_room() -> None:
+    """As trained ones do; and a ball in the open is none, nor one in haze."""
+    assert is_room(0.5) and is_room(1.0)
+    assert not is_room(0.0) and not is_room(0.3)
+
+
+def is_room(opacity: float) -> bool:
+    """Whether a ball within walls of such an opacity, all around, is taken for a room."""
+    walls = ls.gaussians_from_mesh(ls.sphere(3.0), 500)
+    walls = replace(walls, opacities=np.full(walls.count, opacity, np.float32))
+    capture = colored(ls.merge([ls.gaussians_from_mesh(ls.sphere(1.0), 200), walls]), np.full((700, 3), 0.4))
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    rays, near = IncidentRays(capture, renderer, 0), neighbours_of(capture)
+    return rays.facing(ls.estimate_normals(capture).astype(np.float64), near, None, known=False)[1]
+
+
 def test_sides_spread_over_a_surface_from_one_vote() -> None:
     """One sure Gaussian turns all that lie in one plane, not those of the wall that stands on it."""
     floor = np.stack([*np.meshgrid(np.arange(20.0), np.arange(20.0)), np.zeros((20, 20))], axis=-1).reshape(-1, 3)

@@ -6,8 +6,9 @@ SIDE_DIRECTIONS = 26
 SIDE_ENCLOSED = 0.1
 """Share of Gaussians that see no sky on either side, from which on a capture was taken from inside of it."""
 
-SKY_SEEN = 0.02
-"""Share of the sky that a side sees at least, if it sees any."""
+SKY_SEEN = 0.1
+"""Share of the sky that a side sees at least, if it sees any: walls that were learnt from photographs let 2 to 6 %
+through. Of captured rooms, 36 to 63 % of the Gaussians see less on both sides, of captured objects at most 0.2 %."""
 
 SKY_ENOUGH = 0.2
 """Share of the sky from which on more of it does not make a side likelier to be the one that was seen."""

@@ -81,9 +81,9 @@ class MaterialEstimate:
     def remarks(self) -> tuple[str, ...]:
         """What to know about the result, a sentence each."""
         lines = [
-            "taken from inside, as a room: light comes from what the capture shows"
+            "taken from inside, as a room, for much of it sees no sky (else say inside: no): light is what it shows"
             if self.is_inside
-            else "taken from outside, as an object: how bright the sky was is a guess, by which albedos scale"
+            else "taken from outside, as an object (else say inside: yes): how bright the sky was is a guess"
         ]
         if len(self.lamps):
             brightness = ", ".join(f"{lamp.mean():.3g}" for lamp in self.lamps)
