@@ -19,6 +19,7 @@ import numpy as np
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.gltf.writing.blender_script import SCENE, SCRIPT, script_text
 from lumisplat.io.gltf.writing.cameras import camera_losses, can_hold_camera
 from lumisplat.io.gltf.writing.lights import can_hold_light
 from lumisplat.io.gltf.writing.scene import light_losses, upright, write_gltf
@@ -31,39 +32,8 @@ _log = logging.getLogger("lumisplat")
 
 BLENDER_FROM_GLTF = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float64)
 """How Blender turns y up to z up, shape (4, 4)."""
-SCRIPT = "import_into_blender.py"
-SCENE = "scene.glb"
 CAPTURES = "captures"
 _NAME_MAX = 60
-
-_TEXT = '''"""README: run this in Blender 4.1 or newer, by `blender --python {script}` or in its text editor.
-
-It reads {scene} (meshes, lights, cameras), if there is one, and the captures, which are where they stand in the scene.
-By itself Blender shows captures as points, with all their values as attributes; add-ons for Gaussian splats show them.
-Written by Lumisplat from what is documented of Blender, and not tried in it.
-"""
-
-from pathlib import Path
-
-import bpy
-
-SCENE = {glb!r}
-CAPTURES = {captures!r}
-
-
-def folder():
-    script = Path(__file__)
-    if not script.is_file():  # a text of the editor, which knows its file
-        script = Path(bpy.path.abspath(bpy.data.texts[script.name].filepath))
-    return script.parent
-
-
-if SCENE is not None:
-    # Unitless: a lamp of so many candela is as bright as here.
-    bpy.ops.import_scene.gltf(filepath=str(folder() / SCENE), export_import_convert_lighting_mode="COMPAT")
-for path in CAPTURES:
-    bpy.ops.wm.ply_import(filepath=str(folder() / path), forward_axis="Y", up_axis="Z")
-'''
 
 
 def write_blend_ready(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> None:
@@ -104,9 +74,8 @@ def write_blend_ready(path: PathLike, scene: Scene, cameras: Sequence[Camera] = 
         raise FormatError(path, f"glTF cannot hold {'; '.join(losses)}: there is nothing else to write")
     if losses:
         _log.warning("%s: Blender will not show %s", os.fspath(path), "; ".join(losses))
-    text = _TEXT.format(script=SCRIPT, scene=SCENE, glb=glb, captures=captures)
     with atomic_write(folder / SCRIPT) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(script_text(folder.stem, glb, captures), encoding="utf-8")
 
 
 def _fits_gltf(scene: Scene, cameras: Sequence[Camera]) -> bool:
