@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import SSIM_WINDOW_PX
+from lumisplat.constants.metrics import SSIM_WINDOW_PX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Flags
 

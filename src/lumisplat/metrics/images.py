@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import check_range
-from lumisplat.constants import FLIP_PIXELS_PER_DEGREE, SSIM_SIGMA_PX, SSIM_WINDOW_PX
+from lumisplat.constants.metrics import FLIP_PIXELS_PER_DEGREE, SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.metrics.extras import import_extra
 from lumisplat.metrics.image_pairs import check_window, picture_pair, region_means
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import (
+from lumisplat.constants.metrics import (
     FIT_STEPS_MAX,
     FIT_TOLERANCE,
     HUBER_WIDTH,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.config import check_whole
-from lumisplat.constants import CHROMATICITY_SAMPLES_MAX, NEIGHBOURHOOD_RADIUS
+from lumisplat.constants.metrics import CHROMATICITY_SAMPLES_MAX, NEIGHBOURHOOD_RADIUS
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.metrics.chromaticity import lab

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import check_whole
-from lumisplat.constants import SSIM_SIGMA_PX, SSIM_WINDOW_PX
+from lumisplat.constants.metrics import SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.errors import SceneError
 from lumisplat.metrics.image_pairs import Image, check_window, picture_pair, region_means
 

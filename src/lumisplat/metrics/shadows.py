@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import check_range
-from lumisplat.constants import BOUNDARY_TOLERANCE_PX, SHADOW_MASK_THRESHOLD
+from lumisplat.constants.metrics import BOUNDARY_TOLERANCE_PX, SHADOW_MASK_THRESHOLD
 from lumisplat.metrics.image_pairs import Image, shadow_pair
 
 _Mask = npt.NDArray[np.bool_]

@@ -10,14 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lumisplat.constants import (
-    HUBER_WIDTH,
-    MAD_PER_DEVIATION,
-    TRACE_DIRECTIONS,
-    TRACE_FLOOR,
-    TRACE_RIDGE,
-    TRACE_STEPS,
-)
+from lumisplat.constants import TRACE_DIRECTIONS, TRACE_FLOOR, TRACE_RIDGE, TRACE_STEPS
+from lumisplat.constants.metrics import HUBER_WIDTH, MAD_PER_DEVIATION
 from lumisplat.math.arrays import Doubles, Flags
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces

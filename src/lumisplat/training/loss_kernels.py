@@ -11,7 +11,8 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX, SSIM_WINDOW_PX
+from lumisplat.constants import FUSED_FLAGS
+from lumisplat.constants.metrics import SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.constants.training import COVERED_MIN, SSIM_C1, SSIM_C2
 from lumisplat.device.film.counted import counted, share_of
 from lumisplat.device.structs.training import LossGrid, LossMaps, LossWeights, Photograph
