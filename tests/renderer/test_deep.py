@@ -66,9 +66,9 @@ def test_samples_add_up_to_a_frame_that_is_given(cloud: ls.Gaussians) -> None:
 def test_things_go_in_between(cloud: ls.Gaussians) -> None:
     """What a wall put among the samples by depth would show of itself is what frames with it show, within a step.
 
-    Of Gaussians that pixels do not widen, at the depths by which they are in front of a mesh or behind it.
+    Of Gaussians as wide as pixels make them, at the depths by which they are in front of a mesh or behind it.
     """
-    config = replace(TRACED, trace=ls.TraceConfig(dilation=0.0, hit_distance=ls.HitDistance.PEAK))
+    config = replace(TRACED, trace=ls.TraceConfig(hit_distance=ls.HitDistance.PEAK))
     deep = ls.render_deep(ls.Scene(splats=[cloud]), front_camera(), config=config, device="cpu")
     through = np.ones(len(deep.first) - 1)
     for pixel in range(len(through)):

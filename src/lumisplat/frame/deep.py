@@ -22,9 +22,10 @@ class DeepFrame:
     first: Rows
     """Row of each pixel's first sample, and M at the end, (H W + 1,)."""
     near: FloatArray
-    """View depth at which a sample begins, scene units, (M,)."""
+    """View depth at which a sample begins, scene units, (M,); of a fisheye, which sees to its sides and behind, the
+    distance."""
     far: FloatArray
-    """View depth at which it ends, (M,)."""
+    """Likewise where it ends, not behind the beginning of the next one, (M,)."""
     color: FloatArray
     """Linear Rec.709, premultiplied by the sample's own alpha, (M, 3)."""
     alpha: FloatArray
@@ -46,7 +47,7 @@ class DeepFrame:
         return flat.reshape(*self.size, 4).astype(np.float32)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes a deep EXR: ``R G B A`` premultiplied and linear, ``Z`` and ``ZBack`` view depths.
+        """Writes a deep EXR: ``R G B A`` premultiplied and linear, ``Z`` and ``ZBack`` depths.
 
         Raises:
             FormatError: The extension is not .exr, or the file cannot be written.

@@ -1,34 +1,43 @@
-"""Deep frames: the Gaussians on the ray of each pixel, joined to a few samples, and the mesh behind them."""
+"""Deep frames: what the rays of each pixel meet, joined to a few samples that add up to the frame."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lumisplat.config import Pipeline, RenderConfig, TraceStrategy
+from lumisplat.constants import RAY_BLOCK_PX
 from lumisplat.errors import SceneError
 from lumisplat.frame.deep import DeepFrame
 from lumisplat.frame.frame import Frame
-from lumisplat.math.arrays import Doubles, FloatArray, IntArray, Rows
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray, Rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.checks import checked_config
-from lumisplat.renderer.ray_queries import RayHits
+from lumisplat.renderer.ray_profiles import PixelProfile
 from lumisplat.renderer.renderer import create_renderer
-from lumisplat.scene.camera import Camera
+from lumisplat.renderer.scene.camera_table import subpixel
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.ops.pixel_rays import world_rays
 from lumisplat.scene.ops.sh_colors import colors_along
 from lumisplat.scene.scene import Scene
 
 _STEPS = 16
 """Steps of a pixel's transmittance from 1 to 0: Gaussians within one of them are one sample."""
-_THINNEST = 1e-3
-"""Alpha and optical depth of rays below which nothing is scaled to the frame's."""
-_LEAST_THROUGH = np.float32(1e-5)
-"""Transmittance below which optical depths are all the same."""
-_BAND_RAYS = 2**16
+_RAYS = 16
+"""Rays that are followed of a pixel at most: an edge of a mesh then covers it in steps of a 16th."""
+_SURFACE_PX = 16.0
+"""Distance in depth between rays of one pixel, in widths of it there, within which meshes are one surface: it is seen
+at up to 86 degrees from its normal."""
+_SKY_DEPTH = 1e30
+"""How far away an environment is, scene units: behind everything, and finite for those who compute with it."""
+_TINY = float(np.finfo(np.float32).tiny)
+"""Keeps divisions from 0."""
+_BAND_RAYS = 2**14
 """Rays that are followed at once."""
 
 
@@ -42,14 +51,18 @@ def render_deep(
 ) -> DeepFrame:
     """Renders what a pixel shows sample by sample in depth, so that compositors can put smoke or people in between.
 
-    The Gaussians on the ray through each pixel's centre, in order. Those within a 16th of the pixel's transmittance are
-    one sample, from the first one's depth to the last one's; a mesh is one that blocks all. All samples over each
-    other are the frame: its colour is divided among them in proportion to the linear colours that Gaussians have by
-    themselves, and their optical depths are scaled to the frame's alpha, in which Gaussians are as wide as pixels.
+    The rays are those of the frame's own samples, up to 16 a pixel, each of which has as large a share of it; Gaussians
+    are as wide as pixels make them. What they meet is sorted by depth. Gaussians within a 16th of the pixel's
+    transmittance are one sample, from the first one's depth to the last one's; so are meshes that are one surface.
+
+    All samples over each other are the frame: shares are scaled to its alpha pixel by pixel, and its colour is divided
+    among them in proportion to the linear colours that Gaussians and meshes have by themselves. Where a frame shows
+    what no ray meets, as at the edges of Gaussians that a rasteriser draws a little wider, that is one sample as deep
+    as the frame's surface or first Gaussian there. An environment that the frame shows is a sample at a depth of 1e30.
 
     Args:
         scene: What to draw.
-        camera: From where. Its aperture is not used.
+        camera: From where.
         frame: The same view as it is to look, such as a lit one of any pipeline; None: an unlit one of rays.
         config: Settings of the rays; None: the defaults.
         device: As for ``create_renderer``.
@@ -63,43 +76,66 @@ def render_deep(
     size = height, width
     if frame is not None and frame.alpha.shape != size:
         raise SceneError(f"the frame has {frame.alpha.shape} rows and columns, the camera {size}")
-    trace = replace(checked_config(config).trace, strategy=TraceStrategy.SORTED)
-    rays = RenderConfig(pipeline=Pipeline.TRACE, trace=trace, lighting=False)
-    tracer = _DeepTracer(scene, camera, rays, device)
-    frame = frame or tracer.frame(camera)
-    wanted, alpha = _linear(frame).reshape(-1, 3), frame.alpha.ravel()
-    origins, directions = (rays.reshape(-1, 3) for rays in world_rays(camera))
-    bands = [
-        tracer.band(origins[rows], directions[rows], wanted[rows], alpha[rows])
-        for rows in (slice(begin, begin + _BAND_RAYS) for begin in range(0, len(origins), _BAND_RAYS))
-    ]
+    tracer = _DeepTracer(scene, camera, checked_config(config), device)
+    frame = frame or tracer.frame()
+    tracer.show_sky(frame)
+    offsets = _offsets(frame, scene, camera)
+    wanted = _Wanted(
+        _linear(frame).reshape(-1, 3), frame.alpha.ravel().astype(np.float64), _depths(frame, scene, camera)
+    )
+    step = max(_BAND_RAYS // len(offsets), 1)
+    bands = [tracer.band(slice(begin, begin + step), wanted, offsets) for begin in range(0, width * height, step)]
     columns: Iterator[Any] = zip(*bands, strict=True)
     counts, *samples = (np.concatenate(parts) for parts in columns)
     return DeepFrame(size, np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]), *samples)
 
 
-class _Layers(NamedTuple):
-    """What rays meet, ray by ray and from front to back, before it is joined to samples; M in all."""
+class _Wanted(NamedTuple):
+    """What the samples of each pixel are to add up to."""
 
-    ray: Rows
-    """Number of the ray, ascending, (M,)."""
-    t: FloatArray
-    """Distance, (M,)."""
-    through: FloatArray
-    """Transmittance in front of it, (M,)."""
+    color: FloatArray
+    """Premultiplied linear, (N, 3)."""
+    alpha: Doubles
+    """(N,)."""
+    depth: FloatArray
+    """Of what no ray meets, (N,)."""
+
+    def of(self, pixels: slice) -> _Wanted:
+        """That of some pixels."""
+        return _Wanted(self.color[pixels], self.alpha[pixels], self.depth[pixels])
+
+
+class _Layers(NamedTuple):
+    """What the rays of pixels meet, before it is joined to samples; M in all."""
+
+    pixel: Rows
+    """Of the band, (M,)."""
+    depth: FloatArray
+    """As `DeepFrame.near`, (M,)."""
     weight: FloatArray
-    """Its share of the pixel, (M,)."""
+    """Its share of its ray, (M,)."""
     color: FloatArray
     """Linear, of itself, (M, 3)."""
-    step: IntArray
-    """Which step of the transmittance it is in; that of meshes is their own, (M,)."""
+    is_mesh: Flags
+    """It is a mesh, or the environment, (M,)."""
+
+    @classmethod
+    def of(cls, parts: Sequence[_Layers]) -> _Layers:
+        """All of some."""
+        columns: Iterator[Any] = zip(*parts, strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
+
+    def chosen(self, rows: Rows) -> _Layers:
+        """Some of them."""
+        columns: Iterator[Any] = iter(self)
+        return _Layers(*(values[rows] for values in columns))
 
 
 class _Samples(NamedTuple):
-    """Samples of rays, as of `DeepFrame`."""
+    """Samples of pixels, as of `DeepFrame`."""
 
     counts: Rows
-    """Of each ray, (N,)."""
+    """Of each pixel, (N,)."""
     near: FloatArray
     far: FloatArray
     color: FloatArray
@@ -111,84 +147,177 @@ class _DeepTracer:
 
     Args:
         scene: What they meet.
-        camera: Whose view depth samples have.
-        config: How rays are traced.
+        camera: Whose rays they are.
+        config: How they are traced.
         device: Where.
     """
 
     def __init__(self, scene: Scene, camera: Camera, config: RenderConfig, device: str) -> None:
-        self._scene, self._behind = scene, Scene(meshes=scene.meshes)
-        self._gaussians, self._meshes = (create_renderer(config, device) for _ in range(2))
-        self._forward = camera.world_from_camera[:3, 2]
+        self._scene, self._camera, self._behind = scene, camera, Scene(meshes=scene.meshes)
+        trace = replace(config.trace, strategy=TraceStrategy.SORTED)
+        rays = RenderConfig(pipeline=Pipeline.TRACE, trace=trace, lighting=False, seed=config.seed)
+        self._gaussians, self._meshes = (create_renderer(rays, device) for _ in range(2))
         self._firsts = np.cumsum([0, *(splat.gaussians.count for splat in scene.splats)])
         self._colors = _shown_colors(scene, camera)
+        self._places = _ray_places(*camera.image_size)
+        self._sky: FloatArray | None = None
 
-    def frame(self, camera: Camera) -> Frame:
-        """The frame of the rays, without a lens's blur."""
-        return self._gaussians.render(self._scene, replace(camera, aperture=0.0))
+    def frame(self) -> Frame:
+        """The frame of the rays."""
+        return self._gaussians.render(self._scene, self._camera)
 
-    def band(self, origins: Doubles, directions: Doubles, wanted: FloatArray, alpha: FloatArray) -> _Samples:
-        """Samples of some rays.
+    def show_sky(self, frame: Frame) -> None:
+        """Has rays end at the environment, if the frame shows it: its alpha is then 1."""
+        config = frame.config
+        skies = [light for light in self._scene.lights if isinstance(light, LightEnvironment) and light.enabled]
+        if config is None or config.background is None or not FramePlan.of(config, self._scene).is_lit:
+            return
+        for sky in skies:
+            if sky.visible:
+                mean = np.ones(3) if sky.image is None else sky.image.reshape(-1, 3).mean(axis=0)
+                self._sky = (mean * sky.color * sky.intensity).astype(np.float32)
 
-        Args:
-            origins: World space, (N, 3).
-            directions: Unit vectors, (N, 3); 0 where a pixel has no ray.
-            wanted: Premultiplied linear colours that the samples of each ray are to add up to, (N, 3).
-            alpha: Likewise alphas, (N,).
-        """
-        rays = np.flatnonzero(directions.any(axis=1))
-        counts = np.zeros(len(origins), np.int64)
-        if not len(rays):
-            none = np.zeros(0, np.float32)
-            return _Samples(counts, none, none, none.reshape(0, 3), none)
-        hits = self._gaussians.trace_rays(self._scene, origins[rays], directions[rays], profile=True)
-        layers = self._layers(hits, origins[rays], directions[rays], alpha[rays])
-        color = _adding_up_to(layers, wanted[rays])
-        starts = np.flatnonzero(np.diff(layers.ray, prepend=-1) | np.diff(layers.step, prepend=-1))
-        ends = np.append(starts[1:], len(layers.ray)) - 1
-        depth = layers.t * (directions[rays] @ self._forward).astype(np.float32)[layers.ray]
-        in_front = layers.through[starts]
-        counts[rays] = np.bincount(layers.ray[starts], minlength=len(rays))
-        if not len(starts):
-            return _Samples(counts, depth, depth, color, in_front)
-        joined = np.add.reduceat(layers.weight[:, None] * color, starts) / in_front[:, None]
-        blocked = np.minimum(np.add.reduceat(layers.weight, starts) / in_front, np.float32(1.0))
-        return _Samples(counts, depth[starts], depth[ends], joined.astype(np.float32), blocked)
+    def band(self, pixels: slice, wanted: _Wanted, offsets: list[tuple[float, float]]) -> _Samples:
+        """Samples of some pixels, by one ray through each of some points of them, 0..1."""
+        places = self._places[pixels]
+        wanted = wanted.of(pixels)
+        found = [self._layers(places, sample, offset) for sample, offset in enumerate(offsets)]
+        met = np.bincount(np.concatenate([layers.pixel for layers in found]), minlength=len(places)) > 0
+        missed = np.flatnonzero(~met & ((wanted.alpha > 0.0) | wanted.color.any(axis=1)))
+        ones, white = np.ones(len(missed), np.float32), np.ones((len(missed), 3), np.float32)
+        found.append(_Layers(missed, wanted.depth[missed], ones, white, np.zeros(len(missed), bool)))
+        layers = _Layers.of(found)
+        return self._joined(layers.chosen(np.lexsort((layers.depth, layers.pixel))), wanted)
 
-    def _layers(self, hits: RayHits, origins: Doubles, directions: Doubles, alpha: FloatArray) -> _Layers:
-        """Gaussians, then the mesh that ends the ray; as dense as makes the alphas of rays that meet no mesh."""
-        profile = hits.profile
-        assert profile is not None
-        ray = np.repeat(np.arange(len(profile)), np.diff(profile.first))
-        meets_mesh = (hits.transmittance == 0.0) & bool(self._scene.meshes)
-        traced = np.where(meets_mesh, alpha, np.float32(1.0) - hits.transmittance)
-        density = (_optical_depth(alpha) / np.maximum(_optical_depth(traced), _THINNEST))[ray]
-        density[(traced < _THINNEST)[ray]] = 1.0
-        behind_it = (profile.transmittance**density).astype(np.float32)
-        through = ((profile.transmittance / (1.0 - profile.alpha)) ** density).astype(np.float32)
-        weight = through - behind_it
+    def _layers(self, places: IntArray, sample: int, offset: tuple[float, float]) -> _Layers:
+        """Gaussians and meshes on a ray of each pixel."""
+        met = self._gaussians.profile_pixels(self._scene, self._camera, places, sample, offset)
+        profile = met.gaussians
+        pixel = np.repeat(np.arange(len(profile)), np.diff(profile.first))
+        in_front = profile.transmittance / (np.float32(1.0) - profile.alpha)
         color = self._colors[self._firsts[profile.instance_index] + profile.gaussian_index]
-        step = np.minimum((1.0 - through) * _STEPS, _STEPS - 1).astype(np.int32)
-        found = _Layers(ray, profile.t, through, weight, color, step)
-        if not self._scene.meshes:
-            return found
-        behind = self._meshes.trace_rays(self._behind, origins, directions)
-        left = np.float32(1.0) - np.bincount(ray, weight, len(profile)).astype(np.float32)
-        end = np.flatnonzero(np.isfinite(behind.depth) & (hits.transmittance == 0.0) & (left > 0.0))
-        color = decode_srgb(behind.radiance[end]).astype(np.float32)
-        meshes = _Layers(end, behind.depth[end], left[end], left[end], color, np.full(len(end), _STEPS, np.int32))
-        order = np.argsort(np.concatenate([found.ray, meshes.ray]), kind="stable")
-        pairs: Iterator[Any] = zip(found, meshes, strict=True)
-        return _Layers(*(np.concatenate(pair)[order] for pair in pairs))
+        depth = self._depths(met, pixel, profile.t)
+        weight = (in_front - profile.transmittance).astype(np.float32)
+        gaussians = _Layers(pixel, depth, weight, color, np.zeros(len(pixel), bool))
+        left = np.ones(len(places), np.float32)
+        ends = np.flatnonzero(np.diff(profile.first))
+        left[ends] = profile.transmittance[profile.first[ends + 1] - 1]
+        left[left <= self._gaussians.config.trace.transmittance_min] = 0.0  # the ray has ended before
+        behind = [gaussians]
+        if self._scene.meshes:
+            behind.append(self._mesh_layers(met, left))
+        if self._sky is not None:
+            sees = np.flatnonzero(np.isinf(met.mesh_distance) & met.directions.any(axis=1) & (left > 0.0))
+            far, color = np.full(len(sees), _SKY_DEPTH, np.float32), np.tile(self._sky, (len(sees), 1))
+            behind.append(_Layers(sees, far, left[sees], color, np.ones(len(sees), bool)))
+        return _Layers.of(behind)
+
+    def _mesh_layers(self, met: PixelProfile, left: FloatArray) -> _Layers:
+        """The meshes that end rays, of which so much is left there."""
+        end = np.flatnonzero(np.isfinite(met.mesh_distance) & (left > 0.0))
+        if not len(end):
+            return _Layers(end, left[end], left[end], np.zeros((0, 3), np.float32), np.zeros(0, bool))
+        shown = self._meshes.trace_rays(self._behind, met.origins[end], met.directions[end]).radiance
+        depth = self._depths(met, end, met.mesh_distance[end])
+        return _Layers(end, depth, left[end], decode_srgb(shown).astype(np.float32), np.ones(len(end), bool))
+
+    def _depths(self, met: PixelProfile, pixel: Rows, distance: FloatArray) -> FloatArray:
+        """Depths of points on rays."""
+        if self._camera.model is CameraModel.FISHEYE:
+            return distance
+        forward = self._camera.world_from_camera[:3, 2]
+        from_eye = (met.origins - self._camera.eye) @ forward
+        return (from_eye[pixel] + distance * (met.directions @ forward)[pixel]).astype(np.float32)
+
+    def _joined(self, layers: _Layers, wanted: _Wanted) -> _Samples:
+        """Samples that add up to what is wanted, of layers that are sorted."""
+        count = len(wanted.alpha)
+        total = np.bincount(layers.pixel, layers.weight, count)
+        scale = np.divide(wanted.alpha, total, out=np.zeros(count), where=total > 0.0)
+        weight = layers.weight * scale[layers.pixel]
+        before = np.cumsum(weight) - weight
+        firsts = np.searchsorted(layers.pixel, layers.pixel)
+        through = np.maximum(1.0 - (before - before[firsts]), weight)
+        starts = self._starts(layers, through)
+        ends = np.append(starts[1:], len(layers.pixel))[: len(starts)] - 1
+        share = _shares(layers, wanted.color)
+        if len(starts):
+            weight, share = np.add.reduceat(weight, starts), np.add.reduceat(share, starts)
+        in_front = through[starts]
+        is_seen = (weight > 0.0) | share.any(axis=1)
+        starts, ends, in_front = starts[is_seen], ends[is_seen], np.maximum(in_front[is_seen], _TINY)
+        color, alpha = share[is_seen] / in_front[:, None], np.minimum(weight[is_seen] / in_front, 1.0)
+        counts = np.bincount(layers.pixel[starts], minlength=count)
+        near, far = layers.depth[starts], layers.depth[ends]
+        return _Samples(counts, near, far, color.astype(np.float32), alpha.astype(np.float32))
+
+    def _starts(self, layers: _Layers, through: Doubles) -> Rows:
+        """The first layer of each sample."""
+        is_other = np.diff(layers.pixel, prepend=-1) != 0
+        farther = np.diff(layers.depth, prepend=np.float32(0.0))
+        is_apart = is_other | (farther > 0.0)
+        first = np.maximum.accumulate(np.where(is_apart, np.arange(len(is_apart)), 0))  # of those at one depth
+        step = np.minimum((1.0 - through[first]) * _STEPS, _STEPS - 1).astype(np.int32)
+        changes = np.diff(layers.is_mesh, prepend=False) | (np.diff(step, prepend=-1) != 0)
+        goes_on = layers.is_mesh & ~np.diff(layers.is_mesh, prepend=False)
+        ends_surface = farther > _SURFACE_PX * self._pixel_widths(layers.depth)
+        return np.flatnonzero(is_other | (is_apart & np.where(goes_on, ends_surface, changes)))
+
+    def _pixel_widths(self, depth: FloatArray) -> FloatArray:
+        """Widths of pixels at depths, scene units."""
+        distance = np.ones_like(depth) if self._camera.model is CameraModel.ORTHOGRAPHIC else np.abs(depth)
+        return distance / np.float32(min(self._camera.fx, self._camera.fy))
 
 
-def _adding_up_to(layers: _Layers, wanted: FloatArray) -> FloatArray:
-    """Colours of layers, scaled ray by ray and channel by channel; where all are black, the same for all of the ray."""
-    sums = np.stack([np.bincount(layers.ray, layers.weight * one, len(wanted)) for one in layers.color.T], axis=1)
-    shares = np.bincount(layers.ray, layers.weight, len(wanted))[:, None]
+def _shares(layers: _Layers, wanted: FloatArray) -> Doubles:
+    """What each layer adds to its pixel, (M, 3).
+
+    Channel by channel in proportion to its own colour, where all are black to its weight.
+    """
+    count = len(wanted)
+    own = layers.weight[:, None] * layers.color.astype(np.float64)
+    sums = np.stack([np.bincount(layers.pixel, one, count) for one in own.T], axis=1)
+    weights = np.bincount(layers.pixel, layers.weight, count)[:, None]
     is_black = sums <= 0.0
-    factor = wanted / np.where(is_black, np.maximum(shares, 1e-12), sums)
-    return (np.where(is_black[layers.ray], 1.0, layers.color) * factor[layers.ray]).astype(np.float32)
+    factor = wanted / np.where(is_black, np.maximum(weights, _TINY), sums)
+    return np.where(is_black[layers.pixel], layers.weight[:, None], own) * factor[layers.pixel]
+
+
+def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, float]]:
+    """Points of a pixel, 0..1, through which rays are followed: those of the frame's first samples."""
+    config = frame.config or RenderConfig(samples=max(frame.samples, 1))
+    plan = FramePlan.of(config, scene)
+    count = _RAYS if plan.has_history else min(max(frame.samples, 1), _RAYS)
+    if not plan.jitters:
+        return [subpixel(0)] * (count if camera.aperture > 0.0 else 1)
+    return [subpixel(sample) for sample in range(count)]
+
+
+def _ray_places(width: int, height: int) -> IntArray:
+    """Of the pixels' rays among those of all, pixels row by row: rays come in square blocks, (H W,)."""
+    side = RAY_BLOCK_PX
+    down, right = (numbers.ravel() for numbers in np.divmod(np.arange(width * height), width))
+    block = down // side * (-(-width // side)) + right // side
+    return (block * side**2 + down % side * side + right % side).astype(np.int32)
+
+
+def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
+    """Depths of a frame's surface, else of its first Gaussian's mean, else between those beside, row by row."""
+    forward, is_fisheye = camera.world_from_camera[:3, 2], camera.model is CameraModel.FISHEYE
+    distance = np.where(np.isfinite(frame.depth), frame.depth, np.float32(np.nan))
+    along = 1.0 if is_fisheye else world_rays(camera)[1] @ forward
+    depth = (distance * along).astype(np.float32)
+    instances, gaussians = np.asarray(frame.instance_index), np.asarray(frame.gaussian_index)
+    for number, splat in enumerate(scene.splats):
+        unknown = np.isnan(depth) & (instances == number) & (gaussians >= 0)
+        means = splat.gaussians.means[gaussians[unknown]] @ splat.transform[:3, :3].T + splat.transform[:3, 3]
+        from_eye = means - camera.eye
+        depth[unknown] = np.linalg.norm(from_eye, axis=1) if is_fisheye else from_eye @ forward
+    flat = depth.ravel()
+    known = np.flatnonzero(~np.isnan(flat))
+    if not len(known):
+        return np.zeros(flat.size, np.float32)
+    return np.interp(np.arange(flat.size), known, flat[known]).astype(np.float32)
 
 
 def _shown_colors(scene: Scene, camera: Camera) -> FloatArray:
@@ -200,11 +329,6 @@ def _shown_colors(scene: Scene, camera: Camera) -> FloatArray:
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
         shown.append(decode_srgb(colors_along(splat.gaussians, along, splat.sh_degree)).astype(np.float32))
     return np.concatenate(shown)
-
-
-def _optical_depth(alpha: FloatArray) -> FloatArray:
-    """Of what blocks so much light."""
-    return -np.log(np.maximum(np.float32(1.0) - alpha, _LEAST_THROUGH))
 
 
 def _linear(frame: Frame) -> FloatArray:

@@ -18,7 +18,7 @@ from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import pinhole_of, redistorted
 from lumisplat.frame.sample_part import SamplePart
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.checks import (
     check_aovs,
     check_blocks,
@@ -42,7 +42,7 @@ from lumisplat.renderer.raster.raster_hits import RasterHits
 from lumisplat.renderer.raster.raster_limits import RasterWarnings
 from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.raster.unlit_raster import UnlitRaster
-from lumisplat.renderer.ray_profiles import RayProfiles
+from lumisplat.renderer.ray_profiles import PixelProfile, RayProfiles
 from lumisplat.renderer.ray_queries import RayHits, RayQueries
 from lumisplat.renderer.sample_budget import SampleBudget
 from lumisplat.renderer.scene.camera_table import check_camera, refuse_lens
@@ -58,6 +58,9 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.ops.focus import focused_camera
 from lumisplat.scene.ops.pixel_rays import pixel_ray
 from lumisplat.scene.scene import Scene
+
+_ANY = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+"""Of rays that are not a camera's."""
 
 
 class Renderer:
@@ -244,6 +247,14 @@ class Renderer:
             return hits
         return replace(hits, profile=self._profiles.query(self._scene, scene, start, along))
 
+    def profile_pixels(
+        self, scene: Scene, camera: Camera, places: IntArray, sample: int, offset: tuple[float, float]
+    ) -> PixelProfile:
+        """What rays of a camera's pixels meet, as of `RayProfiles.query_pixels`, for ``Pipeline.TRACE``."""
+        plan = self._sync_rays(scene, camera)
+        self._load(frame_modules(plan, self._launcher, self.config))
+        return self._profiles.query_pixels(self._scene, scene, places, sample, offset)
+
     def focused(self, scene: Scene, camera: Camera, x: int, y: int) -> Camera:
         """As the function ``focused``, if the renderer has ``Pipeline.TRACE`` or ``PATH``; it keeps the hierarchies."""
         start, along = checked_rays(*pixel_ray(camera, x, y))
@@ -276,14 +287,14 @@ class Renderer:
         self._load(transmittance_modules(self._launcher))
         return self._queries.transmittance(self._scene, origins, directions, distances, offsets)
 
-    def _sync_rays(self, scene: Scene) -> FramePlan:
-        """Syncs the scene for rays that a caller gives."""
+    def _sync_rays(self, scene: Scene, camera: Camera = _ANY) -> FramePlan:
+        """Syncs the scene for rays that a caller gives, or for some of a camera's."""
         if self.config.pipeline not in (Pipeline.TRACE, Pipeline.PATH):
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or Pipeline.PATH: this one rasterises")
         check_scene(scene)
         plan = FramePlan.of_rays(self.config, scene)
         self._launcher.stage_ms = {}
-        self._scene.sync(scene, Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), plan)
+        self._scene.sync(scene, camera, plan)
         return plan
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:

@@ -1,0 +1,147 @@
+"""Deep frames of a capture as real ones are, of large Gaussians and many far smaller than a pixel, with meshes in it.
+
+Their samples add up to the frame in every pixel, for each pipeline, each kind of camera, and several samples a pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+TOLERANCE = 1e-6
+"""Of alphas, and of colours relative to the brightest: a few roundings of 32 bits."""
+
+
+def capture() -> list[ls.Gaussians]:
+    """200 Gaussians as wide as a few pixels, and 3,000 of a few hundredths of one, which only their pixels widen."""
+    large, small = random_gaussians(5, count=200), random_gaussians(6, count=3000)
+    tiny = replace(small, scales=np.full_like(small.scales, 1e-3))
+    return [large, tiny]
+
+
+def triangle(depth: float) -> ls.MeshInstance:
+    """A leaning triangle, whose edges cross pixels."""
+    corners = np.array([(-1.2, -1.0, depth), (1.3, -0.4, depth + 0.7), (0.1, 1.1, depth - 0.5)])
+    material = ls.MaterialPbr(base_color=(0.7, 0.2, 0.1))
+    return ls.MeshInstance(ls.Mesh(corners, np.array([(0, 1, 2)]), material=material))
+
+
+@pytest.fixture(scope="module")
+def scene() -> ls.Scene:
+    """A capture that is kept around two triangles, with a lamp."""
+    lamp = ls.LightPoint((1.0, -2.0, 0.0), intensity=30.0)
+    return ls.Scene(splats=capture(), meshes=[triangle(4.0), triangle(4.6)], lights=[lamp])
+
+
+def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
+    """Premultiplied linear colour and alpha, as an EXR has them."""
+    channels = frame.layers([])
+    return np.stack([channels[name] for name in "RGBA"], axis=-1)
+
+
+def check(deep: ls.DeepFrame, frame: ls.Frame) -> None:
+    """Samples add up to the frame, wherever it shows anything, and follow each other without overlapping."""
+    wanted = linear(frame)
+    error = np.abs(deep.flattened() - wanted)
+    assert 0.1 < wanted[..., 3].mean() < 0.9
+    assert error[..., 3].max() <= TOLERANCE and error[..., :3].max() <= TOLERANCE * max(wanted[..., :3].max(), 1.0)
+    pixel = np.repeat(np.arange(len(deep.first) - 1), np.diff(deep.first))
+    follows = np.diff(pixel) == 0
+    assert np.isfinite(deep.near).all() and (deep.far >= deep.near).all()
+    assert (deep.near[1:] > deep.near[:-1])[follows].all() and (deep.near[1:] >= deep.far[:-1])[follows].all()
+
+
+CONFIGS = {
+    "raster": ls.RenderConfig(lighting=False),
+    "sampled": ls.RenderConfig(
+        lighting=False, samples=4, raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
+    ),
+    "unscented": ls.RenderConfig(lighting=False, raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED)),
+    "trace": ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False),
+    "lit raster": ls.RenderConfig(samples=3),
+    "lit trace": ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=3),
+    "hybrid": ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=3, shadows=ls.Shadows.SOFT),
+    "path": ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=18),
+    "real time": ls.RenderConfig(pipeline=ls.Pipeline.REALTIME),
+}
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_samples_add_up_to_frames_of_every_pipeline(scene: ls.Scene, name: str) -> None:
+    """Lit and unlit, with one sample a pixel and with several."""
+    config, camera = CONFIGS[name], front_camera()
+    frame = ls.render(scene, camera, config, device="cpu")
+    check(ls.render_deep(scene, camera, frame, config, device="cpu"), frame)
+
+
+@pytest.mark.parametrize("model", ["lens", "wide lens", "fisheye", "orthographic", "window"])
+def test_samples_add_up_to_frames_of_every_camera(scene: ls.Scene, model: str) -> None:
+    """A lens out of focus among them, whose blur the samples have as well."""
+    front = front_camera()
+    around: Any = {"width": front.width, "height": front.height}
+    cameras = {
+        "lens": replace(front, aperture=0.1, focus_distance=4.0),
+        "wide lens": replace(front, distortion=(0.1, 0.05, 0.0, 0.0, 0.0, 0.0)),
+        "fisheye": ls.Camera.look_at(
+            (0, 0, 3.5), (0, 0, 9), (0, -1, 0), fov_y=6.0, model=ls.CameraModel.FISHEYE, **around
+        ),
+        "orthographic": ls.Camera.look_at(
+            (0, 0, 0), (0, 0, 4), (0, -1, 0), fov_y=0.8, model=ls.CameraModel.ORTHOGRAPHIC, **around
+        ),
+        "window": replace(front, window=(32, 16, front.width - 32, front.height - 16)),
+    }
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, samples=4)
+    frame = ls.render(scene, cameras[model], config, device="cpu")
+    check(ls.render_deep(scene, cameras[model], frame, config, device="cpu"), frame)
+
+
+def test_edges_of_meshes_cover_part_of_a_pixel(scene: ls.Scene) -> None:
+    """By as many of a pixel's rays as meet them; what stands behind has the rest."""
+    meshes = ls.Scene(meshes=scene.meshes)
+    config = ls.RenderConfig(lighting=True, samples=4)
+    frame = ls.render(meshes, front_camera(), config, device="cpu")
+    deep = ls.render_deep(meshes, front_camera(), frame, config, device="cpu")
+    check(deep, frame)
+    counts = np.diff(deep.first)
+    assert {0, 1} <= set(counts.tolist())
+    shares = deep.alpha[deep.first[:-1][counts > 0]]
+    assert {0.25, 0.5, 0.75, 1.0} <= set(shares.tolist())
+
+
+def test_silhouettes_are_as_deep_as_their_gaussians() -> None:
+    """Gaussians far smaller than a pixel at one depth: where the frame shows them, whoever draws it, that is theirs.
+
+    But for the width that pixels give them: 3 standard deviations of the root of 0.3 pixels, less than 2.
+    """
+    tiny = random_gaussians(6, count=300)
+    flat = replace(tiny, means=tiny.means * (1, 1, 0) + (0, 0, 4), scales=np.full_like(tiny.scales, 1e-3))
+    for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE):
+        frame = ls.render(ls.Scene(splats=[flat]), front_camera(), ls.RenderConfig(pipeline=pipeline), device="cpu")
+        deep = ls.render_deep(ls.Scene(splats=[flat]), front_camera(), frame, device="cpu")
+        assert np.array_equal(np.diff(deep.first) > 0, frame.alpha.ravel() > 0.0)
+        assert (np.abs(deep.near - 4.0) < 2 * 4.0 / front_camera().fx).all()
+
+
+def test_a_sky_is_behind_everything(scene: ls.Scene) -> None:
+    """It has what the capture leaves, at a depth that nothing else has, and its own colour where nothing is before."""
+    sky = ls.LightEnvironment(np.full((4, 8, 3), 0.5, np.float32))
+    lit = ls.Scene(splats=scene.splats, meshes=scene.meshes, lights=[sky])
+    for pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH):
+        config = ls.RenderConfig(pipeline=pipeline, samples=2)
+        frame = ls.render(lit, front_camera(), config, device="cpu")
+        assert (frame.alpha > 1.0 - 1e-6).all()
+        deep = ls.render_deep(lit, front_camera(), frame, config, device="cpu")
+        np.testing.assert_allclose(deep.flattened(), linear(frame), atol=2e-6)
+        is_sky = deep.near == np.float32(1e30)
+        assert is_sky.any() and (deep.alpha[is_sky] == 1.0).all() and deep.near[~is_sky].max() < 20.0
+        without = ls.render(replace(lit, lights=[]), front_camera(), replace(config, lighting=False), device="cpu")
+        through = np.ones(without.alpha.size)
+        pixel = np.repeat(np.arange(len(through)), np.diff(deep.first))
+        np.multiply.at(through, pixel[~is_sky], 1.0 - deep.alpha[~is_sky].astype(np.float64))
+        assert np.abs(through - (1.0 - without.alpha.ravel())).max() < 1e-3
