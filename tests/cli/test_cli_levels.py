@@ -57,11 +57,19 @@ def test_entries_of_scene_files(work: Workplace, keys: str, count: int) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["info", "@capture.ply", "--lod", "1"], "--lod is of streamed SOGs (a folder with a lod-meta.json), got "),
+        (
+            ["info", "@capture.ply", "--lod", "1"],
+            "--lod is of streamed SOGs (a folder with a lod-meta.json) and blocks, got ",
+        ),
         (["convert", "@capture.ply", "@b.ply", "--lod-budget", "9"], "--lod-budget is of streamed SOGs"),
         (["render", "@capture.ply", "--lod", "1"], "--lod is of streamed SOGs"),
         (["render", "@city", "--lod", "-1"], "--lod is -1, expected 0 or more"),
         (["view", "@city", "--lod-budget", "0"], "--lod-budget is 0, expected 1 or more"),
+        (["info", "@city", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go together"),
+        (["render", "@city", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go together"),
+        (["view", "@city", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go together"),
+        (["convert", "@city", "@b.ply", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go"),
+        (["orbit", "@city", "-o", "@o", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go"),
         (["info", "@city", "--lod", "3"], "has no level 3: its levels are 0 (finest) to 2"),
     ],
 )
@@ -77,6 +85,7 @@ def test_mistakes_are_named(work: Workplace, arguments: list[str], message: str)
         ('path = "capture.ply"\nlod = 1', r"line 3.*lod is of a streamed SOG, got 'capture.ply'"),
         ('path = "city"\nlod = -1', r"line 3.*lod.*expected 0 or more"),
         ('path = "city"\nlod_budget = 0', r"line 3.*lod_budget.*expected 1 or more"),
+        ('path = "city"\nlod = 1\nlod_budget = 30', r"line 4.*lod and lod_budget do not go together"),
         ('path = "city"\nlod = 7', r"has no level 7"),
     ],
 )

@@ -179,6 +179,12 @@ def test_frames_that_are_not_there(text: str) -> None:
         frame_numbers("--frames", text, 10)
 
 
+def test_every_0th_frame_is_none() -> None:
+    """A step of 0 is refused, not taken for 1."""
+    with pytest.raises(ls.ConfigError, match=r"^--frames is '1-8x0', expected frames such as 1-100, 1-100x2"):
+        frame_numbers("--frames", "1-8x0", 10)
+
+
 def test_folders_of_captures_are_named(work):
     """A folder of several SOG captures, such as those of a streamed one without its lod-meta.json, names them."""
     for name in ("1_0", "0_0"):

@@ -111,8 +111,8 @@ def frame_numbers(option: str, text: str, count: int) -> list[int]:
 def _frames_of(part: str, count: int) -> range | None:
     """The frames of one part; None: it is no range."""
     if found := _INCLUSIVE.fullmatch(part):
-        first = int(found[1])
-        return range(first, int(found[2] or first) + 1, max(1, int(found[3] or 1)))
+        first, step = int(found[1]), int(found[3] or 1)
+        return range(first, int(found[2] or first) + 1, step) if step else None
     if found := _HALF_OPEN.fullmatch(part):
         return range(int(found[1] or 0), int(found[2] or count))
     return None

@@ -138,8 +138,10 @@ class LevelsCommand(LoadingCommand):
         """As the options say.
 
         Raises:
-            ConfigError: One is negative.
+            ConfigError: One is negative, or both are given.
         """
+        if self.lod is not None and self.lod_budget is not None:
+            raise ls.ConfigError("--lod and --lod-budget do not go together: each chooses the level by itself")
         for option, value, least in (("--lod", self.lod, 0), ("--lod-budget", self.lod_budget, 1)):
             if value is not None and value < least:
                 raise ls.ConfigError(f"{option} is {value}, expected {least} or more")

@@ -258,6 +258,8 @@ class Assets:
 def _levels(table: TomlTable, file: Path, given: Values) -> dict[str, int | None]:
     """What an entry says of the level of detail of its file, as arguments of `lumisplat.load`; else nothing."""
     said = [(key, least) for key, least in (("lod", 0), ("lod_budget", 1)) if key in given]
+    if len(said) == 2:
+        raise table.error("lod and lod_budget do not go together: each chooses the level by itself", "lod_budget")
     for key, least in said:
         if given[key] < least:
             raise table.wrong(key, f"{least} or more")
