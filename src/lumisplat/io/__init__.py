@@ -333,11 +333,12 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
 def load_animation(
     path: PathLike, *, drop_invalid: bool = False, crease_angle: float | None = None, allow_outside: bool = False
 ) -> Animation:
-    """Loads an animated ``scene.toml``: its scene, cameras, ``[[actors]]`` and ``[animation]``; or an OpenUSD file.
+    """Loads an animated ``scene.toml``: its scene, cameras, ``[[actors]]`` and ``[animation]``; or an OpenUSD or glTF.
 
     Args:
-        path: The scene file. Or ``.usda``, ``.usdc``, ``.usdz`` or ``.usd``, of which what moves without deforming
-            becomes an actor with keyframes, and the first camera that moves a path.
+        path: The scene file. Or ``.glb`` or ``.gltf``, of which the first animation is played: nodes, skins and morph
+            targets, at 25 frames a second; or ``.usda``, ``.usdc``, ``.usdz`` or ``.usd``, of which what moves without
+            deforming becomes an actor with keyframes. The first camera that moves becomes a path.
         drop_invalid: As in `load`, for each capture.
         crease_angle: As in `load`, for each OBJ.
         allow_outside: As in `load`, for each mesh and rig.
@@ -348,15 +349,9 @@ def load_animation(
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
         MissingExtraError: OpenUSD needs usd-core.
     """
-    from lumisplat.io.scene_toml.animation import read_animation
-
     with references_outside(allow_outside):
-        if Path(path).suffix.lower() in formats.USD:
-            from lumisplat.io.usd.animation import read_usd_animation
-
-            return read_usd_animation(path, drop_invalid)
         load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
-        return read_animation(path, load_asset, load_cameras)
+        return formats.read_animation(Path(path), load_asset, load_cameras, drop_invalid=drop_invalid)
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:

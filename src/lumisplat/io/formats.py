@@ -66,6 +66,12 @@ _READERS = {
 _LEVELED = {STREAMED_SOG: "splats.sog.streamed.read_streamed_sog", BLOCKS: "blocks.views.read_blocks"}
 """Readers of captures in levels of detail."""
 
+_MOVING = {
+    **dict.fromkeys((".glb", ".gltf"), "gltf.moving.read_gltf_animation"),
+    **dict.fromkeys(USD, "usd.animation.read_usd_animation"),
+}
+"""Readers of animations, besides those of scene files."""
+
 _OURS = "lumisplat"
 _PLY_WRITERS = {_OURS: "splats.splat_ply.write_splat_ply", "r3dg": "splats.r3dg_ply.write_r3dg_ply"}
 """By whose columns they write."""
@@ -124,6 +130,30 @@ def read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: Loa
     if extension == ".obj" and options.crease_angle is not None:
         return reader(path, options.crease_angle)
     return reader(path)
+
+
+def read_animation(
+    path: Path,
+    load: Callable[..., Gaussians | Mesh | Scene],
+    load_cameras: Callable[..., list[Camera]],
+    *,
+    drop_invalid: bool,
+) -> Animation:
+    """What moves in a file; see `lumisplat.io.load_animation`.
+
+    Args:
+        path: A scene file, or one of `_MOVING`.
+        load: Reads the files that a scene file names.
+        load_cameras: Likewise.
+        drop_invalid: Of the others.
+
+    Raises:
+        FormatError: It cannot be read.
+    """
+    reader = _MOVING.get(path.suffix.lower())
+    if reader is not None:
+        return _import(reader)(path, drop_invalid)
+    return _import("scene_toml.animation.read_animation")(path, load, load_cameras)
 
 
 def check_written(path: PathLike, *, scene: bool = False) -> str:

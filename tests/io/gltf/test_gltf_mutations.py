@@ -15,6 +15,7 @@ import pytest
 
 import lumisplat as ls
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS
+from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import capture
 
 ODD: tuple[Any, ...] = (
@@ -80,12 +81,14 @@ def mutated(document: dict[str, Any], rng: np.random.Generator) -> None:
         container[key] = ODD[rng.integers(len(ODD))]
 
 
-def survives(path: Path, data: bytes) -> bool:
-    """Whether the data load; if not, they are refused in one line that names the file."""
+def survives(path: Path, data: bytes, *, moves: bool = False) -> bool:
+    """Whether the data load, as an animation, too, if something moves; if not, one line names the file."""
     path.write_bytes(data)
     try:
         ls.load(path)
         ls.load_cameras(path)
+        if moves:
+            ls.load_animation(path)
     except ls.LumisplatError as error:
         assert str(path.parent) in str(error)
         assert "\n" not in str(error)
@@ -107,7 +110,7 @@ def check_all(folder: Path, variants: list[bytes], low: float, high: float) -> N
     assert low < good / len(variants) < high
 
 
-FEW_AND_ALL = [120, pytest.param(1000, marks=pytest.mark.deep)]
+FEW_AND_ALL = [120, pytest.param(2000, marks=pytest.mark.deep)]
 """Numbers of files: of the daily suite, and of the deep one."""
 
 
@@ -134,6 +137,26 @@ def test_bytes(tmp_path: Path, whole: bytes, count: int) -> None:
         damaged[where] = rng.integers(0, 256, len(where))
         variants.append(damaged.tobytes() if k % 4 else whole[: rng.integers(1, len(whole))])
     check_all(tmp_path, variants, 0.02, 0.8)
+
+
+@pytest.mark.parametrize("count", FEW_AND_ALL)
+def test_files_that_move(tmp_path: Path, count: int) -> None:
+    """Rigs with clips, as animations: fields of their documents and their bytes in turn."""
+    rng = np.random.default_rng(23)
+    original = TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb").read_bytes()
+    good = 0
+    for k in range(count):
+        document, rest = chunks(original)
+        if k % 2:
+            mutated(document, rng)
+            data = packed(document, rest)
+        else:
+            damaged = np.frombuffer(original, np.uint8).copy()
+            where = rng.integers(0, len(damaged), rng.integers(1, 6))
+            damaged[where] = rng.integers(0, 256, len(where))
+            data = damaged.tobytes()
+        good += survives(tmp_path / "mutated.glb", data, moves=True)
+    assert 0.1 < good / count < 0.9
 
 
 def test_shared_accessors_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -119,7 +119,7 @@ def test_nothing_in_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
-@pytest.mark.parametrize("count", [60, pytest.param(700, marks=pytest.mark.deep)])
+@pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
 def test_mutations(tmp_path: Path, level: int, count: int) -> None:
     """With bytes changed, most of them in the headers, or its end lost, a file loads or is refused in one line."""
     path, rng = tmp_path / "a.ksplat", np.random.default_rng(level)

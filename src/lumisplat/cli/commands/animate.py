@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.input.loading import USD, scene_settings
+from lumisplat.cli.input.loading import WITH_CAMERAS, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
@@ -38,7 +38,8 @@ class Animate(FrameCommand):
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE")]]
     """A scene.toml with [[actors]] or a camera with keyframes, and an [animation] that says how many frames there are;
-    or a .usda, .usdc, .usdz or .usd with what moves in it."""
+    or a .usda, .usdc, .usdz or .usd with what moves in it; or a .glb or .gltf, of which the first animation is played,
+    25 frames a second unless --fps says otherwise."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("frames")
     """Where frames go, as frame_0000.png and so on, with animate.json, which says what they were made of."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
@@ -90,8 +91,10 @@ class Animate(FrameCommand):
         """
         refuse_standard_output(self.output)
         suffix = self.scene.suffix.lower()
-        if suffix not in (".toml", *USD):
-            raise ls.FormatError(self.scene, "is no scene.toml and no OpenUSD: a scene file says what moves, and how")
+        if suffix not in WITH_CAMERAS:
+            raise ls.FormatError(
+                self.scene, "is no scene.toml, no OpenUSD and no glTF: a scene file says what moves, and how"
+            )
         if self.video is not None and self.format != "png":
             raise ls.ConfigError(f"--video is made of the PNGs of frames, --format is {self.format}")
         config = self.frame_config(scene_settings(self.scene if suffix == ".toml" else None))

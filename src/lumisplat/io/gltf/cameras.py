@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,21 +40,35 @@ def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | No
     with parsing(path, "a glTF file"):
         file = GltfFile(path)
         nodes = [index for index in scene_nodes(file) if file.model.nodes[index].camera is not None]
-        world_from_node = world_transforms(file) if nodes else []
-        cameras: list[Camera] = []
-        for index in nodes:
-            node = file.model.nodes[index]
-            definition = file.item("cameras", node.camera, f"nodes[{index}]")
-            try:
-                pose = pose_of_node(world_from_node[index])
-            except SceneError as error:
-                raise FormatError(path, f"{node_label(file, index)} {error}") from None
-            try:
-                name = node.name or definition.name or ""
-                cameras.append(_camera(definition, pose, name, width, height))
-            except SceneError as error:
-                raise FormatError(path, f"cameras[{node.camera}]: {error}") from None
-        return cameras
+        return cameras_of(file, nodes, world_transforms(file), width, height) if nodes else []
+
+
+def cameras_of(
+    file: GltfFile,
+    nodes: Iterable[int],
+    world_from_node: list[Matrix],
+    width: int | None = None,
+    height: int | None = None,
+) -> list[Camera]:
+    """The cameras of nodes that have one, where these are; sizes as of `read_gltf_cameras`.
+
+    Raises:
+        FormatError: A camera is invalid; names the camera.
+    """
+    cameras: list[Camera] = []
+    for index in nodes:
+        node = file.model.nodes[index]
+        definition = file.item("cameras", node.camera, f"nodes[{index}]")
+        try:
+            pose = pose_of_node(world_from_node[index])
+        except SceneError as error:
+            raise FormatError(file.path, f"{node_label(file, index)} {error}") from None
+        try:
+            name = node.name or definition.name or ""
+            cameras.append(_camera(definition, pose, name, width, height))
+        except SceneError as error:
+            raise FormatError(file.path, f"cameras[{node.camera}]: {error}") from None
+    return cameras
 
 
 def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | None, height: int | None) -> Camera:

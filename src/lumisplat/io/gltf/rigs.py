@@ -46,17 +46,28 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
         if not is_rigged(file):
             raise FormatError(path, "is no rig: it has neither a skin nor an animation (load reads it as a mesh)")
         warn_unread(file)
-        clips = read_clips(file)
-        skeleton = read_skeleton(file)
-        groups: dict[tuple[int, bool, bool], list[_Piece]] = {}
-        for piece in _pieces(file, clips):
-            raw = piece.raw
-            key = id(raw.material), raw.uvs is None, raw.normals is None
-            groups.setdefault(key, []).append(piece)
-        if not groups:
+        rig = rig_of(file, read_clips(file), scene_nodes(file), vertex_colors)
+        if rig is None:
             raise FormatError(path, "is no rig: its scene has no triangle mesh")
-        surfaces = (_surface(file, group, skeleton, vertex_colors) for group in groups.values())
-        return Rig(skeleton, _visible_surfaces(file, surfaces, skeleton), clips)
+        return rig
+
+
+def rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], vertex_colors: bool = True) -> Rig | None:
+    """The meshes of some nodes with all that moves them; None if they have no triangles.
+
+    Raises:
+        FormatError: Something in them is malformed.
+    """
+    skeleton = read_skeleton(file)
+    groups: dict[tuple[int, bool, bool], list[_Piece]] = {}
+    for piece in _pieces(file, clips, nodes):
+        raw = piece.raw
+        key = id(raw.material), raw.uvs is None, raw.normals is None
+        groups.setdefault(key, []).append(piece)
+    if not groups:
+        return None
+    surfaces = (_surface(file, group, skeleton, vertex_colors) for group in groups.values())
+    return Rig(skeleton, _visible_surfaces(file, surfaces, skeleton), clips)
 
 
 def _visible_surfaces(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: Skeleton) -> tuple[RigSurface, ...]:
@@ -93,11 +104,11 @@ def read_skeleton(file: GltfFile) -> Skeleton:
     return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices)
 
 
-def _pieces(file: GltfFile, clips: tuple[Clip, ...]) -> Iterator[_Piece]:
-    """The triangle primitives of the scene's nodes."""
+def _pieces(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_Piece]:
+    """The triangle primitives of nodes."""
     materials = GltfMaterials(file)
     morphed = {track.node for clip in clips for track in clip.tracks if track.channel is Channel.WEIGHTS}
-    for index in scene_nodes(file):
+    for index in nodes:
         node = file.model.nodes[index]
         if node.mesh is None:
             continue

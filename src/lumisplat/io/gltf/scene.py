@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,16 +63,30 @@ def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussian
         warn_unread(file)
         world_from_node, nodes = world_transforms(file), list(scene_nodes(file))
         sieve = TriangleSieve(path)
-        splats = tuple(GltfCaptures(file, drop_invalid).placed(nodes, world_from_node))
-        meshes = tuple(_placed_meshes(file, nodes, world_from_node, sieve))
-        lights = tuple(read_lights(file, nodes, world_from_node))
+        scene = placed_in(file, nodes, world_from_node, sieve, drop_invalid=drop_invalid)
+        splats, meshes, lights = scene.splats, scene.meshes, scene.lights
         has_cameras = any(file.model.nodes[index].camera is not None for index in nodes)
         if not (splats or meshes or lights or has_cameras or sieve.problems):
             raise FormatError(path, "has no Gaussians, triangle mesh, light or camera in its scene")
         sieve.report(anything_left=bool(splats or meshes or lights or has_cameras))
         if len(splats) == 1 and not (meshes or lights or has_cameras or _has_settings(file, nodes)):
             return alone(splats[0])
-        return Scene(splats=splats, meshes=meshes, lights=lights, up="y-up" if splats else None)
+        return replace(scene, up="y-up" if splats else None)
+
+
+def placed_in(
+    file: GltfFile, nodes: list[int], world_from_node: list[Matrix], sieve: TriangleSieve, *, drop_invalid: bool
+) -> Scene:
+    """The captures, meshes and lights of nodes, where these are.
+
+    Raises:
+        FormatError: Something in them is malformed.
+    """
+    return Scene(
+        splats=GltfCaptures(file, drop_invalid).placed(nodes, world_from_node),
+        meshes=_placed_meshes(file, nodes, world_from_node, sieve),
+        lights=read_lights(file, nodes, world_from_node),
+    )
 
 
 def shows_one_capture(path: PathLike) -> bool:

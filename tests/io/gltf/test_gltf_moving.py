@@ -1,0 +1,180 @@
+"""glTF files as animations: where nodes are at a time, against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli import main
+from lumisplat.io.gltf.gaussians.attributes import CAPTURE_FROM_FILE
+from support.files.gltf_writer import Gltf
+from support.files.rig_files import BEND, TubeRig
+from support.files.splat_files import capture
+from support.kinds import expect_kind
+
+Sampler = tuple[str, list[float], Any, str]
+"""Path, times, values, interpolation."""
+IDLE = ("translation", [0.0, 1.0], [(0.0, 0.0, 0.0)] * 2, "LINEAR")
+
+
+def gltf_of(nodes: list[dict[str, Any]], clips: dict[str, list[tuple[int, Sampler]]]) -> Gltf:
+    """A file in which mesh 0 is one triangle at (0, 0, 0), (1, 0, 0), (0, 1, 0)."""
+    gltf = Gltf()
+    corners = gltf.accessor(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32))
+    gltf.add("meshes", primitives=[{"attributes": {"POSITION": corners}}], name="triangle")
+    gltf.add("cameras", type="perspective", perspective={"yfov": 0.8, "znear": 0.1})
+    gltf.json["nodes"] = nodes
+    children = {child for node in nodes for child in node.get("children", [])}
+    gltf.add("scenes", nodes=[index for index in range(len(nodes)) if index not in children])
+    for name, samplers in clips.items():
+        channels: list[dict[str, Any]] = []
+        stored: list[dict[str, Any]] = []
+        for number, (node, (path, times, values, way)) in enumerate(samplers):
+            channels.append({"sampler": number, "target": {"node": node, "path": path}})
+            keys = gltf.accessor(np.array(times, np.float32))
+            stored.append({"input": keys, "output": gltf.accessor(np.array(values, np.float32)), "interpolation": way})
+        gltf.add("animations", name=name, channels=channels, samplers=stored)
+    return gltf
+
+
+def written(path: Path, nodes: list[dict[str, Any]], samplers: list[tuple[int, Sampler]]) -> ls.Animation:
+    """The animation of such a file."""
+    path.write_bytes(gltf_of(nodes, {"walk": samplers}).glb())
+    return ls.load_animation(path)
+
+
+def corners(animation: ls.Animation, time: float) -> np.ndarray:
+    """The corners of the only mesh that moves, in the world, at a time."""
+    (instance,) = animation.actors_at(time)
+    mesh = expect_kind(ls.MeshInstance, instance)
+    return mesh.mesh.positions @ mesh.transform[:3, :3].T + mesh.transform[:3, 3]
+
+
+def test_translations_in_three_ways(tmp_path: Path) -> None:
+    """From x = 0 at 0 s to x = 1 at 2 s: a line, a step at the end, and a spline with tangents 2 and 0."""
+    keys = [0.0, 2.0]
+    ends = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
+    zero = (0.0, 0.0, 0.0)
+    spline = [zero, ends[0], (2.0, 0.0, 0.0), zero, ends[1], zero]
+    # At a quarter: h00 = 0.84375, h10 = 0.140625, h01 = 0.15625; 2 s * 2 / s * 0.140625 + 0.15625.
+    for way, values, expected in (("LINEAR", ends, 0.25), ("STEP", ends, 0.0), ("CUBICSPLINE", spline, 0.71875)):
+        moving = written(tmp_path / f"{way}.glb", [{"mesh": 0}], [(0, ("translation", keys, values, way))])
+        assert (moving.fps, moving.frame_count) == (25.0, 51)
+        np.testing.assert_allclose(corners(moving, 0.5)[0], (expected, 0.0, 0.0), atol=1e-6)
+        np.testing.assert_allclose(corners(moving, 2.0)[0], (1.0, 0.0, 0.0), atol=1e-6)
+        np.testing.assert_allclose(corners(moving, 9.0)[0], (1.0, 0.0, 0.0), atol=1e-6)  # it does not repeat
+
+
+def test_rotation_and_scale_below_a_parent(tmp_path: Path) -> None:
+    """The parent turns by a quarter about z in 1 s, the child, one unit along x, grows to 3: at the half 45 degrees."""
+    turn = [(0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))]
+    nodes = [{"children": [1]}, {"mesh": 0, "translation": [1.0, 0.0, 0.0]}]
+    moving = written(
+        tmp_path / "a.glb",
+        nodes,
+        [
+            (0, ("rotation", [0.0, 1.0], turn, "LINEAR")),
+            (1, ("scale", [0.0, 1.0], [(1.0, 1.0, 1.0), (3.0, 1.0, 1.0)], "LINEAR")),
+        ],
+    )
+    half = math.sqrt(0.5)
+    np.testing.assert_allclose(
+        corners(moving, 0.5), [(half, half, 0), (3 * half, 3 * half, 0), (half - half, half + half, 0)], atol=1e-6
+    )
+    np.testing.assert_allclose(corners(moving, 1.0), [(0, 1, 0), (0, 4, 0), (-1, 1, 0)], atol=1e-6)
+
+
+def test_what_stands_still_is_the_scene(tmp_path: Path) -> None:
+    """Meshes, lights and cameras of other nodes; a camera below a node that moves is a path."""
+    nodes = [
+        {"mesh": 0, "name": "still"},
+        {"mesh": 0, "name": "moves", "children": [2]},
+        {"camera": 0, "name": "eye", "translation": [0.0, 0.0, 5.0]},
+    ]
+    step = ("translation", [0.0, 1.0], [(0.0, 0.0, 0.0), (0.0, 2.0, 0.0)], "LINEAR")
+    moving = written(tmp_path / "a.glb", nodes, [(1, step)])
+    assert [one.name for one in moving.scene.meshes] == ["still"] and len(moving.actors) == 1
+    assert moving.scene.up_direction == (0.0, 1.0, 0.0)
+    np.testing.assert_allclose(corners(moving, 0.5)[0], (0.0, 1.0, 0.0), atol=1e-6)
+    assert moving.camera_path is not None
+    np.testing.assert_allclose(moving.camera_path.at(0.5).eye, (0.0, 1.0, 5.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("way", ["LINEAR", "STEP"])
+def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
+    """With uniform scale; at each frame they are where the node is."""
+    ls.save(tmp_path / "still.gltf", capture(6))
+    import json
+
+    document = json.loads((tmp_path / "still.gltf").read_text())
+    moved = gltf_of([{}], {"walk": [(0, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], way))]})
+    import base64
+
+    data = base64.b64decode(document["buffers"][0]["uri"].partition(",")[2])
+    data += b"\0" * (-len(data) % 4)
+    animation = moved.json["animations"][0]
+    for key in ("input", "output"):
+        accessor = moved.json["accessors"][animation["samplers"][0][key]]
+        view = moved.json["bufferViews"][accessor["bufferView"]]
+        document["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": view["byteLength"]})
+        data += moved.data[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        document["accessors"].append({**accessor, "bufferView": len(document["bufferViews"]) - 1})
+        animation["samplers"][0][key] = len(document["accessors"]) - 1
+    node = next(index for index, one in enumerate(document["nodes"]) if "mesh" in one)
+    animation["channels"][0]["target"]["node"] = node
+    document["animations"] = [animation]
+    document["buffers"] = [
+        {"byteLength": len(data), "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}
+    ]
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    moving = ls.load_animation(tmp_path / "a.gltf")
+    assert not moving.scene.splats
+    for time in moving.times:
+        (instance,) = moving.actors_at(float(time))
+        height = 3.0 * time if way == "LINEAR" else 3.0 * (time >= 1.0)
+        expected = np.eye(4)
+        expected[1, 3] = height
+        np.testing.assert_allclose(instance.transform, expected @ CAPTURE_FROM_FILE, atol=1e-5)
+
+
+def test_skins_move(tmp_path: Path) -> None:
+    """As the rig of the same file does, once."""
+    path = TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb")
+    moving, rig = ls.load_animation(path), ls.load_rig(path)
+    assert moving.frame_count == round(rig.duration("bend") * 25.0) + 1
+    for time in (0.0, 0.3, rig.duration("bend")):
+        (instance,) = moving.actors_at(time)
+        np.testing.assert_array_equal(
+            expect_kind(ls.MeshInstance, instance).mesh.positions, rig.poses(time)[0].positions
+        )
+
+
+def test_remarks_and_mistakes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The first of several animations is played; lights stay; a file without any says what to do."""
+    light = {"extensions": {"KHR_lights_punctual": {"light": 0}}, "name": "lamp"}
+    gltf = gltf_of([{"mesh": 0, "children": [1]}, light], {"walk": [(0, IDLE)], "run": [(0, IDLE)]})
+    gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
+    (tmp_path / "a.glb").write_bytes(gltf.glb())
+    moving = ls.load_animation(tmp_path / "a.glb")
+    assert len(moving.scene.lights) == 1
+    assert "its first animation is played, 'walk', not 'run'" in caplog.text
+    assert "lights that move stay where they are at rest (nodes[1] 'lamp')" in caplog.text
+    (tmp_path / "still.glb").write_bytes(gltf_of([{"mesh": 0}], {}).glb())
+    with pytest.raises(ls.FormatError, match="has no animation: lumisplat render shows it"):
+        ls.load_animation(tmp_path / "still.glb")
+
+
+def test_the_command_plays_it(tmp_path: Path) -> None:
+    """Frames of `lumisplat animate` differ where the triangle moves; at another rate there are fewer."""
+    nodes = [{"mesh": 0}, {"camera": 0, "translation": [0.5, 0.5, 4.0]}]
+    step = ("translation", [0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], "LINEAR")
+    written(tmp_path / "a.glb", nodes, [(0, step)])
+    arguments = ["animate", str(tmp_path / "a.glb"), "-o", str(tmp_path / "frames"), "--fps", "2", "--width", "32"]
+    assert main([*arguments, "--device", "cpu"]) == 0
+    frames = [ls.load_image(path) for path in sorted((tmp_path / "frames").glob("*.png"))]
+    assert len(frames) == 2 and np.abs(frames[0] - frames[1]).max() > 0.1
