@@ -86,10 +86,10 @@ def test_a_full_disk(tmp_path: Path) -> None:
     """It ends the job after a few frames, with a line; once there is room, the same command goes on."""
     full = dict.fromkeys(range(3, 40), "full")
     maker = FakeMaker(tmp_path / "out", count=40, wrong=full, again=True)
-    with pytest.raises(
-        FramesMissingError, match=r"No space left on device.*and 34 more frames; .* holds 3 of 40 frames"
-    ):
+    with pytest.raises(FramesMissingError) as error:
         farm(maker, FarmRoom(workers=1, cores=1, device="cpu"))
+    assert str(error.value).count("failures in a row, the last: ") == 1  # of all that were given up
+    assert str(error.value).count("No space left on device") <= 3 and "holds 3 of 40 frames" in str(error.value)
     assert len(maker.begun) < 12
     farm(FakeMaker(tmp_path / "out", count=40))
     assert maker.contents == expected(40)

@@ -254,7 +254,8 @@ class Driver:
             self.tally.failed[frame] = error
             self._on_progress(self.tally)
         if self._failures >= FAILURES_IN_A_ROW:
-            self.tally.failed |= dict.fromkeys(self._waiting, error)
+            why = ls.DeviceError(f"given up after {FAILURES_IN_A_ROW} failures in a row, the last: {one_line(error)}")
+            self.tally.failed |= dict.fromkeys(self._waiting, why)
             self._waiting.clear()
 
     def _hand_out(self) -> None:

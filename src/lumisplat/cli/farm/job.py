@@ -11,8 +11,8 @@ import lumisplat as ls
 from lumisplat.cli.output.console import Report, counted, one_line
 from lumisplat.cli.output.frame_folder import FrameFolder
 
-NAMED_FRAMES = 3
-"""Failed frames that a message names, with what is wrong; the others are counted."""
+NAMED_REASONS = 3
+"""Reasons why frames failed that a message names, each with its first frame; the others are counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,10 +56,18 @@ class FrameList:
         """A `FramesMissingError` that says which frames failed, why, and how to go on."""
         from lumisplat.cli.farm.failed_frames import FramesMissingError
 
-        first = sorted(failed)[:NAMED_FRAMES]
-        named = "; ".join(f"{self.unit} {index}: {one_line(failed[index])}" for index in first)
-        more = f"; and {counted(len(failed) - len(first), f'more {self.unit}')}" if len(failed) > len(first) else ""
-        return FramesMissingError(f"{named}{more}; {self.there(overwrite)}")
+        reasons: dict[str, list[int]] = {}
+        for index in sorted(failed):
+            reasons.setdefault(one_line(failed[index]), []).append(index)
+        named = list(reasons.items())[:NAMED_REASONS]
+        told = [f"{self._frames(indices)}: {reason}" for reason, indices in named]
+        rest = len(failed) - sum(len(indices) for _, indices in named)
+        told += [f"and {counted(rest, f'more {self.unit}')}"] if rest else []
+        return FramesMissingError(f"{'; '.join(told)}; {self.there(overwrite)}")
+
+    def _frames(self, indices: list[int]) -> str:
+        others = f" and {counted(len(indices) - 1, f'more {self.unit}')}" if len(indices) > 1 else ""
+        return f"{self.unit} {indices[0]}{others}"
 
 
 @dataclass(frozen=True, kw_only=True)
