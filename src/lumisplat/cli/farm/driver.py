@@ -108,6 +108,7 @@ class Driver:
         self._waiting: deque[int] = deque()
         self._tries: dict[int, int] = {}
         self._failures = self._bad_starts = 0
+        self._surrender: ls.DeviceError | None = None
         self._said: set[str] = set()
         self._refusal: BaseException | None = None
         self.frames: FrameList | None = None
@@ -254,8 +255,10 @@ class Driver:
             self.tally.failed[frame] = error
             self._on_progress(self.tally)
         if self._failures >= FAILURES_IN_A_ROW:
-            why = ls.DeviceError(f"given up after {FAILURES_IN_A_ROW} failures in a row, the last: {one_line(error)}")
-            self.tally.failed |= dict.fromkeys(self._waiting, why)
+            if self._surrender is None:
+                how = f"given up after {FAILURES_IN_A_ROW} failures in a row, the last: {one_line(error)}"
+                self._surrender = ls.DeviceError(how)
+            self.tally.failed |= dict.fromkeys(self._waiting, self._surrender)
             self._waiting.clear()
 
     def _hand_out(self) -> None:
