@@ -199,7 +199,7 @@ def test_the_dielectric_of_gltf(tool: ModuleType, roughness: float, degrees: flo
     view, up = np.array([np.sin(np.radians(degrees)), 0.0, np.cos(np.radians(degrees))]), np.array([0.0, 0.0, 1.0])
     place = mi.SurfaceInteraction3f()
     place.wi = mi.Vector3f(*map(float, view))
-    seen_along = mi.Vector3f(*(mi.Float(column) for column in np.float32(out).T.copy()))
+    seen_along = mi.Vector3f(*(mi.Float(column) for column in out.astype(np.float32).T.copy()))
     value = np.array(bsdf.eval(mi.BSDFContext(), place, seen_along, mi.Bool(True))).T
     half = (view + out) / np.linalg.norm(view + out, axis=1, keepdims=True)
     mirrored = oracle.schlick([0.04], 1.0, np.sum(view * half, axis=1))

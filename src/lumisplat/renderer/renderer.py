@@ -287,14 +287,14 @@ class Renderer:
         self._load(transmittance_modules(self._launcher))
         return self._queries.transmittance(self._scene, origins, directions, distances, offsets)
 
-    def _sync_rays(self, scene: Scene, camera: Camera = _ANY) -> FramePlan:
+    def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
         """Syncs the scene for rays that a caller gives, or for some of a camera's."""
         if self.config.pipeline not in (Pipeline.TRACE, Pipeline.PATH):
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or Pipeline.PATH: this one rasterises")
         check_scene(scene)
         plan = FramePlan.of_rays(self.config, scene)
         self._launcher.stage_ms = {}
-        self._scene.sync(scene, camera, plan)
+        self._scene.sync(scene, camera or _ANY, plan)
         return plan
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:

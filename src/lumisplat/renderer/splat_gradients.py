@@ -228,10 +228,10 @@ class DifferentiableRenderer(Renderer):
         self._hits = super()._find_hits(plan, listed)
         return self._hits
 
-    def _sync_rays(self, scene: Scene) -> FramePlan:
+    def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
         """Given rays take the place of the last frame."""
         self._forget()
-        return super()._sync_rays(scene)
+        return super()._sync_rays(scene, camera)
 
     def _forget(self) -> None:
         self._shown = self._shown_features = self._traced = self._met = None
