@@ -74,6 +74,18 @@ def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
     np.testing.assert_allclose(light, np.broadcast_to(0.6 * np.array([0.5, 1.0, 2.0]), light.shape), rtol=1e-9)
 
 
+def test_noise_of_what_is_met_by_chance_goes():
+    """With one path a half that meets something or nothing: a half that met nothing tells nothing of the noise."""
+    rng = np.random.default_rng(4)
+    seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.6)
+    found = (rng.random((2, RAYS, 1)) < 0.4).astype(np.float64)
+    halves = found * 0.35 * rng.exponential(1.0, (2, RAYS, 1)) * np.ones(3)
+    light = shared_light(halves, found, colors, seen, 1.0)
+    met = found.sum(axis=0)
+    alone = np.divide(halves.sum(axis=0), met, where=met > 0.0, out=np.full((RAYS, 3), 0.35))
+    assert np.sqrt(np.square(light - 0.35).mean()) < 0.2 * np.sqrt(np.square(alone - 0.35).mean())
+
+
 def test_what_no_ray_sees_is_no_trouble():
     """Rays without sights are dark, and Gaussians without rays give nothing."""
     seen = SeenWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)

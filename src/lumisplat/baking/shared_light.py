@@ -65,13 +65,14 @@ def shared_light(halves: Doubles, found: Doubles, colors: Doubles, seen: SeenWei
     weight = np.maximum(seen.blended(np.ones((len(colors), 1))), 1e-12)
     base = np.maximum(seen.blended(colors) / weight, SHARED_COLOR_MIN)
     both = found.sum(axis=0)
+    told = (found > 0.0).all(axis=0).astype(np.float64)  # by the difference of halves, where each has met something
     mean = halves.sum(axis=0) / np.maximum(both, 1e-12)
     halves = np.where(found > 0.0, halves / np.maximum(found, 1e-12), mean)
     received = seen.mean_of(np.concatenate([0.5 * both / weight * mean / base, 0.5 * both / weight], axis=1))
     shared = seen.blended(colors * received[:, :3] / np.maximum(received[:, 3:], 1e-12)) / weight
     halves = np.where(both > 0.0, halves, shared)
     mean, difference = halves.mean(axis=0) / base, 0.5 * (halves[0] - halves[1]) / base
-    squares = np.stack([np.square(one).sum(axis=1) for one in (difference, mean - shared / base)], axis=1)
+    squares = told * np.stack([np.square(one).sum(axis=1) for one in (difference, mean - shared / base)], axis=1)
     noise, spread = seen.mean_of(squares).T
     kept = np.clip(slope * (1.0 - noise / np.maximum(spread, 1e-300)), 0.0, 1.0)[:, None]
     return shared + seen.blended(kept) / weight * (halves - shared)
