@@ -145,3 +145,56 @@ def test_a_sky_is_behind_everything(scene: ls.Scene) -> None:
         pixel = np.repeat(np.arange(len(through)), np.diff(deep.first))
         np.multiply.at(through, pixel[~is_sky], 1.0 - deep.alpha[~is_sky].astype(np.float64))
         assert np.abs(through - (1.0 - without.alpha.ravel())).max() < 1e-3
+
+
+def test_what_is_before_a_sky_keeps_its_light() -> None:
+    """Under a sun that is far brighter than the sky behind the pixels: nearer samples are the frame without a sky."""
+    image = np.full((16, 32, 3), 0.2, np.float32)
+    image[2, 3] = 5000.0
+    scene = ls.Scene(splats=capture(), lights=[ls.LightEnvironment(image)])
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
+    frame = ls.render(scene, front_camera(), config, device="cpu")
+    deep = ls.render_deep(scene, front_camera(), frame, config, device="cpu")
+    is_near = deep.near < 1e29
+    pixel = np.repeat(np.arange(len(deep.first) - 1), np.diff(deep.first))
+    counts = np.bincount(pixel[is_near], minlength=len(deep.first) - 1)
+    nearer = replace(
+        deep,
+        first=np.concatenate([[0], np.cumsum(counts)]),
+        **{name: getattr(deep, name)[is_near] for name in ("near", "far", "color", "alpha")},
+    )
+    hidden = replace(scene, lights=[replace(scene.lights[0], visible=False)])
+    wanted = linear(ls.render(hidden, front_camera(), config, device="cpu"))
+    error = np.abs(nearer.flattened() - wanted)[wanted[..., 3] > 0.1]
+    assert np.quantile(error[:, :3], 0.99) < 0.03 and error[:, :3].mean() < 0.01  # of 0.2
+
+
+def test_rays_of_a_given_frame_go_through_the_lens_as_its_own_did(scene: ls.Scene) -> None:
+    """By the seed of the frame, whatever settings are given besides."""
+    camera = replace(front_camera(), aperture=0.2, focus_distance=4.0)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, samples=2, seed=7)
+    frame = ls.render(scene, camera, config, device="cpu")
+    by_its_own = ls.render_deep(scene, camera, frame, config, device="cpu")
+    other = ls.render_deep(scene, camera, frame, replace(config, seed=3), device="cpu")
+    for name in ("first", "near", "alpha"):
+        np.testing.assert_array_equal(getattr(by_its_own, name), getattr(other, name))
+
+
+def test_samples_have_their_own_colours() -> None:
+    """A red Gaussian before a green one."""
+    both = random_gaussians(1, count=2)
+    colors = np.array([(0.5, -0.5, -0.5), (-0.5, 0.5, -0.5)], np.float32) / 0.28209479
+    means = np.array([(0.0, 0.0, 4.0), (0.0, 0.0, 9.0)], np.float32)
+    apart = replace(
+        both,
+        means=means,
+        scales=np.full((2, 3), 0.3, np.float32),
+        opacities=np.full(2, 0.5, np.float32),
+        sh=colors[:, None],
+    )
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False)
+    deep = ls.render_deep(ls.Scene(splats=[apart]), front_camera(), config=config, device="cpu")
+    red, green = deep.near < 6.0, deep.near > 6.0
+    assert red.any() and green.any()
+    assert (deep.color[red, 0] > 0.0).all() and not deep.color[red, 1].any()
+    assert (deep.color[green, 1] > 0.0).all() and not deep.color[green, 0].any()

@@ -15,6 +15,8 @@ from lumisplat.frame.deep import DeepFrame
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray, Rows
 from lumisplat.math.color import decode_srgb
+from lumisplat.math.panorama import panorama_lookup
+from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.renderer.checks import checked_config
 from lumisplat.renderer.ray_profiles import PixelProfile
 from lumisplat.renderer.renderer import create_renderer
@@ -76,7 +78,10 @@ def render_deep(
     size = height, width
     if frame is not None and frame.alpha.shape != size:
         raise SceneError(f"the frame has {frame.alpha.shape} rows and columns, the camera {size}")
-    tracer = _DeepTracer(scene, camera, checked_config(config), device)
+    config = checked_config(config)
+    if frame is not None and frame.config is not None:
+        config = replace(config, seed=frame.config.seed)  # by which its rays went through the lens
+    tracer = _DeepTracer(scene, camera, config, device)
     frame = frame or tracer.frame()
     tracer.show_sky(frame)
     offsets = _offsets(frame, scene, camera)
@@ -160,7 +165,7 @@ class _DeepTracer:
         self._firsts = np.cumsum([0, *(splat.gaussians.count for splat in scene.splats)])
         self._colors = _shown_colors(scene, camera)
         self._places = _ray_places(*camera.image_size)
-        self._sky: FloatArray | None = None
+        self._sky: LightEnvironment | None = None
 
     def frame(self) -> Frame:
         """The frame of the rays."""
@@ -174,8 +179,7 @@ class _DeepTracer:
             return
         for sky in skies:
             if sky.visible:
-                mean = np.ones(3) if sky.image is None else sky.image.reshape(-1, 3).mean(axis=0)
-                self._sky = (mean * sky.color * sky.intensity).astype(np.float32)
+                self._sky = sky
 
     def band(self, pixels: slice, wanted: _Wanted, offsets: list[tuple[float, float]]) -> _Samples:
         """Samples of some pixels, by one ray through each of some points of them, 0..1."""
@@ -208,7 +212,7 @@ class _DeepTracer:
             behind.append(self._mesh_layers(met, left))
         if self._sky is not None:
             sees = np.flatnonzero(np.isinf(met.mesh_distance) & met.directions.any(axis=1) & (left > 0.0))
-            far, color = np.full(len(sees), _SKY_DEPTH, np.float32), np.tile(self._sky, (len(sees), 1))
+            far, color = np.full(len(sees), _SKY_DEPTH, np.float32), _seen_sky(self._sky, met.directions[sees])
             behind.append(_Layers(sees, far, left[sees], color, np.ones(len(sees), bool)))
         return _Layers.of(behind)
 
@@ -281,6 +285,14 @@ def _shares(layers: _Layers, wanted: FloatArray) -> Doubles:
     is_black = sums <= 0.0
     factor = wanted / np.where(is_black, np.maximum(weights, _TINY), sums)
     return np.where(is_black[layers.pixel], layers.weight[:, None], own) * factor[layers.pixel]
+
+
+def _seen_sky(sky: LightEnvironment, directions: FloatArray) -> FloatArray:
+    """Radiance of an environment along unit directions in the world, (N, 3)."""
+    image = np.ones((1, 1, 3)) if sky.image is None else sky.image
+    world_from_sky = matrices_from_quaternions(np.array([sky.rotation_wxyz]))[0]
+    seen = panorama_lookup(image, directions.astype(np.float64) @ world_from_sky)
+    return (seen * sky.color * sky.intensity).astype(np.float32)
 
 
 def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, float]]:

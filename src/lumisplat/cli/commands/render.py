@@ -290,7 +290,8 @@ class Render(ViewsCommand, FrameCommand):
         """Writes a picture, with its mattes; its samples in depth come first, as a picture says that it is done."""
         if self.deep:
             renderer = pictures.source.renderer
-            deep = ls.render_deep(pictures.scene, shot.camera, frame, renderer.config, device=renderer.device)
+            camera = pictures.source.focused(pictures.scene, shot.camera)
+            deep = ls.render_deep(pictures.scene, camera, frame, renderer.config, device=renderer.device)
             deep.save(shot.path.with_suffix(".deep.exr"))
         mattes = self._mattes(pictures.scene, shot.camera, pictures.source.renderer)
         pictures.writer.write(frame, shot.path, mattes)
