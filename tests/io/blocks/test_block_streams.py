@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -151,6 +152,22 @@ def test_folders_of_others_stay(tmp_path: Path) -> None:
         ls.write_blocks(tmp_path / "a", [replace(capture, kernel_degree=4)], 1.0)
     with pytest.raises(ls.FormatError, match="is a file, expected a folder"):
         ls.write_blocks(tmp_path / "notes.txt", [capture], 1.0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="without locks of files")
+def test_of_two_runs_in_one_folder_the_first_has_it(tmp_path: Path) -> None:
+    """The second one is refused while the first one writes, and takes nothing from it."""
+    pieces = [random_gaussians(seed, count=200) for seed in (1, 2)]
+
+    def stream() -> Iterator[ls.Gaussians]:
+        yield pieces[0]
+        with pytest.raises(ls.FormatError, match="another process is writing blocks there: give a new folder"):
+            ls.write_blocks(tmp_path / "a", pieces, 1.0)
+        yield pieces[1]
+
+    index = ls.write_blocks(tmp_path / "a", stream(), 1.0)
+    loaded = ls.load_blocks(index, [ls.BlockPart(number, 0) for number in range(len(index.blocks))])
+    assert loaded.count == 400 and index.count == 400
 
 
 def test_loaded_whole_and_in_part(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

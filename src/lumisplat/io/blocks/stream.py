@@ -13,7 +13,7 @@ import numpy as np
 
 from lumisplat.constants.blocks import BLOCK_CELLS, BLOCK_GAUSSIANS_MAX, BLOCK_PIECE, BLOCK_SAMPLE
 from lumisplat.errors import FormatError, MissingFileError
-from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.files.source import PathLike, check_regular, parsing
 from lumisplat.io.ply.header import PlyElement, PlyHeader, read_ply_header
 from lumisplat.io.ply.rows import read_ply_rows
 from lumisplat.io.splats.columns import REQUIRED, SplatColumns, gaussians_from_columns, invalid_rows
@@ -141,6 +141,7 @@ def can_stream(path: PathLike) -> bool:
 def _opened(path: Path) -> tuple[PlyHeader, PlyElement, int]:
     if not path.exists():
         raise MissingFileError(path, "no such file")
+    check_regular(path, path.stat())
     try:
         header = read_ply_header(path)
     except OSError as error:

@@ -16,7 +16,7 @@ from lumisplat.constants.blocks import BLOCK_CELLS_MAX, BLOCK_DEPTH_MAX, BLOCK_G
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io.blocks.index import GAUSSIAN_FLOATS, INDEX, Block, BlockIndex, BlockLevel
 from lumisplat.io.blocks.rows import packed, pieces, read_rows, unpacked
-from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.atomic import atomic_write, writers_of
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.columns import warn_lost_materials
 from lumisplat.math.arrays import FloatArray
@@ -63,7 +63,10 @@ def write_blocks(
     try:
         is_new = _made(place)
         try:
-            return _Writer(place, cell, levels, block_max).write(chunks, progress or (lambda _: None))
+            with atomic_write(place / INDEX) as temporary:  # locked: another run sees that one is at work
+                index = _Writer(place, cell, levels, block_max).write(chunks, progress or (lambda _: None))
+                temporary.write_text(index.text())
+            return index
         except BaseException:
             _remove_leftovers(place)
             if is_new:
@@ -84,6 +87,8 @@ def _made(place: Path) -> bool:
     """
     if (place / INDEX).exists():
         raise FormatError(place, "holds a capture in blocks already: give a new folder")
+    if place.is_dir() and writers_of(place / INDEX):
+        raise FormatError(place, "another process is writing blocks there: give a new folder")
     if place.exists() and not place.is_dir():
         raise FormatError(place, "is a file, expected a folder for the blocks")
     is_new = not place.exists()
@@ -117,7 +122,7 @@ class _Writer:
         self._count = 0
 
     def write(self, chunks: Iterable[Gaussians], progress: Callable[[float], None]) -> BlockIndex:
-        """Writes all blocks, then the index."""
+        """Writes all blocks."""
         cells: dict[tuple[int, ...], Path] = {}
         for chunk in chunks:
             self._check(chunk)
@@ -132,10 +137,7 @@ class _Writer:
                 blocks.append(block)
                 done += 4 * self._width * block.levels[0].count
                 progress(done / total)
-        index = BlockIndex(self._folder, sh_count, antialiased, tuple(blocks))
-        with atomic_write(self._folder / INDEX) as temporary:
-            temporary.write_text(index.text())
-        return index
+        return BlockIndex(self._folder, sh_count, antialiased, tuple(blocks))
 
     def _check(self, chunk: Gaussians) -> None:
         kind = chunk.sh.shape[1], chunk.antialiased

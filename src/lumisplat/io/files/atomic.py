@@ -143,6 +143,17 @@ def _locked_file(target: Path) -> tuple[Path, int]:
         os.close(lock)  # another process took it for a leftover before it was locked
 
 
+def writers_of(target: Path) -> list[Path]:
+    """Temporary files of a target that a process is writing; those that none writes are removed. None on Windows."""
+    found: list[Path] = []
+    for path in target.parent.glob(f".{target.stem}.*.lumisplat{target.suffix}") if fcntl is not None else ():
+        try:
+            _remove_unless_locked(os.fspath(path))
+        except BlockingIOError:
+            found.append(path)
+    return found
+
+
 def _remove_leftovers(folder: Path) -> None:
     """Removes the temporary files in a folder that no process is writing, once for each folder."""
     if fcntl is None or folder in _tidied:
