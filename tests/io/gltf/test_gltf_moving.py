@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -105,16 +107,11 @@ def test_what_stands_still_is_the_scene(tmp_path: Path) -> None:
     np.testing.assert_allclose(moving.camera_path.at(0.5).eye, (0.0, 1.0, 5.0), atol=1e-6)
 
 
-@pytest.mark.parametrize("way", ["LINEAR", "STEP"])
-def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
-    """With uniform scale; at each frame they are where the node is."""
-    ls.save(tmp_path / "still.gltf", capture(6))
-    import json
-
-    document = json.loads((tmp_path / "still.gltf").read_text())
-    moved = gltf_of([{}], {"walk": [(0, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], way))]})
-    import base64
-
+def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
+    """The animation of a file with a capture, whose node has these properties and one such sampler."""
+    ls.save(folder / "still.gltf", capture(6))
+    document = json.loads((folder / "still.gltf").read_text())
+    moved = gltf_of([{}], {"walk": [(0, sampler)]})
     data = base64.b64decode(document["buffers"][0]["uri"].partition(",")[2])
     data += b"\0" * (-len(data) % 4)
     animation = moved.json["animations"][0]
@@ -126,13 +123,20 @@ def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
         document["accessors"].append({**accessor, "bufferView": len(document["bufferViews"]) - 1})
         animation["samplers"][0][key] = len(document["accessors"]) - 1
     node = next(index for index, one in enumerate(document["nodes"]) if "mesh" in one)
+    document["nodes"][node] |= rest
     animation["channels"][0]["target"]["node"] = node
     document["animations"] = [animation]
     document["buffers"] = [
         {"byteLength": len(data), "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}
     ]
-    (tmp_path / "a.gltf").write_text(json.dumps(document))
-    moving = ls.load_animation(tmp_path / "a.gltf")
+    (folder / "a.gltf").write_text(json.dumps(document))
+    return ls.load_animation(folder / "a.gltf")
+
+
+@pytest.mark.parametrize("way", ["LINEAR", "STEP"])
+def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
+    """With uniform scale; at each frame they are where the node is."""
+    moving = moving_capture(tmp_path, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], way))
     assert not moving.scene.splats
     for time in moving.times:
         (instance,) = moving.actors_at(float(time))
@@ -140,6 +144,36 @@ def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
         expected = np.eye(4)
         expected[1, 3] = height
         np.testing.assert_allclose(instance.transform, expected @ CAPTURE_FROM_FILE, atol=1e-5)
+
+
+def test_captures_that_turn_may_be_stretched(tmp_path: Path) -> None:
+    """By one stretch at all times, which their Gaussians have then."""
+    turn = ("rotation", [0.0, 1.0], [(0.0, 0.0, 0.0, 1.0), (0.0, 0.6, 0.0, 0.8)], "LINEAR")
+    moving = moving_capture(tmp_path, turn, scale=[1.0, 2.0, 0.5])
+    for time, degrees in ((0.0, 0.0), (1.0, 2.0 * math.degrees(math.asin(0.6)))):
+        (instance,) = moving.actors_at(time)
+        splat = expect_kind(ls.SplatInstance, instance)
+        cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        turned = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]) @ np.diag([1.0, 2.0, 0.5])
+        expected = capture(6).means @ CAPTURE_FROM_FILE[:3, :3].T @ turned.T
+        np.testing.assert_allclose(splat.world_means, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("scales", [(0.0, 1.0), (1.0, 0.0)])
+def test_captures_that_come_or_go_are_refused(tmp_path: Path, scales: tuple[float, float]) -> None:
+    """In a line, whether they are hidden first or later; nothing vanishes without one."""
+    sampler = ("scale", [0.0, 1.0], [(scale,) * 3 for scale in scales], "LINEAR")
+    with pytest.raises(ls.FormatError, match="is stretched or hidden by the animation"):
+        moving_capture(tmp_path, sampler)
+
+
+def test_captures_keep_their_settings(tmp_path: Path) -> None:
+    """Shadows only, and harmonics of a lower degree, as in a file in which nothing moves."""
+    sampler = ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], "LINEAR")
+    moving = moving_capture(tmp_path, sampler, extras={"lumisplat": {"shadow_only": True, "sh_degree": 0}})
+    (instance,) = moving.actors_at(0.5)
+    splat = expect_kind(ls.SplatInstance, instance)
+    assert splat.shadow_only and splat.sh_degree == 0
 
 
 def test_skins_move(tmp_path: Path) -> None:

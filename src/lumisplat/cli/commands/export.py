@@ -38,7 +38,8 @@ class Export(LoadingCommand):
     """A scene.toml, or captures and meshes of any format that is read; actors are where they are at time 0, but
     move in OpenUSD."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.glb, or .gltf, the same as text; or .usdz, .usdc, or .usda, the same as text; or a folder, .blend-ready."""
+    """.glb, or .gltf, the same as text; or .usdz, .usdc, .usd, or .usda, the same as text; or a folder,
+    .blend-ready. Captures alone as .ply, .spz or .sog: lumisplat convert."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Cameras of a transforms.json or another camera file, in place of those of the scene."""
     up: UpOption = "auto"

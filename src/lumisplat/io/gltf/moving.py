@@ -14,7 +14,7 @@ from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.animations import read_clips
-from lumisplat.io.gltf.cameras import cameras_of, read_gltf_cameras
+from lumisplat.io.gltf.cameras import cameras_of
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.gaussians.placed import GltfCaptures
 from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
@@ -31,7 +31,7 @@ from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.clips import Channel, Clip, Interpolation
 from lumisplat.scene.animation.keyframes import Keyframes
 from lumisplat.scene.animation.skeleton import Skeleton
-from lumisplat.scene.scene import SplatInstance, check_similarity
+from lumisplat.scene.scene import Scene, SplatInstance, check_similarity
 
 _log = logging.getLogger("lumisplat")
 
@@ -107,7 +107,7 @@ class _Moving:
         actors = [Actor(rig, loop=False)] if rig is not None else []
         actors += self._captures(deformed)
         scene = replace(scene, lights=read_lights(file, self._nodes, rest), up="y-up")
-        cameras = read_gltf_cameras(file.path)
+        cameras = cameras_of(file, [index for index in self._nodes if file.model.nodes[index].camera is not None], rest)
         return Animation(scene, actors, cameras, fps=FPS, frame_count=frames, camera_path=self._camera_path())
 
     def _is_deformed(self, index: int) -> bool:
@@ -133,33 +133,38 @@ class _Moving:
         """Captures that move."""
         captures = GltfCaptures(self._file, self._drop_invalid)
         times = self._times()
-        worlds = [self._skeleton.world_from_node(self._clip, float(time)) for time in times] if nodes else []
-        for index in nodes:
+        for index in filter(captures.is_in, nodes):
             try:
-                placed = [list(captures.placed([index], [*world])) for world in worlds]
-                yield from self._capture_actors(index, times, placed)
+                yield from self._capture_actors(captures, index, times)
             except SceneError as error:
                 if isinstance(error, FormatError):
                     raise
                 raise FormatError(self._file.path, f"{node_label(self._file, index)}: {error}") from None
 
-    def _capture_actors(self, index: int, times: Doubles, placed: list[list[SplatInstance]]) -> Iterator[Actor]:
-        """The captures of a node, from where they are at each time."""
-        for number, first in enumerate(placed[0]):
-            if any(
-                len(at_time) != len(placed[0]) or at_time[number].gaussians is not first.gaussians for at_time in placed
+    def _capture_actors(self, captures: GltfCaptures, index: int, times: Doubles) -> Iterator[Actor]:
+        """The captures of a node, where it is at each time."""
+        first: list[SplatInstance] = []
+        placed: list[list[Doubles]] = []
+        for time in times:
+            world = self._skeleton.world_from_node(self._clip, float(time))
+            at_time = list(captures.placed([index], [*world]))
+            first = first or at_time
+            if not at_time or any(
+                one.gaussians is not other.gaussians for one, other in zip(at_time, first, strict=True)
             ):
                 raise FormatError(
                     self._file.path,
                     f"{node_label(self._file, index)} is stretched or hidden by the animation, which its Gaussians "
                     "cannot be: expected a uniform scale above 0",
                 )
-            places = np.array([at_time[number].transform for at_time in placed])
+            placed.append([one.transform for one in at_time])
+        for one, places in zip(first, np.array(placed).swapaxes(0, 1), strict=True):
             for place in places:
                 check_similarity(place[:3, :3])
             scales = np.cbrt(np.linalg.det(places[:, :3, :3]))
             turns = quaternions_from_matrices(places[:, :3, :3] / scales[:, None, None])
-            yield Actor(first.gaussians, Keyframes(times, places[:, :3, 3], turns, scales), name=first.name)
+            still = Scene(splats=[replace(one, world_from_object=None)])
+            yield Actor(still, Keyframes(times, places[:, :3, 3], turns, scales), name=one.name)
 
     def _camera_path(self) -> CameraPath | None:
         """The first camera that moves."""

@@ -92,6 +92,9 @@ class CameraPath:
             return keys[0]
         if time >= times[-1]:
             return keys[-1]
+        after = int(np.searchsorted(times, time, side="right"))
+        near = slice(max(after - 2, 0), after + 2)  # what the cubic and its slopes are of
+        keys, times = keys[near], times[near]
         eyes = np.array([camera.eye for camera in keys])
         rotations = _aligned(quaternions_from_matrices(np.array([c.world_from_camera[:3, :3] for c in keys])))
         eye = _cubic(times, eyes, time)
@@ -105,7 +108,7 @@ class CameraPath:
         pose[:3, :3] = rotation.T
         pose[:3, 3] = -rotation.T @ eye
         if self.targets is not None:
-            target = _cubic(times, np.asarray(self.targets), time)
+            target = _cubic(times, np.asarray(self.targets)[near], time)
             pose = Camera.look_at(eye, target, -rotation[:, 1]).camera_from_world
         return replace(before, camera_from_world=pose, fx=float(focal[0]), fy=float(focal[1]), **blended)
 

@@ -58,6 +58,11 @@ class GltfCaptures:
                 except SceneError as error:
                     raise FormatError(self.file.path, f"{node_label(self.file, index)}: {error}") from None
 
+    def is_in(self, index: int) -> bool:
+        """Whether a node has captures."""
+        mesh = self.file.model.nodes[index].mesh
+        return mesh is not None and bool(self._captures(mesh))
+
     def _captures(self, mesh_index: int) -> list[Gaussians]:
         """The captures of a mesh, one for each of its primitives that has Gaussians."""
         if mesh_index not in self._read:
@@ -94,6 +99,7 @@ class GltfCaptures:
             stretch[:3, :3] = (v.T * factors) @ v
             world_from_node = world_from_node.copy()
             world_from_node[:3, :3] = u @ v
+            stretch = np.round(stretch, 9) + 0.0  # the same however the node is turned
             gaussians = self._stretched_by(gaussians, CAPTURE_FROM_FILE @ stretch @ CAPTURE_FROM_FILE)
         settings = instance_settings(own_extras(self.file.model.nodes[index]))
         return SplatInstance(gaussians, world_from_node @ CAPTURE_FROM_FILE, name=name, **settings)
