@@ -32,7 +32,8 @@ class Blocks(LoadingCommand):
     What three workers would hold and load: lumisplat blocks garden.blocks --plan --cameras transforms.json --workers 3
 
     A binary .ply is read a piece at a time, whatever its size; other captures are loaded, all of them. A folder
-    without its blocks.json is not whole. Rendered like any capture: lumisplat render garden.blocks --cameras transforms.json.
+    without its blocks.json is not whole. Rendered like any capture:
+    lumisplat render garden.blocks --cameras transforms.json.
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN...", help_behavior_hint="")]] = ()
