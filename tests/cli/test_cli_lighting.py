@@ -418,6 +418,7 @@ DEFAULTS: dict[str, Any] = {
     "tone_map": CONFIG.tone_map,
     "environment_rotation": 0,
     "lod": "0, the finest",
+    "lod_pixels": "0, the finest of all",
 }
 
 
