@@ -71,7 +71,6 @@ LAYERS = (
     "relighting",
     "relighting.fitting",
     "relighting.evaluation",
-    "relighting.captured_light",
     "relighting.delight",
     "baking",
     "dataset",

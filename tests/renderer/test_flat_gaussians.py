@@ -9,23 +9,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.scene.ops.pixel_rays import world_rays
-from support.files.splat_files import load_gaussians, ply_header
+from support.files.splat_files import FLAT_NAMES, load_gaussians, ply_header
 
-NAMES = [
-    "x",
-    "y",
-    "z",
-    "f_dc_0",
-    "f_dc_1",
-    "f_dc_2",
-    "opacity",
-    "scale_0",
-    "scale_1",
-    "rot_0",
-    "rot_1",
-    "rot_2",
-    "rot_3",
-]
 CENTRE = np.array([0.1, -0.2, 4.0])
 SCALES = np.array([0.1, 0.05])
 OPACITY = 0.8
@@ -47,7 +32,7 @@ def tilted(folder: Path, degrees: float) -> tuple[ls.Gaussians, np.ndarray]:
         0.0,
     ]
     path = folder / "surfel.ply"
-    path.write_bytes(ply_header(1, NAMES) + np.array([row], dtype="<f4").tobytes())
+    path.write_bytes(ply_header(1, FLAT_NAMES) + np.array([row], dtype="<f4").tobytes())
     cosine, sine = np.cos(2 * half), np.sin(2 * half)
     return load_gaussians(path), np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
 

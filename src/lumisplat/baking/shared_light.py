@@ -1,4 +1,4 @@
-"""Less noise in light that has bounced: what rays find of it is shared among the Gaussians that they see.
+"""Less noise in light, direct or bounced: what rays find of it is shared among the Gaussians that they see.
 
 The equations are in docs/method/relighting.md#baking.
 """

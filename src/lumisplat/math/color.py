@@ -1,9 +1,11 @@
-"""The sRGB transfer function (IEC 61966-2-1), between display-referred and linear Rec.709 values."""
+"""The sRGB transfer function (IEC 61966-2-1), between display-referred and linear Rec.709 values; albedos in range."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+
+from lumisplat.math.arrays import Doubles
 
 
 def decode_srgb(encoded: npt.ArrayLike) -> npt.NDArray[np.floating]:
@@ -22,3 +24,11 @@ def encode_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
     magnitude = np.abs(linear)
     encoded = np.where(magnitude <= 0.0031308, magnitude * 12.92, 1.055 * magnitude ** (1.0 / 2.4) - 0.055)
     return np.copysign(encoded, linear).astype(linear.dtype)
+
+
+def albedo_in_range(albedo: Doubles) -> Doubles:
+    """Albedos of at most 1, shape (N, 3): those above it in a channel are darkened in all, and keep their hue.
+
+    What is missing there is light, mostly by one factor for all channels; cut off one by one, colours would pale.
+    """
+    return albedo / np.maximum(albedo.max(axis=1, keepdims=True), 1.0)

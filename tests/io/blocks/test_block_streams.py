@@ -14,6 +14,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.blocks import stream, writing
+from support.files.splat_files import FLAT_NAMES, ply_header
 from support.scenes.raster_scenes import random_gaussians
 
 
@@ -44,26 +45,8 @@ def test_pieces_are_what_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_2d_gaussians_become_flat_ones(tmp_path: Path) -> None:
     """As `load` makes them."""
-    capture = written(tmp_path / "a.ply", 20, 0)
-    names = [
-        "x",
-        "y",
-        "z",
-        "f_dc_0",
-        "f_dc_1",
-        "f_dc_2",
-        "opacity",
-        "scale_0",
-        "scale_1",
-        "rot_0",
-        "rot_1",
-        "rot_2",
-        "rot_3",
-    ]
-    rows = np.random.default_rng(1).normal(size=(capture.count, len(names))).astype("<f4")
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {capture.count}\n"
-    head += "".join(f"property float {name}\n" for name in names) + "end_header\n"
-    (tmp_path / "flat.ply").write_bytes(head.encode() + rows.tobytes())
+    rows = np.random.default_rng(1).normal(size=(20, len(FLAT_NAMES))).astype("<f4")
+    (tmp_path / "flat.ply").write_bytes(ply_header(len(rows), FLAT_NAMES) + rows.tobytes())
     (piece,) = ls.stream_ply(tmp_path / "flat.ply")
     loaded = ls.load(tmp_path / "flat.ply")
     assert isinstance(loaded, ls.Gaussians)

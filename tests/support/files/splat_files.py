@@ -74,6 +74,24 @@ def write_format(folder: Path, name: str, gaussians: Gaussians | None = None) ->
     return path
 
 
+FLAT_NAMES = [
+    "x",
+    "y",
+    "z",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "rot_0",
+    "rot_1",
+    "rot_2",
+    "rot_3",
+]
+"""Properties of 2D Gaussians, degree 0."""
+
+
 def ply_header(count: int, names: list[str], encoding: str = "binary_little_endian", kind: str = "float") -> bytes:
     """Header of a vertex-only PLY."""
     lines = ["ply", f"format {encoding} 1.0", f"element vertex {count}"]

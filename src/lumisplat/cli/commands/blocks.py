@@ -92,7 +92,7 @@ class Blocks(LoadingCommand):
             raise ls.ConfigError(f"--cell is {self.cell:g}, expected the edge of a cube in scene units")
         if not 0 <= self.coarser <= 16:
             raise ls.ConfigError(f"--coarser is {self.coarser}, expected 0 to 16")
-        if (self.output / "blocks.json").exists():
+        if block_folder(self.output) is not None:
             raise ls.FormatError(self.output, "holds a capture in blocks already: give a new folder")
         return self.output
 

@@ -33,7 +33,7 @@ class BlockViews:
         """
         parts = self._seen(camera)
         if self._scene is None or parts != self._parts:
-            self._scene = None  # before there are two of them in memory
+            self._scene = None  # only the renderer still holds the last one
             shown = [replace(self.preview.splats[0], gaussians=ls.load_blocks(self.index, parts))] if parts else []
             self._parts, self._scene = parts, replace(self.preview, splats=shown)
         return self._scene

@@ -23,7 +23,7 @@ from lumisplat.constants.delight import (
 )
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
-from lumisplat.relighting.captured_light.albedos import in_range
+from lumisplat.math.color import albedo_in_range
 from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, albedo_pairs, first_light, with_usual_albedos
 from lumisplat.relighting.delight.captured import is_white, lamps_of, outgoing_radiance
 from lumisplat.relighting.delight.incident import IncidentRays, Irradiance, Report
@@ -161,7 +161,7 @@ class _Delighter:
         shown = outgoing / np.maximum(irradiance, RADIANCE_LEAST)
         matt, mirrored = self._parts(rough.value, lobes)
         albedo = filled(np.maximum(shown - mirrored, MATT_LEAST * shown) / matt, irradiance, near)
-        explained = (in_range(albedo) * matt + np.minimum(mirrored, shown)) * irradiance
+        explained = (albedo_in_range(albedo) * matt + np.minimum(mirrored, shown)) * irradiance
         seen = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)
         return MaterialEstimate(
             gaussians=self._with_materials(albedo, normals, rough.value),
@@ -215,7 +215,7 @@ class _Delighter:
         """The capture with what was found."""
         return replace(
             self.gaussians,
-            albedo=read_only_view(in_range(albedo).astype(np.float32)),
+            albedo=read_only_view(albedo_in_range(albedo).astype(np.float32)),
             roughness=roughness,
             metallic=None,
             normals=read_only_view(normals.astype(np.float32)),

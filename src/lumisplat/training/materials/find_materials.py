@@ -21,8 +21,8 @@ from lumisplat.io.photographs.lens import is_bent
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.io.photographs.photographs import Photographs
 from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.color import albedo_in_range
 from lumisplat.math.sh import even_directions
-from lumisplat.relighting.captured_light.albedos import in_range
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.runtime.interrupts import interrupts_held
@@ -58,8 +58,8 @@ class FoundMaterials:
     """Mean difference between photographs and what materials and sky show, display-referred, of the last round of
     photographs; of no step, NaN."""
     too_light: float
-    """Share of Gaussians, by how much of the photographs they are, whose albedo would have been above 1, and is 1 in
-    its lightest channel: they are highlights, or the light that reaches them was underestimated."""
+    """Share of Gaussians, by how much of the photographs they are, whose albedo would have been above 1, and begins
+    at 1 in its lightest channel: they are highlights, or the light that reaches them was underestimated."""
 
 
 def find_materials(
@@ -167,7 +167,7 @@ class _Search:
         albedo = outgoing / white.under(sky)
         too_light = float(np.average(albedo.max(axis=1) > 1.0, weights=weights))
         roughness = np.full(gaussians.count, config.roughness)
-        so_far = FoundSoFar(Materials(in_range(albedo), roughness, normals, sky), too_light)
+        so_far = FoundSoFar(Materials(albedo_in_range(albedo), roughness, normals, sky), too_light)
         if self._files is not None:
             if config.iterations:
                 self._files.write_light(incident)

@@ -1,1 +1,0 @@
-"""Light that a capture itself shows: what its surfaces send out, what reaches them, and what both say of albedo."""
