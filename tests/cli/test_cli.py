@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -395,6 +396,21 @@ def test_help_and_version(capsys):
         assert ("ray options" in shown) == ("light options" in shown) == (command == "render")
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"lumisplat {ls.__version__}\n"
+
+
+def test_help_is_wrapped_once(capsys, monkeypatch):
+    """Where the terminal ends, and not where the source does: no row begins with what the one before had room for."""
+    monkeypatch.setenv("COLUMNS", "80")
+    for command in (["render"], ["farm", "animate"], ["train"]):
+        assert main([*command, "--help"]) == 0
+        rows = [row[1:-1] for row in capsys.readouterr().out.splitlines() if len(row) == 80]  # between lines, or spaces
+        column = next(row.index("show this help") for row in rows if "show this help" in row)
+        joined = [
+            (row, below) for row, below in pairwise(rows) if row[column - 2 : column] == "  " and below[column:].strip()
+        ]
+        for row, below in joined:
+            if below[:column].isspace() and row[column:].strip():
+                assert len(row.rstrip()) + 1 + len(below.split()[0]) > len(row) - 1, (command, row, below)
 
 
 def test_help_imports_nothing_heavy():

@@ -20,6 +20,11 @@ _CASES = (
     (("farm", "animate", "--workers"), ["--workers"]),
     (("farm", "render", "a.ply", "--pipeline", "tr"), ["trace"]),
     (("animate", "--workers"), []),
+    (("completion", "z"), ["zsh"]),
+    (("completion", ""), ["bash", "fish", "zsh"]),
+    (("render", "a.ply", "--aov", "gau"), ["gaussian_index"]),
+    (("farm", "render", "a.ply", "--aov", "depth,gau"), ["depth,gaussian_index"]),
+    (("metrics", "a.png", "b.png", "--metrics", "ms"), ["ms-ssim"]),
 )
 """What has been typed, and what it is completed to."""
 

@@ -14,7 +14,7 @@ from lumisplat.cli.options.remarks import frame_remarks
 from support.files.cli_files import Workplace
 from support.scenes.raster_scenes import one_gaussian, quad
 
-LAMP, SKY = ls.LightPoint((0, 0, 1)), ls.LightEnvironment()
+LAMP, SECOND, SKY = ls.LightPoint((0, 0, 1)), ls.LightPoint((1, 0, 1)), ls.LightEnvironment()
 KEPT = ls.SplatInstance(one_gaussian(), shadow_only=True)
 RELIT = ls.SplatInstance(one_gaussian(), material=ls.MaterialPbr())
 WALL, MIRROR = quad(4.0), quad(4.0, material=ls.MaterialPbr(roughness=0.0, metallic=1.0))
@@ -48,13 +48,14 @@ def test_black_sides_beside_captures_are_announced(scene: ls.Scene, things: str)
     "scene",
     [
         ls.Scene([KEPT], [WALL], [LAMP, SKY]),
+        ls.Scene([KEPT], [WALL], [LAMP, SECOND]),
         ls.Scene([], [WALL], [LAMP]),
         ls.Scene([KEPT], [WALL]),
         ls.Scene([KEPT], [MIRROR, LAMPLIT], [LAMP]),
     ],
 )
 def test_nothing_is_said_of_other_scenes(scene: ls.Scene) -> None:
-    """An environment lights all sides; meshes alone, mirrors and ambient light are as they were asked for."""
+    """An environment lights all sides; other sides are as they were asked for: of several lamps, of meshes alone."""
     assert remarks(scene) == []
 
 

@@ -41,6 +41,7 @@ from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors
 from lumisplat.cli.options.command import Command
+from lumisplat.cli.options.help_text import joined_lines
 from lumisplat.cli.output.console import one_line
 from lumisplat.cli.words import logging_in_shell_words, shell_words
 
@@ -134,7 +135,7 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"lumisplat {ls.__version__}")
         return 0
     try:
-        with panels_as_errors():
+        with panels_as_errors(), joined_lines():
             command = tyro.cli(
                 _Command,  # pyright: ignore[reportArgumentType]
                 args=joined_numbers(args) or ["--help"],

@@ -733,6 +733,10 @@ which round discs would else turn."""
 ANIMATION_FRAMES_MAX = 1_000_000
 """Frames of an animation: more than eleven hours at 24 a second. More are a typing error, and run out of memory."""
 
+ANIMATION_SAMPLES_MAX = 400_000
+"""Samples of a camera or capture of a glTF animation, which are made when it is read: more than an hour. So many take a
+minute on one core, and 500 MB."""
+
 SEQUENCE_TIME_SLACK = 1e-6
 """Frames by which a time may precede the frame that it denotes: k / fps * fps is below k for some k."""
 

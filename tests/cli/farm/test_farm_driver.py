@@ -279,6 +279,21 @@ def test_when_a_file_vanishes_the_living_workers_go_on(caplog: pytest.LogCapture
     assert not run._workers and set(run.tally.done) == {0}
 
 
+def test_what_all_workers_refuse_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    """As the error: no line before it says the same of one worker. If another one works, it is a line."""
+    executor = FakeExecutor()
+    refused = ls.FormatError("out", "cannot be written: Read-only file system")
+    executor.coming = [Refused(0, refused), Refused(1, refused)]
+    run, _ = driver(executor, 2, range(9))
+    with pytest.raises(ls.FormatError, match="Read-only"):
+        run.run()
+    assert not caplog.messages
+    executor = FakeExecutor()
+    executor.coming = [Refused(0, refused), Ready(1, frame_list(9))]
+    assert len(driver(executor, 2, range(9))[0].run().done) == 9
+    assert caplog.messages == ["one worker fewer: out: cannot be written: Read-only file system"]
+
+
 def test_a_worker_that_sees_other_files_is_not_used(caplog: pytest.LogCaptureFixture) -> None:
     """A mixed film is worse than a slow one; the line says what differs."""
     executor = FakeExecutor()

@@ -30,6 +30,18 @@ def test_success_renames(tmp_path: Path) -> None:
     assert list(target.parent.iterdir()) == [target]
 
 
+def test_failures_leave_no_folder_that_was_made_for_the_file(tmp_path: Path) -> None:
+    """But those that were there, or that somebody has used meanwhile."""
+    (tmp_path / "old").mkdir()
+    with pytest.raises(FormatError), atomic_write(tmp_path / "old" / "new" / "deep" / "a.ply"):
+        raise OSError(28, "No space left on device")
+    assert list(tmp_path.rglob("*")) == [tmp_path / "old"]
+    with pytest.raises(FormatError), atomic_write(tmp_path / "new" / "deep" / "a.ply") as temporary:
+        (temporary.parents[1] / "used").write_text("by others")
+        raise OSError(28, "No space left on device")
+    assert sorted((tmp_path / "new").iterdir()) == [tmp_path / "new" / "used"]
+
+
 def test_errors_without_a_number_are_of_the_disk(tmp_path: Path) -> None:
     """As NumPy's of an array that a full disk cuts off."""
     message = "cannot be written: 400 requested and 16 written: is the disk full"

@@ -107,6 +107,26 @@ def test_what_stands_still_is_the_scene(tmp_path: Path) -> None:
     np.testing.assert_allclose(moving.camera_path.at(0.5).eye, (0.0, 1.0, 5.0), atol=1e-6)
 
 
+def test_a_camera_that_jumps_does_not_swing(tmp_path: Path) -> None:
+    """At any rate of frames it is at one of its keys, before a jump and after it."""
+    jumps = ("translation", [0.0, 1.0, 2.0], [(0, 0, 5), (4, 0, 5), (0, 3, 5)], "STEP")
+    path = written(tmp_path / "a.glb", [{"camera": 0}], [(0, jumps)]).camera_path
+    assert path is not None
+    for time in np.linspace(0.0, 1.999, 1999):
+        np.testing.assert_allclose(path.at(float(time)).eye, (0, 0, 5) if time < 1.0 else (4, 0, 5), atol=1e-5)
+    np.testing.assert_allclose(path.at(2.0).eye, (0, 3, 5), atol=1e-5)
+
+
+def test_very_long_animations_are_refused(tmp_path: Path) -> None:
+    """Of cameras and captures, which have many samples, in a line and at once; those of meshes have none."""
+    turn = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
+    with pytest.raises(
+        ls.FormatError, match="is animated for 30000 s, expected at most 4000 of a camera or of captures"
+    ):
+        written(tmp_path / "a.glb", [{"camera": 0}], [(0, turn)])
+    assert written(tmp_path / "b.glb", [{"mesh": 0}], [(0, turn)]).frame_count == 750_001
+
+
 def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
     """The animation of a file with a capture, whose node has these properties and one such sampler."""
     ls.save(folder / "still.gltf", capture(6))

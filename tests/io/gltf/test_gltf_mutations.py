@@ -81,6 +81,52 @@ def mutated(document: dict[str, Any], rng: np.random.Generator) -> None:
         container[key] = ODD[rng.integers(len(ODD))]
 
 
+def play(animation: ls.Animation) -> None:
+    """Poses all that moves, at its frames and between them."""
+    for time in (0.0, 0.013, 0.1, float(animation.times[-1])):
+        animation.actors_at(time)
+        if animation.camera_path is not None:
+            animation.camera_path.at(time)
+
+
+def moving(whole: bytes) -> bytes:
+    """A file with each of its nodes in an animation, in the three ways of glTF in turn."""
+    document, rest = chunks(whole)
+    data = rest[8:]
+
+    def stored(values: list[Any], kind: str) -> int:
+        """An accessor of numbers that are put after all others."""
+        nonlocal data
+        packed_values = np.array(values, np.float32).tobytes()
+        view = {"buffer": 0, "byteOffset": len(data), "byteLength": len(packed_values)}
+        document["bufferViews"].append(view)
+        accessor = {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5126, "type": kind}
+        document["accessors"].append({**accessor, "count": len(values)})
+        data += packed_values
+        return len(document["accessors"]) - 1
+
+    ways, samplers, channels = ("LINEAR", "STEP", "CUBICSPLINE"), [], []
+    for index, node in enumerate(document["nodes"]):
+        if "matrix" in node:
+            continue
+        way = ways[index % 3]
+        places = [(0.1 * row, 1.0, 0.0) for row in range(9 if way == "CUBICSPLINE" else 3)]
+        keys = {"input": stored([0.0, 0.1, 0.2], "SCALAR"), "output": stored(places, "VEC3")}
+        channels.append({"sampler": len(samplers), "target": {"node": index, "path": "translation"}})
+        samplers.append({**keys, "interpolation": way})
+    document["animations"] = [{"samplers": samplers, "channels": channels}]
+    document["buffers"][0]["byteLength"] = len(data)
+    data += b"\0" * (-len(data) % 4)
+    return packed(document, struct.pack("<I4s", len(data), b"BIN\0") + data)
+
+
+def morphing(folder: Path) -> bytes:
+    """A rig of joints and morph targets."""
+    rig = TubeRig(clips={"bend": [*BEND, (0, "weights", [0.0, 0.2, 1.0], [0.0, 1.0, 0.5, 0.0, 1.0, 0.2], "STEP")]})
+    rig.targets = [np.full_like(rig.positions, 0.1), -rig.positions]
+    return rig.write(folder / "tube.glb").read_bytes()
+
+
 def survives(path: Path, data: bytes, *, moves: bool = False) -> bool:
     """Whether the data load, as an animation, too, if something moves; if not, one line names the file."""
     path.write_bytes(data)
@@ -88,7 +134,7 @@ def survives(path: Path, data: bytes, *, moves: bool = False) -> bool:
         ls.load(path)
         ls.load_cameras(path)
         if moves:
-            ls.load_animation(path)
+            play(ls.load_animation(path))
     except ls.LumisplatError as error:
         assert str(path.parent) in str(error)
         assert "\n" not in str(error)
@@ -139,11 +185,13 @@ def test_bytes(tmp_path: Path, whole: bytes, count: int) -> None:
     check_all(tmp_path, variants, 0.02, 0.8)
 
 
+@pytest.mark.parametrize("kind", ["rig", "scene"])
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_files_that_move(tmp_path: Path, count: int) -> None:
-    """Rigs with clips, as animations: fields of their documents and their bytes in turn."""
+def test_files_that_move(tmp_path: Path, whole: bytes, count: int, kind: str) -> None:
+    """Joints and morph targets, or captures, meshes, lights and cameras: their documents and their bytes in turn."""
     rng = np.random.default_rng(23)
-    original = TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb").read_bytes()
+    original = morphing(tmp_path) if kind == "rig" else moving(whole)
+    assert survives(tmp_path / "mutated.glb", original, moves=True)
     good = 0
     for k in range(count):
         document, rest = chunks(original)

@@ -133,6 +133,18 @@ def test_morph_weights_are_animated(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.pose(0.25).positions, wanted, atol=1e-6)
 
 
+def test_targets_that_move_nothing_that_is_read_have_weights_too(tmp_path: Path) -> None:
+    """A target of tangents alone, after one of positions."""
+    rig = TubeRig(clips={"melt": [(0, "weights", [0, 1], [0.0, 0.0, 1.0, 1.0])]}, normals=None)
+    rig.targets = [np.full_like(rig.positions, 0.5)]
+    gltf = rig.gltf()
+    tangents = gltf.accessor(np.zeros_like(rig.positions))
+    gltf.json["meshes"][0]["primitives"][0]["targets"].append({"TANGENT": tangents})
+    (tmp_path / "tube.glb").write_bytes(gltf.glb())
+    (posed,) = ls.load_rig(tmp_path / "tube.glb").poses(1.0)
+    np.testing.assert_allclose(posed.positions, rig.positions + 0.5, atol=1e-5)
+
+
 def two_primitives(rig: TubeRig, same_material: bool) -> Gltf:
     """The tube twice in one mesh, the copy without its first triangle."""
     gltf = rig.gltf()

@@ -30,6 +30,8 @@ _log = logging.getLogger("lumisplat")
 _OF_PICTURES = {"psnr": "psnr", "ssim": "ssim", "ms-ssim": "ms_ssim", "flip": "flip"}
 _USUAL = ("psnr", "ssim", "flip")
 _OF_SHADOWS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
+METRICS = (*_OF_PICTURES, *_OF_SHADOWS)
+"""What ``--metrics`` may hold."""
 _OF_LIGHT = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
 
 
@@ -150,10 +152,9 @@ def _wanted(names: str | None) -> list[str]:
         ConfigError: A name is unknown, or there is none.
     """
     chosen = [*_USUAL] if names is None else [name.strip() for name in names.split(",") if name.strip()]
-    known = _OF_PICTURES | _OF_SHADOWS
     for name in chosen or [names]:
-        if name not in known:
-            raise ls.ConfigError(f"--metrics has '{name}', expected some of {', '.join(known)}")
+        if name not in METRICS:
+            raise ls.ConfigError(f"--metrics has '{name}', expected some of {', '.join(METRICS)}")
     return list(dict.fromkeys(chosen))
 
 

@@ -111,6 +111,8 @@ class Driver:
         self._surrender: ls.DeviceError | None = None
         self._said: set[str] = set()
         self._refusal: BaseException | None = None
+        self._refused: list[BaseException] = []
+        """What no line tells yet: as long as no worker is ready, one of these may be the job's error."""
         self.frames: FrameList | None = None
         """The frames as the first worker sees them; None: none was ready yet."""
         self.tally = Tally()
@@ -190,14 +192,21 @@ class Driver:
             return
         self._workers[number].is_ready = True
         self._bad_starts = 0
+        self._say_who_refused()
 
     def _bad_start(self, number: int, error: BaseException) -> None:
         """Lets a worker go that cannot work; the others go on."""
         del self._workers[number]
         self._executor.stop(number)
         self._refusal = error
-        if self._workers:
+        self._refused.append(error)
+        if self.frames is not None and self._workers:
+            self._say_who_refused()
+
+    def _say_who_refused(self) -> None:
+        for error in self._refused:
             self._say(f"one worker fewer: {one_line(error)}")
+        self._refused.clear()
 
     def _put_down(self, number: int, frame: int) -> None:
         """Takes what a worker has done from its hand: it begins with the next."""

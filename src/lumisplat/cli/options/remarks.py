@@ -23,11 +23,14 @@ def frame_remarks(
 
 
 def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
-    """A line if lamps alone light things beside a capture, which was captured in light from everywhere."""
+    """A line if one lamp alone lights things beside a capture, which was captured in light from everywhere.
+
+    Whoever has set up several lamps has thought of the sides.
+    """
     lights = [light for light in scene.lights if light.enabled]
     is_surrounded = any(isinstance(light, ls.LightEnvironment) for light in lights)
     bounces = config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)  # there, the capture itself lights them
-    if config.lighting is False or not lights or is_surrounded or not scene.splats or bounces:
+    if config.lighting is False or len(lights) != 1 or is_surrounded or not scene.splats or bounces:
         return
     relit = [splats.material for splats in scene.splats if splats.material is not None and not splats.shadow_only]
     things = {

@@ -32,9 +32,9 @@ _tidied: set[Path] = set()
 def atomic_write(path: PathLike) -> Generator[Path]:
     """Yields a temporary file next to ``path`` to write to, and gives it its name if the block succeeds.
 
-    Missing parent folders are created. If the block raises, the temporary file is removed and the old file at ``path``
-    stays. A symbolic link stays, the file that it leads to is written. The first write into a folder removes the
-    temporary files that killed processes have left there.
+    Missing parent folders are created. If the block raises, they and the temporary file are removed and the old file at
+    ``path`` stays. A symbolic link stays, the file that it leads to is written. The first write into a folder removes
+    the temporary files that killed processes have left there.
 
     Args:
         path: Path of the finished file.
@@ -47,12 +47,12 @@ def atomic_write(path: PathLike) -> Generator[Path]:
     """
     try:
         target = _target(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(target.parent)
-        with _reserved(target) as temporary:
-            yield temporary
-            _sync(temporary)
-            os.replace(temporary, target)
+        with _folder_of(target):
+            _remove_leftovers(target.parent)
+            with _reserved(target) as temporary:
+                yield temporary
+                _sync(temporary)
+                os.replace(temporary, target)
         _sync_folder(target.parent)
     except OSError as error:
         reason = error.strerror or f"{error}: is the disk full?"  # NumPy's own has no number
@@ -72,6 +72,20 @@ def check_can_be_written(path: PathLike) -> None:
             pass
     except OSError as error:
         raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
+
+
+@contextmanager
+def _folder_of(target: Path) -> Generator[None]:
+    """Makes the missing folders of a file; if the block raises, those that are empty go again."""
+    missing = [folder for folder in target.parents if not folder.exists()]
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):  # somebody else has put something into it
+                folder.rmdir()
+        raise
 
 
 def _target(path: PathLike) -> Path:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.constants import ANIMATION_FRAMES_MAX
+from lumisplat.constants import ANIMATION_FRAMES_MAX, ANIMATION_SAMPLES_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.animations import read_clips
@@ -39,8 +39,9 @@ FPS = 25.0
 """Frames a second: glTF has none."""
 _SAMPLES_A_FRAME = 4
 """Of captures and cameras, which move between samples as keyframes do; meshes are posed at each frame itself."""
-_BEFORE_STEP = 1e-6
-"""How long before a step its old value has a sample, seconds."""
+_AROUND_STEP = (-2e-6, -1e-6, 1e-6)
+"""When a step has samples but at its own time, seconds from it: two of the old value and two of the new one, so that
+the cubics through them (Catmull-Rom) are flat on both of its sides."""
 
 
 def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
@@ -123,17 +124,25 @@ class _Moving:
     def _times(self) -> Doubles:
         """Times of samples: several a frame, and those of the keys, seconds."""
         count = round(self._clip.duration * FPS * _SAMPLES_A_FRAME)
+        if count > ANIMATION_SAMPLES_MAX:
+            seconds = ANIMATION_SAMPLES_MAX / (FPS * _SAMPLES_A_FRAME)
+            raise FormatError(
+                self._file.path,
+                f"is animated for {self._clip.duration:g} s, expected at most {seconds:g} of a camera or of captures",
+            )
         even = np.arange(count + 1) / (FPS * _SAMPLES_A_FRAME)
         keys = [track.times for track in self._clip.tracks]
-        steps = [track.times - _BEFORE_STEP for track in self._clip.tracks if track.interpolation is Interpolation.STEP]
+        stepped = [track.times for track in self._clip.tracks if track.interpolation is Interpolation.STEP]
+        steps = [times + around for times in stepped for around in _AROUND_STEP]
         times = np.unique(np.concatenate([even, *keys, *steps]))
-        return times[times >= 0.0]
+        return times[(times >= 0.0) & (times <= max(even[-1], self._clip.duration))]
 
     def _captures(self, nodes: list[int]) -> Iterator[Actor]:
         """Captures that move."""
         captures = GltfCaptures(self._file, self._drop_invalid)
-        times = self._times()
-        for index in filter(captures.is_in, nodes):
+        moving = [index for index in nodes if captures.is_in(index)]
+        times = self._times() if moving else np.zeros(0)
+        for index in moving:
             try:
                 yield from self._capture_actors(captures, index, times)
             except SceneError as error:

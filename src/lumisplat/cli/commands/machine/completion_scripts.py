@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import lumisplat as ls
+from lumisplat.cli.commands.metrics import METRICS
 
 _MARK = "COMPLETION_SPEC = "
 """What the table of all options begins with in the scripts that tyro makes."""
@@ -22,6 +23,10 @@ class CommandWords:
     options: list[str] = field(default_factory=list[str])
     choices: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
     """Of an option, such as ``--pipeline``, its values; of options that take any value, none."""
+    lists: dict[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
+    """Of an option that takes several words with commas between, such as ``--aov``, these words."""
+    positional: tuple[str, ...] = ()
+    """Words that come first, such as those of ``completion``."""
     inner: list[str] = field(default_factory=list[str])
     """Its own commands, such as ``animate`` of ``farm``; they are commands of the name ``farm animate``."""
 
@@ -42,15 +47,22 @@ def command_words(script: str) -> dict[str, CommandWords]:
     return dict(_commands("", ast.literal_eval(line.removeprefix(_MARK))["subcommands"]))
 
 
+def _lists() -> dict[str, tuple[str, ...]]:
+    """Options that take several words with commas between, and these words."""
+    return {"--aov": ls.Frame.LAYERS, "--metrics": METRICS}
+
+
 def _commands(above: str, found: dict[str, Any]) -> Iterator[tuple[str, CommandWords]]:
     """The words of commands and of those in them, by their names after those of the commands above them."""
+    listed = _lists()
     for name, command in found.items():
-        words = CommandWords(inner=list(command["subcommands"]))
+        words = CommandWords(positional=POSITIONAL.get(name, ()), inner=list(command["subcommands"]))
         for option in command["options"]:
             words.options.extend(option["flags"])
             if option["type"] != "flag":
                 values = sorted(set(option.get("choices", [])) - {"None"})
                 words.choices.update(dict.fromkeys(option["flags"], values))
+                words.lists.update((flag, listed[flag]) for flag in option["flags"] if flag in listed)
         yield above + name, words
         yield from _commands(f"{above}{name} ", command["subcommands"])
 
@@ -62,6 +74,11 @@ def bash_script(commands: dict[str, CommandWords]) -> str:
         for name, words in commands.items()
         for option, choices in words.choices.items()
     ]
+    lists = [
+        f'    "{name} {option}") words="{" ".join(listed)}" head="${{word%"${{word##*,}}"}}" ;;'
+        for name, words in commands.items()
+        for option, listed in words.lists.items()
+    ]
     options = [f'      "{name} -"*) words="{" ".join(words.options)}" ;;' for name, words in commands.items()]
     outer = {name: words.inner for name, words in commands.items() if words.inner}
     inner = [
@@ -69,22 +86,28 @@ def bash_script(commands: dict[str, CommandWords]) -> str:
         f'else command="{name} ${{COMP_WORDS[2]}}"; fi ;;'
         for name, words in outer.items()
     ]
+    inner += [
+        f'    {name}) if [ "$COMP_CWORD" -eq 2 ]; then inner="{" ".join(words.positional)}"; fi ;;'
+        for name, words in commands.items()
+        if words.positional
+    ]
     top = " ".join(name for name in commands if " " not in name)
     return "\n".join(
         [
             "_lumisplat() {",
-            '  local word="${COMP_WORDS[COMP_CWORD]}" command="${COMP_WORDS[1]}" words="" inner=""',
+            '  local word="${COMP_WORDS[COMP_CWORD]}" command="${COMP_WORDS[1]}" words="" inner="" head=""',
             '  case "$command" in',
             *inner,
             "  esac",
             '  case "$command ${COMP_WORDS[COMP_CWORD-1]}" in',
+            *lists,
             *values,
             '    *) case "$command $word" in',
             *options,
             "    esac ;;",
             "  esac",
             f'  if [ "$COMP_CWORD" -eq 1 ]; then words="{top} --help --version"; fi',
-            '  COMPREPLY=($(compgen -W "$words $inner" -- "$word"))',
+            '  COMPREPLY=($(compgen -P "$head" -W "$words $inner" -- "${word#"$head"}"))',
             "}",
             "complete -o bashdefault -o default -F _lumisplat lumisplat",
             "",
@@ -107,13 +130,20 @@ def fish_script(commands: dict[str, CommandWords]) -> str:
             inner = " ".join(words.inner)
             seen += f"; and not __fish_seen_subcommand_from {inner}"
             lines.append(f"complete -c lumisplat -n '{seen}' -f -a '{inner}'")
+        if words.positional:
+            lines.append(f"complete -c lumisplat -n '{seen}' -f -a '{' '.join(words.positional)}'")
         for option in words.options:
             kind = f"-l {option[2:]}" if option.startswith("--") else f"-s {option[1:]}"
             choices = words.choices.get(option)
+            if listed := words.lists.get(option):
+                choices = [f"(__fish_append , {' '.join(listed)})"]
             value = "" if choices is None else f" -x -a '{' '.join(choices)}'" if choices else " -r"
             lines.append(f"complete -c lumisplat -n '{seen}' {kind}{value}")
     return "\n".join([*lines, ""])
 
+
+POSITIONAL = {"completion": ("bash", "fish", "zsh")}
+"""Commands whose first word is one of a few."""
 
 SCRIPTS = {"bash": bash_script, "zsh": zsh_script, "fish": fish_script}
 """By shell."""
