@@ -76,3 +76,11 @@ def test_folders_that_warp_cannot_name(kernel, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / os.fsdecode(b"fa\xe7ade")))
     with pytest.raises(DeviceError, match="WARP_CACHE_PATH to another folder"):
         load_module(kernel.module, "cpu", 1)
+
+
+def test_a_cache_that_cannot_be_made(kernel, tmp_path, monkeypatch) -> None:
+    """It would be within a file: where, why and what to do, for programs as for commands."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / "file" / "kernels"))
+    with pytest.raises(DeviceError, match=r"file.*cannot be kept here \(Not a directory\).*WARP_CACHE_PATH"):
+        load_module(kernel.module, "cpu", 1)

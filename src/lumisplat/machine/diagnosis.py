@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lumisplat.errors import LumisplatError
+from lumisplat.errors import DeviceError, LumisplatError
 from lumisplat.machine import trial_kernels
 from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.kernel_cache import OTHER_CACHE, cache_error
 from lumisplat.runtime.launcher import Launcher, usable_cores
 from lumisplat.runtime.start import start_warp
 
@@ -207,8 +208,7 @@ def _trial(device: Any) -> str | None:
 
 def _cache() -> CacheFacts:
     """Where compiled kernels are kept, and whether more can be."""
-    advice = "set the environment variable WARP_CACHE_PATH to another folder"
-    folder, problem, free = Path(wp.config.kernel_cache_dir or ""), None, 0
+    problem, free = None, 0
     try:
         start_warp()
         folder = Path(wp.config.kernel_cache_dir or "")
@@ -217,10 +217,12 @@ def _cache() -> CacheFacts:
             pass
         free = shutil.disk_usage(folder).free
         if free < _FREE_BYTES_MIN:
-            problem = f"{folder}: {free / 2**20:.0f} MiB are free for compiled kernels, expected 512: {advice}"
+            problem = f"{folder}: {free / 2**20:.0f} MiB are free for compiled kernels, expected 512: {OTHER_CACHE}"
     except OSError as error:
-        folder = folder if folder.is_dir() else Path(error.filename or folder)
-        problem = f"{folder}: compiled kernels cannot be kept here ({error.strerror}): {advice}"
+        problem = str(cache_error(error))
+    except DeviceError as error:
+        problem = str(error)
+    folder = Path(wp.config.kernel_cache_dir or "")
     used = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
     return CacheFacts(folder, used, free, problem)
 

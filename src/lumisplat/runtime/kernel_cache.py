@@ -18,6 +18,9 @@ _log = logging.getLogger("lumisplat")
 KernelModule = ModuleType | str | wp.Module
 """A Python module of kernels, its name, or the module that Warp has made of a single kernel."""
 
+OTHER_CACHE = "set the environment variable WARP_CACHE_PATH to another folder"
+"""What to do where the folder is of no use."""
+
 _ELF_SECTIONS_OFFSET, _ELF_SECTIONS_SIZE = struct.Struct("<40xQ"), struct.Struct("<58xHH")
 """Where the table of sections begins in a file of 64-bit ELF; the size of an entry, and their number."""
 
@@ -39,17 +42,24 @@ def load_module(module: KernelModule, device: str, block_threads: int) -> None:
     if any(_is_damaged(file) for file in folder.glob("*")):
         _remove(folder)
     try:
-        wp.load_module(module, device=device, block_dim=block_threads)
-    except UnicodeEncodeError:
-        raise DeviceError(
-            f"{folder}: Warp keeps compiled kernels in folders with names in UTF-8 only: set the environment variable "
-            "WARP_CACHE_PATH to another folder"
-        ) from None
-    except Exception:  # Warp raises bare exceptions, for damage that only its loaders find, and for kernels' mistakes
-        if not folder.is_dir():
-            raise
-        _remove(folder)
-        wp.load_module(module, device=device, block_dim=block_threads)
+        try:
+            wp.load_module(module, device=device, block_dim=block_threads)
+        except UnicodeEncodeError:
+            raise DeviceError(
+                f"{folder}: Warp keeps compiled kernels in folders with names in UTF-8 only: {OTHER_CACHE}"
+            ) from None
+        except Exception:  # Warp raises bare ones, for damage that only its loaders find, and for kernels' mistakes
+            if not folder.is_dir():
+                raise
+            _remove(folder)
+            wp.load_module(module, device=device, block_dim=block_threads)
+    except OSError as error:
+        raise cache_error(error) from error
+
+
+def cache_error(error: OSError) -> DeviceError:
+    """What to say of a folder of compiled kernels that cannot be made or written to."""
+    return DeviceError(f"{error.filename}: compiled kernels cannot be kept here ({error.strerror}): {OTHER_CACHE}")
 
 
 def _folder(module: KernelModule, block_threads: int) -> Path:

@@ -7,6 +7,8 @@ from functools import cache
 
 import warp as wp
 
+from lumisplat.runtime.kernel_cache import cache_error
+
 
 @cache
 def start_warp() -> None:
@@ -16,13 +18,15 @@ def start_warp() -> None:
     is no mistake, and standard error is the program's own.
 
     Raises:
-        OSError: The folder of compiled kernels cannot be made. The next call tries again.
+        DeviceError: The folder of compiled kernels cannot be made. The next call tries again.
     """
     saved = os.dup(2)
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), 2)
     try:
         wp.init()
+    except OSError as error:
+        raise cache_error(error) from error
     finally:
         os.dup2(saved, 2)
         os.close(saved)

@@ -64,7 +64,7 @@ class ShadowMap(LoadingCommand, DeviceCommand):
         if not is_map and self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"{self.output}: expected .ply, .compressed.ply, .spz, or .npz for the map")
         lights = self._lights()
-        self.start_warp()
+        self.quiet_warp()
         with progress_bars() as report:
             capture = self.load_asset(self.onto, report)
             if not isinstance(capture, ls.Gaussians):

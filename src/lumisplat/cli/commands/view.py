@@ -57,7 +57,7 @@ class View(LevelsCommand, DeviceCommand):
             raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
         self.check_levels(self.scene)
         levels = self.levels
-        self.start_warp()
+        self.quiet_warp()
         viewer = ls.view(
             list(self.scene),
             config=self._config,

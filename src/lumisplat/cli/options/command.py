@@ -13,7 +13,7 @@ from tyro.conf import arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import load_scene
-from lumisplat.cli.output.console import Report, cache_error, quiet_warp
+from lumisplat.cli.output.console import Report, quiet_warp
 
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 """An option without a value, off unless given."""
@@ -46,14 +46,11 @@ class DeviceCommand(Command):
         Raises:
             DeviceError: There is no such device, or the compiled kernels cannot be stored.
         """
-        try:
-            self.start_warp()
-            return ls.create_renderer(config, self.device, profile=profile, progress=report)
-        except OSError as error:
-            raise cache_error(error) from error
+        self.quiet_warp()
+        return ls.create_renderer(config, self.device, profile=profile, progress=report)
 
-    def start_warp(self) -> None:
-        """Starts Warp without its banner, which only --debug shows."""
+    def quiet_warp(self) -> None:
+        """Keeps what Warp itself says off the terminal, but for --debug."""
         if not self.debug:
             quiet_warp()
 

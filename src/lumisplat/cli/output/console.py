@@ -62,37 +62,10 @@ def progress_bars() -> Generator[Report]:
 
 
 def quiet_warp() -> None:
-    """Keeps Warp's banner and module messages off the terminal. To be called before the first use of a device.
-
-    Raises:
-        DeviceError: The folder of compiled kernels cannot be made.
-    """
-    import os
-
+    """Keeps Warp's banner, messages and warnings off the terminal. To be called before the first use of a device."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    # Where there is no CUDA driver, Warp's native code says so on file descriptor 2, whatever the level.
-    saved = os.dup(2)
-    with open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), 2)
-    try:
-        wp.init()
-    except OSError as error:
-        raise cache_error(error) from error
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-
-
-def cache_error(error: OSError) -> ls.DeviceError:
-    """What to say of a folder of compiled kernels that cannot be made or written to."""
-    import lumisplat as ls
-
-    return ls.DeviceError(
-        f"{error.filename}: cannot hold the cache of compiled kernels ({error.strerror}): set the environment "
-        "variable WARP_CACHE_PATH to a folder that can be written to"
-    )
 
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:

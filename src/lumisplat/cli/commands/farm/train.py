@@ -72,7 +72,7 @@ class FarmTrain(Train):
         for folder in self.folder:
             if not folder.is_dir():
                 raise ls.MissingFileError(folder, "no such folder")
-        self.start_warp()
+        self.quiet_warp()
         frames = FrameList(
             folder=self._folder(),
             origin=self._origin(),

@@ -69,7 +69,7 @@ class Bake(LoadingCommand, DeviceCommand):
         light = LightOptions(environment=self.environment, environment_rotation=self.environment_rotation)
         environment = light.environment_light()
         with progress_bars() as report:
-            self.start_warp()
+            self.quiet_warp()
             scene = upright(self.load_scene(self.scene, report), self.up)
             scene = light.lit_scene(replace(scene, splats=tuple(map(_with_material, scene.splats))), environment)
             baked = ls.bake(

@@ -58,7 +58,7 @@ class Delight(LoadingCommand, DeviceCommand):
         self._check_outputs()
         config = ls.DelightConfig(cells=self.cells, inside=_INSIDE[self.inside], matt=self.matt, seed=self.seed)
         with progress_bars() as report:
-            self.start_warp()
+            self.quiet_warp()
             capture = self._loaded(report)
             try:
                 found = ls.estimate_materials(capture, config, device=self.device, progress=report)

@@ -93,7 +93,7 @@ class Fit(LoadingCommand, DeviceCommand):
         cameras = self._cameras(file, photographs)
         config = self._config(scene_settings(file))
         with progress_bars() as report:
-            self.start_warp()
+            self.quiet_warp()
             document = ls.SceneDocument.open(scenes, partial(self.load_asset, report=report))
             if document.problems:
                 raise ls.SceneError(document.problems[0])

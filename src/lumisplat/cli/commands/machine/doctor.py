@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -33,8 +32,7 @@ class Doctor(Command):
             DeviceError: Something has to be mended.
         """
         if not self.debug:
-            with suppress(ls.DeviceError):  # a cache that cannot be made is among what is found
-                quiet_warp()
+            quiet_warp()
         found = ls.diagnose()
         if self.json:
             print(json.dumps(asdict(found) | {"problems": found.problems}, indent=2, default=str))

@@ -134,7 +134,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         light = ls.load_radiance(found) if self.environment or found.is_file() else None
         config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
         with progress_bars() as report:
-            self.start_warp()
+            self.quiet_warp()
             capture = self.load_asset(captures[0], report)
             if not isinstance(capture, ls.Gaussians):
                 raise ls.FormatError(captures[0], "is no capture, expected Gaussians")

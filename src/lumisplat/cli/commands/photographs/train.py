@@ -102,7 +102,7 @@ class Train(DeviceCommand):
     def run(self) -> None:
         """Trains, and writes the capture."""
         self.check()
-        self.start_warp()
+        self.quiet_warp()
         with progress_bars() as report:
             made = self.make(report)
         self.tell(*made)
