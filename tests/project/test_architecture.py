@@ -17,6 +17,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 LAYERS = (
     "constants",
     "errors",
+    "memory",
+    "progress",
     "config",
     "math",
     "runtime",
@@ -103,17 +105,20 @@ LAYERS = (
 ``public`` is ``import lumisplat`` and its names.
 """
 
-HOST_ONLY = {"constants", "errors", "config", "math", "scene", "demo", "metrics", "io", "frame"}
+HOST_ONLY = {
+    "constants", "errors", "memory", "progress", "config", "math", "scene", "demo", "metrics", "io", "frame"
+}  # fmt: skip
 """Top folders that neither import Warp nor what does."""
 
 MORE_NARROW = {
     "constants": {"constants"},
     "device": {"constants", "device"},
     "kernels": {"constants", "device"},
-    "runtime": {"constants", "errors", "runtime"},
+    "runtime": {"constants", "errors", "memory", "progress", "runtime"},
     "shadow_maps": {
         "constants",
         "errors",
+        "progress",
         "config",
         "math",
         "runtime",

@@ -30,9 +30,10 @@ from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.tone_map import lit_picture
+from lumisplat.progress import Progress
 from lumisplat.renderer.checks import check_scene, checked_config
 from lumisplat.renderer.scene.materials import emits_capture_only, is_relit
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.recolor import scale_light_of
 from lumisplat.scene.scene import Scene, SplatInstance

@@ -14,13 +14,14 @@ from lumisplat.constants.baking import VIEW_SPREAD
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, MeshHits, RayData
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
+from lumisplat.progress import Progress
 from lumisplat.renderer.given_rays import whole_packets
 from lumisplat.renderer.kernel_modules import frame_modules
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import device_array, grown_capacity
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
 
 

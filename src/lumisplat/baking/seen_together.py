@@ -35,10 +35,11 @@ from lumisplat.constants.baking import (
 )
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
 from lumisplat.math.tone_map import lit_picture
+from lumisplat.progress import Progress
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.ops.recolor import base_colors
 from lumisplat.scene.scene import Scene, SplatInstance

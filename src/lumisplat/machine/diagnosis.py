@@ -20,6 +20,7 @@ import warp as wp
 
 from lumisplat.errors import DeviceError, LumisplatError
 from lumisplat.machine import trial_kernels
+from lumisplat.memory import usable_memory
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.kernel_cache import OTHER_CACHE, cache_error
 from lumisplat.runtime.launcher import Launcher, usable_cores
@@ -176,15 +177,8 @@ def _tried(device: Any) -> DeviceFacts:
     except Exception as error:  # Warp raises bare exceptions for whatever a driver or a compiler says
         problem = f"a kernel cannot be compiled or run ({' '.join(str(error).split())})"
     if device.is_cpu:
-        return DeviceFacts(device.alias, _processor(), _memory_bytes(), problem)
+        return DeviceFacts(device.alias, _processor(), usable_memory() or 0, problem)
     return DeviceFacts(device.alias, device.name, int(device.total_memory), problem)
-
-
-def _memory_bytes() -> int:
-    """Of the machine; 0 where the system does not tell: Warp itself needs a further package for that."""
-    with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return 0
 
 
 def _processor() -> str:

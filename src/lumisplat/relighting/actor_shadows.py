@@ -13,9 +13,9 @@ from lumisplat.config import AvatarLightingConfig
 from lumisplat.constants import SHADOW_FOOTPRINT
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.progress import Progress
 from lumisplat.relighting.actors import PlacedActor
 from lumisplat.relighting.captured_shadow import light_factors, light_shares
-from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
 from lumisplat.scene.ops.recolor import scale_light_of

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from lumisplat.config import AvatarLightingConfig, check_kind
 from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.errors import SceneError
+from lumisplat.progress import Progress
 from lumisplat.relighting.actor_shadows import ActorShadows, casting_lights
 from lumisplat.relighting.actors import PlacedActor, actor_flags, centroid, placed_actors
 from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
@@ -21,7 +22,6 @@ from lumisplat.relighting.probe_transfer import light_scales
 from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
 from lumisplat.relighting.sun_on_actors import SunOnActors
 from lumisplat.renderer.scene.materials import emits_capture_only
-from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
 from lumisplat.scene.mesh import Mesh

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import RenderConfig
+from lumisplat.progress import Progress
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.renderer.renderer import Renderer, create_renderer
-from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.scene import Scene
 
 _PROBES_HELD = 64

@@ -10,9 +10,9 @@ import numpy as np
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.constants import LUMINANCE, SH_C0, SUN_WAYS
 from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.progress import Progress
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.renderer.renderer import Renderer, create_renderer
-from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.scene import Scene, SplatInstance
 

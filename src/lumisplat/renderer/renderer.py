@@ -19,6 +19,7 @@ from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import pinhole_of, redistorted
 from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
+from lumisplat.progress import Progress
 from lumisplat.renderer.checks import (
     check_aovs,
     check_blocks,
@@ -53,7 +54,7 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.unscented.unscented_raster import UnscentedRaster
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.ops.focus import focused_camera
 from lumisplat.scene.ops.pixel_rays import pixel_ray

@@ -11,10 +11,10 @@ from lumisplat.constants.parts import SAMPLES_A_BLOCK
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.sample_part import SamplePart, merged
+from lumisplat.progress import Progress
 from lumisplat.renderer.checks import check_blocks, check_scene
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 

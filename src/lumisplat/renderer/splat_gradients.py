@@ -15,6 +15,7 @@ from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
+from lumisplat.progress import Progress
 from lumisplat.renderer.checks import checked_config
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.given_rays import checked_rays
@@ -43,7 +44,7 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.traced_gradients import GivenGradient, TracedFrame, TracedGradients, check_traced
 from lumisplat.renderer.unscented_gradients import MetFrame, UnscentedGradients
 from lumisplat.runtime.buffers import DeviceArray
-from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
-import sys
 from collections.abc import Collection, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -14,6 +11,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.errors import DeviceError
+from lumisplat.memory import usable_memory
 from lumisplat.runtime.downloads import Downloads
 
 Noun = TypeVar("Noun")
@@ -76,17 +74,6 @@ def rows_of(structs: Sequence[object]) -> npt.NDArray[np.void]:
 def bytes_of(*arrays: wp.array[Any]) -> int:
     """Memory of arrays, bytes."""
     return sum(device_array(array).capacity for array in arrays)
-
-
-def physical_memory() -> int:
-    """Memory that this process may use, bytes: the machine's or its container's; unbounded if neither is known."""
-    limits = [sys.maxsize]
-    if hasattr(os, "sysconf"):
-        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    container = Path("/sys/fs/cgroup/memory.max")
-    if container.is_file() and (text := container.read_text().strip()).isdigit():
-        limits.append(int(text))
-    return min(limits)
 
 
 def grown_capacity(count: int) -> int:
@@ -205,7 +192,8 @@ class Buffers:
         self._arrays.pop(name, None)  # freed before its successor is allocated: the peak is one of them, not both
         self._views = {key: view for key, view in self._views.items() if key[0] != name}
         needed = size * wp.types.type_size_in_bytes(dtype)
-        if self._device == "cpu" and self.bytes + needed > physical_memory():
+        there = usable_memory() if self._device == "cpu" else None
+        if there is not None and self.bytes + needed > there:
             # The system would overcommit the memory, and kill the process once it is written.
             raise DeviceError(
                 f"cpu has no room for {needed / 2**30:,.1f} GiB of '{name}': use fewer pixels or Gaussians"

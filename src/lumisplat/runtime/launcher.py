@@ -21,6 +21,7 @@ from typing import Any, TypeVar, cast
 import warp as wp
 
 from lumisplat.errors import ConfigError, DeviceError, StoppedError
+from lumisplat.progress import Progress
 from lumisplat.runtime.kernel_cache import KernelModule, load_module, warp_module_of
 from lumisplat.runtime.start import start_warp
 
@@ -41,8 +42,6 @@ SCRATCH_BYTES_KEPT = 2**30
 """Memory of its pool that a GPU does not take back when it is idle, bytes: otherwise the scratch space of sums and
 sorts, about 16 bytes for each (tile, Gaussian) pair, is got anew in every frame that is not replayed from a graph."""
 
-Progress = Callable[[str, float], None]
-"""Called with a label of the work and the fraction done, 0..1."""
 
 Kernel = wp.Kernel | Callable[..., None]
 """A Warp kernel, which type checkers take for the function that it is made of."""

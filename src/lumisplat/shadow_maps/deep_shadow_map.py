@@ -16,8 +16,9 @@ from lumisplat.device.shadow_map.optical_depth import AVERAGE, MASS, SIMPLE
 from lumisplat.device.structs.shadow_map import Atlas, Casters, Column, Footprint, Occluder, ShadowBound, Table
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray
+from lumisplat.progress import Progress
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 from lumisplat.shadow_maps.atlas import Source, atlas_of, shadow_bound, source_of

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +19,7 @@ from lumisplat.io import save
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.io.photographs.photographs import Photographs
 from lumisplat.math.arrays import Doubles
+from lumisplat.progress import Progress, say_nothing
 from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
@@ -33,7 +33,6 @@ from lumisplat.training.views import TrainingView
 
 _log = logging.getLogger("lumisplat")
 
-Progress = Callable[[str, float], None]
 
 CAPTURES = (".ply", ".spz")
 CHECKPOINT_EVERY_S = 60.0
@@ -133,7 +132,7 @@ def train(
         raise FormatError(
             output, "is there already, and of no training that could go on: overwrite it, or name another"
         )
-    run = _Run(photographs, config, folder, device=device, threads=threads, progress=progress or _say_nothing)
+    run = _Run(photographs, config, folder, device=device, threads=threads, progress=progress or say_nothing)
     run.start(overwrite=overwrite)
     run.work(stop_after, preview)
     return run.finish(None if output is None else Path(output))
@@ -282,7 +281,3 @@ class _Run:
 def is_measured(step: int) -> bool:
     """Whether what is held out is measured after a step that is not the last."""
     return step in MEASURE_AT or step % MEASURE_EVERY == 0
-
-
-def _say_nothing(label: str, fraction: float) -> None:
-    """Progress that nobody asked for."""

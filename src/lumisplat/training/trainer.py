@@ -34,6 +34,7 @@ from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.training import NoiseData, Photograph, SplatRecord, StepRates
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
+from lumisplat.progress import Progress
 from lumisplat.renderer.film import traced_pixel_kernels
 from lumisplat.renderer.kernel_modules import (
     feature_modules,
@@ -44,7 +45,7 @@ from lumisplat.renderer.kernel_modules import (
 )
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.buffers import Buffers, device_array
-from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 from lumisplat.constants import DECODED_BYTES_FREE, EXPANSION_MAX, TEXTURE_BYTES_FREE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
+from lumisplat.memory import usable_memory
 
 
 def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes: int) -> None:
@@ -78,7 +78,7 @@ def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, store
 
 
 def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> None:
-    """Refuses what is larger than the machine's memory, where the system says how much there is.
+    """Refuses what is larger than the memory there is, where that is known.
 
     Args:
         path: The file.
@@ -89,10 +89,8 @@ def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> N
     Raises:
         FormatError: It does not fit.
     """
-    if not hasattr(os, "sysconf"):
-        return
-    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if needed_bytes > there:
+    there = usable_memory()
+    if there is not None and needed_bytes > there:
         raise FormatError(
             path, f"{what} would take {needed_bytes / 1e9:.1f} GB of memory, of {there / 1e9:.1f} GB: {remedy}"
         )

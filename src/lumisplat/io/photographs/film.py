@@ -6,7 +6,7 @@ import logging
 import math
 import os
 import tempfile
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -19,6 +19,7 @@ from PIL import Image
 from lumisplat.config.checks import check_positive, check_whole
 from lumisplat.errors import FormatError, MissingExtraError, MissingFileError
 from lumisplat.io.files.source import PathLike
+from lumisplat.progress import Progress
 
 _log = logging.getLogger("lumisplat")
 
@@ -37,11 +38,9 @@ _STILL = 0.5
 _BLACK = 16
 """Grey values that show nothing, 0..255: as dark as the black of a film is, and its noise."""
 
-Report = Callable[[str, float], None]
-
 
 def extract_frames(
-    film: PathLike, folder: PathLike, *, every: float = 0.5, size: int = 1600, progress: Report | None = None
+    film: PathLike, folder: PathLike, *, every: float = 0.5, size: int = 1600, progress: Progress | None = None
 ) -> list[Path]:
     """Takes photographs from a film: of each stretch of time its sharpest frame, upright.
 
@@ -103,7 +102,7 @@ class _Candidate:
     picture: Image.Image
 
 
-def _sharpest(av: Any, film: Path, every: float, progress: Report | None) -> Generator[Image.Image]:
+def _sharpest(av: Any, film: Path, every: float, progress: Progress | None) -> Generator[Image.Image]:
     """The sharpest frame of each stretch, upright; stretches without frames have none."""
     with av.open(str(film)) as container:
         if not container.streams.video:

@@ -22,6 +22,7 @@ from lumisplat.constants.photographs import (
 from lumisplat.io.images.texture import image_size
 from lumisplat.io.photographs.pairs import compared_pairs, largest_features
 from lumisplat.math.arrays import FloatArray
+from lumisplat.progress import Progress
 
 _log = logging.getLogger("lumisplat")
 
@@ -31,8 +32,6 @@ _PAIRS = 32
 """Pairs that are compared between two reports."""
 _WATCHED_S = 0.2
 """How often is looked for Ctrl C, seconds."""
-
-Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +45,7 @@ class Mapping:
     """In their order."""
     work: Path
     """The folder of what is found; is made by `prepare`."""
-    report: Report
+    report: Progress
 
     @property
     def _database(self) -> Path:

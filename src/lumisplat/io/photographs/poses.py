@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +18,7 @@ from lumisplat.errors import FormatError, MissingExtraError, MissingFileError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.photographs.mapping import Mapping
 from lumisplat.io.photographs.verdict import Placement
+from lumisplat.progress import Progress
 
 _log = logging.getLogger("lumisplat")
 
@@ -25,10 +26,8 @@ _SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 _WORK = "poses.unfinished"
 """Folder of what has been found until poses are."""
 
-Report = Callable[[str, float], None]
 
-
-def find_poses(folder: PathLike, *, ordered: bool = False, progress: Report | None = None) -> Path:
+def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | None = None) -> Path:
     """Finds where photographs were taken from, and writes a sparse model of COLMAP beside them.
 
     Photographs of one size are taken for those of one lens, with one focal length. COLMAP sees large ones at a

@@ -24,9 +24,10 @@ from lumisplat.constants.delight import (
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.color import albedo_in_range
+from lumisplat.progress import Progress, say_nothing
 from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, albedo_pairs, first_light, with_usual_albedos
 from lumisplat.relighting.delight.captured import is_white, lamps_of, outgoing_radiance
-from lumisplat.relighting.delight.incident import IncidentRays, Irradiance, Report
+from lumisplat.relighting.delight.incident import IncidentRays, Irradiance
 from lumisplat.relighting.delight.lobes import Lobes
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
@@ -47,7 +48,7 @@ def delight(
     *,
     device: str = "auto",
     threads: int | None = None,
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> Gaussians:
     """A capture with materials: ``albedo`` without the light in which it was taken, ``roughness`` and ``normals``.
 
@@ -77,7 +78,7 @@ def estimate_materials(
     *,
     device: str = "auto",
     threads: int | None = None,
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> MaterialEstimate:
     """Materials of a capture and the light in which it was taken, found from the capture alone.
 
@@ -114,7 +115,7 @@ def estimate_materials(
         _log.warning("the capture has an albedo already: it is replaced by one from its captured colours")
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device, threads=threads)
     rays = IncidentRays(gaussians, renderer, config.seed)
-    return _Delighter(gaussians, config, rays, progress or (lambda _label, _share: None)).run()
+    return _Delighter(gaussians, config, rays, progress or say_nothing).run()
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +125,7 @@ class _Delighter:
     gaussians: Gaussians
     config: DelightConfig
     rays: IncidentRays
-    report: Report
+    report: Progress
 
     def run(self) -> MaterialEstimate:
         """All steps."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +19,7 @@ from lumisplat.constants.delight import (
 )
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.sh import even_directions
+from lumisplat.progress import Progress
 from lumisplat.relighting.delight.captured import radiance_met
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides
@@ -30,7 +30,6 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.sampling.blue_noise import Pairs
 from lumisplat.scene.scene import Scene
 
-Report = Callable[[str, float], None]
 HalfArray = npt.NDArray[np.float16]
 
 
@@ -119,7 +118,7 @@ class IncidentRays:
         return agreed_sides(axes, votes, near)[:, None] * axes, inside
 
     def incident(
-        self, normals: Doubles, lamps: Rows, cells: SkyCells, report: Report, *, keeps_ways: bool = False
+        self, normals: Doubles, lamps: Rows, cells: SkyCells, report: Progress, *, keeps_ways: bool = False
     ) -> Irradiance:
         """What shines on Gaussians that face along their normals.
 
@@ -154,7 +153,7 @@ class IncidentRays:
         ways = cells.directions if keeps_ways else np.zeros((0, 3))
         return Irradiance(observed, sky, shares.astype(np.float32), ways, by_way)
 
-    def from_sky(self, normals: Doubles, cells: SkyCells, report: Report) -> FloatArray:
+    def from_sky(self, normals: Doubles, cells: SkyCells, report: Progress) -> FloatArray:
         """Of each cell of the sky, as ``Irradiance.sky``, shape (N, K)."""
         sky = np.zeros((len(normals), len(cells)), np.float32)
         for cell in range(len(cells)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from lumisplat.errors import SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import FloatArray, float_array
 from lumisplat.metrics.materials import Channels, environment_psnr
+from lumisplat.progress import Progress, say_nothing
 from lumisplat.relighting.evaluation.compare import (
     Pair,
     SeenView,
@@ -29,7 +30,6 @@ from lumisplat.relighting.evaluation.truth import RelightableSet
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.gaussians import Gaussians
 
-Progress = Callable[[str, float], None]
 SPLATS = (Pipeline.RASTER, Pipeline.HYBRID)
 """Pipelines whose Gaussians are wide enough for pixels; rays are not."""
 
@@ -76,7 +76,7 @@ def evaluate_materials(
     if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SceneError(f"gaussians is {type(gaussians).__name__}, expected Gaussians")
     found_light = None if environment is None else _panorama(environment)
-    truth, report = RelightableSet.open(folder), progress or _say_nothing
+    truth, report = RelightableSet.open(folder), progress or say_nothing
     given = with_albedo(gaussians)
     seen = list(_seen(truth, given, device, report))
     scale = albedo_scale(seen)
@@ -180,7 +180,3 @@ def _mean(values: Sequence[float]) -> float:
     """The mean of those that are there."""
     existing = [value for value in values if not math.isnan(value)]
     return sum(existing) / len(existing) if existing else math.nan
-
-
-def _say_nothing(label: str, done: float) -> None:
-    """Progress that nobody asked for."""

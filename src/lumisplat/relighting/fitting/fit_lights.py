@@ -14,6 +14,7 @@ from lumisplat.config.checks import check_kind, enum_member
 from lumisplat.constants.light_fit import COARSE_SIZE, FIT_SIZE, PLACES_A_SIDE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
+from lumisplat.progress import Progress, say_nothing
 from lumisplat.relighting.fitting.columns import huber_cost
 from lumisplat.relighting.fitting.guess import Guesser
 from lumisplat.relighting.fitting.layers import LightLayers
@@ -27,7 +28,6 @@ from lumisplat.renderer.checks import check_scene
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
-Progress = Callable[[str, float], None]
 Picture = npt.NDArray[np.floating] | npt.NDArray[np.unsignedinteger] | str | os.PathLike[str]
 
 _LABEL = "fitting lights"
@@ -120,7 +120,7 @@ def fit_lights(
     )
     curve = enum_member("tone_map", tone_map, ToneMap)
     views = read_photographs(cameras, photographs, masks, linear=linear, tone_map=curve)
-    report = progress or _say_nothing
+    report = progress or say_nothing
     report(_LABEL, 0.0)
     layers = LightLayers(config, device)
     small = [view.scaled(size) for view in views]
@@ -164,7 +164,3 @@ def _looked_for(guesser: Guesser, report: Callable[[float], None]) -> tuple[Scen
         costs = [huber_cost(guesser.observed, one.solution.model, best.solution.deviation) for one in (best, other)]
         best = other if costs[1] < _SURE * costs[0] else best
     return best.scene, best.gains
-
-
-def _say_nothing(label: str, share: float) -> None:
-    """Reports to nobody."""

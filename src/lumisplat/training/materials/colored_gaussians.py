@@ -10,10 +10,11 @@ from lumisplat.config import TrainConfig
 from lumisplat.config.colors import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.progress import Progress
 from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene

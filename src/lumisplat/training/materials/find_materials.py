@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from lumisplat.io.photographs.photographs import Photographs
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import albedo_in_range
 from lumisplat.math.sh import even_directions
+from lumisplat.progress import Progress, say_nothing
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.runtime.interrupts import interrupts_held
@@ -41,7 +42,6 @@ from lumisplat.training.run_folder import RunFolder
 from lumisplat.training.train import CHECKPOINT_EVERY_S
 from lumisplat.training.views import TrainingView
 
-Progress = Callable[[str, float], None]
 ENVIRONMENT = ".environment.exr"
 """What the file of the sky ends in."""
 
@@ -114,7 +114,7 @@ def find_materials(
     if output is not None:
         folder = RunFolder.of(Path(output)).path
         files = MaterialFiles.of(folder, gaussians, photographs.fingerprint, config)
-    search = _Search(gaussians, views, config, files, device=device, threads=threads, progress=progress or _say_nothing)
+    search = _Search(gaussians, views, config, files, device=device, threads=threads, progress=progress or say_nothing)
     found = search.found()
     if output is not None:
         _write(Path(output), found)
@@ -255,7 +255,3 @@ def _write(output: Path, found: FoundMaterials) -> None:
         except FormatError as error:  # of the temporary file, which nobody has named
             raise FormatError(output, error.problem) from None
         write_exr(environment_path(output), dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)))
-
-
-def _say_nothing(label: str, fraction: float) -> None:
-    """Progress that nobody asked for."""

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from lumisplat.constants.materials import LIFT_ALONG, LIFT_SHORTEST
 from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.progress import Progress
 from lumisplat.relighting.delight.captured import radiance_met
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
-
-Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +34,7 @@ class IncidentRadiance:
 
 
 def traced_incident(
-    gaussians: Gaussians, normals: Doubles, directions: Doubles, renderer: Renderer, *, seed: int, report: Report
+    gaussians: Gaussians, normals: Doubles, directions: Doubles, renderer: Renderer, *, seed: int, report: Progress
 ) -> IncidentRadiance:
     """Follows a ray from each Gaussian into each direction above its horizon.
 

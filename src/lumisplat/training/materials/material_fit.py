@@ -19,8 +19,9 @@ from lumisplat.constants.materials import (
     SKY_FINE_RATE,
 )
 from lumisplat.math.arrays import Doubles
+from lumisplat.progress import Progress
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.materials import material_gradient_kernels, material_kernels
 from lumisplat.training.materials.adam import Adam

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from lumisplat.constants.training import SURFACE_ALPHA
 from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.progress import Progress
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.shortest_axes import shortest_axes
 from lumisplat.scene.scene import Scene
 
-Report = Callable[[str, float], None]
-
 
 def seen_normals(
-    gaussians: Gaussians, cameras: Sequence[Camera], renderer: DifferentiableRenderer, report: Report
+    gaussians: Gaussians, cameras: Sequence[Camera], renderer: DifferentiableRenderer, report: Progress
 ) -> tuple[Doubles, Doubles]:
     """Unit normals towards the side that cameras see, and how much of all views each Gaussian is.
 

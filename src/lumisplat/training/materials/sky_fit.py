@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +18,10 @@ from lumisplat.constants.materials import (
     SKY_SMOOTHNESS,
 )
 from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.progress import Progress
 from lumisplat.training.materials.adam import Adam
 from lumisplat.training.materials.incident import IncidentRadiance
 from lumisplat.training.materials.pairs import Pairs
-
-Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +77,7 @@ def fitted_sky(
     *,
     steps: int,
     rng: np.random.Generator,
-    report: Report,
+    report: Progress,
 ) -> Doubles:
     """Radiances of the sky in K directions, shape (K, 3).
 
