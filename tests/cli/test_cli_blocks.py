@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import weakref
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +94,24 @@ def test_pictures_are_those_of_the_capture(work: Workplace, monkeypatch: pytest.
     )
     assert outcome.status == 0, outcome.err
     np.testing.assert_array_equal(pixels(work.path("tiles/inside.png")), pixels(work.path("whole/inside.png")))
+
+
+def test_views_are_in_memory_one_at_a_time(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the last one saw is gone, from the renderer, too, before the blocks of the next are read."""
+    made(work)
+    held: list[Callable[[], object]] = []
+    load = ls.load_blocks
+
+    def watching(index: ls.BlockIndex, parts: list[ls.BlockPart]) -> ls.Gaussians:
+        assert not any(one() is not None for one in held)
+        loaded = load(index, parts)
+        held.extend((weakref.ref(loaded.means), weakref.ref(loaded.sh)))
+        return loaded
+
+    monkeypatch.setattr(ls, "load_blocks", watching)
+    outcome = work.run("render", "@town", "--cameras", "@views.json", "-o", "@seen", "--device", "cpu")
+    assert outcome.status == 0, outcome.err
+    assert len(held) == 4
 
 
 def test_coarser_where_it_is_far(work: Workplace) -> None:

@@ -199,6 +199,14 @@ class Renderer:
         self._integrators.forget()
         self._scene.motion.forget()
 
+    def release(self) -> None:
+        """Lets go of the scene of the last frame, so that another one can be loaded into its memory; as ``reset``, too.
+
+        Buffers and kernels stay. The renderer would else hold it until the next frame begins.
+        """
+        self.reset()
+        self._scene.release()
+
     def _sampled(
         self,
         plan: FramePlan,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,6 +70,18 @@ def test_every_gaussian_is_in_one_block(tmp_path: Path) -> None:
     for path in (tmp_path / "a").glob("*"):
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
     assert not list((tmp_path / "a").glob("*.part"))
+
+
+def test_blocks_are_read_into_memory_once(tmp_path: Path) -> None:
+    """And one of them beside: not as rows first and as Gaussians then."""
+    index = ls.write_blocks(tmp_path, [random_gaussians(1, 20_000, 3, extent=(9.0, 9.0, 9.0))], 3.0, block_max=1000)
+    tracemalloc.start()
+    try:
+        loaded = ls.load_blocks(index, ls.all_blocks(index))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1.5 * index.row_bytes * loaded.count
 
 
 def test_gaussians_in_one_place_stay_together(tmp_path: Path) -> None:

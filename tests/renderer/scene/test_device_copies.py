@@ -53,6 +53,23 @@ def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_a_renderer_lets_go_of_a_scene(pipeline: ls.Pipeline) -> None:
+    """On request, before its next frame, which is as that of a new renderer."""
+    settings = ls.RenderConfig(pipeline=pipeline, samples=1)
+    camera = front_camera(24, 16)
+    renderer = ls.create_renderer(settings, "cpu")
+    scene = polished()
+    renderer.render(scene, camera)
+    held = weakref.ref(scene.splats[0].gaussians.means)
+    del scene
+    assert held() is not None
+    renderer.release()
+    assert held() is None
+    expected = ls.create_renderer(settings, "cpu").render(polished(), camera)
+    np.testing.assert_array_equal(renderer.render(polished(), camera).color, expected.color)
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 def test_copies_live_while_kernels_read_them(pipeline: ls.Pipeline, copies: list[np.ndarray]) -> None:
     """A lit capture looks the same whether its arrays are shared with the host or copied to a device."""
     scene, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)

@@ -25,15 +25,20 @@ class BlockViews:
     _parts: list[ls.BlockPart] = field(default_factory=list["ls.BlockPart"], init=False)
     _scene: ls.Scene | None = field(default=None, init=False)
 
-    def scene(self, camera: ls.Camera) -> ls.Scene:
+    def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
         """What a camera sees; of lenses other than pinholes, everything.
+
+        Args:
+            camera: The view.
+            release: Lets go of what the last view saw, before something else is loaded.
 
         Raises:
             FormatError: A block cannot be read, or all of them do not fit into memory.
         """
         parts = self._seen(camera)
         if self._scene is None or parts != self._parts:
-            self._scene = None  # only the renderer still holds the last one
+            self._scene = None
+            release()
             shown = [replace(self.preview.splats[0], gaussians=ls.load_blocks(self.index, parts))] if parts else []
             self._parts, self._scene = parts, replace(self.preview, splats=shown)
         return self._scene

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -32,8 +33,8 @@ class WarmUp:
 class SceneOfViews(Protocol):
     """What has a scene for each view."""
 
-    def scene(self, camera: ls.Camera) -> ls.Scene:
-        """What a camera sees."""
+    def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
+        """What a camera sees; ``release`` is called before something else than of the last view is loaded."""
         ...
 
 
@@ -63,7 +64,7 @@ class FrameSource:
             SceneError: Likewise, or the pixel in focus shows nothing.
         """
         if self.blocks is not None:
-            scene = self.blocks.scene(camera)
+            scene = self.blocks.scene(camera, self.renderer.release)
         return self.finished(self._rendered(scene, self.focused(scene, camera), report))
 
     def focused(self, scene: ls.Scene, camera: ls.Camera) -> ls.Camera:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,9 @@ from lumisplat.errors import FormatError
 from lumisplat.io.blocks.index import GAUSSIAN_FLOATS
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.gaussians import Gaussians
+
+_COLUMNS = (slice(3), slice(3, 7), slice(7, 10), 10, slice(GAUSSIAN_FLOATS, None))
+"""Where a row has its mean, quaternion, scales, opacity and harmonics."""
 
 
 def packed(gaussians: Gaussians) -> FloatArray:
@@ -29,14 +32,29 @@ def packed(gaussians: Gaussians) -> FloatArray:
 
 def unpacked(rows: FloatArray, *, antialiased: bool) -> Gaussians:
     """The Gaussians of rows."""
-    return Gaussians(
-        rows[:, :3],
-        rows[:, 3:7],
-        rows[:, 7:10],
-        rows[:, 10],
-        rows[:, GAUSSIAN_FLOATS:].reshape(len(rows), -1, 3),
-        antialiased=antialiased,
-    )
+    return joined([rows], len(rows), rows.shape[1], antialiased=antialiased)
+
+
+def joined(pieces: Iterable[FloatArray], count: int, width: int, *, antialiased: bool) -> Gaussians:
+    """The Gaussians of rows in pieces, in memory once and a piece beside.
+
+    Args:
+        pieces: Rows, shape (n, width) each.
+        count: How many there are of all pieces.
+        width: Of a row.
+        antialiased: As of `Gaussians`.
+    """
+    columns = [np.empty((count, *shape), np.float32) for shape in ((3,), (4,), (3,), (), ((width - GAUSSIAN_FLOATS),))]
+    first = 0
+    for rows in pieces:
+        here = slice(first, first + len(rows))
+        for column, part in zip(columns, _COLUMNS, strict=True):
+            column[here] = rows[:, part]
+        first += len(rows)
+    for column in columns:
+        column.flags.writeable = False  # so that none is copied
+    means, rotations, scales, opacities, sh = columns
+    return Gaussians(means, rotations, scales, opacities, sh.reshape(count, -1, 3), antialiased=antialiased)
 
 
 def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -> FloatArray:

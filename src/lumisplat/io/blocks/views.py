@@ -19,7 +19,7 @@ from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP
 from lumisplat.constants.blocks import BLOCK_MEMORY, BLOCK_PREVIEW
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.blocks.index import Block, BlockIndex, open_blocks
-from lumisplat.io.blocks.rows import read_rows, unpacked
+from lumisplat.io.blocks.rows import joined, read_rows, unpacked
 from lumisplat.io.files.limits import check_memory
 from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import Doubles, FloatArray
@@ -77,12 +77,8 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     check_memory(index.folder, f"{needed // BLOCK_MEMORY // index.row_bytes:,} Gaussians", needed, remedy)
     levels = [index.blocks[part.block].levels[part.level] for part in parts]
     width = index.row_bytes // 4
-    rows = np.empty((sum(level.count for level in levels), width), np.float32)
-    first = 0
-    for level in levels:
-        rows[first : first + level.count] = read_rows(index.folder / level.file, width, level.count)
-        first += level.count
-    return unpacked(rows, antialiased=index.antialiased)
+    rows = (read_rows(index.folder / level.file, width, level.count) for level in levels)
+    return joined(rows, sum(level.count for level in levels), width, antialiased=index.antialiased)
 
 
 def all_blocks(index: BlockIndex, level: int = 0) -> list[BlockPart]:

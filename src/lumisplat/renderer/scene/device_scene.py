@@ -29,6 +29,8 @@ from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
+_ANYWHERE = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
 
 class DeviceScene:
     """Device copies of a scene's assets, and the tables of its camera, instances, materials and lights.
@@ -166,6 +168,13 @@ class DeviceScene:
         if self._synced != self.graph_key:
             self._launcher.drop_graphs()
             self._synced = self.graph_key
+
+    def release(self) -> None:
+        """Drops all assets; the next ``sync`` uploads its own."""
+        self.sync(Scene(), _ANYWHERE, FramePlan.of(self._config, Scene()))
+        # Such a frame may need neither light nor rays, whose tables and hierarchies hold assets, too.
+        self._shading = ShadingTables(self._buffers, self._config, self._launcher.device)
+        self._mesh_bvh, self.bvh = MeshBvhScene(self._launcher), BvhScene(self._launcher)
 
     def begin_sample(self, index: int) -> None:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
