@@ -200,10 +200,7 @@ class Renderer:
         self._scene.motion.forget()
 
     def release(self) -> None:
-        """Lets go of the scene of the last frame, so that another one can be loaded into its memory; as ``reset``, too.
-
-        Buffers and kernels stay. The renderer would else hold it until the next frame begins.
-        """
+        """As ``reset``, and lets go of the last frame's scene, else held until the next: its memory is free to load one."""
         self.reset()
         self._scene.release()
 
