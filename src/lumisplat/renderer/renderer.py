@@ -200,7 +200,7 @@ class Renderer:
         self._scene.motion.forget()
 
     def release(self) -> None:
-        """As ``reset``, and lets go of the last frame's scene, else held until the next: its memory is free to load one."""
+        """As ``reset``, and lets go of the scene of the last frame, which it else holds until the next frame."""
         self.reset()
         self._scene.release()
 
