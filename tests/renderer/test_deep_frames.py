@@ -169,6 +169,47 @@ def test_what_is_before_a_sky_keeps_its_light() -> None:
     assert np.quantile(error[:, :3], 0.99) < 0.03 and error[:, :3].mean() < 0.01  # of 0.2
 
 
+LAMPS = {
+    "sphere": ls.LightSphere((0.1, 0.0, 4.0), 0.4, color=(1.0, 0.8, 0.5), intensity=6.0),
+    "rect": ls.LightRect((0.1, 0.0, 3.6), (0.0, 0.9, 0.1), (0.9, 0.2, 0.0), intensity=6.0),
+}
+
+
+@pytest.mark.parametrize("name", LAMPS)
+def test_lamps_that_are_seen_are_samples_of_light(name: str) -> None:
+    """As deep as they are, without alpha, as they block nothing: what is put behind them does not take their light."""
+    lamp, camera = LAMPS[name], front_camera()
+    wall = ls.MeshInstance(ls.Mesh([(-9, -9, 6), (9, -9, 6), (0, 9, 6)], [(0, 1, 2)]))
+    scene = ls.Scene(meshes=[wall], lights=[lamp])
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4)
+    frame = ls.render(scene, camera, config, device="cpu")
+    deep = ls.render_deep(scene, camera, frame, config, device="cpu")
+    np.testing.assert_allclose(deep.flattened(), linear(frame), atol=1e-5)
+    middle = camera.height // 2 * camera.width + camera.width // 2
+    first, last = deep.first[middle], deep.first[middle + 1]
+    assert last - first == 2
+    np.testing.assert_allclose(deep.near[first:last], [3.6, 6.0], atol=0.02)
+    assert deep.alpha[first:last].tolist() == [0.0, 1.0]
+    np.testing.assert_allclose(deep.color[first], 6.0 * np.array(lamp.color), rtol=0.01)
+    unlit = ls.render(replace(scene, lights=[replace(lamp, visible=False)]), camera, config, device="cpu")
+    np.testing.assert_allclose(
+        deep.color[first + 1], linear(unlit)[camera.height // 2, camera.width // 2, :3], atol=0.05
+    )
+
+
+@pytest.mark.parametrize("name", LAMPS)
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.REALTIME])
+def test_samples_add_up_to_frames_with_lamps(scene: ls.Scene, name: str, pipeline: ls.Pipeline) -> None:
+    """That stand among Gaussians and meshes, and before nothing, without a background, too."""
+    lit = replace(scene, lights=[LAMPS[name], replace(LAMPS["sphere"], position=(-1.0, -0.8, 2.5), radius=0.2)])
+    for background in ((0.0, 0.0, 0.0), None):
+        config = ls.RenderConfig(
+            pipeline=pipeline, samples=4 if pipeline is ls.Pipeline.PATH else 1, background=background
+        )
+        frame = ls.render(lit, front_camera(), config, device="cpu")
+        check(ls.render_deep(lit, front_camera(), frame, config, device="cpu"), frame)
+
+
 def test_rays_of_a_given_frame_go_through_the_lens_as_its_own_did(scene: ls.Scene) -> None:
     """By the seed of the frame, whatever settings are given besides."""
     camera = replace(front_camera(), aperture=0.2, focus_distance=4.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -23,7 +24,7 @@ from lumisplat.renderer.renderer import create_renderer
 from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.scene.camera import Camera, CameraModel
-from lumisplat.scene.lights import LightEnvironment
+from lumisplat.scene.lights import LightEnvironment, LightRect, LightSphere
 from lumisplat.scene.ops.pixel_rays import world_rays
 from lumisplat.scene.ops.sh_colors import colors_along
 from lumisplat.scene.scene import Scene
@@ -60,7 +61,8 @@ def render_deep(
     All samples over each other are the frame: shares are scaled to its alpha pixel by pixel, and its colour is divided
     among them in proportion to the linear colours that Gaussians and meshes have by themselves. Where a frame shows
     what no ray meets, as at the edges of Gaussians that a rasteriser draws a little wider, that is one sample as deep
-    as the frame's surface or first Gaussian there. An environment that the frame shows is a sample at a depth of 1e30.
+    as the frame's surface or first Gaussian there. Lamps that the frame shows are samples of light alone, of alpha 0;
+    an environment is one at a depth of 1e30.
 
     Args:
         scene: What to draw.
@@ -83,7 +85,7 @@ def render_deep(
         config = replace(config, seed=frame.config.seed)  # by which its rays went through the lens
     tracer = _DeepTracer(scene, camera, config, device)
     frame = frame or tracer.frame()
-    tracer.show_sky(frame)
+    tracer.show_lights(frame)
     offsets = _offsets(frame, scene, camera)
     wanted = _Wanted(
         _linear(frame).reshape(-1, 3), frame.alpha.ravel().astype(np.float64), _depths(frame, scene, camera)
@@ -119,10 +121,10 @@ class _Layers(NamedTuple):
     """As `DeepFrame.near`, (M,)."""
     weight: FloatArray
     """Its share of its ray, (M,)."""
-    color: FloatArray
-    """Linear, of itself, (M, 3)."""
+    light: FloatArray
+    """What it adds to its ray, at last to its pixel, by itself, linear, (M, 3)."""
     is_mesh: Flags
-    """It is a mesh, or the environment, (M,)."""
+    """It is a mesh, a lamp or the environment, (M,)."""
 
     @classmethod
     def of(cls, parts: Sequence[_Layers]) -> _Layers:
@@ -166,31 +168,35 @@ class _DeepTracer:
         self._colors = _shown_colors(scene, camera)
         self._places = _ray_places(*camera.image_size)
         self._sky: LightEnvironment | None = None
+        self._lamps: list[LightRect | LightSphere] = []
 
     def frame(self) -> Frame:
         """The frame of the rays."""
         return self._gaussians.render(self._scene, self._camera)
 
-    def show_sky(self, frame: Frame) -> None:
-        """Has rays end at the environment, if the frame shows it: its alpha is then 1."""
+    def show_lights(self, frame: Frame) -> None:
+        """Has rays meet lamps if the frame shows them, and end at the environment: its alpha is then 1."""
         config = frame.config
-        skies = [light for light in self._scene.lights if isinstance(light, LightEnvironment) and light.enabled]
-        if config is None or config.background is None or not FramePlan.of(config, self._scene).is_lit:
+        if config is None or not FramePlan.of(config, self._scene).is_lit:
             return
-        for sky in skies:
-            if sky.visible:
-                self._sky = sky
+        for light in filter(operator.attrgetter("enabled"), self._scene.lights):
+            if isinstance(light, LightEnvironment) and light.visible and config.background is not None:
+                self._sky = light
+            elif isinstance(light, LightRect | LightSphere) and light.visible and config.pipeline is Pipeline.PATH:
+                self._lamps.append(light)
 
     def band(self, pixels: slice, wanted: _Wanted, offsets: list[tuple[float, float]]) -> _Samples:
         """Samples of some pixels, by one ray through each of some points of them, 0..1."""
         places = self._places[pixels]
         wanted = wanted.of(pixels)
         found = [self._layers(places, sample, offset) for sample, offset in enumerate(offsets)]
-        met = np.bincount(np.concatenate([layers.pixel for layers in found]), minlength=len(places)) > 0
-        missed = np.flatnonzero(~met & ((wanted.alpha > 0.0) | wanted.color.any(axis=1)))
-        ones, white = np.ones(len(missed), np.float32), np.ones((len(missed), 3), np.float32)
-        found.append(_Layers(missed, wanted.depth[missed], ones, white, np.zeros(len(missed), bool)))
         layers = _Layers.of(found)
+        layers = layers._replace(light=layers.light / np.float32(len(offsets)))
+        has_any = np.bincount(layers.pixel, minlength=len(places)) > 0
+        covers = np.bincount(layers.pixel, layers.weight, len(places)) > 0.0  # lamps cover nothing
+        missed = np.flatnonzero((~covers & (wanted.alpha > 0.0)) | (~has_any & wanted.color.any(axis=1)))
+        ones, white = np.ones(len(missed), np.float32), np.ones((len(missed), 3), np.float32)
+        layers = _Layers.of([layers, _Layers(missed, wanted.depth[missed], ones, white, np.zeros(len(missed), bool))])
         return self._joined(layers.chosen(np.lexsort((layers.depth, layers.pixel))), wanted)
 
     def _layers(self, places: IntArray, sample: int, offset: tuple[float, float]) -> _Layers:
@@ -202,19 +208,31 @@ class _DeepTracer:
         color = self._colors[self._firsts[profile.instance_index] + profile.gaussian_index]
         depth = self._depths(met, pixel, profile.t)
         weight = (in_front - profile.transmittance).astype(np.float32)
-        gaussians = _Layers(pixel, depth, weight, color, np.zeros(len(pixel), bool))
+        gaussians = _Layers(pixel, depth, weight, weight[:, None] * color, np.zeros(len(pixel), bool))
         left = np.ones(len(places), np.float32)
         ends = np.flatnonzero(np.diff(profile.first))
         left[ends] = profile.transmittance[profile.first[ends + 1] - 1]
         left[left <= self._gaussians.config.trace.transmittance_min] = 0.0  # the ray has ended before
-        behind = [gaussians]
+        behind = [gaussians, *(self._lamp_layers(lamp, met, pixel) for lamp in self._lamps)]
         if self._scene.meshes:
             behind.append(self._mesh_layers(met, left))
         if self._sky is not None:
             sees = np.flatnonzero(np.isinf(met.mesh_distance) & met.directions.any(axis=1) & (left > 0.0))
-            far, color = np.full(len(sees), _SKY_DEPTH, np.float32), _seen_sky(self._sky, met.directions[sees])
-            behind.append(_Layers(sees, far, left[sees], color, np.ones(len(sees), bool)))
+            far, shown = np.full(len(sees), _SKY_DEPTH, np.float32), _seen_sky(self._sky, met.directions[sees])
+            behind.append(_Layers(sees, far, left[sees], left[sees, None] * shown, np.ones(len(sees), bool)))
         return _Layers.of(behind)
+
+    def _lamp_layers(self, lamp: LightRect | LightSphere, met: PixelProfile, pixel: Rows) -> _Layers:
+        """A lamp that is seen as a body: it adds light, and blocks none; ``pixel`` is that of each Gaussian."""
+        distance = _lamp_distances(lamp, met.origins, met.directions)
+        left = np.ones(len(distance), np.float32)
+        in_front = met.gaussians.t < distance[pixel]
+        np.minimum.at(left, pixel[in_front], met.gaussians.transmittance[in_front])
+        reaches = left > self._gaussians.config.trace.transmittance_min
+        sees = np.flatnonzero((distance < met.mesh_distance) & met.directions.any(axis=1) & reaches)
+        depth = self._depths(met, sees, distance[sees].astype(np.float32))
+        light = left[sees, None] * (np.array(lamp.color) * lamp.intensity).astype(np.float32)
+        return _Layers(sees, depth, np.zeros(len(sees), np.float32), light, np.ones(len(sees), bool))
 
     def _mesh_layers(self, met: PixelProfile, left: FloatArray) -> _Layers:
         """The meshes that end rays, of which so much is left there."""
@@ -223,7 +241,8 @@ class _DeepTracer:
             return _Layers(end, left[end], left[end], np.zeros((0, 3), np.float32), np.zeros(0, bool))
         shown = self._meshes.trace_rays(self._behind, met.origins[end], met.directions[end]).radiance
         depth = self._depths(met, end, met.mesh_distance[end])
-        return _Layers(end, depth, left[end], decode_srgb(shown).astype(np.float32), np.ones(len(end), bool))
+        light = left[end, None] * decode_srgb(shown).astype(np.float32)
+        return _Layers(end, depth, left[end], light, np.ones(len(end), bool))
 
     def _depths(self, met: PixelProfile, pixel: Rows, distance: FloatArray) -> FloatArray:
         """Depths of points on rays."""
@@ -276,15 +295,41 @@ class _DeepTracer:
 def _shares(layers: _Layers, wanted: FloatArray) -> Doubles:
     """What each layer adds to its pixel, (M, 3).
 
-    Channel by channel in proportion to its own colour, where all are black to its weight.
+    Lamps, which alone have no weight, their own light, as it is known; the others what is left, channel by channel in
+    proportion to their own light, where all are black to their weight.
     """
-    count = len(wanted)
-    own = layers.weight[:, None] * layers.color.astype(np.float64)
-    sums = np.stack([np.bincount(layers.pixel, one, count) for one in own.T], axis=1)
-    weights = np.bincount(layers.pixel, layers.weight, count)[:, None]
+
+    def summed(values: Doubles) -> Doubles:
+        """Of each pixel, (N, 1 or 3)."""
+        columns = [np.bincount(layers.pixel, one, len(wanted)) for one in values.T]
+        return np.stack(columns, axis=1, dtype=np.float64)
+
+    own, weight = layers.light.astype(np.float64), layers.weight[:, None].astype(np.float64)
+    lamps = np.where(weight > 0.0, 0.0, own)
+    rest, shone, weights = own - lamps, summed(lamps), summed(weight)
+    factor = wanted / np.maximum(shone, _TINY)
+    lamps *= np.where(weights > 0.0, np.minimum(factor, 1.0), factor)[layers.pixel]
+    sums = summed(rest)
     is_black = sums <= 0.0
-    factor = wanted / np.where(is_black, np.maximum(weights, _TINY), sums)
-    return np.where(is_black[layers.pixel], layers.weight[:, None], own) * factor[layers.pixel]
+    factor = np.maximum(wanted - summed(lamps), 0.0) / np.where(is_black, np.maximum(weights, _TINY), sums)
+    return lamps + np.where(is_black[layers.pixel], weight, rest) * factor[layers.pixel]
+
+
+def _lamp_distances(lamp: LightRect | LightSphere, origins: FloatArray, directions: FloatArray) -> Doubles:
+    """Where rays meet the side of a lamp that shines, or enter a sphere from outside, (N,); inf: they do not."""
+    from_lamp, along = origins - np.array(lamp.position), directions.astype(np.float64)
+    if isinstance(lamp, LightSphere):
+        to_middle = -(from_lamp * along).sum(axis=1)
+        inside = lamp.radius**2 - ((from_lamp + to_middle[:, None] * along) ** 2).sum(axis=1)
+        meets = (inside >= 0.0) & (to_middle > 0.0) & ((from_lamp**2).sum(axis=1) > lamp.radius**2)
+        return np.where(meets, to_middle - np.sqrt(np.maximum(inside, 0.0)), np.inf)
+    u, v = np.array(lamp.edge_u), np.array(lamp.edge_v)
+    across = np.cross(u, v)
+    towards = -along @ across
+    distance = (from_lamp @ across) / np.where(towards > 0.0, towards, 1.0)
+    met = from_lamp + distance[:, None] * along
+    shares = np.abs([np.cross(met, v) @ across, np.cross(u, met) @ across]) / (across @ across)
+    return np.where((towards > 0.0) & (distance > 0.0) & (shares <= 0.5).all(axis=0), distance, np.inf)
 
 
 def _seen_sky(sky: LightEnvironment, directions: FloatArray) -> FloatArray:
