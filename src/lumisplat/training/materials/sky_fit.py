@@ -20,8 +20,8 @@ from lumisplat.constants.materials import (
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.progress import Progress
 from lumisplat.training.materials.adam import Adam
+from lumisplat.training.materials.alike_pairs import AlikePairs
 from lumisplat.training.materials.incident import IncidentRadiance
-from lumisplat.training.materials.pairs import Pairs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ def fitted_sky(
     chosen = rng.choice(len(outgoing), (2, SKY_PAIRS), p=weights / weights.sum())
     rows, compact = np.unique(chosen, return_inverse=True)
     first, second = compact.reshape(2, SKY_PAIRS)
-    pairs, part = Pairs(first, second), WhiteLight(white.sky[rows], white.seen[rows])
+    pairs, part = AlikePairs(first, second), WhiteLight(white.sky[rows], white.seen[rows])
     shown = np.log(np.maximum(outgoing[rows], DARKEST))
     neighbours = nearest_directions(directions)
     moved, adam = start.copy(), Adam.still(start.shape)

@@ -11,8 +11,8 @@ from lumisplat.math.arrays import Doubles, Rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
-    """Pairs, each of two rows."""
+class AlikePairs:
+    """P pairs, each of two rows."""
 
     first: Rows
     """Shape (P,)."""
