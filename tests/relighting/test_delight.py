@@ -93,6 +93,17 @@ def test_sides_spread_over_a_surface_from_one_vote() -> None:
     assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
 
 
+def test_a_sheet_on_its_own_has_one_side() -> None:
+    """Nothing tells which: both see the open sky alone. Its Gaussians lie with either end of their axes up."""
+    sheet = ls.gaussians_from_mesh(ls.plane(2.0), 120)
+    half_turn = np.array((0.0, 1.0, 0.0, 0.0), np.float32)  # about an axis within the sheet
+    lying = np.where((np.arange(sheet.count) % 3 == 0)[:, None], half_turn, (1.0, 0.0, 0.0, 0.0))
+    scales = np.tile((0.1, 0.01, 0.1), (sheet.count, 1))
+    capture = colored(replace(sheet, rotations_wxyz=lying, scales=scales), np.full((sheet.count, 3), 0.4))
+    normals = ls.delight(capture, ls.DelightConfig(cells=4, matt=True), device="cpu").normals
+    assert normals is not None and len(np.unique(np.sign(normals[:, 1]))) == 1
+
+
 def test_points_lie_on_gaussians() -> None:
     """On average in their middle, as far out as they are wide, and at the peak along the normal."""
     turn = np.array((0.8, 0.0, 0.6, 0.0))

@@ -36,7 +36,8 @@ from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.estimate_normals import estimate_normals
+from lumisplat.scene.ops.axes import shortest_axes
+from lumisplat.scene.ops.outward_side import agreeing_signs
 from lumisplat.scene.sampling.blue_noise import Pairs
 
 _log = logging.getLogger("lumisplat")
@@ -131,8 +132,9 @@ class _Delighter:
         """All steps."""
         self.report("finding surfaces", 0.0)
         near = neighbours_of(self.gaussians)
-        axes = estimate_normals(self.gaussians).astype(np.float64)
-        normals, inside = self.rays.facing(axes, near, self.config.inside, known=self.gaussians.normals is not None)
+        known = self.gaussians.normals
+        axes = _agreeing_axes(self.gaussians) if known is None else known.astype(np.float64)
+        normals, inside = self.rays.facing(axes, near, self.config.inside, known=known is not None)
         white = is_white(self.gaussians, normals)
         outgoing = self._checked_outgoing(normals, white)
         # What is white on an object reflects.
@@ -221,6 +223,12 @@ class _Delighter:
             metallic=None,
             normals=read_only_view(normals.astype(np.float32)),
         )
+
+
+def _agreeing_axes(gaussians: Gaussians) -> Doubles:
+    """Shortest axes, shape (N, 3), turned to one side: they stay so where no ray tells, as of a sheet on its own."""
+    axes = shortest_axes(gaussians)
+    return agreeing_signs(axes)[:, None] * axes
 
 
 def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:

@@ -7,9 +7,9 @@ import numpy as np
 from lumisplat.config import NormalEstimate, enum_member
 from lumisplat.constants import NORMAL_NEIGHBOURS, NORMAL_NEIGHBOURS_MIN, NORMAL_NEIGHBOURS_PER_CELL
 from lumisplat.math.arrays import Doubles, FloatArray, read_only_view
-from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.axes import shortest_axes
 from lumisplat.scene.ops.outward_side import outward_signs
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
 
@@ -39,21 +39,11 @@ def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = Normal
     check_argument("estimate_normals", gaussians, Gaussians, "Gaussians")
     if method is NormalEstimate.AUTO and gaussians.normals is not None:
         return gaussians.normals
-    thin, *wide = _scaled_axes(gaussians)
-    axes = thin / np.linalg.norm(thin, axis=1, keepdims=True)
+    axes = shortest_axes(gaussians)
     if method is NormalEstimate.PCA:
         axes = _plane_normals(gaussians, axes)
-    signs = outward_signs(gaussians, axes, (wide[0], wide[1]))
+    signs = outward_signs(gaussians, axes)
     return read_only_view((axes * signs[:, None]).astype(np.float32))
-
-
-def _scaled_axes(gaussians: Gaussians) -> list[Doubles]:
-    """The axes of each Gaussian times their scales, from the smallest to the largest, shape (N, 3) each."""
-    order = np.argsort(gaussians.scales, axis=1, kind="stable")
-    # The axes are the columns of the matrices.
-    axes = matrices_from_quaternions(gaussians.rotations_wxyz).transpose(0, 2, 1) * gaussians.scales[:, :, None]
-    rows = np.arange(gaussians.count)
-    return [axes[rows, order[:, rank]] for rank in range(3)]
 
 
 def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:

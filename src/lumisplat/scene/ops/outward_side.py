@@ -19,6 +19,7 @@ from lumisplat.constants import (
 )
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.axes import wide_axes
 
 _BORDER = 2
 """Free cells around the set: they are outside, and keep the blur off the grid's edge."""
@@ -42,7 +43,7 @@ class OpennessGrid(NamedTuple):
         return np.where(inside, self.openness[x, y, z], np.float32(1.0))
 
 
-def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating], wide: tuple[Doubles, Doubles]) -> FloatArray:
+def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> FloatArray:
     """For each Gaussian, +1 where its axis points outside, else -1, shape (N,).
 
     The set becomes voxels that are solid where Gaussians are. Free cells that are connected to the set's surroundings
@@ -54,9 +55,8 @@ def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating], wide: tu
     Args:
         gaussians: The set.
         axes: Unit vectors in object space, shape (N, 3).
-        wide: The two wide axes of each Gaussian times their scales, shape (N, 3) each.
     """
-    grid = _openness_grid(gaussians, wide)
+    grid = _openness_grid(gaussians)
     means, along = gaussians.means.astype(np.float64), np.asarray(axes, np.float64)
     signs = np.zeros(gaussians.count)
     undecided = np.arange(gaussians.count)
@@ -68,19 +68,20 @@ def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating], wide: tu
         signs[undecided[clear]] = np.sign(difference[clear])
         undecided = undecided[~clear]
         reach *= 2.0
-    signs[undecided] = _agreeing_signs(along[undecided])
+    signs[undecided] = agreeing_signs(along[undecided])
     return signs.astype(np.float32)
 
 
-def _agreeing_signs(axes: Doubles) -> Doubles:
-    """Signs, +1 or -1, that turn all axes to one side of the plane perpendicular to most of them, shape (M,)."""
+def agreeing_signs(axes: Doubles) -> Doubles:
+    """Signs, +1 or -1, that turn axes, shape (M, 3), to one side of the plane perpendicular to most of them: (M,)."""
     common = np.linalg.eigh(axes.T @ axes)[1][:, 2]
     common *= np.sign(common[np.abs(common).argmax()])
     return np.where(axes @ common < 0.0, -1.0, 1.0)
 
 
-def _openness_grid(gaussians: Gaussians, wide: tuple[Doubles, Doubles]) -> OpennessGrid:
+def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
     """Makes the voxels of a set, and computes how open each is towards the outside."""
+    wide = wide_axes(gaussians)
     means = gaussians.means.astype(np.float64)
     opaque = gaussians.opacities >= OUTSIDE_OPACITY_MIN
     rows = np.flatnonzero(opaque) if opaque.any() else np.arange(gaussians.count)
