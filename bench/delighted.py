@@ -29,7 +29,7 @@ from lumisplat.constants.delight import SURE
 from lumisplat.io.images.png import write_png
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.relighting.delight.captured import outgoing_radiance
+from lumisplat.relighting.albedo.outgoing import median_outgoing
 
 OUT = Path("/tmp/delighted")
 MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)
@@ -193,7 +193,7 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
     seconds = time.process_time() - start
     assert case.truth.albedo is not None and found.gaussians.albedo is not None
     given = np.asarray(found.gaussians.normals, np.float64)
-    shown, normals = outgoing_radiance(case.captured, given)[:count], given[:count]
+    shown, normals = median_outgoing(case.captured, given)[:count], given[:count]
     truth, albedo = case.truth.albedo.astype(np.float64), found.gaussians.albedo[:count].astype(np.float64)
     agree = np.einsum("ij,ij->i", normals, np.asarray(case.truth.normals)) > 0.5
     true, mine, old = (views(colored(case.truth, rgb), case.cameras, device) for rgb in (truth, albedo, shown))

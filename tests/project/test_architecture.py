@@ -71,6 +71,7 @@ LAYERS = (
     "renderer.integrators",
     "renderer",
     "relighting",
+    "relighting.albedo",
     "relighting.fitting",
     "relighting.evaluation",
     "relighting.delight",

@@ -12,9 +12,10 @@ import lumisplat as ls
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.panorama import panorama_directions
 from lumisplat.math.sh import even_directions
+from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.training.materials.incident import ray_starts, traced_incident
 from lumisplat.training.materials.neighbours import near_pairs
-from lumisplat.training.materials.sky_fit import WhiteLight, fitted_sky
+from lumisplat.training.materials.sky_fit import fitted_sky, lit_white
 from support.oracles.trace_oracle import trace_rays
 from support.scenes.lit_sphere import ball, matte, photographed
 
@@ -120,23 +121,25 @@ def test_visibility_is_that_of_brute_force() -> None:
 
 def test_a_closed_room_has_no_sky() -> None:
     """Then the sky stays as it begins, and what is seen is the light."""
-    white = WhiteLight(np.zeros((40, 16), np.float32), np.full((40, 3), 0.3))
+    white = Irradiance(np.full((40, 3), 0.3), np.zeros((40, 16), np.float32), np.zeros((40, 0), np.float32))
     directions = even_directions(16)
     rng = np.random.default_rng(0)
     sky = fitted_sky(np.full((40, 3), 0.15), white, np.ones(40), directions, steps=3, rng=rng, report=silent)
     assert (sky == 1.0).all()
-    np.testing.assert_allclose(0.15 / white.under(sky), 0.5)
+    np.testing.assert_allclose(0.15 / lit_white(white, sky), 0.5)
 
 
 def test_the_sky_has_the_brightness_and_tint_that_are_conventions() -> None:
     """Grey on the average of its logarithms; the lightest surfaces, by weight, reflect 0.8."""
     rng = np.random.default_rng(1)
-    white = WhiteLight(rng.random((300, 32), np.float32) / 32.0, np.full((300, 3), 0.02))
+    white = Irradiance(
+        np.full((300, 3), 0.02), rng.random((300, 32), np.float32) / 32.0, np.zeros((300, 0), np.float32)
+    )
     weights, true = rng.random(300), rng.uniform(0.5, 2.0, (32, 3)) * (2.0, 1.0, 0.5)
-    outgoing = rng.uniform(0.2, 0.6, (300, 1)) * white.under(true)
+    outgoing = rng.uniform(0.2, 0.6, (300, 1)) * lit_white(white, true)
     sky = fitted_sky(outgoing, white, weights, even_directions(32), steps=20, rng=rng, report=silent)
     assert np.ptp(np.log(sky).mean(axis=0)) < 1e-6 and np.ptp(np.log(sky)) > 0.1
-    lightest = (outgoing / white.under(sky)).max(axis=1)
+    lightest = (outgoing / lit_white(white, sky)).max(axis=1)
     assert weights[lightest <= 0.8 + 1e-3].sum() == pytest.approx(0.95 * weights.sum(), rel=0.01)
 
 

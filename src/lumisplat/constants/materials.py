@@ -27,14 +27,8 @@ OUTGOING_DIRECTIONS = 64
 OUTGOING_COSINE = 0.3
 """Of those with the normal, at least: flatter views are extrapolated."""
 
-ALBEDO_HIGH = 0.8
-"""Albedo of the lightest surfaces, the 95th percentile, that fixes the scale of the light."""
-
 ALBEDO_ROUNDS = 4
 """How often the sky is scaled for that: what blocks it stays as it is."""
-
-DARKEST = 1e-4
-"""Linear radiance below which nothing is told apart."""
 
 # --- The sky ---
 

@@ -24,7 +24,7 @@ from lumisplat.constants.delight import (
     SKY_SMOOTHNESS,
 )
 from lumisplat.math.arrays import Doubles, Rows
-from lumisplat.relighting.delight.incident import Irradiance
+from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.scene.sampling.blue_noise import Pairs
 

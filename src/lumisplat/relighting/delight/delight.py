@@ -25,9 +25,11 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.color import albedo_in_range
 from lumisplat.progress import Progress, say_nothing
+from lumisplat.relighting.albedo.irradiance import Irradiance
+from lumisplat.relighting.albedo.outgoing import median_outgoing
 from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, albedo_pairs, first_light, with_usual_albedos
-from lumisplat.relighting.delight.captured import is_white, lamps_of, outgoing_radiance
-from lumisplat.relighting.delight.incident import IncidentRays, Irradiance
+from lumisplat.relighting.delight.captured import is_white, lamps_of
+from lumisplat.relighting.delight.incident import IncidentRays
 from lumisplat.relighting.delight.lobes import Lobes
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
@@ -189,7 +191,7 @@ class _Delighter:
         """
         if white.all():
             raise SceneError("all Gaussians are as bright as display white: no material can be told of any")
-        outgoing = outgoing_radiance(self.gaussians, normals)
+        outgoing = median_outgoing(self.gaussians, normals)
         if outgoing.max() < RADIANCE_LEAST:
             raise SceneError("all Gaussians are black: no light fell on them that could tell a material")
         return outgoing

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.constants.delight import (
@@ -20,7 +17,8 @@ from lumisplat.constants.delight import (
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.sh import even_directions
 from lumisplat.progress import Progress
-from lumisplat.relighting.delight.captured import radiance_met
+from lumisplat.relighting.albedo.irradiance import Irradiance
+from lumisplat.relighting.albedo.outgoing import radiance_met
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides
 from lumisplat.renderer.ray_queries import RayHits
@@ -29,33 +27,6 @@ from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.sampling.blue_noise import Pairs
 from lumisplat.scene.scene import Scene
-
-HalfArray = npt.NDArray[np.float16]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Irradiance:
-    """Irradiance over pi of N Gaussians: what a white surface would show. Linear, in units of display white."""
-
-    observed: Doubles
-    """Of what the capture shows, without its lamps, shape (N, 3)."""
-    sky: FloatArray
-    """Of each of K cells of a sky of radiance 1, shape (N, K)."""
-    lamps: FloatArray
-    """Of each of L lamps of radiance 1, shape (N, L)."""
-    ways: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
-    """Directions in which what the capture shows was kept apart, unit, shape (W, 3); none if it was not."""
-    by_way: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
-    """The share of ``observed`` that comes from each, shape (W, N, 3)."""
-
-    def total(self, sky: Doubles, lamps: Doubles) -> Doubles:
-        """That of a sky and lamps, shape (N, 3).
-
-        Args:
-            sky: Radiances, shape (K, 3).
-            lamps: Likewise, shape (L, 3).
-        """
-        return self.observed + self.sky @ sky + self.lamps @ lamps
 
 
 class IncidentRays:

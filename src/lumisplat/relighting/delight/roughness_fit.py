@@ -20,8 +20,8 @@ from lumisplat.constants.delight import (
 )
 from lumisplat.math.arrays import Doubles, FloatArray, Rows, read_only_view
 from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.relighting.delight.albedo_fit import Light
-from lumisplat.relighting.delight.incident import Irradiance
 from lumisplat.relighting.delight.lobes import Lobes, bins_of, frames_of
 from lumisplat.relighting.delight.neighbours import normal_variances
 from lumisplat.relighting.delight.sky_cells import SkyCells

@@ -24,6 +24,7 @@ from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import albedo_in_range
 from lumisplat.math.sh import even_directions
 from lumisplat.progress import Progress, say_nothing
+from lumisplat.relighting.albedo.outgoing import mean_outgoing
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.runtime.interrupts import interrupts_held
@@ -35,8 +36,7 @@ from lumisplat.training.materials.lit_gaussians import Materials
 from lumisplat.training.materials.material_checkpoint import FoundSoFar, MaterialFiles
 from lumisplat.training.materials.material_fit import MaterialFit, materials_of
 from lumisplat.training.materials.normals import seen_normals
-from lumisplat.training.materials.outgoing import mean_outgoing
-from lumisplat.training.materials.sky_fit import WhiteLight, fitted_sky
+from lumisplat.training.materials.sky_fit import fitted_sky, lit_white
 from lumisplat.training.materials.sky_image import sky_image
 from lumisplat.training.run_folder import RunFolder
 from lumisplat.training.train import CHECKPOINT_EVERY_S
@@ -161,10 +161,10 @@ class _Search:
         normals, weights = self._normals()
         directions = even_directions(config.directions)
         incident = self._incident(normals)
-        white, outgoing = WhiteLight.of(incident, normals), mean_outgoing(gaussians, normals)
+        white, outgoing = incident.irradiance(normals), mean_outgoing(gaussians, normals)
         rng = np.random.default_rng([config.seed, 8])
         sky = fitted_sky(outgoing, white, weights, directions, steps=config.sky_steps, rng=rng, report=self._progress)
-        albedo = outgoing / white.under(sky)
+        albedo = outgoing / lit_white(white, sky)
         too_light = float(np.average(albedo.max(axis=1) > 1.0, weights=weights))
         roughness = np.full(gaussians.count, config.roughness)
         so_far = FoundSoFar(Materials(albedo_in_range(albedo), roughness, normals, sky), too_light)

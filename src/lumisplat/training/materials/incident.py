@@ -9,7 +9,8 @@ import numpy as np
 from lumisplat.constants.materials import LIFT_ALONG, LIFT_SHORTEST
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.progress import Progress
-from lumisplat.relighting.delight.captured import radiance_met
+from lumisplat.relighting.albedo.irradiance import Irradiance
+from lumisplat.relighting.albedo.outgoing import radiance_met
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
@@ -31,6 +32,16 @@ class IncidentRadiance:
     def solid_angle(self) -> float:
         """Of each direction, steradians."""
         return 4.0 * np.pi / len(self.directions)
+
+    def irradiance(self, normals: Doubles) -> Irradiance:
+        """What shines on Gaussians with these normals, shape (N, 3), by cosines; there are no lamps."""
+        cosines = np.maximum(normals @ self.directions.T, 0.0).astype(np.float32)
+        shares = cosines * np.float32(self.solid_angle / np.pi)
+        return Irradiance(
+            observed=np.einsum("nk,nkc->nc", shares, self.seen).astype(np.float64),
+            sky=shares * self.open,
+            lamps=np.zeros((len(normals), 0), np.float32),
+        )
 
 
 def traced_incident(

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lumisplat.config import MaterialsConfig
+from lumisplat.constants.delight import RADIANCE_LEAST
 from lumisplat.constants.materials import (
     ALBEDO_RATE,
     ALBEDO_SMOOTHNESS,
-    DARKEST,
     PHOTO_SSIM,
     ROUGHNESS_MIN,
     ROUGHNESS_RATE,
@@ -82,7 +82,7 @@ class MaterialFit:
         self._normals = start.normals
         self._albedo: Doubles = _logits(start.albedo)
         self._roughness: Doubles = _logits((start.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE)
-        self._sky: Doubles = np.log(np.maximum(start.sky, DARKEST))
+        self._sky: Doubles = np.log(np.maximum(start.sky, RADIANCE_LEAST))
         self._first = np.log(_sigmoid(self._albedo))
         self._moments = [Adam.still(array.shape) for array in (self._albedo, self._roughness, self._sky)]
         self.iteration = 0

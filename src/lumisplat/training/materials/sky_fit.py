@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from lumisplat.constants.delight import ALBEDO_HIGH, RADIANCE_LEAST
 from lumisplat.constants.materials import (
-    ALBEDO_HIGH,
     ALBEDO_ROUNDS,
-    DARKEST,
     SKY_NEIGHBOURS,
     SKY_PAIRS,
     SKY_PRIOR,
@@ -17,40 +14,24 @@ from lumisplat.constants.materials import (
     SKY_SEEN,
     SKY_SMOOTHNESS,
 )
-from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Progress
+from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.training.materials.adam import Adam
 from lumisplat.training.materials.alike_pairs import AlikePairs
-from lumisplat.training.materials.incident import IncidentRadiance
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WhiteLight:
-    """Radiance of white, matte Gaussians: what shines on them, by cosines, over pi."""
-
-    sky: FloatArray
-    """Of a sky that has radiance 1 in one of K directions, shape (N, K)."""
-    seen: Doubles
-    """Of what blocks the rest, shape (N, 3)."""
-
-    @classmethod
-    def of(cls, incident: IncidentRadiance, normals: Doubles) -> WhiteLight:
-        """That of Gaussians with these normals, shape (N, 3)."""
-        cosines = np.maximum(normals @ incident.directions.T, 0.0).astype(np.float32)
-        shares = cosines * np.float32(incident.solid_angle / np.pi)
-        return cls(shares * incident.open, np.einsum("nk,nkc->nc", shares, incident.seen).astype(np.float64))
-
-    def under(self, sky: Doubles) -> Doubles:
-        """Under a sky of radiances, shape (K, 3): shape (N, 3)."""
-        return np.maximum(self.sky @ sky.astype(np.float32) + self.seen, DARKEST)
-
-    @property
-    def sees_sky(self) -> bool:
-        """Whether there is a sky to be found."""
-        return float(np.median(self.sky.sum(axis=1))) > SKY_SEEN
+def lit_white(white: Irradiance, sky: Doubles) -> Doubles:
+    """Radiance of white, matte Gaussians under a sky of radiances, shape (K, 3): shape (N, 3)."""
+    return np.maximum(white.total(sky.astype(np.float32), np.zeros((0, 3))), RADIANCE_LEAST)
 
 
-def even_sky(outgoing: Doubles, white: WhiteLight, weights: Doubles) -> float:
+def sees_sky(white: Irradiance) -> bool:
+    """Whether there is a sky to be found."""
+    return float(np.median(white.sky.sum(axis=1))) > SKY_SEEN
+
+
+def even_sky(outgoing: Doubles, white: Irradiance, weights: Doubles) -> float:
     """Radiance of an even, grey sky under which the lightest Gaussians have a usual albedo.
 
     Args:
@@ -60,18 +41,18 @@ def even_sky(outgoing: Doubles, white: WhiteLight, weights: Doubles) -> float:
     """
     share = white.sky.sum(axis=1)
     counts = (share > 0.2 * np.median(share)) & (weights > 0.0)
-    if not counts.any() or not white.sees_sky:
+    if not counts.any() or not sees_sky(white):
         return 1.0
     lightest = outgoing[counts].max(axis=1) / ALBEDO_HIGH
-    wanted = (lightest - white.seen[counts].mean(axis=1)) / share[counts]
+    wanted = (lightest - white.observed[counts].mean(axis=1)) / share[counts]
     order = np.argsort(wanted)
     shares = np.cumsum(weights[counts][order])
-    return max(float(wanted[order][np.searchsorted(shares, 0.95 * shares[-1])]), 10.0 * DARKEST)
+    return max(float(wanted[order][np.searchsorted(shares, 0.95 * shares[-1])]), 10.0 * RADIANCE_LEAST)
 
 
 def fitted_sky(
     outgoing: Doubles,
-    white: WhiteLight,
+    white: Irradiance,
     weights: Doubles,
     directions: Doubles,
     *,
@@ -96,19 +77,19 @@ def fitted_sky(
         report: Called with what is being done and the fraction done, 0..1.
     """
     start = np.full((len(directions), 3), np.log(even_sky(outgoing, white, weights)))
-    if not white.sees_sky:
+    if not sees_sky(white):
         return np.exp(start)
     chosen = rng.choice(len(outgoing), (2, SKY_PAIRS), p=weights / weights.sum())
     rows, compact = np.unique(chosen, return_inverse=True)
     first, second = compact.reshape(2, SKY_PAIRS)
-    pairs, part = AlikePairs(first, second), WhiteLight(white.sky[rows], white.seen[rows])
-    shown = np.log(np.maximum(outgoing[rows], DARKEST))
+    pairs, part = AlikePairs(first, second), Irradiance(white.observed[rows], white.sky[rows], white.lamps[rows])
+    shown = np.log(np.maximum(outgoing[rows], RADIANCE_LEAST))
     neighbours = nearest_directions(directions)
     moved, adam = start.copy(), Adam.still(start.shape)
     for step in range(steps):
         report("finding the sky", step / steps)
         sky = np.exp(moved)
-        light = part.under(sky)
+        light = lit_white(part, sky)
         _, by_log_albedo = pairs.albedo_term(shown - np.log(light))
         by_sky = -(part.sky.T @ (by_log_albedo / light).astype(np.float32)).astype(np.float64) * sky
         by_sky += smoothness_gradient(moved, neighbours) + SKY_PRIOR / len(directions) * (moved - start)
@@ -117,10 +98,10 @@ def fitted_sky(
     return scaled_sky(np.exp(moved), outgoing, white, weights)
 
 
-def scaled_sky(sky: Doubles, outgoing: Doubles, white: WhiteLight, weights: Doubles) -> Doubles:
+def scaled_sky(sky: Doubles, outgoing: Doubles, white: Irradiance, weights: Doubles) -> Doubles:
     """The same sky, as bright as leaves a usual albedo to the lightest surfaces: their 95th percentile, by weight."""
     for _ in range(ALBEDO_ROUNDS):
-        lightest = (outgoing / white.under(sky)).max(axis=1)
+        lightest = (outgoing / lit_white(white, sky)).max(axis=1)
         order = np.argsort(lightest)
         shares = np.cumsum(weights[order])
         sky = sky * (lightest[order][np.searchsorted(shares, 0.95 * shares[-1])] / ALBEDO_HIGH)
