@@ -13,7 +13,7 @@ import numpy.typing as npt
 from lumisplat.config import RenderConfig, check_range, check_whole
 from lumisplat.constants import NEAR_PLANE, PROBE_DEGREE_MAX, PROBE_FACE_PX, PROBE_IMAGE_ROWS, PROBE_RIDGE
 from lumisplat.errors import ConfigError, FormatError, SceneError, check_instance, check_shapes
-from lumisplat.io.images.exr import write_exr
+from lumisplat.io.images.radiance import write_radiance
 from lumisplat.math.arrays import (
     Doubles,
     FloatArray,
@@ -265,8 +265,7 @@ class EnvironmentProbe:
         """
         if Path(path).suffix.lower() != ".exr":
             raise FormatError(path, f"unknown extension '{Path(path).suffix}' for a probe's image, expected .exr")
-        image = self.image(height, rotation_wxyz)
-        write_exr(path, {name: image[..., i] for i, name in enumerate("RGB")})
+        write_radiance(path, self.image(height, rotation_wxyz))
 
     def _evaluate(self, directions: npt.ArrayLike, factors: Doubles) -> FloatArray:
         """The harmonics, each degree times a factor, at directions of any length."""

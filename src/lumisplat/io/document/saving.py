@@ -13,11 +13,10 @@ from typing import Any, cast
 from lumisplat.errors import FormatError
 from lumisplat.io.document.entries import EntryReader, SceneEntry
 from lumisplat.io.document.written import material_table
-from lumisplat.io.images.exr import write_exr
 from lumisplat.io.images.png import write_png
+from lumisplat.io.images.radiance import write_radiance
 from lumisplat.io.meshes.mesh_ply import write_ply_mesh
 from lumisplat.io.splats.splat_ply import write_splat_ply
-from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.materials import MaterialPbr, texture_names
 from lumisplat.scene.ops.placed_mesh import placed_mesh
 
@@ -99,7 +98,7 @@ class _Folder:
         table = dict(entry.table)
         if memory_path in self.reader.skies:
             image = self.reader.skies[memory_path]
-            return table | {"path": self._once(memory_path, f"{name}.exr", lambda file: _write_sky(file, image))}
+            return table | {"path": self._once(memory_path, f"{name}.exr", lambda file: write_radiance(file, image))}
         asset = self.reader.memory[memory_path]
         if asset.splats:
             gaussians = asset.splats[0].gaussians
@@ -146,7 +145,3 @@ class _Folder:
             if wraps and key in wraps:
                 kept[key] = [wrap.value for wrap in wraps[key]]
         return table | ({"texture_wraps": kept} if kept else {})
-
-
-def _write_sky(file: Path, image: FloatArray) -> None:
-    write_exr(file, {name: image[..., channel] for channel, name in enumerate("RGB")})

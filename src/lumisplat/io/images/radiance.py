@@ -9,7 +9,7 @@ import numpy as np
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike, parsing, read_bytes
-from lumisplat.io.images.exr import read_exr
+from lumisplat.io.images.exr import read_exr, write_exr
 from lumisplat.io.images.hdr import MAGIC as HDR_MAGIC
 from lumisplat.io.images.hdr import decode_hdr
 from lumisplat.math.arrays import FloatArray
@@ -33,6 +33,15 @@ def read_radiance(path: PathLike) -> FloatArray:
             found = f"{kinds[0]} image and is 8 bit" if kinds else "neither Radiance HDR nor OpenEXR"
             raise FormatError(path, f"is {found}, expected .hdr or .exr with linear radiance")
     return _without_invalid(path, image)
+
+
+def write_radiance(path: PathLike, image: FloatArray) -> None:
+    """Writes radiance, shape (H, W, 3), as an EXR that `read_radiance` takes.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    write_exr(path, {name: image[..., channel] for channel, name in enumerate("RGB")})
 
 
 def _exr_colors(path: PathLike) -> FloatArray:

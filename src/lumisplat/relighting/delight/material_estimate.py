@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants.delight import RESIDUAL_LARGE, SKY_IMAGE_ROWS, SURE, TOO_LIGHT
-from lumisplat.io.images.exr import write_exr
+from lumisplat.io.images.radiance import write_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows
 from lumisplat.math.panorama import panorama_directions
 from lumisplat.math.rotations import rotation_matrix
@@ -74,8 +74,7 @@ class MaterialEstimate:
         Raises:
             FormatError: The file cannot be written.
         """
-        image = self.sky_image(rotation_wxyz)
-        write_exr(path, {name: image[..., i] for i, name in enumerate("RGB")})
+        write_radiance(path, self.sky_image(rotation_wxyz))
 
     @property
     def remarks(self) -> tuple[str, ...]:

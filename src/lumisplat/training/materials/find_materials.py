@@ -16,7 +16,7 @@ from lumisplat.config.checks import check_kind
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io import save
 from lumisplat.io.files.atomic import atomic_write, check_can_be_written
-from lumisplat.io.images.exr import write_exr
+from lumisplat.io.images.radiance import write_radiance
 from lumisplat.io.photographs.lens import is_bent
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.io.photographs.photographs import Photographs
@@ -254,4 +254,4 @@ def _write(output: Path, found: FoundMaterials) -> None:
             save(temporary, found.gaussians)
         except FormatError as error:  # of the temporary file, which nobody has named
             raise FormatError(output, error.problem) from None
-        write_exr(environment_path(output), dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)))
+        write_radiance(environment_path(output), image)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lumisplat.constants.usd import USD_POINT_RADIUS
-from lumisplat.io.images.exr import write_exr
+from lumisplat.io.images.radiance import write_radiance
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.skies import DOME_FROM_SKY
 from lumisplat.io.usd.writing.stage import StageWriter
@@ -160,5 +160,5 @@ def _exr_bytes(image: FloatArray) -> bytes:
     """Radiance as OpenEXR."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "sky.exr"
-        write_exr(file, {name: image[:, :, k] for k, name in enumerate("RGB")})
+        write_radiance(file, image)
         return file.read_bytes()
