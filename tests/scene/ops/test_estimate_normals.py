@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import NORMAL_NEIGHBOURS
 from lumisplat.demo import shapes, shapes_swept
-from lumisplat.scene.ops.estimate_normals import _neighbours
+from lumisplat.scene.ops.estimate_normals import _pairs_within
+from lumisplat.scene.sampling.neighbours import pairs_of_about
 from support.kinds import present
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
 from support.scenes.sphere import unit
@@ -182,6 +185,8 @@ def test_a_dense_cluster_is_looked_at_in_part() -> None:
         np.full(count, 0.9),
         np.zeros((count, 1, 3)),
     )
-    assert len(_neighbours(gaussians.means)[0].first) < 60 * count
+    means = gaussians.means
+    pairs, _ = pairs_of_about(NORMAL_NEIGHBOURS, means, partial(_pairs_within, means))
+    assert len(pairs.first) < 60 * count
     normals = ls.estimate_normals(gaussians, PLANE)[: len(sphere)]
     assert (np.abs(np.sum(normals * sphere, axis=1)) > 0.9).mean() > 0.98

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -12,21 +13,13 @@ from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
+from lumisplat.scene.sampling.neighbours import pairs_of_about
 
 
 def neighbours_of(gaussians: Gaussians) -> Pairs:
     """Pairs of Gaussians near each other, in both orders and with themselves, about `NEIGHBOURS` of each."""
     means = gaussians.means.astype(np.float64)
-    low, high = np.quantile(means, [0.25, 0.75], axis=0)
-    radius = max(float(np.linalg.norm(high - low)) * np.sqrt(NEIGHBOURS / len(means)), 1e-9)
-    pairs = cross_pairs(means, means, radius)
-    for _ in range(4):
-        degree = max(float(np.median(np.bincount(pairs.first, minlength=len(means)))), 1.0)
-        if 0.7 < degree / NEIGHBOURS < 1.6:
-            break
-        radius *= float(np.clip(np.sqrt(NEIGHBOURS / degree), 0.25, 3.0))
-        pairs = cross_pairs(means, means, radius)
-    return pairs
+    return pairs_of_about(NEIGHBOURS, means, partial(cross_pairs, means, means))[0]
 
 
 def normal_variances(gaussians: Gaussians, normals: Doubles, near: Pairs) -> Doubles:

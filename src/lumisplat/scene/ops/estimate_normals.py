@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from lumisplat.config import NormalEstimate, enum_member
@@ -12,6 +14,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.axes import shortest_axes
 from lumisplat.scene.ops.outward_side import outward_signs
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
+from lumisplat.scene.sampling.neighbours import pairs_of_about
 
 
 def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = NormalEstimate.AUTO) -> FloatArray:
@@ -48,7 +51,8 @@ def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = Normal
 
 def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
     """Normals, of either sign, of the planes through the means around each Gaussian, shape (N, 3)."""
-    pairs, radius = _neighbours(gaussians.means)
+    within = partial(_pairs_within, gaussians.means)
+    pairs, radius = pairs_of_about(NORMAL_NEIGHBOURS, gaussians.means, within)
     means, opacities = gaussians.means.astype(np.float64), gaussians.opacities.astype(np.float64)
     count = gaussians.count
     first, second = pairs.first, pairs.second
@@ -66,22 +70,6 @@ def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
     vectors = np.linalg.eigh(spread)[1][:, :, 0]
     enough = np.bincount(first, minlength=count) >= NORMAL_NEIGHBOURS_MIN
     return np.where(enough[:, None], vectors, fallback)
-
-
-def _neighbours(means: FloatArray) -> tuple[Pairs, float]:
-    """Pairs of Gaussians within a radius, chosen so that the median Gaussian has about `NORMAL_NEIGHBOURS` others."""
-    low, high = np.quantile(means, [0.25, 0.75], axis=0)
-    # On a surface the number grows with the square of the radius: guess the radius, then correct it by the count.
-    radius = max(float(np.linalg.norm(high - low)) * np.sqrt(NORMAL_NEIGHBOURS / len(means)), 1e-6)
-    pairs = _pairs_within(means, radius)
-    for _ in range(3):
-        degrees = np.bincount(pairs.first, minlength=len(means))
-        typical = max(float(np.median(degrees)), 1.0)
-        if 0.7 < typical / NORMAL_NEIGHBOURS < 1.5:
-            break
-        radius *= float(np.clip(np.sqrt(NORMAL_NEIGHBOURS / typical), 0.25, 3.0))
-        pairs = _pairs_within(means, radius)
-    return pairs, radius
 
 
 def _pairs_within(means: FloatArray, radius: float) -> Pairs:
