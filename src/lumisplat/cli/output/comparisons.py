@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 
 import lumisplat as ls
 from lumisplat.cli.output.figures import Figures
+from lumisplat.cli.output.reports.files import write_beside
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
-
-_GAIN = 4.0
-"""By how much differences are shown stronger than they are."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +61,7 @@ def write_side_by_side(view: ls.Photograph, frame: ls.Frame, path: Path) -> None
     Raises:
         FormatError: The file cannot be written.
     """
-    import numpy as np
-    from PIL import Image
-
-    photograph, picture = view.pixels(), frame.pixels_srgb()
-    difference = np.where(_region(view)[..., None], np.clip(_GAIN * np.abs(picture - photograph), 0.0, 1.0), 0.0)
-    beside = np.concatenate([photograph, picture, difference], axis=1)
-    try:
-        Image.fromarray((255.0 * beside + 0.5).astype(np.uint8)).save(path)
-    except OSError as error:
-        raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None
+    write_beside(path, [(view.pixels(), frame.pixels_srgb())], _region(view))
 
 
 def _region(view: ls.Photograph) -> npt.NDArray[np.bool_]:

@@ -16,9 +16,9 @@ from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.rays import PipelineName
 from lumisplat.cli.options.settings import setting
 from lumisplat.cli.output.console import print_columns, progress_bars
-from lumisplat.cli.output.fit.fit_report import light_rows, write_report
-from lumisplat.cli.output.fit.fitted_scene import fitted_document
 from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.reports.fitted_lights import light_rows, write_report
+from lumisplat.cli.output.reports.fitted_scene import fitted_document
 
 _log = logging.getLogger("lumisplat")
 

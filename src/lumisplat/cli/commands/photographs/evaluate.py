@@ -16,10 +16,10 @@ from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.settings import setting
 from lumisplat.cli.output.comparisons import Comparison, compare, write_side_by_side
 from lumisplat.cli.output.console import counted, print_columns, progress_bars
-from lumisplat.cli.output.evaluation.files import write_json
-from lumisplat.cli.output.evaluation.material_report import figure_rows, write_material_report
 from lumisplat.cli.output.figures import cells, mean, plain
-from lumisplat.cli.output.pictures import check_writable, file_stems
+from lumisplat.cli.output.pictures import check_writable, file_stems, make_folder
+from lumisplat.cli.output.reports.evaluated_materials import figure_rows, write_material_report
+from lumisplat.cli.output.reports.files import write_json
 
 _log = logging.getLogger("lumisplat")
 
@@ -112,7 +112,11 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if self.output is None:
             return
         listed = [{"name": one.view.name, **plain(one.figures), "compared": one.share} for one in compared]
-        write_json(self.output, {"mean": plain(means), "views": listed, "ms_ssim_scales": scales, "scale": self.scale})
+        make_folder(self.output)
+        write_json(
+            self.output / "metrics.json",
+            {"mean": plain(means), "views": listed, "ms_ssim_scales": scales, "scale": self.scale},
+        )
         for one, stem in zip(worst, file_stems([one.view.name for one in worst]), strict=True):
             write_side_by_side(one.view, renderer.render(scene, one.view.camera), self.output / f"{stem}.png")
         print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the photographs")

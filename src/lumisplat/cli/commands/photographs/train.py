@@ -176,7 +176,7 @@ class Train(DeviceCommand):
         """Finds and writes materials, once training has come to its end."""
         if not self.relightable or not result.is_finished:
             return None
-        from lumisplat.cli.output.materials.materials_report import write_materials  # loads NumPy and Pillow
+        from lumisplat.cli.output.reports.found_materials import write_materials  # loads NumPy and Pillow
 
         if result.cameras is not None:  # poses have moved
             moved = zip(photographs.training, result.cameras, strict=True)

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import lumisplat as ls
-from lumisplat.cli.output.evaluation.files import write_beside, write_json
 from lumisplat.cli.output.figures import Figures, mean, plain
-from lumisplat.cli.output.pictures import file_stems
+from lumisplat.cli.output.pictures import file_stems, make_folder
+from lumisplat.cli.output.reports.files import write_beside, write_json
 
 _WORST = 3
 """How many of the worst views are shown."""
@@ -58,7 +58,8 @@ def write_material_report(folder: Path, result: ls.MaterialEvaluation) -> None:
         {"name": view.name, **plain({name: getattr(view, name) for name in _VIEW_FIGURES}), "relit": _relit(view.relit)}
         for view in result.views
     ]
-    write_json(folder, {"all": told, "views": views, "remarks": list(result.remarks)})
+    make_folder(folder)
+    write_json(folder / "metrics.json", {"all": told, "views": views, "remarks": list(result.remarks)})
     worst = sorted(result.views, key=_quality)[:_WORST]
     for view, stem in zip(worst, file_stems([view.name for view in worst]), strict=True):
         write_beside(folder / f"{stem}.png", list(view.pictures.values()))

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 import lumisplat as ls
 from lumisplat.cli.output.figures import plain
 from lumisplat.cli.output.pictures import file_stems, make_folder
+from lumisplat.cli.output.reports.files import write_json, write_picture
 
 _VIEWS = 4
 """Photographs beside which materials are shown, at most."""
@@ -35,13 +32,12 @@ def write_materials(folder: Path, found: ls.FoundMaterials, photographs: ls.Phot
     layers = [ls.Scene([layer]) for layer in _layers(found.gaussians)]
     for view, stem in zip(views, file_stems([view.name for view in views]), strict=True):
         shown = [view.pixels(), *(renderer.render(layer, view.camera).color for layer in layers)]
-        _write_picture(folder / f"{stem}.png", np.concatenate(shown, axis=1))
+        write_picture(folder / f"{stem}.png", np.concatenate(shown, axis=1))
     image = found.environment.image
     if image is not None:
-        _write_picture(folder / "environment.png", np.kron(_encoded(image), np.ones((_SKY_PX, _SKY_PX, 1))))
+        write_picture(folder / "environment.png", np.kron(_encoded(image), np.ones((_SKY_PX, _SKY_PX, 1))))
     told = plain({"error": found.error, "too_light": found.too_light}) | {"gaussians": found.gaussians.count}
-    with _told(folder / "materials.json") as path:
-        path.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / "materials.json", told)
 
 
 def _layers(gaussians: ls.Gaussians) -> list[ls.Gaussians]:
@@ -59,17 +55,3 @@ def _encoded(linear: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Display-referred sRGB."""
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1.0 / 2.4) - 0.055
     return np.where(linear <= 0.0031308, 12.92 * linear, bright)
-
-
-def _write_picture(path: Path, color: npt.NDArray[np.floating]) -> None:
-    with _told(path):
-        Image.fromarray(np.round(255.0 * np.clip(color, 0.0, 1.0)).astype(np.uint8)).save(path)
-
-
-@contextmanager
-def _told(path: Path) -> Generator[Path]:
-    """A file that is written: why it cannot be is said."""
-    try:
-        yield path
-    except OSError as error:
-        raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,9 +10,8 @@ from typing import Any
 
 import lumisplat as ls
 from lumisplat.cli.output.pictures import file_stems, make_folder
+from lumisplat.cli.output.reports.files import write_beside, write_json
 
-_GAIN = 4.0
-"""By how much differences are shown stronger than they are."""
 _WIDTH = 480
 """Of each picture, pixels, at most."""
 
@@ -52,13 +50,13 @@ def write_report(
         FormatError: A file cannot be written.
     """
     make_folder(folder)
-    _write_json(folder / "report.json", _figures(fit, photographs))
+    write_json(folder / "report.json", _figures(fit, photographs))
     stems = file_stems([photograph.stem for photograph in photographs])
     for view, camera, photograph, stem in zip(fit.views, cameras, photographs, stems, strict=True):
         width = min(camera.width, _WIDTH)
         shown = replace(camera.scaled(width), exposure=view.camera.exposure)
         frame = renderer.render(fit.scene, shown)
-        _write_beside(folder / f"{stem}.png", ls.load_image(photograph), frame)
+        write_beside(folder / f"{stem}.png", [_beside(ls.load_image(photograph), frame)])
 
 
 def _figures(fit: ls.LightFit, photographs: Sequence[Path]) -> dict[str, Any]:
@@ -96,23 +94,12 @@ def _power(fit: ls.LightFit, number: int) -> list[float]:
     return [float(channel * light.intensity) for channel in light.color]
 
 
-def _write_beside(path: Path, photograph: Any, frame: ls.Frame) -> None:
+def _beside(photograph: Any, frame: ls.Frame) -> tuple[Any, Any]:
+    """A photograph at the size of a frame, and that, display colours, shape (H, W, 3)."""
     import numpy as np
     from PIL import Image
 
     picture = frame.pixels_srgb()[..., :3]
     height, width = picture.shape[:2]
     whole = Image.fromarray((255.0 * photograph + 0.5).astype(np.uint8)).resize((width, height), Image.Resampling.BOX)
-    own = np.asarray(whole, np.float32) / 255.0
-    beside = np.concatenate([own, picture, np.clip(_GAIN * np.abs(picture - own), 0.0, 1.0)], axis=1)
-    try:
-        Image.fromarray((255.0 * beside + 0.5).astype(np.uint8)).save(path)
-    except OSError as error:
-        raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    try:
-        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None
+    return np.asarray(whole, np.float32) / 255.0, picture

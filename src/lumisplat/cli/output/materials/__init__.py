@@ -1,1 +1,0 @@
-"""What `lumisplat train --relightable` writes beside the capture and its sky."""

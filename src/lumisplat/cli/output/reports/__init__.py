@@ -1,0 +1,1 @@
+"""What is told of results: figures as JSON, and pictures beside each other."""

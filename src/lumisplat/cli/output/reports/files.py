@@ -1,0 +1,73 @@
+"""Files of a report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import lumisplat as ls
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Picture = npt.NDArray[np.floating]
+    """Display colours, 0..1, shape (H, W, 3)."""
+
+_GAIN = 4.0
+"""By how much differences are shown stronger than they are."""
+
+
+def write_json(path: Path, content: Mapping[str, object]) -> None:
+    """Writes figures.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    with _or_said(path):
+        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def write_picture(path: Path, color: Picture) -> None:
+    """Writes a PNG.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    import numpy as np
+    from PIL import Image
+
+    with _or_said(path):
+        Image.fromarray((255.0 * np.clip(color, 0.0, 1.0) + 0.5).astype(np.uint8)).save(path)
+
+
+def write_beside(
+    path: Path, rows: Sequence[tuple[Picture, Picture]], region: npt.NDArray[np.bool_] | None = None
+) -> None:
+    """Writes pairs of pictures side by side with their difference, four times as strong.
+
+    Args:
+        path: The PNG.
+        rows: From the top to the bottom.
+        region: Where differences are shown, shape (H, W); None: everywhere.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    import numpy as np
+
+    shown = 1.0 if region is None else region[..., None]
+    beside = [np.concatenate([a, b, shown * np.clip(_GAIN * np.abs(a - b), 0.0, 1.0)], axis=1) for a, b in rows]
+    write_picture(path, np.concatenate(beside))
+
+
+@contextmanager
+def _or_said(path: Path) -> Generator[None]:
+    """Why a file cannot be written is said."""
+    try:
+        yield
+    except OSError as error:
+        raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None
