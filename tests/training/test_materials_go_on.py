@@ -145,7 +145,7 @@ def test_an_output_that_cannot_be_written_is_told_at_once(
     assert {path.name for path in tmp_path.iterdir()} == {"file", "b.environment.exr"}
 
 
-@pytest.mark.parametrize("fails", ["save", "write_exr"])
+@pytest.mark.parametrize("fails", ["save", "write_radiance"])
 def test_sky_and_capture_are_written_both_or_not_at_all(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
