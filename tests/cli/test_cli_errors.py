@@ -267,7 +267,8 @@ def test_names_too_long(work):
     outcome = work.run("render", "@mesh.obj", *CAMERAS, "--frame", "left", "-o", "@" + "x" * 300 + ".png")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
     assert "cannot be written: File name too long" in outcome.err
-    assert "cannot be read: File name too long" in work.run("info", "@" + "x" * 300 + ".ply").err
+    said = work.run("info", "@" + "x" * 300 + ".ply").err
+    assert "cannot be read: File name too long" in said or "no such file" in said  # the latter from Python 3.14 on
 
 
 def test_debug_shows_the_traceback(work):

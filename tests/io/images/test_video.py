@@ -14,10 +14,10 @@ from support.kinds import present
 
 
 def decoded(path) -> tuple[list[np.ndarray], av.VideoStream]:
-    """The frames as RGB bytes, and the stream."""
-    with av.open(str(path)) as container:
-        stream = container.streams.video[0]
-        return [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)], stream
+    """The frames as RGB bytes, and the stream, which keeps its file open: PyAV 19 says nothing of a closed one."""
+    container = av.open(str(path))
+    stream = container.streams.video[0]
+    return [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)], stream
 
 
 def patches(width: int = 64, height: int = 48) -> np.ndarray:

@@ -81,8 +81,15 @@ def moving_scene() -> ls.Animation:
     """Something that moves, deforms and is looked at by a camera that moves: values with samples in time."""
     cameras = [ls.Camera.look_at((x, 2, 1), (0, 0, 0), name="view") for x in (3, 4)]
     crate = ls.Actor(ls.box(0.3), ls.Keyframes([0, 1], [(0, 0, 3), (1, 0, 3)]), name="crate")
+    waving = ls.GaussianSequence([Path("1"), Path("2")], 2.0, lambda path: capture(4, seed=int(path.name)))
     scene = ls.Scene([capture(5)])
-    return ls.Animation(scene, [crate], fps=4.0, frame_count=5, camera_path=ls.CameraPath(cameras, [0.0, 1.0]))
+    return ls.Animation(
+        scene,
+        [crate, ls.Actor(waving, name="waving")],
+        fps=4.0,
+        frame_count=5,
+        camera_path=ls.CameraPath(cameras, [0.0, 1.0]),
+    )
 
 
 def check_mutations(tmp_path: Path, extension: str, seeds: range, *, moves: bool = False) -> None:
@@ -98,7 +105,10 @@ def check_mutations(tmp_path: Path, extension: str, seeds: range, *, moves: bool
         path.write_bytes(mutated(data, random.Random(seed), extension == ".usda"))
         for load in (ls.load, ls.load_cameras, ls.load_animation):
             try:
-                load(path)
+                loaded = load(path)
+                if isinstance(loaded, ls.Animation):
+                    loaded.actors_at(0.0)
+                    loaded.actors_at(0.6)
                 read += 1
             except FormatError as error:
                 assert str(path) in str(error) and "\n" not in str(error), seed

@@ -79,7 +79,10 @@ def test_samples_are_few_and_hold(tmp_path: Path) -> None:
 
 
 def test_rigs_and_their_gaussians_are_baked(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Points of a skinned mesh, and positions, rotations and scales of Gaussians on it, have samples, exact."""
+    """Points of a skinned mesh, and positions, rotations and scales of Gaussians on it, have samples, exact.
+
+    They are read again at each time, between frames in between; `ls.load` shows the first.
+    """
     usd_core()
     rig = ls.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
     bound = ls.bind_gaussians(rig, 40)
@@ -97,8 +100,76 @@ def test_rigs_and_their_gaussians_are_baked(tmp_path: Path, caplog: pytest.LogCa
         fur = expect_kind(ls.SplatInstance, saved.actors[1].at(time)[0]).gaussians
         np.testing.assert_array_equal(np.array(positions.Get(frame)), fur.means)
     loaded = ls.load_animation(tmp_path / "walk.usdc")
-    assert not loaded.actors and len(loaded.scene.meshes) == len(loaded.scene.splats) == 1
+    assert [actor.name for actor in loaded.actors] == ["skin", "fur"] and loaded.frame_count == 4
+    assert not loaded.scene.meshes and not loaded.scene.splats and "shapes" not in caplog.text
+    for time in saved.times:
+        skin, fur = (saved.actors[0].at(time)[0], saved.actors[1].at(time)[0])
+        seen_skin, seen_fur = loaded.actors_at(time)
+        np.testing.assert_array_equal(
+            expect_kind(ls.MeshInstance, seen_skin).mesh.positions, expect_kind(ls.MeshInstance, skin).mesh.positions
+        )
+        read, known = (expect_kind(ls.SplatInstance, one).gaussians for one in (seen_fur, fur))
+        for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
+            np.testing.assert_allclose(getattr(read, name), getattr(known, name), atol=1e-7)
+        np.testing.assert_allclose(seen_fur.transform, fur.transform, atol=1e-12)
+    ends, middle = (saved.actors[0].at(float(t))[0] for t in saved.times[:2]), loaded.actors[0].at(0.125)[0]
+    mean = np.mean([expect_kind(ls.MeshInstance, one).mesh.positions for one in ends], axis=0)
+    np.testing.assert_allclose(expect_kind(ls.MeshInstance, middle).mesh.positions, mean, atol=1e-6)
+    again = expect_kind(ls.MeshInstance, loaded.actors[0].at(0.125)[0])
+    assert again.mesh is expect_kind(ls.MeshInstance, middle).mesh  # nothing is read, nor uploaded, twice
+    assert len(expect_kind(ls.Scene, ls.load(tmp_path / "walk.usdc")).meshes) == 1
     assert "shapes that change with time, of which the first is shown (skin, fur)" in caplog.text
+
+
+DEFORMING = """def Mesh "m" {
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    uniform token subdivisionScheme = "none"
+    point3f[] points.timeSamples = {
+        24: [(0, 0, 0), (1, 0, 0), (0, 1, 0)], 48: [(0, 0, 0), (3, 0, 0), (0, 1, 0)]
+    }
+    double3 xformOp:translate.timeSamples = { 24: (0, 0, 0), 48: (0, 0, 4) }
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+def ParticleField3DGaussianSplat "g" {
+    point3f[] positions.timeSamples = { 24: [(0, 0, 0)], 36: [(0, 0, 0), (2, 0, 0)] }
+    float3[] scales.timeSamples = { 24: [(0.1, 0.1, 0.1)], 36: [(0.1, 0.1, 0.1), (0.3, 0.1, 0.1)] }
+    quatf[] orientations.timeSamples = { 24: [(1, 0, 0, 0)], 36: [(1, 0, 0, 0), (1, 0, 0, 0)] }
+    float[] opacities.timeSamples = { 24: [0.5], 36: [0.5, 0.75] }
+    token visibility.timeSamples = { 24: "inherited", 47: "invisible" }
+}
+"""
+"""What others write: a mesh that stretches while it moves, and a field whose particles become more, then hide."""
+
+
+def test_what_deforms_in_files_of_others(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """It is as the file has it at each time, its samples being times of the animation."""
+    head = 'upAxis = "Y"\ntimeCodesPerSecond = 24'
+    loaded = ls.load_animation(write_usda(tmp_path / "a.usda", DEFORMING, head))
+    assert loaded.frame_count == 25 and loaded.fps == 24.0 and not caplog.messages
+    mesh, field = loaded.actors
+    (middle,) = mesh.at(0.5)
+    np.testing.assert_allclose(middle.transform[:3, 3], (0, 0, 2))
+    np.testing.assert_allclose(expect_kind(ls.MeshInstance, middle).mesh.positions[1], (2, 0, 0))
+    for time, count in ((0.0, 1), (0.5, 2), (0.9, 2)):
+        (shown,) = field.at(time)
+        assert expect_kind(ls.SplatInstance, shown).gaussians.count == count
+    assert field.at(1.0) == () and len(loaded.actors_at(1.0)) == 1
+
+
+def test_what_deforms_in_many_places_keeps_its_first_shape(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Which a line says."""
+    body = f"""def PointInstancer "i" {{
+        int[] protoIndices = [0, 0]
+        point3f[] positions = [(0, 0, 0), (5, 0, 0)]
+        rel prototypes = </i/p>
+        def Xform "p" {{
+            {DEFORMING}
+        }}
+    }}"""
+    loaded = ls.load_animation(write_usda(tmp_path / "a.usda", body))
+    assert not loaded.actors and (len(loaded.scene.meshes), len(loaded.scene.splats)) == (2, 2)
+    assert "shapes that change with time, of which the first is shown" in caplog.text
 
 
 def test_the_first_time_is_shown(tmp_path: Path) -> None:

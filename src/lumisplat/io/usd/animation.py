@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,14 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.cameras import cameras_of
 from lumisplat.io.usd.library import pxr, reading_usd
-from lumisplat.io.usd.scene import Reading
+from lumisplat.io.usd.scene import Reading, shape_codes
 from lumisplat.io.usd.stage import UsdFile, open_usd
-from lumisplat.io.usd.walk import prim_name
-from lumisplat.math.arrays import Doubles
+from lumisplat.io.usd.walk import Placed, prim_name
+from lumisplat.math.arrays import Doubles, matrix_4x4
 from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation, Instance
 from lumisplat.scene.animation.camera_path import CameraPath
+from lumisplat.scene.animation.deforming import Deforming
 from lumisplat.scene.animation.keyframes import Keyframes
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, check_similarity
@@ -28,7 +30,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, check_similarity
 def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
     """Reads a stage with its times: frames from its first time code to its last, at its rate.
 
-    Places are sampled where they have samples. What deforms keeps its first shape, with a log line.
+    Places are sampled where they have samples. What deforms is read at each time that is shown, as the file has it
+    then; if it is shown at several places, it keeps its first shape, with a log line.
 
     Args:
         path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
@@ -48,23 +51,29 @@ def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
 
 
 def _read(file: UsdFile, drop_invalid: bool) -> Animation:
-    reading = Reading(file, drop_invalid).run()
+    reading = Reading(file, drop_invalid, plays=True).run()
     stage = file.stage
     rate, fps = float(stage.GetTimeCodesPerSecond()), float(stage.GetFramesPerSecond())
     if not (0.0 < rate < np.inf and 0.0 < fps < np.inf):
         raise FormatError(file.path, f"has {rate:g} time codes and {fps:g} frames a second, expected rates above 0")
     codes = {key: _sampled_codes(stage.GetPrimAtPath(key)) for key in reading.moving}
     moving_cameras = [one for one in _cameras(file) if _sampled_codes(one).size]
-    first, last = _range(file, [*codes.values(), *map(_sampled_codes, moving_cameras)])
+    shapes = [codes_of(one.prim) for one, _ in reading.deforming.values() for codes_of in (shape_codes, _sampled_codes)]
+    first, last = _range(file, [*codes.values(), *shapes, *map(_sampled_codes, moving_cameras)])
     actors = [
         actor
         for key, instances in reading.moving.items()
         for actor in _actors(file, stage.GetPrimAtPath(key), instances, codes[key], (codes[key] - first) / rate)
     ]
-    still = [one for instances in reading.moving.values() for one in instances]
+    actors += [
+        Actor(Deforming(partial(_shape_at, reading, placed, first, rate)), name=placed.name, loop=False)
+        for placed, _ in reading.deforming.values()
+    ]
+    played = [*reading.moving.values(), *(instances for _, instances in reading.deforming.values())]
+    acting = {id(one) for instances in played for one in instances}
     scene = Scene(
-        [one for one in reading.splats if not any(one is other for other in still)],
-        [one for one in reading.meshes if not any(one is other for other in still)],
+        [one for one in reading.splats if id(one) not in acting],
+        [one for one in reading.meshes if id(one) not in acting],
         reading.lights,
         up="y-up",
     )
@@ -77,6 +86,12 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
     cameras = cameras_of(file)
     path = _camera_path(file, moving_cameras, first, rate)
     return Animation(scene, actors, cameras, fps=fps, frame_count=round(frames) + 1, camera_path=path)
+
+
+def _shape_at(reading: Reading, placed: Placed, first: float, rate: float, time: float) -> tuple[Instance, ...]:
+    """What deforms at a time, seconds."""
+    with reading_usd(reading.file.path):
+        return tuple(reading.at(placed, first + time * rate))
 
 
 def _cameras(file: UsdFile) -> Iterator[Any]:
@@ -122,6 +137,11 @@ def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles,
         rest = places[0]
         places = np.asarray(places @ np.linalg.inv(rest), np.float64)
     motion = Keyframes(seconds, places[:, :3, 3], *_rotations_and_scales(file, prim, places))
+    try:
+        for time in seconds:
+            matrix_4x4("its place", motion.at(float(time)) @ rest)
+    except SceneError as error:
+        raise FormatError(file.path, f"{prim.GetPath()}: {error}") from None
     for instance in instances:
         if isinstance(instance, MeshInstance):
             yield Actor(instance.mesh, motion, rest, name=instance.name)

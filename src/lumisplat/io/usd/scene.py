@@ -21,6 +21,7 @@ from lumisplat.io.usd.particles import is_field, read_particles
 from lumisplat.io.usd.stage import UsdFile, open_usd
 from lumisplat.io.usd.values import hints_of
 from lumisplat.io.usd.walk import Placed, placed_prims
+from lumisplat.math.arrays import Doubles
 from lumisplat.scene.editing.affine import under_affine
 from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians
@@ -30,8 +31,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_simi
 _Y_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: captures have y down."""
 
-_SHAPES = ("points", "positions", "positionsh")
-"""Attributes that change with time where something deforms."""
+_NO_SHAPE = ("xformOp:", "visibility", "extent", "velocities", "accelerations", "angularVelocities")
+"""How attributes begin that may change with time though the shape stays."""
 
 
 def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
@@ -83,12 +84,25 @@ def _settings(prim: Any) -> dict[str, Any]:
     return {name: own[name] for name in ("sh_degree", "shadow_only") if name in own}
 
 
+def shape_codes(prim: Any) -> Doubles:
+    """The time codes at which the shape of a prim, or what it looks like, has samples, shape (K,)."""
+    shapes = (one for one in prim.GetAuthoredAttributes() if not one.GetName().startswith(_NO_SHAPE))
+    return np.array(sorted({code for one in shapes for code in one.GetTimeSamples()}))
+
+
+def _place(file: UsdFile, prim: Any) -> Doubles:
+    """``world_from_prim`` at the time that is shown, shape (4, 4)."""
+    return file.place_of(pxr().UsdGeom.XformCache(file.time).GetLocalToWorldTransform(prim))
+
+
 @dataclass(slots=True)
 class Reading:
     """What is found on the way through a stage."""
 
     file: UsdFile
     drop_invalid: bool = False
+    plays: bool = False
+    """Whether what deforms will be read at other times, too."""
     splats: list[SplatInstance] = field(default_factory=list[SplatInstance])
     meshes: list[MeshInstance] = field(default_factory=list[MeshInstance])
     lights: list[Light] = field(default_factory=list[Light])
@@ -96,8 +110,14 @@ class Reading:
         default_factory=dict[str, "list[SplatInstance | MeshInstance]"]
     )
     """Of those, what changes its place with time, by the paths of prims."""
+    deforming: dict[str, tuple[Placed, list[SplatInstance | MeshInstance]]] = field(
+        default_factory=dict[str, "tuple[Placed, list[SplatInstance | MeshInstance]]"]
+    )
+    """Likewise, what changes its shape; of what is shown at several places, nothing."""
     has_cameras: bool = False
     _captures: dict[str, Gaussians | None] = field(default_factory=dict[str, "Gaussians | None"])
+    _materials: UsdMaterials = field(init=False)
+    _instanced: set[str] = field(default_factory=set[str])
 
     def run(self) -> Reading:
         """Finds everything.
@@ -106,7 +126,7 @@ class Reading:
             FormatError: Something cannot be read, or there is nothing.
         """
         file, sieve = self.file, TriangleSieve(self.file.path)
-        materials = UsdMaterials(file)
+        self._materials = materials = UsdMaterials(file)
         meshes = UsdMeshes(file, materials, sieve)
         for placed in placed_prims(file):
             prim, kind = placed.prim, str(placed.prim.GetTypeName())
@@ -144,12 +164,37 @@ class Reading:
         place = _Y_DOWN @ only.transform
         return only.gaussians if np.array_equal(place, np.eye(4)) else transform(only.gaussians, place)
 
+    def at(self, placed: Placed, code: float) -> list[SplatInstance | MeshInstance]:
+        """A prim of `deforming` at a time code, in its place."""
+        file, px = self.file, pxr()
+        before, file.time = file.time, px.Usd.TimeCode(code)
+        try:
+            seen = px.UsdGeom.Imageable(placed.prim).ComputeVisibility(file.time) != px.UsdGeom.Tokens.invisible
+            now = placed._replace(world_from_prim=_place(file, placed.prim))
+            if now.is_flat or not seen:
+                return []
+            self._captures.pop(placed.asset, None)
+            if is_field(placed.prim):
+                return [*self._splats(now, self._materials)]
+            return [*UsdMeshes(file, self._materials, TriangleSieve(file.path)).placed(now)]
+        finally:
+            file.time = before
+
     def _note(self, placed: Placed, kept: list[Any], instances: list[Any]) -> None:
         kept.extend(instances)
-        if any(placed.prim.GetAttribute(name).GetNumTimeSamples() > 1 for name in _SHAPES if instances):
+        if not instances:
+            return
+        path = str(placed.prim.GetPath())
+        if shape_codes(placed.prim).size > 1:
+            if not np.allclose(placed.world_from_prim, _place(self.file, placed.prim)):
+                self._instanced.add(path)  # an instancer puts it there
+                self.deforming.pop(path, None)
+            elif self.plays and path not in self._instanced:
+                self.deforming[path] = placed, instances
+                return
             self.file.remarks.add("shapes that change with time, of which the first is shown", placed.name)
-        if placed.animated and instances:
-            self.moving.setdefault(str(placed.prim.GetPath()), []).extend(instances)
+        if placed.animated:
+            self.moving.setdefault(path, []).extend(instances)
 
     def _splats(self, placed: Placed, materials: UsdMaterials) -> list[SplatInstance]:
         """A capture at its place; what an instance cannot be, the Gaussians become."""

@@ -15,6 +15,7 @@ from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
 from lumisplat.scene.animation.camera_path import CameraPath
+from lumisplat.scene.animation.deforming import Deforming
 from lumisplat.scene.animation.keyframes import Keyframes, check_time
 from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians
@@ -25,8 +26,8 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
-Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene
-"""What an actor may be; a `Scene` stands for its captures and meshes."""
+Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
+"""What an actor may be; a `Scene` stands for its captures and meshes, `Deforming` for those of a time."""
 Instance = SplatInstance | MeshInstance
 
 
@@ -101,10 +102,9 @@ class Actor:
         own = self._own_time(time)
         match self.subject:
             case Scene() as scene:
-                return tuple(
-                    replace(i, world_from_object=world @ i.transform, name=self.name or i.name)
-                    for i in (*scene.splats, *scene.meshes)
-                )
+                return self._placed((*scene.splats, *scene.meshes), world)
+            case Deforming() as deforming:
+                return self._placed(deforming.at(own), world)
             case Mesh() as mesh:
                 return (MeshInstance(mesh, world, name=self.name or mesh.name),)
             case Rig() as rig:
@@ -116,6 +116,10 @@ class Actor:
             case Gaussians() as gaussians:
                 pass
         return (SplatInstance(gaussians, world, name=self.name),)
+
+    def _placed(self, instances: tuple[Instance, ...], world: npt.NDArray[np.float64]) -> tuple[Instance, ...]:
+        """Instances in the actor's space, where it is."""
+        return tuple(replace(i, world_from_object=world @ i.transform, name=self.name or i.name) for i in instances)
 
     @property
     def own_duration(self) -> float:
