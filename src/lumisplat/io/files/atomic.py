@@ -59,6 +59,30 @@ def atomic_write(path: PathLike) -> Generator[Path]:
         raise FormatError(path, f"cannot be written: {reason}") from None
 
 
+@contextmanager
+def written_together(folder: Path) -> Generator[list[Path]]:
+    """Files in a folder and in those in it that are of use together only: if the block raises, none of them stays.
+
+    Args:
+        folder: Where they are; if it, or others around it, were made for them, they go, too.
+
+    Yields:
+        A list, to which the block adds each file that it has written.
+    """
+    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    written: list[Path] = []
+    try:
+        yield written
+    except BaseException:
+        for path in written:
+            with suppress(OSError):
+                path.unlink()
+        for emptied in [*{path.parent for path in written if path.parent != folder}, *missing]:
+            with suppress(OSError):  # somebody else has put something into it
+                emptied.rmdir()
+        raise
+
+
 def check_can_be_written(path: PathLike) -> None:
     """Refuses a path at which `atomic_write` would fail, before work is done for it; makes missing parent folders.
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError
-from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.gltf.writing.blender_script import SCENE, SCRIPT, script_text
 from lumisplat.io.gltf.writing.cameras import camera_losses, can_hold_camera
@@ -58,22 +58,29 @@ def write_blend_ready(path: PathLike, scene: Scene, cameras: Sequence[Camera] = 
         (folder / SCRIPT).unlink(missing_ok=True)
     except OSError as error:
         raise FormatError(folder / SCRIPT, f"cannot be written: {error.strerror or error}") from None
+    with written_together(folder) as written:
+        _write_all(folder, scene, cameras, written)
+
+
+def _write_all(folder: Path, scene: Scene, cameras: Sequence[Camera], written: list[Path]) -> None:
     blender_from_world = BLENDER_FROM_GLTF @ upright(scene)
     captures: list[str] = []
     for splat in scene.splats:
         captures.append(_file_of(splat, captures))
         write_splat_ply(folder / captures[-1], transform(splat.gaussians, blender_from_world @ splat.transform))
+        written.append(folder / captures[-1])
     others = replace(scene, splats=())
     losses = [f"light on captures ({relit} are relit here)"] if (relit := _relit(scene)) else []
     glb = SCENE if _fits_gltf(others, cameras) else None
     if glb:
         write_gltf(folder / SCENE, others, cameras)
+        written.append(folder / SCENE)
     else:
         losses += [*light_losses(scene.lights), *camera_losses(cameras)]
     if not (glb or captures):
-        raise FormatError(path, f"glTF cannot hold {'; '.join(losses)}: there is nothing else to write")
+        raise FormatError(folder, f"glTF cannot hold {'; '.join(losses)}: there is nothing else to write")
     if losses:
-        _log.warning("%s: Blender will not show %s", os.fspath(path), "; ".join(losses))
+        _log.warning("%s: Blender will not show %s", os.fspath(folder), "; ".join(losses))
     with atomic_write(folder / SCRIPT) as temporary:
         temporary.write_text(script_text(folder.stem, glb, captures), encoding="utf-8")
 

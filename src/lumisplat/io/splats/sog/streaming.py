@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lumisplat.constants.sog import SOG_CHUNK_COUNT, SOG_CHUNK_EXTENT, SOG_LEAF_LEAST, SOG_LEVEL_LEAST
-from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.sog.writer import remove_file, sog_contents, warn_losses, write_folder
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
@@ -37,10 +37,10 @@ class _Unit:
 
 
 class _Units:
-    """The captures of all levels, written when they are full."""
+    """The captures of all levels, written when they are full; ``written`` receives the files."""
 
-    def __init__(self, folder: Path, levels: int) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, levels: int, written: list[Path]) -> None:
+        self._folder, self._written = folder, written
         self._open = [_Unit(f"{level}_0") for level in range(levels)]
         self._number = [0] * levels
         self.names: list[str] = []
@@ -70,7 +70,8 @@ class _Units:
 
     def _write(self, level: int) -> None:
         unit = self._open[level]
-        write_folder(self._folder / unit.name / "meta.json", sog_contents(merge_gaussians(unit.parts)))
+        meta = self._folder / unit.name / "meta.json"
+        write_folder(meta, sog_contents(merge_gaussians(unit.parts)), self._written)
         self._number[level] += 1
         self._open[level] = _Unit(f"{level}_{self._number[level]}")
 
@@ -87,8 +88,13 @@ def write_streamed_sog(path: PathLike, gaussians: Gaussians) -> None:
     path = Path(path)
     warn_losses(path, gaussians)
     remove_file(path)
+    with written_together(path.parent) as written:
+        _write_all(path, gaussians, written)
+
+
+def _write_all(path: Path, gaussians: Gaussians, written: list[Path]) -> None:
     levels = level_count(gaussians.count)
-    units = _Units(path.parent, levels)
+    units = _Units(path.parent, levels, written)
     tree = _node(units, gaussians, levels)
     units.close()
     meta: dict[str, Any] = {

@@ -22,7 +22,7 @@ from PIL import Image
 
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import FormatError
-from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.columns import Floats, warn_lost_materials
 from lumisplat.io.splats.smallest_three import pack_smallest_three
@@ -66,7 +66,8 @@ def write_sog(path: PathLike, gaussians: Gaussians) -> None:
         raise FormatError(path, f"{gaussians.count:,} Gaussians are more than a SOG holds, {IMAGE_SIDE_MAX**2:,}")
     contents = sog_contents(gaussians.subset(morton_order(gaussians.means)))
     if Path(path).name.lower() == "meta.json":
-        write_folder(Path(path), contents)
+        with written_together(Path(path).parent) as written:
+            write_folder(Path(path), contents, written)
         return
     with atomic_write(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in contents.items():
@@ -96,11 +97,16 @@ def remove_file(path: Path) -> None:
         raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
 
 
-def write_folder(meta: Path, contents: Contents) -> None:
+def write_folder(meta: Path, contents: Contents, written: list[Path]) -> None:
     """Writes the files of a capture into a folder.
 
     The old ``meta.json`` goes first and the new one comes last: a folder without one is no capture, so that none is
     half old and half new.
+
+    Args:
+        meta: Path of the ``meta.json``.
+        contents: What the files hold, by their names.
+        written: Receives the files.
 
     Raises:
         FormatError: A file cannot be written.
@@ -109,6 +115,7 @@ def write_folder(meta: Path, contents: Contents) -> None:
     for name in sorted(contents, key=lambda name: name == meta.name):
         with atomic_write(meta.with_name(name)) as temporary:
             temporary.write_bytes(contents[name])
+        written.append(meta.with_name(name))
 
 
 def sog_contents(gaussians: Gaussians) -> Contents:
