@@ -15,7 +15,7 @@ from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
 
 _CLIPPED = 0.2
-"""Share of a photograph's pixels from which on it is said that they are clipped."""
+"""Share of a photograph's pixels from which on it is said that they are clipped: at an end of its range."""
 _UNEXPLAINED = 0.1
 """Share of what counts from which on it is said that nothing explains it."""
 _WHITE = 0.01
@@ -91,7 +91,8 @@ def _photographs(guesser: Guesser, guess: Guess) -> Iterator[str]:
         own = guesser.view == number
         pixels = one.full_size
         if one.clipped > _CLIPPED * pixels:
-            yield f"{one.label}: {one.clipped / pixels:.0%} of its pixels are clipped, and left out"
+            share = one.clipped / pixels
+            yield f"{one.label}: {share:.0%} of its pixels are clipped (a channel is black or white), and left out"
         counts = guesser.observed.counts[own]
         if not counts.any():
             yield f"{one.label}: nothing of it counts"
