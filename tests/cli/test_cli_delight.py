@@ -47,13 +47,28 @@ def test_a_capture_gets_materials(work):
     assert sky.shape[1] == 2 * sky.shape[0] and sky.min() > 0.0
 
 
+def test_scenes_of_other_programs_hold_materials(work):
+    """A .glb has the albedo, roughness and normals that a .ply has."""
+    for name in ("found.glb", "found.ply"):
+        done = work.run("delight", "@ball.ply", "-o", f"@{name}", "--cells", "4", "--device", "cpu")
+        assert (done.status, done.err) == (0, "")
+    scene, capture = ls.load(work.path("found.glb")), ls.load(work.path("found.ply"))
+    assert isinstance(scene, ls.Gaussians) and isinstance(capture, ls.Gaussians)
+    for name in ("albedo", "roughness", "normals"):
+        np.testing.assert_array_equal(getattr(scene, name), getattr(capture, name))
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("@ball.ply", "-o", "@out.spz"), "expected .ply: other formats have no room for materials"),
+        (
+            ("@ball.ply", "-o", "@out.spz"),
+            "expected .ply, .glb, .gltf, .usda, .usdc or .usdz: others have no room for materials",
+        ),
         (("@ball.ply", "-o", "@out.compressed.ply"), "expected .ply"),
         (("@ball.ply", "-o", "@out.ply", "--sky", "@sky.png"), "expected .exr"),
         (("@ball.ply", "-o", "@out.ply", "--cells", "2"), "cells is 2"),
+        (("@ball.ply", "-o", "@out.ply", "--lod", "2"), "--lod is of streamed SOGs"),
         (("@scene.toml", "-o", "@out.ply"), "is not a capture"),
         (("@none.ply", "-o", "@out.ply"), "none.ply"),
         (("@few.ply", "-o", "@out.ply"), "few.ply: no surface whose material could be told: 9 of 9 Gaussians"),

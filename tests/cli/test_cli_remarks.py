@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import warp as wp
 
@@ -57,6 +59,23 @@ def test_black_sides_beside_captures_are_announced(scene: ls.Scene, things: str)
 def test_nothing_is_said_of_other_scenes(scene: ls.Scene) -> None:
     """An environment lights all sides; other sides are as they were asked for: of several lamps, of meshes alone."""
     assert remarks(scene) == []
+
+
+def test_an_albedo_that_no_material_uses_is_announced() -> None:
+    """Whoever delights a capture and sets up lights expects them to shine on it."""
+    found = replace(one_gaussian(), albedo=np.full((1, 3), 0.5, np.float32))
+    kept = ls.SplatInstance(found)
+    for lights in ([LAMP, SECOND], [SKY]):
+        (line,) = remarks(ls.Scene([kept, RELIT], [], lights))
+        assert line.startswith("captures with an albedo stay as captured without a material")
+    assert remarks(ls.Scene([kept], [], [SKY]), lighting=False) == []
+    for scene in (
+        ls.Scene([kept]),
+        ls.Scene([kept], [], [replace(SKY, enabled=False)]),
+        ls.Scene([replace(kept, material=ls.MaterialPbr())], [], [SKY]),
+        ls.Scene([replace(kept, shadow_only=True)], [], [SKY]),
+    ):
+        assert remarks(scene) == []
 
 
 @pytest.mark.parametrize("command", ["render", "orbit"])

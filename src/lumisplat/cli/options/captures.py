@@ -1,4 +1,4 @@
-"""What options of captures say as text: ranges of values, how many Gaussians, and which files hold all columns."""
+"""What options of captures say as text: ranges of values, how many Gaussians, and which files hold materials."""
 
 from __future__ import annotations
 
@@ -10,12 +10,18 @@ from pathlib import Path
 import lumisplat as ls
 
 _Range = tuple[float | None, float | None]
+_SCENES = (".glb", ".gltf", ".usda", ".usdc", ".usdz")
 
 
 def holds_all_columns(path: Path) -> bool:
-    """Whether a capture of that name has room for materials: a .ply that is not compressed."""
+    """Whether a capture of that name has room for any columns: a .ply that is not compressed."""
     name = path.name.lower()
     return name.endswith(".ply") and not name.endswith(".compressed.ply")
+
+
+def holds_materials(path: Path) -> bool:
+    """Whether a capture of that name has room for albedo, roughness and normals: scenes of other programs have."""
+    return holds_all_columns(path) or path.suffix.lower() in _SCENES
 
 
 def value_ranges(texts: Sequence[str]) -> dict[str, _Range]:

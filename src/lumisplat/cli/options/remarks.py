@@ -19,7 +19,19 @@ def frame_remarks(
 ) -> Iterator[str]:
     """What has no effect, and what comes out black; arguments as of `unused_options`."""
     yield from unused_options(config, scene, raster, rays, light)
+    yield from _unused_albedos(config, scene)
     yield from _dark_sides(config, scene)
+
+
+def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
+    """A line if lights shine on captures that have an albedo, and show them as captured for lack of a material."""
+    kept = [one for one in scene.splats if one.gaussians.albedo is not None and one.material is None]
+    lights = [light for light in scene.lights if light.enabled]
+    if config.lighting is not False and lights and any(not one.shadow_only for one in kept):
+        yield (
+            "captures with an albedo stay as captured without a material, whatever shines on them: material = {} of "
+            "their [[splats]] in a scene.toml lights them"
+        )
 
 
 def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.captures import holds_all_columns
-from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
+from lumisplat.cli.options.captures import holds_materials
+from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
 from lumisplat.cli.options.up import UpOption, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.pictures import check_writable
@@ -20,7 +20,7 @@ _INSIDE = {"auto": None, "yes": True, "no": False}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Delight(LoadingCommand, DeviceCommand):
+class Delight(LevelsCommand, DeviceCommand):
     """Find what a capture is made of without the light in which it was taken. No photographs are needed.
 
     The result has an albedo, a normal and a roughness for each Gaussian beside its captured colours: lights of a scene
@@ -31,9 +31,9 @@ class Delight(LoadingCommand, DeviceCommand):
     """
 
     capture: Positional[Annotated[Path, arg(metavar="CAPTURE")]]
-    """A capture: .ply, .compressed.ply, .spz or .sog."""
+    """A capture: .ply, .compressed.ply, .spz, .sog or a folder of streamed SOG."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.ply, which alone has room for materials. - is standard output."""
+    """.ply, .glb, .gltf, .usda, .usdc or .usdz, which have room for materials. - is standard output, a .ply."""
     inside: Literal["auto", "yes", "no"] = "auto"
     """Whether the capture was taken from inside of it, as that of a room is; then there is no sky. auto: yes if a good
     part of it sees none."""
@@ -56,6 +56,7 @@ class Delight(LoadingCommand, DeviceCommand):
                 replace(self, output=file).run()
             return
         self._check_outputs()
+        self.check_levels([self.capture])
         config = ls.DelightConfig(cells=self.cells, inside=_INSIDE[self.inside], matt=self.matt, seed=self.seed)
         with progress_bars() as report:
             self.quiet_warp()
@@ -76,8 +77,11 @@ class Delight(LoadingCommand, DeviceCommand):
 
     def _check_outputs(self) -> None:
         """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
-        if not holds_all_columns(self.output):
-            raise ls.FormatError(self.output, "expected .ply: other formats have no room for materials")
+        if not holds_materials(self.output):
+            raise ls.FormatError(
+                self.output, "expected .ply, .glb, .gltf, .usda, .usdc or .usdz: others have no room for materials"
+            )
+        ls.check_format(self.output)  # whether what writes it is installed
         if self.sky is not None and self.sky.suffix.lower() != ".exr":
             raise ls.FormatError(self.sky, "unknown extension for the image of a sky, expected .exr")
         for path in (self.output, self.sky):
