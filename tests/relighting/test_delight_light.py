@@ -113,6 +113,30 @@ def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
     assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=0.01)
 
 
+def test_surfaces_that_are_hidden_from_a_lamp_do_not_tell_how_bright_it_is() -> None:
+    """Fog lets a tenth of the Gaussians have a fifth of a lamp's light, as it is found: it stays as bright as it is."""
+    rng = np.random.default_rng(3)
+    lit, albedo = rng.uniform(0.02, 0.06, (4000, 1)), rng.uniform(0.1, 0.84, (4000, 1))  # 0.8: the 95th percentile
+    outgoing = albedo * (0.2 + 30.0 * lit) * np.ones(3)
+    hidden = np.arange(4000)[:, None] % 10 == 0
+    found = lit * np.where(hidden, rng.uniform(0.1, 0.3, (4000, 1)), 1.0)
+    some = Irradiance(np.full((4000, 3), 0.2), np.zeros((4000, 0), np.float32), found.astype(np.float32))
+    assert first_light(outgoing, some).lamps == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
+    # All Gaussians alike would have it that a lamp is brighter by far.
+    wanted = (outgoing[:, 0] / 0.8 - 0.2) / found[:, 0]
+    assert np.quantile(wanted, 0.95) > 60.0
+
+
+def test_few_surfaces_beside_a_lamp_do_not_tell_how_bright_it_is() -> None:
+    """A dark shade of 1 % of the Gaussians has fifty times as much of its light as the walls, which decide."""
+    rng = np.random.default_rng(4)
+    lit, albedo = rng.uniform(0.02, 0.06, (4000, 1)), rng.uniform(0.1, 0.84, (4000, 1))
+    lit[:40], albedo[:40] = 2.0, 0.05
+    some = Irradiance(np.full((4000, 3), 0.2), np.zeros((4000, 0), np.float32), lit.astype(np.float32))
+    outgoing = albedo * (0.2 + 30.0 * lit) * np.ones(3)
+    assert first_light(outgoing, some).lamps == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
+
+
 def test_the_image_of_a_sky_turns_with_its_light() -> None:
     """However an image stands in the world, the same radiance comes from each direction."""
     cells, sky = SkyCells.even(6), np.random.default_rng(2).random((36, 3))

@@ -110,6 +110,10 @@ ALBEDO_HIGH = 0.8
 LIT_LEAST = 0.05
 """Light of the sky and lamps at a Gaussian, in medians, from which on it tells how bright these may be."""
 
+LIT_MOST = 3.0
+"""Light of lamps at a Gaussian, in medians, from which on it tells that no better, for its error grows with it: a shade
+beside a lamp counts as nine walls at most. Of trained rooms, 2 to 4 % of the Gaussians have more."""
+
 SKY_LEAST = 0.05
 """Radiance of the sky and lamps that the fit begins with, at least."""
 

@@ -18,6 +18,7 @@ from lumisplat.constants.delight import (
     LIGHT_STEPS,
     LIGHTEST,
     LIT_LEAST,
+    LIT_MOST,
     RADIANCE_LEAST,
     SCALE_STEPS,
     SKY_LEAST,
@@ -113,15 +114,29 @@ class AlikeAlbedos:
 
 
 def first_light(outgoing: Doubles, incident: Irradiance) -> Light:
-    """Grey, the same from everywhere, and so much that the lightest surfaces have a usual albedo."""
+    """Grey, the same from everywhere, and so much that the lightest surfaces have a usual albedo.
+
+    Of lamps, Gaussians count by the square of the light that reaches them: what is wrong about that light makes a
+    radiance wrong by as much, divided by it. Without, some that fog hides from a lamp make it many times too bright.
+    """
     columns = np.concatenate([incident.sky, incident.lamps], axis=1)
     lit = columns.sum(axis=1, dtype=np.float64)
-    rows = lit > LIT_LEAST * max(float(np.median(lit)), 1e-9)
+    usual = max(float(np.median(lit)), 1e-9)
+    rows = lit > LIT_LEAST * usual
     radiance = 1.0
     if rows.any():
         wanted = (outgoing / ALBEDO_HIGH - incident.observed).max(axis=1)[rows] / lit[rows]
-        radiance = max(float(np.quantile(wanted, LIGHTEST)), SKY_LEAST)
+        exponent = 2.0 if incident.lamps.size else 0.0
+        weights = np.minimum(lit[rows] / usual, LIT_MOST) ** exponent
+        radiance = max(_weighted_quantile(wanted, weights, LIGHTEST), SKY_LEAST)
     return Light(np.full((incident.sky.shape[1], 3), radiance), np.full((incident.lamps.shape[1], 3), radiance))
+
+
+def _weighted_quantile(values: Doubles, weights: Doubles, share: float) -> float:
+    """The value below which a share of the weight is, between values by interpolation; of equal weights, numpy's."""
+    order = np.argsort(values, kind="stable")
+    below: Doubles = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return float(np.interp(float(below[0] + share * (below[-1] - below[0])), below, values[order]))
 
 
 def with_usual_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:

@@ -90,8 +90,8 @@ def estimate_materials(
     colours change with the direction of view, highlights tell the roughness: of dielectrics, and not by lamps in
     rooms. They stay in the albedo. Source: docs/method/delighting.md.
 
-    How bright the sky was and what albedos surfaces have is only known together. Of a room, bounces between its walls
-    tell them apart to some degree; of an object, the lightest surfaces are taken to reflect 0.8.
+    How bright the sky or lamps were and what albedos surfaces have is only known together: the lightest surfaces are
+    taken to reflect 0.8. Of a room, bounces between its walls tell them apart a little.
 
     Args:
         gaussians: A capture with display-referred colours; if it has an albedo, that is replaced.
