@@ -150,7 +150,9 @@ def painted(capture: ls.Gaussians, albedo: Doubles, normals: Doubles) -> ls.Gaus
 
 def known_shape(truth: Truth, capture: ls.Gaussians | None, device: str) -> ls.Gaussians:
     """Gaussians on the true surfaces in the colours of photographs, or of what a capture shows by their cameras."""
-    room = ls.merge([replace(truth.room, albedo=None, roughness=None, normals=None), *lamps(truth.folder)])
+    room = ls.merge(
+        [replace(truth.room, albedo=None, roughness=None, metallic=None, normals=None), *lamps(truth.folder)]
+    )
     views = load_photographs(truth.folder).training
     colors = np.full((len(views), room.count, 3), np.nan)
     for colored, view in zip(colors, views, strict=True):
