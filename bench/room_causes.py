@@ -25,8 +25,9 @@ from lumisplat.constants.delight import PAIRS, RADIANCE_LEAST
 from lumisplat.io.photographs.loading import load_photographs
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.color import albedo_in_range, decode_srgb
+from lumisplat.relighting.albedo.outgoing import median_outgoing
 from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, albedo_pairs, first_light
-from lumisplat.relighting.delight.captured import is_white, lamps_of, outgoing_radiance
+from lumisplat.relighting.delight.captured import is_white, lamps_of
 from lumisplat.relighting.delight.delight import filled
 from lumisplat.relighting.delight.incident import IncidentRays
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
@@ -123,7 +124,7 @@ def delighted(
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), device)
     rays, near = IncidentRays(capture, renderer, 0), neighbours_of(capture)
     facing, _ = rays.facing(estimate_normals(capture).astype(np.float64), near, True, known=normals is not None)
-    white, outgoing = is_white(capture, facing), outgoing_radiance(capture, facing)
+    white, outgoing = is_white(capture, facing), median_outgoing(capture, facing)
     groups = lamps_of(capture, white) if truth is None else truth.lamp_rows(capture, white)
     smoother, cells = Smoother.of(near, facing, groups), SkyCells.even(12)
     incident = smoother.incident(rays.incident(facing, groups, cells, lambda _label, _share: None))
@@ -181,13 +182,13 @@ def rows_of(truth: Truth, capture: ls.Gaussians, device: str) -> Iterator[Row]:
     found, light = delighted(capture, device)
     facing = np.asarray(found.normals, np.float64)
     yield "nothing", found, light, True
-    yield "captured colours as albedo", painted(capture, outgoing_radiance(capture, facing), facing), None, False
+    yield "captured colours as albedo", painted(capture, median_outgoing(capture, facing), facing), None, False
     yield "normals", *delighted(capture, device, normals=true_normals), False
     yield "where lamps are", *delighted(capture, device, truth=truth), False
     yield "lamps", *delighted(capture, device, truth=truth, power=True), False
     yield "lamps, normals", *delighted(capture, device, truth=truth, power=True, normals=true_normals), True
     irradiance = truth.irradiance[nearest]
-    without = outgoing_radiance(capture, facing) / np.maximum(irradiance, RADIANCE_LEAST)
+    without = median_outgoing(capture, facing) / np.maximum(irradiance, RADIANCE_LEAST)
     yield "all light", painted(capture, without, facing), None, False
     yield "albedo", painted(capture, true_albedo, facing), None, False
     yield "albedo, normals", painted(capture, true_albedo, exact), None, True
