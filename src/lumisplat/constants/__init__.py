@@ -21,6 +21,11 @@ NORMAL_DEGENERATE = 0.2
 """Length (of the alpha-weighted mean of unit normals) below which the sum is degenerate and the view direction is
 used. docs/method/gaussians.md#normals; the figure is NVIDIA's."""
 
+BEYOND_HORIZON = 0.5
+"""Cosine with the direction away from the eye up to which a Gaussian's own normal is of a surface that bends away
+there, 30 degrees beyond its horizon; one that faces away further is of a surface seen from behind.
+docs/method/gaussians.md#normals."""
+
 # --- Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing) ---
 
 KERNEL_DEGREE = 2

@@ -7,7 +7,7 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, COVARIANCE_2D_DET_MIN
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, BEYOND_HORIZON, COVARIANCE_2D_DET_MIN
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterData, Splat
@@ -19,6 +19,7 @@ OPACITY_MIN = wp.constant(wp.float32(ALPHA_MIN))
 LOG_ALPHA_MIN = wp.constant(wp.float32(math.log(ALPHA_MIN)))
 ALPHA_LIMIT = wp.constant(wp.float32(ALPHA_MAX))
 DET_MIN = wp.constant(wp.float32(COVARIANCE_2D_DET_MIN))
+BEYOND_MAX = wp.constant(wp.float32(BEYOND_HORIZON))
 
 mat23 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 
@@ -49,8 +50,17 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 
 @wp.func
 def towards(normal: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
-    """The normal, or its opposite, on the side of the eye."""
-    return wp.where(wp.dot(normal, to_eye) < 0.0, -normal, normal)
+    """The unit normal on the side of the eye: a little beyond the horizon it is bent to it, else turned around.
+
+    Silhouettes show Gaussians whose surface bends away just there (docs/method/gaussians.md#normals).
+    """
+    unit = wp.normalize(to_eye)
+    facing = wp.dot(normal, unit)
+    if facing >= 0.0:
+        return normal
+    if facing < -BEYOND_MAX:
+        return -normal
+    return wp.normalize(normal - facing * unit)
 
 
 @wp.func

@@ -4,6 +4,7 @@ import warp as wp
 
 from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.compositing import instance_of
+from lumisplat.device.gaussian.projection import towards
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
@@ -193,8 +194,7 @@ def splat_interaction(
     interaction.normal = unit_or(
         wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), interaction.wo
     )
-    if wp.dot(interaction.normal, interaction.wo) < 0.0:
-        interaction.normal = interaction.wo
+    interaction.normal = towards(interaction.normal, interaction.wo)
     interaction.horizon_normal = interaction.normal
     interaction.geometric_normal = interaction.normal
     finish = finish_of(surface.instance, surface.gaussian, scene)

@@ -1,0 +1,79 @@
+"""Normals that Gaussians carry, where their surface bends away from the eye."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.sh import even_directions
+from support.scenes.pipelines import DIRECT
+from support.scenes.raster_scenes import flat_sh
+
+EYE = np.array([0.0, 0.0, -4.0])
+CAMERA = ls.Camera.look_at(EYE, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=48, height=48, fov_y=0.6)
+PAPER = ls.MaterialPbr(roughness=1.0, specular=0.0)
+
+
+def ball(count: int = 3000) -> ls.Gaussians:
+    """A white unit ball of round Gaussians, whose normals point outwards."""
+    outwards = even_directions(count)
+    spread = np.full((count, 3), 0.03)
+    wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    white = np.ones((count, 3))
+    return ls.Gaussians(outwards, wxyz, spread, np.full(count, 0.9), flat_sh(white), normals=outwards, albedo=white)
+
+
+def seen(capture: ls.Gaussians, pipeline: ls.Pipeline, light: ls.LightDirectional) -> ls.Frame:
+    """It, lit without shadows."""
+    scene = ls.Scene(splats=[ls.SplatInstance(capture, material=PAPER)], lights=[light])
+    config = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=ls.Shadows.OFF, background=None)
+    return ls.render(scene, CAMERA, config, device="cpu")
+
+
+def silhouette(frame: ls.Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels whose rays just miss the ball but not its Gaussians, shape (H, W), and which way they pass, (H, W, 3)."""
+    ways = CAMERA.ray_directions().astype(np.float64) @ CAMERA.camera_from_world[:3, :3]
+    nearest = EYE - (ways @ EYE)[..., None] * ways
+    distance = np.linalg.norm(nearest, axis=-1, keepdims=True)
+    missed = (distance[..., 0] > 1.0) & (distance[..., 0] < 1.1) & (frame.alpha > 0.3)
+    assert missed.sum() > 200
+    return missed, nearest / np.maximum(distance, 1e-9)
+
+
+@pytest.mark.parametrize("pipeline", DIRECT)
+def test_a_ball_keeps_its_normals_up_to_the_silhouette(pipeline: ls.Pipeline) -> None:
+    """Gaussians from just behind the horizon show there, and must not cancel those before it.
+
+    Opaque ones reach 3.3 scales, 0.1 here: what shows is at most acos(0.9) = 26 degrees before the horizon.
+    """
+    frame = seen(ball(), pipeline, ls.LightDirectional((0.0, 0.0, 1.0)))
+    missed, outwards = silhouette(frame)
+    cosines = (frame.normal * outwards).sum(axis=-1)[missed]
+    assert np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).max() < 26.0
+
+
+@pytest.mark.parametrize("pipeline", DIRECT)
+def test_a_light_from_the_side_shines_on_its_own_silhouette(pipeline: ls.Pipeline) -> None:
+    """And on no other; normals that were turned to the other side would be lit by what is behind the ball."""
+    frame = seen(ball(), pipeline, ls.LightDirectional((-1.0, 0.0, 0.0), intensity=np.pi))
+    missed, outwards = silhouette(frame)
+    shown = frame.straight()[..., 0]
+    towards, away = missed & (outwards[..., 0] > 0.95), missed & (outwards[..., 0] < -0.5)
+    assert min(towards.sum(), away.sum()) > 10
+    assert shown[towards].min() > np.cos(np.radians(26.0 + 18.2))
+    assert shown[away].max() < 1e-3
+
+
+@pytest.mark.parametrize("pipeline", DIRECT)
+def test_a_sheet_from_behind_is_turned_around(pipeline: ls.Pipeline) -> None:
+    """More than 30 degrees beyond the horizon, the opposite of the normal is seen; less, it is bent to the horizon."""
+    for beyond, shown in ((70.0, "turned"), (40.0, "turned"), (20.0, "bent"), (1.0, "bent"), (-10.0, "kept")):
+        along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
+        own = np.array([across, 0.0, along])
+        wanted = {"turned": -own, "bent": np.array([1.0, 0.0, 0.0]), "kept": own}[shown]
+        carried = replace(ball(1), means=np.zeros((1, 3)), normals=own[None])
+        frame = seen(carried, pipeline, ls.LightDirectional((0.0, 0.0, 1.0)))
+        np.testing.assert_allclose(frame.normal[24, 24], wanted, atol=0.01)
