@@ -26,6 +26,9 @@ BEYOND_HORIZON = 0.5
 there, 30 degrees beyond its horizon; one that faces away further is of a surface seen from behind.
 docs/method/gaussians.md#normals."""
 
+HORIZON_COSINE = 0.02
+"""Cosine of what is bent to a horizon, one degree: at 0, rounding would decide whether a surface is seen at all."""
+
 # --- Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing) ---
 
 KERNEL_DEGREE = 2

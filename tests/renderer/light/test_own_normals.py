@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import HORIZON_COSINE
 from lumisplat.math.sh import even_directions
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh
@@ -73,7 +74,7 @@ def test_a_sheet_from_behind_is_turned_around(pipeline: ls.Pipeline) -> None:
     for beyond, shown in ((70.0, "turned"), (40.0, "turned"), (20.0, "bent"), (1.0, "bent"), (-10.0, "kept")):
         along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
         own = np.array([across, 0.0, along])
-        wanted = {"turned": -own, "bent": np.array([1.0, 0.0, 0.0]), "kept": own}[shown]
+        wanted = {"turned": -own, "bent": np.array([1.0, 0.0, -HORIZON_COSINE]), "kept": own}[shown]
         carried = replace(ball(1), means=np.zeros((1, 3)), normals=own[None])
         frame = seen(carried, pipeline, ls.LightDirectional((0.0, 0.0, 1.0)))
         np.testing.assert_allclose(frame.normal[24, 24], wanted, atol=0.01)

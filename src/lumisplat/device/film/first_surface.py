@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.device.gaussian.compositing import NORMAL_MIN, instance_of
+from lumisplat.device.gaussian.projection import above_horizon
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_normal
 from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import ShadingScene, WaveData
@@ -41,7 +42,7 @@ def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
     if weight > 0.0:
         if wp.length(normal) > NORMAL_MIN * weight:
-            surface.normal = wp.normalize(normal)
+            surface.normal = above_horizon(wp.normalize(normal), -wave[0].rays.direction[i])
         else:
             surface.normal = -wave[0].rays.direction[i]
     return surface

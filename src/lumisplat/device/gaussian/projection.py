@@ -7,7 +7,7 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, BEYOND_HORIZON, COVARIANCE_2D_DET_MIN
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, BEYOND_HORIZON, COVARIANCE_2D_DET_MIN, HORIZON_COSINE
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterData, Splat
@@ -20,6 +20,8 @@ LOG_ALPHA_MIN = wp.constant(wp.float32(math.log(ALPHA_MIN)))
 ALPHA_LIMIT = wp.constant(wp.float32(ALPHA_MAX))
 DET_MIN = wp.constant(wp.float32(COVARIANCE_2D_DET_MIN))
 BEYOND_MAX = wp.constant(wp.float32(BEYOND_HORIZON))
+BENT_COSINE = wp.constant(wp.float32(HORIZON_COSINE))
+BENT_SINE = wp.constant(wp.float32(math.sqrt(1.0 - HORIZON_COSINE**2)))
 
 mat23 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 
@@ -50,17 +52,20 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 
 @wp.func
 def towards(normal: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
-    """The unit normal on the side of the eye: a little beyond the horizon it is bent to it, else turned around.
+    """The unit normal, or its opposite where it faces away from the eye by more than a surface that bends away does.
 
-    Silhouettes show Gaussians whose surface bends away just there (docs/method/gaussians.md#normals).
+    Silhouettes show Gaussians whose normals are a little beyond the horizon (docs/method/gaussians.md#own-normals).
     """
-    unit = wp.normalize(to_eye)
-    facing = wp.dot(normal, unit)
-    if facing >= 0.0:
-        return normal
-    if facing < -BEYOND_MAX:
-        return -normal
-    return wp.normalize(normal - facing * unit)
+    return wp.where(wp.dot(normal, to_eye) < -BEYOND_MAX * wp.length(to_eye), -normal, normal)
+
+
+@wp.func
+def above_horizon(direction: wp.vec3, axis: wp.vec3) -> wp.vec3:
+    """A unit direction, bent to the horizon of a unit axis where it is below it."""
+    cosine = wp.dot(direction, axis)
+    if cosine >= 0.0:
+        return direction
+    return BENT_COSINE * axis + BENT_SINE * wp.normalize(direction - cosine * axis)
 
 
 @wp.func

@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.compositing import instance_of
-from lumisplat.device.gaussian.projection import towards
+from lumisplat.device.gaussian.projection import above_horizon
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
@@ -189,12 +189,11 @@ def splat_interaction(
     interaction = Interaction()
     # Fields are read one by one: copying these structs for each ray would cost more than the shading.
     interaction.exists = True
-    interaction.wo = -wave[0].rays.direction[i]
-    interaction.position = wave[0].rays.origin[i] - surface.depth * interaction.wo
-    interaction.normal = unit_or(
-        wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), interaction.wo
-    )
-    interaction.normal = towards(interaction.normal, interaction.wo)
+    to_eye = -wave[0].rays.direction[i]
+    interaction.position = wave[0].rays.origin[i] - surface.depth * to_eye
+    interaction.normal = unit_or(wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), to_eye)
+    # What bends away at a silhouette is lit by its own normal, and seen from its horizon.
+    interaction.wo = above_horizon(to_eye, interaction.normal)
     interaction.horizon_normal = interaction.normal
     interaction.geometric_normal = interaction.normal
     finish = finish_of(surface.instance, surface.gaussian, scene)
