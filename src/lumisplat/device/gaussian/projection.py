@@ -54,7 +54,7 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 def towards(normal: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
     """The unit normal, or its opposite where it faces away from the eye by more than a surface that bends away does.
 
-    Silhouettes show Gaussians whose normals are a little beyond the horizon (docs/method/gaussians.md#own-normals).
+    Silhouettes show Gaussians whose normals are a little beyond the horizon (docs/method/gaussians.md#normals).
     """
     return wp.where(wp.dot(normal, to_eye) < -BEYOND_MAX * wp.length(to_eye), -normal, normal)
 
