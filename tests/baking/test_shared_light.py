@@ -34,6 +34,11 @@ def test_sums_are_those_of_a_matrix():
     np.testing.assert_allclose(seen.mean_of(of_rays), expected, atol=1e-12)
 
 
+def base_of(seen: SeenWeights, colors: np.ndarray) -> np.ndarray:
+    """What rays show of even light."""
+    return seen.blended(colors) / seen.blended(np.ones((GAUSSIANS, 1)))
+
+
 ALL = np.ones((2, RAYS, 1))
 """Every sample meets something."""
 
@@ -44,10 +49,39 @@ def test_noise_of_even_light_goes_and_colours_stay():
     seen, colors = neighbours(rng), rng.uniform(0.1, 0.9, (GAUSSIANS, 3))
     truth = 0.7 * seen.blended(colors)
     noise = truth * rng.exponential(1.0, (2, RAYS, 1)) - truth  # as of paths: rare and bright
-    light = shared_light(truth + noise, ALL, colors, seen, 1.0)
+    light = shared_light(truth + noise, ALL, base_of(seen, colors), seen, 1.0)
     assert np.abs(light - truth).mean() < 0.1 * np.abs(noise).mean()
     np.testing.assert_allclose(light.mean(axis=(0, 1)), truth.mean(axis=0), rtol=0.03)
-    np.testing.assert_allclose(shared_light(np.stack([truth, truth]), ALL, colors, seen, 1.0)[0], truth, rtol=1e-9)
+    np.testing.assert_allclose(
+        shared_light(np.stack([truth, truth]), ALL, base_of(seen, colors), seen, 1.0)[0], truth, rtol=1e-9
+    )
+
+
+def test_dark_colours_keep_all_of_their_light():
+    """Of albedos far below those that tell of noise, too: a half and more would be lost by dividing by more."""
+    rng = np.random.default_rng(5)
+    seen = neighbours(rng)
+    for color in (0.004, (0.6, 0.01, 0.004)):
+        colors = np.broadcast_to(np.array(color), (GAUSSIANS, 3))
+        truth = 0.7 * seen.blended(colors)
+        halves = truth * rng.exponential(1.0, (2, RAYS, 1))
+        light = shared_light(halves, ALL, base_of(seen, colors), seen, 1.0)
+        np.testing.assert_allclose(light.mean(axis=(0, 1)) / halves.mean(axis=(0, 1)), 1.0, rtol=0.01)
+        assert np.abs(light - truth).mean() < 0.2 * np.abs(halves - truth).mean()
+
+
+def test_black_beside_white_stays_black():
+    """And white as bright as alone: rays that show nothing of even light tell nothing of it."""
+    rng = np.random.default_rng(6)
+    seen = neighbours(rng)
+    white = np.arange(GAUSSIANS)[:, None] % 6 < 3
+    colors = np.where(white, 0.8, 0.0) * np.ones(3)
+    base = base_of(seen, colors)
+    truth = 0.7 * base
+    light = shared_light(truth * rng.exponential(1.0, (2, RAYS, 1)), ALL, base, seen, 1.0)
+    black, bright = base[:, 0] == 0.0, base[:, 0] > 0.75
+    assert black.sum() > 100 and (light[:, black] == 0.0).all()
+    np.testing.assert_allclose(light[:, bright].mean(), truth[bright].mean(), rtol=0.03)
 
 
 def test_edges_of_shadows_stay():
@@ -56,7 +90,7 @@ def test_edges_of_shadows_stay():
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.5)
     lit = rng.random((RAYS, 1)) < 0.5
     halves = np.where(lit, 0.4, 0.0) + rng.normal(0.0, 0.02, (2, RAYS, 3))
-    np.testing.assert_allclose(shared_light(halves, ALL, colors, seen, 2.0), halves, atol=1e-12)
+    np.testing.assert_allclose(shared_light(halves, ALL, base_of(seen, colors), seen, 2.0), halves, atol=1e-12)
 
 
 def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
@@ -70,7 +104,7 @@ def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
     seen = SeenWeights(seen.ray, seen.gaussian, 0.5 * seen.weight, seen.rays, seen.gaussians)
     colors = np.full((GAUSSIANS, 3), 0.6)
     found = rng.binomial(4, 0.5, (2, RAYS, 1)) / 4.0
-    light = shared_light(found * 0.6 * np.array([0.5, 1.0, 2.0]), found, colors, seen, 2.0)
+    light = shared_light(found * 0.6 * np.array([0.5, 1.0, 2.0]), found, base_of(seen, colors), seen, 2.0)
     np.testing.assert_allclose(light, np.broadcast_to(0.6 * np.array([0.5, 1.0, 2.0]), light.shape), rtol=1e-9)
 
 
@@ -80,7 +114,7 @@ def test_noise_of_what_is_met_by_chance_goes():
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.6)
     found = (rng.random((2, RAYS, 1)) < 0.4).astype(np.float64)
     halves = found * 0.35 * rng.exponential(1.0, (2, RAYS, 1)) * np.ones(3)
-    light = shared_light(halves, found, colors, seen, 1.0)
+    light = shared_light(halves, found, base_of(seen, colors), seen, 1.0)
     met = found.sum(axis=0)
     alone = np.divide(halves.sum(axis=0), met, where=met > 0.0, out=np.full((RAYS, 3), 0.35))
     assert np.sqrt(np.square(light - 0.35).mean()) < 0.2 * np.sqrt(np.square(alone - 0.35).mean())
@@ -89,6 +123,6 @@ def test_noise_of_what_is_met_by_chance_goes():
 def test_what_no_ray_sees_is_no_trouble():
     """Rays without sights are dark, and Gaussians without rays give nothing."""
     seen = SeenWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)
-    light = shared_light(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((3, 3), 0.5), seen, 1.0)
+    light = shared_light(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((2, 3), 0.5), seen, 1.0)
     np.testing.assert_allclose(light[:, 0], 0.3)
     assert (light[:, 1] == 0.0).all()

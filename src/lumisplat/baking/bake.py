@@ -6,7 +6,7 @@ import itertools
 import logging
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,7 +97,9 @@ def bake(
     viewer.enter(scene, _extent(scene), progress)
     if not viewer.is_lit:
         raise SceneError("nothing to bake: the scene has no lights or environment, and nothing in it shines")
-    baker = _Baker(viewer, settings, progress, scene.gaussian_count)
+    together = sum(one.gaussians.count for one in scene.splats if is_relit(one))
+    lines = Sightlines.room(together, settings.lines)
+    baker = _Baker(viewer, settings, progress, scene.gaussian_count, lines)
     splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
     return Scene(baker.seen_together(scene, splats), up=scene.up)
 
@@ -145,8 +147,9 @@ class _Baker:
     progress: Progress | None
     total: int
     """Gaussians of the scene."""
-    lines: list[Sightlines] = field(default_factory=list[Sightlines])
-    """Rays to the Gaussians of relit sets, from where eyes may be."""
+    lines: Sightlines
+    """Rays to the Gaussians of relit sets, from where eyes may be; to as many of them as are baked."""
+    lines_put: int = 0
 
     def baked(self, scene: Scene, number: int) -> SplatInstance:
         """The instance of this number, as it looks in the light of the scene."""
@@ -165,7 +168,8 @@ class _Baker:
                 continue
             parts.append(views.harmonics(shown, self.settings))
             if is_relit(instance):
-                self.lines.append(views.lines(shown, instance, self.settings.lines, draws))
+                self.lines.put(self.lines_put, views.lines(shown, instance, self.settings.lines, draws))
+                self.lines_put += views.gaussians.count
         if nonfinite:
             _log.warning("%d samples of %s were not finite and are left out", nonfinite, instance.name or "a set")
         joined = np.concatenate(parts)
@@ -176,7 +180,7 @@ class _Baker:
 
     def seen_together(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
         """The sets, with harmonics of relit ones changed such that blends of them show what frames do."""
-        if not self.lines:
+        if not self.lines_put:
             return splats
         terms = (self.settings.degree + 1) ** 2
         config = replace(self.settings.config, samples=self.settings.samples)
@@ -187,7 +191,7 @@ class _Baker:
         relit = [is_relit(one) for one in scene.splats]
         for row, one in itertools.compress(zip(rows, splats, strict=True), relit):
             known[row] = one.gaussians.sh
-        changed = together.changed(known, Sightlines.joined(self.lines), self.progress).astype(np.float32)
+        changed = together.changed(known, self.lines, self.progress).astype(np.float32)
         return [
             replace(one, gaussians=replace(one.gaussians, sh=read_only_view(changed[row]))) if is_one else one
             for one, row, is_one in zip(splats, rows, relit, strict=True)

@@ -7,6 +7,7 @@ as the noise of these rays lets them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +15,14 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.baking import seen_together_kernels as kernels
+from lumisplat.baking.frame_rays import FrameRays
+from lumisplat.baking.met_gaussians import MetGaussians, clear_spans
+from lumisplat.baking.reflected_colors import reflected_colors
 from lumisplat.baking.shared_light import SeenWeights, shared_light
 from lumisplat.baking.sightlines import Sightlines
 from lumisplat.baking.view_weights import plane_normals
 from lumisplat.baking.visible_lights import meets_light
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import HitDistance, Pipeline, RenderConfig
 from lumisplat.constants.baking import (
     BOUNCED_MIN,
     BOUNCED_PART,
@@ -26,11 +30,12 @@ from lumisplat.constants.baking import (
     COVERED_MIN,
     DIRECT_SLOPE,
     LINES_A_DIRECTION,
+    LINES_AT_ONCE,
     MISFIT,
     OTHERS_MAX,
     RAYS_A_DIRECTION,
     SIGHT_MIN,
-    TOGETHER_GAUSSIANS,
+    TOGETHER_LINES,
     TOGETHER_STEPS,
 )
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
@@ -41,7 +46,6 @@ from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.editing.morton import morton_order
-from lumisplat.scene.ops.recolor import base_colors
 from lumisplat.scene.scene import Scene, SplatInstance
 
 _Rows = npt.NDArray[np.int64]
@@ -65,6 +69,37 @@ class Pixels:
     """From the eye to the Gaussian's mean, its own space, unit, shape (S, 3)."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _SeenRays:
+    """P rays that show nothing but relit sets, from their front, and S sights of the Gaussians that they blend."""
+
+    origins: FloatArray
+    """World space, (P, 3)."""
+    directions: FloatArray
+    """Unit, (P, 3)."""
+    share: Doubles
+    """Of each that Gaussians cover, (P,)."""
+    before_mesh: Flags
+    """Which end at a mesh behind them, (P,)."""
+    ray: _Rows
+    """Ascending, (S,)."""
+    side: IntArray
+    """Twice the number of the Gaussian, and one more where its back is seen, (S,)."""
+    weight: Doubles
+    """They add up to the share of each ray, (S,)."""
+    along: FloatArray
+    """From the eye to the Gaussian's mean, its own space, unit, (S, 3)."""
+
+    @classmethod
+    def joined(cls, parts: list[_SeenRays]) -> _SeenRays:
+        """All of them, in order; the list is emptied, so that little is held twice."""
+        firsts = np.cumsum([0, *(len(part.share) for part in parts)])
+        parts[:] = [replace(part, ray=part.ray + first) for part, first in zip(parts, firsts, strict=False)]
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__}
+        parts.clear()
+        return cls(**arrays)
+
+
 class SeenTogether:
     """Looks at the Gaussians of a scene together.
 
@@ -82,17 +117,21 @@ class SeenTogether:
         self._instance = np.repeat(np.arange(len(counts)), counts)
         self._relit = np.repeat([is_relit(one) for one in scene.splats], counts)
         self._means = np.concatenate([one.world_means for one in scene.splats])
-        self._colors = np.concatenate([base_colors(one.gaussians) for one in scene.splats])
+        self._colors = np.concatenate([reflected_colors(one) for one in scene.splats])
         self._normals = np.concatenate([_world_normals(one) for one in scene.splats])
         self._knows_front = np.repeat([one.gaussians.normals is not None for one in scene.splats], counts)
         half = max((config.samples or 2) // 2, 1)
-        self._paths = Renderer(replace(config, samples=half), launcher)
-        self._bounced: tuple[Renderer, Renderer] | None = None
+        self._paths = FrameRays(replace(config, samples=half), launcher)
+        self._bounced: tuple[FrameRays, FrameRays] | None = None
         if config.pipeline is Pipeline.PATH and config.max_bounces != 0:
             # By the same random numbers: what paths bring without bouncing is a part of what they bring.
             few = replace(config, samples=min(max(half // BOUNCED_PART, BOUNCED_MIN), half))
-            self._bounced = Renderer(few, launcher), Renderer(replace(few, max_bounces=0), launcher)
-            self._paths = Renderer(replace(self._paths.config, max_bounces=0), launcher)
+            self._bounced = FrameRays(few, launcher), FrameRays(replace(few, max_bounces=0), launcher)
+            self._paths = FrameRays(replace(self._paths.config, max_bounces=0), launcher)
+        # Where rays of lit frames meet Gaussians: by peaks, by which it is told, too, what lies before an end.
+        order = config.trace.hit_distance or HitDistance.PEAK
+        met = replace(config, pipeline=Pipeline.TRACE, lighting=False, trace=replace(config.trace, hit_distance=order))
+        self._met = FrameRays(met, launcher)
         self._blends = Renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), launcher)
 
     def changed(self, sh: Doubles, lines: Sightlines, progress: Progress | None) -> Doubles:
@@ -102,10 +141,10 @@ class SeenTogether:
         """
         result = np.array(sh)
         order = morton_order(self._means[lines.gaussian])
-        for begin in range(0, len(order), TOGETHER_GAUSSIANS):
+        for rows in _ranges(len(order), max(TOGETHER_LINES // lines.origins.shape[1], 1)):
             if progress:
-                progress("baking", 0.5 + 0.5 * begin / len(order))
-            pixels = self.pixels(lines.of(order[begin : begin + TOGETHER_GAUSSIANS]))
+                progress("baking", 0.5 + 0.5 * rows.start / len(order))
+            pixels = self.pixels(lines.of(order[rows]))
             if not len(pixels.colors):
                 continue
             here, renamed = np.unique(pixels.gaussian, return_inverse=True)
@@ -116,53 +155,84 @@ class SeenTogether:
 
     def pixels(self, lines: Sightlines) -> Pixels:
         """What frames show on these rays: those of them that show nothing but relit sets, from their front."""
+        at_once = max(LINES_AT_ONCE // lines.origins.shape[1], 1)
+        rays = _SeenRays.joined([self._seen(lines.of(rows)) for rows in _ranges(len(lines.gaussian), at_once)])
+        colors, noise = self._shown(self._light(rays), rays.share[:, None])
+        return Pixels(colors, noise, rays.ray, rays.side.astype(np.int64) // 2, rays.weight, rays.along)
+
+    def _seen(self, lines: Sightlines) -> _SeenRays:
+        """Those of some rays that tell of what they look at, as viewers of captures see it."""
         origins, directions = (rays.reshape(-1, 3) for rays in (lines.origins, lines.directions))
         hits = self._blends.trace_rays(self._scene, origins, directions, profile=True)
-        profile = hits.profile
-        assert profile is not None
-        count = len(profile)
-        ray = np.repeat(np.arange(count), np.diff(profile.first))
-        gaussian = self._firsts[profile.instance_index] + profile.gaussian_index.astype(np.int64)
-        weight = (profile.transmittance * profile.alpha / (1.0 - profile.alpha)).astype(np.float64)
-        share: Doubles = np.bincount(ray, weight, count).astype(np.float64)
-        kept = (share > COVERED_MIN) & (1.0 - hits.transmittance - share < OTHERS_MAX)
-        kept &= np.bincount(ray, weight * ~self._relit[gaussian], count) < OTHERS_MAX
-        facing = self._facing(gaussian, directions[ray])
+        assert hits.profile is not None
+        met = MetGaussians.of(hits.profile, self._firsts)
+        share, relit = met.total(np.ones(len(met.ray))), self._relit[met.gaussian]
+        kept = (share > COVERED_MIN) & (met.total(~relit) < OTHERS_MAX)
+        kept &= 1.0 - hits.transmittance - share < OTHERS_MAX
+        facing = self._facing(met.gaussian, directions[met.ray])
         # Rays that see more of the backs of Gaussians with normals than of their fronts: nobody is there.
-        kept &= np.bincount(ray, weight * facing * self._knows_front[gaussian], count) <= 0.0
+        kept &= met.total(facing * self._knows_front[met.gaussian]) <= 0.0
         if self._config.pipeline is Pipeline.PATH:  # which shows lights as bodies, in front of Gaussians and behind
             kept &= ~meets_light(self._scene.lights, origins, directions)
         kept = _first_kept(kept.reshape(lines.origins.shape[:2]))
-        number = np.cumsum(kept) - 1
-        seen = kept[ray] & self._relit[gaussian] & (weight > SIGHT_MIN)
-        ray, gaussian, weight = ray[seen], gaussian[seen], weight[seen]
-        weight *= (share / np.maximum(np.bincount(ray, weight, count), 1e-12))[ray]
-        along = self._directions(origins[ray], gaussian)
-        # Both sides of a sheet have light of their own.
-        sides, rows = np.unique(2 * gaussian + (facing[seen] > 0.0), return_inverse=True)
-        weights = SeenWeights(number[ray], rows, weight, int(kept.sum()), len(sides))
-        light = self._light(origins[kept], directions[kept], self._colors[sides // 2], weights)
-        colors, noise = self._shown(light, share[kept, None])
-        return Pixels(colors, noise, number[ray], gaussian, weight, along)
+        rows = kept[met.ray] & relit & (met.weight > SIGHT_MIN)
+        met, back = met.where(rows), facing[rows] > 0.0
+        scale = share / np.maximum(met.total(np.ones(len(met.ray))), 1e-12)
+        return _SeenRays(
+            origins[kept],
+            directions[kept],
+            share[kept],
+            (hits.transmittance == 0.0)[kept],
+            ray=(np.cumsum(kept) - 1)[met.ray],
+            side=(2 * met.gaussian + back).astype(np.int32),
+            weight=scale[met.ray] * met.weight,
+            along=self._directions(origins[met.ray], met.gaussian),
+        )
 
     def _facing(self, gaussian: _Rows, directions: FloatArray) -> Doubles:
         """Cosines of directions to the normals of Gaussians: above 0 where they show their backs."""
         return (self._normals[gaussian] * directions).sum(axis=1)
 
-    def _light(self, origins: FloatArray, directions: FloatArray, colors: Doubles, weights: SeenWeights) -> Doubles:
+    def _light(self, rays: _SeenRays) -> Doubles:
         """Linear light of what rays meet, by every other sample and by the others, with less noise, (2, P, 3)."""
-        twice = np.tile(origins, (2, 1)), np.tile(directions, (2, 1))
+        begins, ends, base = self._lit(rays)
+        starts = (rays.origins + begins[:, None] * rays.directions).astype(np.float32)
+        twice = (
+            np.tile(starts, (2, 1)),
+            np.tile(rays.directions, (2, 1)),
+            np.tile((ends - begins).astype(np.float32), 2),
+        )
 
-        def seen(paths: Renderer) -> tuple[Doubles, Doubles]:
-            hits = paths.trace_rays(self._scene, *twice)
+        def seen(paths: FrameRays) -> tuple[Doubles, Doubles]:
+            hits = paths.shown(self._scene, *twice)
             found = 1.0 - hits.transmittance.astype(np.float64)
             return hits.radiance.astype(np.float64).reshape(2, -1, 3), found.reshape(2, -1, 1)
 
-        light = shared_light(*seen(self._paths), colors, weights, DIRECT_SLOPE)
+        # Both sides of a sheet have light of their own.
+        sides, renamed = np.unique(rays.side, return_inverse=True)
+        weights = SeenWeights(rays.ray, renamed, rays.weight, len(rays.share), len(sides))
+        light = shared_light(*seen(self._paths), base, weights, DIRECT_SLOPE)
         if self._bounced is not None:
             (whole, found), (first, _) = map(seen, self._bounced)
-            light += shared_light(whole - first, found, colors, weights, 1.0)
+            light += shared_light(whole - first, found, base, weights, 1.0)
         return light
+
+    def _lit(self, rays: _SeenRays) -> tuple[Doubles, Doubles, Doubles]:
+        """Where the parts of rays begin and end on which nothing but relit sets is, and what these show of even light.
+
+        As lit frames sort them, by where rays meet them: viewers of captures sort them by their means. Shapes (P,),
+        (P,), (P, 3).
+        """
+        parts: list[tuple[Doubles, Doubles, Doubles]] = []
+        for rows in _ranges(len(rays.share), LINES_AT_ONCE):
+            profile = self._met.met(self._scene, rays.origins[rows], rays.directions[rows])
+            met = MetGaussians.of(profile, self._firsts)
+            begins, ends, within = clear_spans(met, self._relit[met.gaussian], rays.before_mesh[rows])
+            met = met.where(within)
+            shown = [met.total(channel[met.gaussian]) for channel in (*self._colors.T, np.ones(len(self._colors)))]
+            parts.append((begins, ends, np.stack(shown[:3], axis=1) / np.maximum(shown[3], 1e-12)[:, None]))
+        begins, ends, base = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return begins, ends, base
 
     def _shown(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
         """Display-referred colours of rays of this light, and the mean variance of their noise."""
@@ -254,6 +324,12 @@ def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles) -> Doubles:
         after = np.square(residual).sum(axis=(0, 1))
         along, before = residual + after / np.maximum(before, 1e-30) * along, after
     return sh + change
+
+
+def _ranges(count: int, at_once: int) -> Iterator[slice]:
+    """Ranges of so many numbers at once; at least an empty one."""
+    for begin in range(0, max(count, 1), at_once):
+        yield slice(begin, min(begin + at_once, count))
 
 
 def _first_kept(kept: Flags) -> Flags:

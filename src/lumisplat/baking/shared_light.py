@@ -31,48 +31,54 @@ class SeenWeights:
 
     def blended(self, values: Doubles) -> Doubles:
         """Sums over the Gaussians of each ray, (N, C) to (P, C)."""
-        return self._summed(self.ray, self.weight[:, None] * values[self.gaussian], self.rays)
+        return _sums(self.ray, self.weight, self.gaussian, values, self.rays)
 
     def mean_of(self, values: Doubles) -> Doubles:
         """Means over the rays that see each Gaussian, (P, C) to (N, C); 0 where none does."""
         total = np.maximum(np.bincount(self.gaussian, self.weight, self.gaussians), 1e-12)
-        return self._summed(self.gaussian, self.weight[:, None] * values[self.ray], self.gaussians) / total[:, None]
-
-    @staticmethod
-    def _summed(rows: _Rows, values: Doubles, count: int) -> Doubles:
-        return np.stack([np.bincount(rows, column, count) for column in values.T], axis=1).astype(np.float64)
+        return _sums(self.gaussian, self.weight, self.ray, values, self.gaussians) / total[:, None]
 
 
-def shared_light(halves: Doubles, found: Doubles, colors: Doubles, seen: SeenWeights, slope: float) -> Doubles:
-    """Light of what rays meet, drawn towards that of the same Gaussians on other rays, both halves of samples alike.
+def _sums(to: _Rows, weight: Doubles, of: _Rows, values: Doubles, count: int) -> Doubles:
+    """Weighted sums, column by column, which takes the least memory."""
+    return np.stack([np.bincount(to, weight * column[of], count) for column in values.T], axis=1).astype(np.float64)
 
-    Divided by the colours of what a ray meets, light changes little along a surface; so it is averaged over the rays
-    that meet a Gaussian, and blended on each. Rays differ from that by their noise, which the difference of halves
-    tells, and by edges of shadows and reflections, which stay. Where samples meet something or nothing by chance, light
-    is that of those that do.
+
+def shared_light(halves: Doubles, found: Doubles, base: Doubles, seen: SeenWeights, slope: float) -> Doubles:
+    """Light of what rays meet, drawn towards that of the same Gaussians on other rays.
+
+    Divided by what a ray would show of even light, light changes little along a surface; so it is averaged over the
+    rays that see a Gaussian, and blended on each, as a ratio of sums: dark rays tell little of it. Rays differ from
+    that by their noise, which the difference of halves tells, and by edges of shadows and reflections, which stay.
+    Where samples meet something or nothing by chance, light is that of those that do.
 
     Args:
         halves: Linear light by every other sample, and by the others, shape (2, P, 3).
         found: Share of these samples that met something, shape (2, P, 1).
-        colors: Base colours of the Gaussians, linear, shape (N, 3).
+        base: What rays that meet something show of even light of radiance 1, shape (P, 3).
         seen: Which Gaussians rays see.
         slope: How fast rays keep more of their own light the more they differ by more than their noise; by 1, as
             James and Stein (1961) have it.
 
     Returns:
-        Of what is met alone, shape (2, P, 3): rays of which no sample has met anything show what others see there.
+        Of what is met alone, shape (2, P, 3), each half by itself: rays of which no sample has met anything show what
+        others see there.
     """
-    weight = np.maximum(seen.blended(np.ones((len(colors), 1))), 1e-12)
-    base = np.maximum(seen.blended(colors) / weight, SHARED_COLOR_MIN)
+    weight = np.maximum(seen.blended(np.ones((seen.gaussians, 1))), 1e-12)
+    shared = np.stack([_averaged(*of_half, base, seen, weight) for of_half in zip(halves, found, strict=True)])
     both = found.sum(axis=0)
+    own = np.where(found > 0.0, halves / np.maximum(found, 1e-12), halves.sum(axis=0) / np.maximum(both, 1e-12))
+    own = np.where(both > 0.0, own, shared)
     told = (found > 0.0).all(axis=0).astype(np.float64)  # by the difference of halves, where each has met something
-    mean = halves.sum(axis=0) / np.maximum(both, 1e-12)
-    halves = np.where(found > 0.0, halves / np.maximum(found, 1e-12), mean)
-    received = seen.mean_of(np.concatenate([0.5 * both / weight * mean / base, 0.5 * both / weight], axis=1))
-    shared = seen.blended(colors * received[:, :3] / np.maximum(received[:, 3:], 1e-12)) / weight
-    halves = np.where(both > 0.0, halves, shared)
-    mean, difference = halves.mean(axis=0) / base, 0.5 * (halves[0] - halves[1]) / base
-    squares = told * np.stack([np.square(one).sum(axis=1) for one in (difference, mean - shared / base)], axis=1)
+    least = np.maximum(base, SHARED_COLOR_MIN)
+    unlike, difference = (own - shared).mean(axis=0) / least, 0.5 * (own[0] - own[1]) / least
+    squares = told * np.stack([np.square(one).sum(axis=1) for one in (difference, unlike)], axis=1)
     noise, spread = seen.mean_of(squares).T
     kept = np.clip(slope * (1.0 - noise / np.maximum(spread, 1e-300)), 0.0, 1.0)[:, None]
-    return shared + seen.blended(kept) / weight * (halves - shared)
+    return shared + seen.blended(kept) / weight * (own - shared)
+
+
+def _averaged(light: Doubles, found: Doubles, base: Doubles, seen: SeenWeights, weight: Doubles) -> Doubles:
+    """What rays show of the mean light of the Gaussians that they see, (P, 3); ``weight`` of all of these, (P, 1)."""
+    sent, received = (seen.blended(seen.mean_of(one / weight)) for one in (light, found * base))
+    return base * np.divide(sent, received, out=np.zeros_like(sent), where=received > 0.0)

@@ -29,15 +29,17 @@ class Sightlines:
     """Unit, (N, R, 3)."""
 
     @classmethod
-    def joined(cls, parts: list[Sightlines]) -> Sightlines:
-        """All of them, in order."""
-        return cls(
-            np.concatenate([part.gaussian for part in parts]),
-            np.concatenate([part.origins for part in parts]),
-            np.concatenate([part.directions for part in parts]),
-        )
+    def room(cls, gaussians: int, rays: int) -> Sightlines:
+        """Room for so many rays to each of so many Gaussians."""
+        shape = (gaussians, rays, 3)
+        return cls(np.empty(gaussians, np.int32), np.empty(shape, np.float32), np.empty(shape, np.float32))
 
-    def of(self, rows: npt.NDArray[np.int64]) -> Sightlines:
+    def put(self, first: int, some: Sightlines) -> None:
+        """Writes those of some Gaussians, from this row on."""
+        rows = slice(first, first + len(some.gaussian))
+        self.gaussian[rows], self.origins[rows], self.directions[rows] = some.gaussian, some.origins, some.directions
+
+    def of(self, rows: npt.NDArray[np.int64] | slice) -> Sightlines:
         """Those to some of the Gaussians."""
         return Sightlines(self.gaussian[rows], self.origins[rows], self.directions[rows])
 

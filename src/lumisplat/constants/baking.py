@@ -47,7 +47,8 @@ GOLDEN_STEP = 0.6180339887498949
 """Fraction of the golden ratio: its multiples are spread evenly, however many there are."""
 
 SHARED_COLOR_MIN = 0.02
-"""Least base colour by which light is divided before it is shared."""
+"""Share of even light that rays show below which differences between rays count less: what they reflect is not noise of
+light that others have, too."""
 
 DIRECT_SLOPE = 2.0
 """How fast rays keep more of their own direct light as they differ from what is shared by more than their noise: by 1,
@@ -69,7 +70,13 @@ COVERED_MIN = 0.05
 """Share of a ray that Gaussians must cover for it to tell of them."""
 
 OTHERS_MAX = 0.02
-"""Share of a ray up to which what is not baked may show on it."""
+"""Share of a ray up to which what is not baked may show on it; it is not shaded."""
+
+SPAN_PAST = 1e-4
+"""How far behind the last Gaussian rays end before meshes, of its distance: more than float32 leaves uncertain."""
+
+LINES_AT_ONCE = 2**17
+"""Lines whose Gaussians are listed at once: some 200 MB of the host's memory."""
 
 CHANGE_SPREAD = 0.15
 """Standard deviation of the changes that are expected of coefficients by what is seen together, of degree 0; of degree
@@ -81,5 +88,5 @@ MISFIT = 0.03
 TOGETHER_STEPS = 10
 """Of conjugate gradients: with 60, frames are the same to 0.2 dB."""
 
-TOGETHER_GAUSSIANS = 2**13
-"""Gaussians that are changed together: with 64 rays each, some 2 GB of the host's memory."""
+TOGETHER_LINES = 3 * 2**18
+"""Lines to Gaussians that are changed together: to 8,192 of them with 32 directions."""

@@ -91,6 +91,8 @@ class RayQueries:
         origins: FloatArray,
         directions: FloatArray,
         offsets: FloatArray | None = None,
+        *,
+        ends: FloatArray | None = None,
     ) -> RayHits:
         """Radiance and hits of rays; ``directions`` are unit vectors.
 
@@ -101,11 +103,13 @@ class RayQueries:
             directions: Likewise.
             offsets: Of rays that leave Gaussians: distances within which those as large do not count, as of shadow
                 rays, shape (N,); None: all Gaussians count.
+            ends: Distances beyond which nothing is seen, shape (N,); None: all is.
         """
         parts: list[dict[str, npt.NDArray[Any]]] = []
         nonfinite = 0
         starts, bounced = _starts(origins, offsets), offsets is not None
-        for first, batch in batches(origins, directions, np.full(len(origins), np.inf, np.float32), starts):
+        far = np.full(len(origins), np.inf, np.float32) if ends is None else ends
+        for first, batch in batches(origins, directions, far, starts):
             images, count = self._query_batch(scene, plan, first, batch, bounced=bounced)
             parts.append(images)
             nonfinite += count

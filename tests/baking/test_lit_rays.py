@@ -1,0 +1,140 @@
+"""Rays of a bake as lit frames show them: sorted by peaks, cut at what is not baked, divided by what they reflect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.baking import seen_together
+from lumisplat.baking.met_gaussians import MetGaussians, clear_spans
+from lumisplat.baking.reflected_colors import reflected_colors
+from lumisplat.baking.seen_together import Pixels, SeenTogether
+from lumisplat.baking.sightlines import Sightlines
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import decode_srgb, encode_srgb
+from support.scenes.path_scenes import ball, diffuse
+
+MATTE = ls.MaterialPbr(metallic=0.0, roughness=1.0, specular=0.0)
+DIRECT = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4, max_bounces=0)
+TRACE = replace(DIRECT, pipeline=ls.Pipeline.TRACE)
+SKY = ls.LightEnvironment(color=(0.5, 0.5, 0.5), visible=False)
+
+
+def patched_ball(*, shines: bool) -> ls.SplatInstance:
+    """A small ball, half white and half dark, by its albedo, or by captured colours that shine beside an even one."""
+    gaussians = ls.gaussians_from_mesh(ball(1.0, diffuse(1.0), rows=16), 100)
+    colors = np.where(gaussians.means[:, 1:2] < -0.1, (0.4, 0.02, 0.01), (0.8, 0.8, 0.8)).astype(np.float32)
+    if not shines:
+        return ls.SplatInstance(replace(gaussians, albedo=colors), material=MATTE)
+    sh = ((encode_srgb(colors) - 0.5) / SH_C0)[:, None].astype(np.float32)
+    even = np.full_like(colors, 0.5)
+    return ls.SplatInstance(replace(gaussians, sh=sh, albedo=even), material=replace(MATTE, emissive=(0.2, 0.2, 0.2)))
+
+
+def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.MonkeyPatch) -> tuple[Pixels, Sightlines]:
+    """What rays of a bake show, and the lines that they are of."""
+    found: list[tuple[Pixels, Sightlines]] = []
+    pixels = SeenTogether.pixels
+
+    def noted(self: SeenTogether, lines: Sightlines) -> Pixels:
+        found.append((pixels(self, lines), lines))
+        return found[-1][0]
+
+    monkeypatch.setattr(SeenTogether, "pixels", noted)
+    ls.bake(scene, config, degree=0, directions=8, device="cpu")
+    return found[0]
+
+
+@pytest.mark.parametrize("shines", [False, True])
+def test_rays_across_edges_of_colour_show_what_frames_do(shines: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paths meet a white or a dark Gaussian by chance; what is shared is what sorted rays blend of both.
+
+    Sorted by means, as viewers of captures sort them, rays across edges would be too bright by some hundredths. With
+    the albedo of Gaussians that shine by what was captured, edges would keep their noise.
+    """
+    scene = ls.Scene([patched_ball(shines=shines)], lights=[SKY])
+    shown, _ = pixels_of(scene, DIRECT, monkeypatch)
+    monkeypatch.setattr(seen_together, "shared_light", lambda halves, found, *_: halves / np.maximum(found, 1e-12))
+    truth, _ = pixels_of(scene, replace(DIRECT, samples=48), monkeypatch)
+    green = reflected_colors(scene.splats[0])[:, 1]
+    total = np.bincount(truth.ray, truth.weight)
+    mean = np.bincount(truth.ray, truth.weight * green[truth.gaussian]) / total
+    spread = np.bincount(truth.ray, truth.weight * np.abs(green[truth.gaussian] - mean[truth.ray])) / total
+    across = spread > 0.2 * green.max()
+    assert across.sum() > 50
+    errors = (shown.colors - truth.colors)[across, 1]
+    assert abs(errors.mean()) < 0.01
+    assert np.sqrt(np.square(errors).mean()) < 0.06
+
+
+def test_parts_of_rays_end_half_way_to_what_is_not_wanted() -> None:
+    """Around the Gaussian that is seen most of; before meshes just behind the last one."""
+    wanted = np.array([0, 1, 1, 0, 1, 1, 1, 0, 0], np.bool_)
+    met = MetGaussians(
+        ray=np.array([0, 0, 0, 0, 0, 1, 1, 2, 3]),
+        gaussian=np.arange(9),
+        weight=np.array([0.01, 0.5, 0.4, 0.01, 0.01, 0.6, 0.3, 0.5, 0.2]),
+        t=np.array([1.0, 2.0, 3.0, 5.0, 6.0, 2.0, 4.0, 1.0, 1.0]),
+        rays=5,
+    )
+    begin, end, within = clear_spans(met, wanted, np.array([0, 1, 0, 0, 0], np.bool_))
+    np.testing.assert_array_equal(within, [0, 1, 1, 0, 0, 1, 1, 0, 0])
+    np.testing.assert_allclose(begin, [1.5, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(end, [4.0, 4.0, 0.0, 0.0, 0.0], rtol=2e-4)
+    assert end[1] > 4.0
+
+
+LAMP = ls.MeshInstance(ball(0.7, diffuse(0.0, 30.0), rows=8), position=(0.0, -1.0, 0.0))
+"""Below."""
+
+
+def veil() -> ls.SplatInstance:
+    """A capture of white glass that keeps its look, above."""
+    white = ls.gaussians_from_mesh(ls.plane(0.6, 0.6, material=diffuse(1.0)), 60)
+    return ls.SplatInstance(replace(white, opacities=np.full_like(white.opacities, 0.1)), position=(0.0, 1.6, 0.0))
+
+
+@pytest.mark.parametrize("other", [veil(), LAMP])
+def test_what_is_not_baked_is_not_on_rays(
+    other: ls.SplatInstance | ls.MeshInstance, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sheet in the sun is Lambert's on all rays, also past a white veil, and before a bright lamp's mesh.
+
+    Less than a hundredth of a ray shows these, and would bring as much light as the sheet and more.
+    """
+    sheet = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 150), material=diffuse(0.8))
+    sheet = replace(sheet, gaussians=replace(sheet.gaussians, albedo=np.full((sheet.gaussians.count, 3), 0.8)))
+    splats, meshes = ([sheet, other], []) if isinstance(other, ls.SplatInstance) else ([sheet], [other])
+    sun = ls.LightDirectional((1.0, -1.0, 0.0), intensity=0.5)  # the shadow of the veil is beside the sheet
+    shown, _ = pixels_of(ls.Scene(splats, meshes, [sun]), TRACE, monkeypatch)
+    share = np.bincount(shown.ray, shown.weight)
+    colors = (shown.colors / share[:, None])[share > 0.5]
+    assert len(colors) > 500
+    np.testing.assert_allclose(colors, encode_srgb(0.8 / np.pi * 0.5 * np.sqrt(0.5)), atol=2e-3)
+
+
+def test_colors_of_even_light_are_those_that_are_shaded() -> None:
+    """The albedo, unless a set shines by what was captured; and the white that dielectrics mirror."""
+    captured, albedo = np.array([0.2, 0.4, 0.6]), np.array([0.5, 0.3, 0.0])
+    gaussians = ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4)
+    sh = np.broadcast_to((captured - 0.5) / SH_C0, (gaussians.count, 1, 3)).astype(np.float32)
+    whole = replace(
+        gaussians, sh=sh, albedo=np.broadcast_to(albedo, (gaussians.count, 3)).astype(np.float32), metallic=None
+    )
+
+    def of(material: ls.MaterialPbr | ls.MaterialSimple, some: ls.Gaussians = whole) -> np.ndarray:
+        return reflected_colors(ls.SplatInstance(some, material=material))[0]
+
+    linear = decode_srgb(captured)
+    np.testing.assert_allclose(of(MATTE), albedo, rtol=1e-6)
+    np.testing.assert_allclose(of(replace(MATTE, emissive=(0.1, 0.1, 0.1))), linear, rtol=1e-5)
+    np.testing.assert_allclose(of(MATTE, replace(whole, albedo=None)), linear, rtol=1e-5)
+    np.testing.assert_allclose(of(ls.MaterialPbr(ior=1.5)), 0.04 + 0.96 * albedo, rtol=1e-6)
+    np.testing.assert_allclose(of(ls.MaterialPbr(metallic=1.0)), albedo, rtol=1e-6)
+    metal = replace(whole, metallic=np.ones(whole.count, np.float32))
+    np.testing.assert_allclose(of(ls.MaterialPbr(), metal), albedo, rtol=1e-6)
+    simple = ls.MaterialSimple(emissive=(0.0, 0.0, 0.0), diffuse=(0.5, 0.5, 0.5), specular=(0.1, 0.1, 0.1))
+    np.testing.assert_allclose(of(simple), 0.1 + 0.5 * albedo, rtol=1e-6)
