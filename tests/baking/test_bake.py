@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.baking import bake as bake_module
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.math.sh import sh_basis
+from lumisplat.math.sh import even_directions, sh_basis
 from support.scenes.path_scenes import ball, diffuse
 from support.scenes.raster_scenes import similarity
 
@@ -49,13 +49,13 @@ def test_a_white_ball_in_an_even_sky_has_its_color() -> None:
     (shown,) = baked(scene).splats
     expected = encode_srgb(np.array(SKY.color))
     colors = seen_from_outside(shown.gaussians)
-    np.testing.assert_allclose(colors.mean(axis=0), expected, atol=0.004)
-    assert np.abs(colors - expected).max() < 0.05
+    np.testing.assert_allclose(colors.mean(axis=0), expected, atol=0.001)
+    assert np.abs(colors - expected).max() < 0.02
     for camera in views_of(scene):
         frame = ls.render(ls.Scene([shown]), camera, replace(TRACE, samples=1), device="cpu")
         inside = frame.alpha > 0.98
         assert inside.sum() > 500
-        assert np.abs(frame.color / np.maximum(frame.alpha, 0.5)[..., None] - expected)[inside].max() < 0.03
+        assert np.abs(frame.color / np.maximum(frame.alpha, 0.5)[..., None] - expected)[inside].max() < 0.01
 
 
 def test_a_plane_in_the_sun_is_lamberts() -> None:
@@ -73,16 +73,24 @@ def test_a_plane_in_the_sun_is_lamberts() -> None:
 
 
 def test_a_closed_ball_has_all_the_light_that_bounces() -> None:
-    """An integrating sphere around a small lamp: E = E0 / (1 - albedo (1 - r^2 / R^2))."""
+    """An integrating sphere around a small lamp: as bright as paths of the same discs, seen from the middle.
+
+    These are 2 % darker in display values than a sphere, E = E0 / (1 - albedo (1 - r^2 / R^2)): rays pass between discs.
+    """
     radius, albedo, shines = 0.2, 0.5, 20.0
     lamp = ball(radius, diffuse(0.0, shines), rows=16)
     walls = splats_of(ball(1.0, diffuse(albedo), hollow=True), 600)
-    (shown,) = baked(ls.Scene([walls], [lamp], lights=[]), replace(PATH, samples=4)).splats
+    scene = ls.Scene([walls], [lamp], lights=[])
+    (shown,) = baked(scene, replace(PATH, samples=4)).splats
+    outwards = even_directions(100).astype(np.float32)
+    rays = (0.5 * outwards, outwards)
+    seen = ls.trace_rays(ls.Scene([shown]), *rays, TRACE, device="cpu").radiance.mean(axis=0)
+    paths = ls.trace_rays(scene, *rays, replace(PATH, samples=256), device="cpu").radiance.mean(axis=0)
+    np.testing.assert_allclose(seen, encode_srgb(paths), rtol=0.005)
     direct = np.pi * shines * radius**2
     light = albedo / np.pi * direct / (1.0 - albedo * (1.0 - radius**2))
-    colors = seen_from_outside(shown.gaussians)
-    np.testing.assert_allclose(colors.mean(axis=0), encode_srgb(np.full(3, light)), rtol=0.02)
-    assert colors.std() < 0.05  # of 256 paths a Gaussian
+    np.testing.assert_allclose(encode_srgb(paths), encode_srgb(np.full(3, light)), rtol=0.03)
+    assert seen_from_outside(shown.gaussians).std() < 0.05  # of 256 paths a Gaussian
 
 
 def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:

@@ -9,6 +9,7 @@ import warp as wp
 
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.particle import canonical_from_object, gaussian_color, gaussian_facing, reach_squared
+from lumisplat.device.gaussian.projection import towards
 from lumisplat.device.math.directions import TWO_PI
 from lumisplat.device.math.random import branch_key, pixel_key_of, sample_key_of, sobol_2d
 from lumisplat.device.structs.camera import SampleData
@@ -99,9 +100,7 @@ def store_hit(
         color = gaussian_color(gaussians, k, eye, wp.min(sh_degree, instance.sh_degree))
     normal = gaussian_facing(gaussians, k, eye)
     if instance.own_normals != 0:
-        normal = gaussians.normals[k]
-        if wp.dot(normal, direction) > 0.0:  # seen from behind, at any angle
-            normal = -normal
+        normal = towards(gaussians.normals[k], -direction)
     hits.color[i] = color
     hits.normal[i] = instance.world_from_object * normal
     hits.transmittance[i] = 0.0
