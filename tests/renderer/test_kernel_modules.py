@@ -10,8 +10,9 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.demo.shapes import icosphere
+from lumisplat.progress import Progress
 from lumisplat.renderer.renderer import Renderer
-from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 LAMP = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
