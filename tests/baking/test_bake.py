@@ -75,7 +75,8 @@ def test_a_plane_in_the_sun_is_lamberts() -> None:
 def test_a_closed_ball_has_all_the_light_that_bounces() -> None:
     """An integrating sphere around a small lamp: as bright as paths of the same discs, seen from the middle.
 
-    These are 2 % darker in display values than a sphere, E = E0 / (1 - albedo (1 - r^2 / R^2)): rays pass between them.
+    These are 2 % darker in display values than a sphere, E = E0 / (1 - albedo (1 - r^2 / R^2)): 3 % of each bounce
+    leaves at flat angles, where neighbours are too near to cast a shadow, and the lamp has facets.
     """
     radius, albedo, shines = 0.2, 0.5, 20.0
     lamp = ball(radius, diffuse(0.0, shines), rows=16)

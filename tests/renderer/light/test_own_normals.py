@@ -70,7 +70,7 @@ def test_a_light_from_the_side_shines_on_its_own_silhouette(pipeline: ls.Pipelin
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_a_sheet_from_behind_is_turned_around(pipeline: ls.Pipeline) -> None:
-    """More than 30 degrees beyond the horizon, the opposite of the normal is seen; less, it is bent to the horizon."""
+    """More than 30 degrees beyond the horizon, its opposite is the normal; less, images have it bent to the horizon."""
     for beyond, shown in ((70.0, "turned"), (40.0, "turned"), (20.0, "bent"), (1.0, "bent"), (-10.0, "kept")):
         along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
         own = np.array([across, 0.0, along])
