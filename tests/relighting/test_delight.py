@@ -229,6 +229,17 @@ def test_what_was_captured_comes_back_in_its_own_light() -> None:
     assert apart[False] < 0.08 and apart[True] > 0.25
 
 
+def test_a_channel_that_would_be_mirrored_is_told(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Saturated colours are paler once they are relit: one dark channel is enough to be counted, unless all is matt."""
+    captured = colored(ball[0], np.tile((0.6, 0.3, 0.004), (ball[0].count, 1)))
+    found, matt = (
+        ls.estimate_materials(captured, ls.DelightConfig(cells=4, matt=matt), device="cpu") for matt in (False, True)
+    )
+    assert found.is_too_dark.mean() > 0.95
+    assert "--matt" in "\n".join(found.remarks)
+    assert not matt.is_too_dark.any()
+
+
 def test_what_looks_the_same_from_all_sides_is_not_glossy(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Harmonics of degree 1 that are zero: rough. Degree 0: 0.8 to the bit, and nothing is sure."""
     plain, albedo = ball
@@ -318,7 +329,7 @@ def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]
     assert "50.0% of the Gaussians is not explained" in text
     assert "3.5" in text
     assert "25.0% of the Gaussians are as bright as display white" in text
-    assert "20.0% of the Gaussians are darker than what they would mirror" in text
+    assert "20.0% of the Gaussians are darker, in a channel at least, than what they would mirror" in text
     assert "views from all sides tell the roughness of 50% of the Gaussians" in text
     unsure = "\n".join(replace(estimate, sureness=np.zeros(n, np.float32)).remarks)
     assert "roughness is 0.8 everywhere" in unsure

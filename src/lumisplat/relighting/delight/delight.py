@@ -180,7 +180,7 @@ class _Delighter:
             is_inside=inside,
             out_of_range=(albedo > 1.0).any(axis=1) & (lamps < 0),
             is_white=white & (lamps < 0),
-            is_too_dark=np.asarray((shown < mirrored).all(axis=1)),
+            is_too_dark=np.asarray((shown < mirrored).any(axis=1)),
         )
 
     def _checked_outgoing(self, normals: Doubles, white: Flags) -> Doubles:

@@ -46,7 +46,8 @@ class MaterialEstimate:
     is_white: Flags
     """Gaussians, but for lamps, that may have been brighter than could be captured: their albedo is a guess; (N,)."""
     is_too_dark: Flags
-    """Gaussians that are darker than what a surface as they have mirrors: relit, they come out lighter; shape (N,)."""
+    """Gaussians that are darker in a channel than what a surface as they have mirrors: relit, they come out lighter
+    there, and saturated colours paler; shape (N,)."""
 
     def sky_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
         """The sky as a latitude-longitude image for `LightEnvironment`, shape (H, 2 H, 3); black if there is none.
@@ -101,7 +102,10 @@ class MaterialEstimate:
         if (share := float(self.is_white.mean())) > TOO_LIGHT:
             lines.append(f"{share:.1%} of the Gaussians are as bright as display white: their albedo is a guess")
         if (share := float(self.is_too_dark.mean())) > TOO_LIGHT:
-            lines.append(f"{share:.1%} of the Gaussians are darker than what they would mirror, and come out lighter")
+            lines.append(
+                f"{share:.1%} of the Gaussians are darker, in a channel at least, than what they would mirror, and "
+                "come out lighter and paler: --matt, or matt=True, is for what mirrors nothing"
+            )
         if (share := float((self.residual > RESIDUAL_LARGE).mean())) > TOO_LIGHT:
             lines.append(f"the captured colour of {share:.1%} of the Gaussians is not explained")
         return tuple(lines)
