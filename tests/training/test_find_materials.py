@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import lumisplat as ls
-from lumisplat.math.color import decode_srgb
+from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.panorama import panorama_directions
 from lumisplat.math.sh import even_directions
 from lumisplat.relighting.albedo.irradiance import Irradiance
@@ -179,6 +181,24 @@ def test_bad_settings(name: str, value: float, problem: str) -> None:
     """Are named."""
     with pytest.raises(ls.ConfigError, match=problem):
         ls.MaterialsConfig(**cast(Any, {name: value}))
+
+
+def test_photographs_of_changing_exposure_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Every third a stop darker, every third a stop brighter, beside the same photographs as they were."""
+    capture = matte(ball(200), 0.5 * GREY, even)
+    folder = photographed(tmp_path, capture, count=9, size=32)
+    quick = ls.MaterialsConfig(directions=32, sky_steps=1, iterations=0)
+    ls.find_materials(capture, folder, quick, device="cpu")
+    assert "exposure" not in caplog.text
+    for number, path in enumerate(sorted(folder.rglob("*.png"))):
+        pixels = np.asarray(Image.open(path), np.float64) / 255.0
+        linear = decode_srgb(pixels[..., :3]) * 2.0 ** (number % 3 - 1)
+        pixels[..., :3] = encode_srgb(np.clip(linear, 0.0, 1.0))
+        Image.fromarray((255.0 * pixels + 0.5).astype(np.uint8)).save(path)
+    ls.find_materials(capture, folder, quick, device="cpu")
+    told = re.search(r"by ([\d.]+) stops \(standard deviation\): their exposure changes", caplog.text)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(np.std([-1, -1, 0, 0, 0, 1, 1, 1]), abs=0.03)  # the first one is held out
 
 
 def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:

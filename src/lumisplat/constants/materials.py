@@ -19,6 +19,20 @@ VIEW_COSINE_MIN = 0.1
 """Cosine between normal and view, below which a Gaussian is shaded as if seen from there: normals are uncertain, and
 black at silhouettes would be taken for albedo."""
 
+# --- Exposures ---
+
+EXPOSURE_VIEWS = 24
+"""Photographs whose exposures are compared, at most."""
+
+EXPOSURE_PIXELS = 64
+"""Of a photograph, at least, for it to tell."""
+
+EXPOSURE_RANGE = (0.08, 0.92)
+"""Display values between which neither black nor white has cut off what was there."""
+
+EXPOSURES_DIFFER = 0.25
+"""Standard deviation of exposures, stops, from which on it is said: a set of one exposure has below 0.1."""
+
 # --- The start ---
 
 OUTGOING_DIRECTIONS = 64

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections import deque
@@ -13,6 +14,7 @@ import numpy as np
 
 from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
+from lumisplat.constants.materials import EXPOSURES_DIFFER
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io import save
 from lumisplat.io.files.atomic import atomic_write, check_can_be_written
@@ -31,6 +33,7 @@ from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
+from lumisplat.training.materials.exposure_spread import exposure_spread
 from lumisplat.training.materials.incident import IncidentRadiance, traced_incident
 from lumisplat.training.materials.lit_gaussians import Materials
 from lumisplat.training.materials.material_checkpoint import FoundSoFar, MaterialFiles
@@ -41,6 +44,8 @@ from lumisplat.training.materials.sky_image import sky_image
 from lumisplat.training.run_folder import RunFolder
 from lumisplat.training.train import CHECKPOINT_EVERY_S
 from lumisplat.training.views import TrainingView
+
+_log = logging.getLogger("lumisplat")
 
 ENVIRONMENT = ".environment.exr"
 """What the file of the sky ends in."""
@@ -159,6 +164,7 @@ class _Search:
         """Where steps begin, and what was traced for them."""
         config, gaussians = self._config, self._gaussians
         normals, weights = self._normals()
+        self._tell_exposures()
         directions = even_directions(config.directions)
         incident = self._incident(normals)
         white, outgoing = incident.irradiance(normals), mean_outgoing(gaussians, normals)
@@ -183,6 +189,18 @@ class _Search:
         if not weights.any():
             raise SceneError("no photograph shows anything of the capture: they are of something else, or elsewhere")
         return normals, weights
+
+    def _tell_exposures(self) -> None:
+        """Says so if photographs are brighter or darker than what the capture shows."""
+        settings = RenderConfig(pipeline=Pipeline.RASTER, lighting=False)
+        renderer = create_renderer(settings, self._device, threads=self._threads, progress=self._progress)
+        spread = exposure_spread(self._gaussians, self._views, renderer, self._progress)
+        if spread > EXPOSURES_DIFFER:
+            _log.warning(
+                "photographs are brighter or darker than the capture, by %.2g stops (standard deviation): their "
+                "exposure changes, and is taken for material and light, or the capture was trained too shortly",
+                spread,
+            )
 
     def _incident(self, normals: Doubles) -> IncidentRadiance:
         directions = even_directions(self._config.directions)

@@ -197,7 +197,7 @@ class Train(DeviceCommand):
         if found.too_light > _TOO_LIGHT:
             print(
                 f"{found.too_light:.0%} of what is seen is lighter than the sky that was found can make it: "
-                "highlights, light that no photograph shows, or photographs of changing exposure"
+                "highlights, or light that no photograph shows"
             )
 
     def _seconds(self) -> float | None:
