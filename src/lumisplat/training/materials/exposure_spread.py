@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Sequence
 
 import numpy as np
 
 from lumisplat.constants.materials import EXPOSURE_PIXELS, EXPOSURE_RANGE, EXPOSURE_VIEWS
-from lumisplat.math.arrays import Flags
+from lumisplat.frame.frame import Frame
 from lumisplat.math.color import decode_srgb
 from lumisplat.progress import Progress
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
-from lumisplat.training.views import TrainingView
+from lumisplat.training.views import Picture, TrainingView
+
+_INSIDE = 0.99
+"""Alpha, or weight, from which on a pixel shows nothing else, or counts."""
 
 
 def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], renderer: Renderer, report: Progress) -> float:
-    """Standard deviation of the photographs' brightness relative to what the capture shows, stops.
-
-    Of each of some photographs, the median over pixels that neither black nor white has cut off.
+    """Standard deviation of how bright photographs are relative to what the capture shows, stops.
 
     Args:
         gaussians: The capture.
@@ -32,17 +34,28 @@ def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], rendere
         0 where fewer than three photographs tell.
     """
     scene, stops = Scene([gaussians]), list[float]()
-    chosen = views[:: -(-len(views) // EXPOSURE_VIEWS)]
+    # In no order: bracketed exposures come again every few photographs.
+    chosen = random.Random(0).sample(views, min(len(views), EXPOSURE_VIEWS))
     for number, view in enumerate(chosen):
         report("comparing exposures", number / len(chosen))
-        picture, frame = view.read(), renderer.render(scene, view.camera)
-        both = np.stack([picture.color.mean(axis=2), frame.color.mean(axis=2)])
-        told: Flags = ((both > EXPOSURE_RANGE[0]) & (both < EXPOSURE_RANGE[1])).all(axis=0)
-        inside: Flags = told & (frame.alpha > 0.99)
-        for share in (picture.weight, picture.alpha):
-            if share is not None:
-                inside &= share > 0.99
-        if inside.sum() >= EXPOSURE_PIXELS:
-            photograph, shown = (float(np.median(decode_srgb(one[inside]))) for one in both)
-            stops.append(math.log2(photograph / shown))
+        stops += _stops_beyond(view.read(), renderer.render(scene, view.camera))
     return float(np.std(stops)) if len(stops) >= 3 else 0.0
+
+
+def _stops_beyond(picture: Picture, frame: Frame) -> list[float]:
+    """By how many stops a photograph is brighter: the ratio of medians over pixels that neither end has cut off.
+
+    Returns:
+        Nothing where these are few.
+    """
+    photograph, shown = picture.color.mean(axis=2), frame.color.mean(axis=2)
+    inside = frame.alpha > _INSIDE
+    for brightness in (photograph, shown):
+        inside = inside & (brightness > EXPOSURE_RANGE[0]) & (brightness < EXPOSURE_RANGE[1])
+    for share in (picture.weight, picture.alpha):
+        if share is not None:
+            inside = inside & (share > _INSIDE)
+    if inside.sum() < EXPOSURE_PIXELS:
+        return []
+    medians = [float(np.median(decode_srgb(one[inside]))) for one in (photograph, shown)]
+    return [math.log2(medians[0] / medians[1])]
