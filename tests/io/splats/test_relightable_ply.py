@@ -170,6 +170,28 @@ def test_materials_of_unknown_trainers_are_left_out(
         assert words in message
 
 
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        (("base_color_2",), "albedo left out: no base_color_2"),
+        (("nx", "nz"), "normals left out: no nx, nz"),
+        (("base_color_1", "base_color_2"), "albedo left out: no base_color_1, base_color_2"),
+        (("roughness",), None),
+    ],
+)
+def test_materials_that_lack_a_column_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, missing: tuple[str, ...], said: str | None
+) -> None:
+    """A line says which; what is not there at all is nothing to say."""
+    row = {name: value for name, value in r3dg_row((0.0, 0.25, 1.0), 0.5).items() if name not in missing}
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        loaded = load_gaussians(write(tmp_path / "a.ply", row))
+    told = [record.getMessage() for record in caplog.records]
+    assert told == ([] if said is None else [f"{tmp_path / 'a.ply'}: {said}"])
+    field = "roughness" if said is None else said.split()[0]
+    assert getattr(loaded, field) is None
+
+
 def test_marked_files_out_of_range_are_refused(tmp_path: Path) -> None:
     """A file that says that its values are linear, and holds others, is damaged."""
     path = write(

@@ -121,6 +121,7 @@ def read_splat_ply(
     if columns is None:
         raise FormatError(header.path, "holds zero Gaussians: there is nothing to render")
     _flatten_2d(columns, vertex)
+    _tell_incomplete_materials(header, vertex, columns)
     _leave_out_unknown_materials(header, vertex, columns)
     return columns
 
@@ -218,6 +219,14 @@ def column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
         if values is not None:
             targets += zip(columns.property_names(field), values.reshape(columns.count, -1).T, strict=True)
     return targets
+
+
+def _tell_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
+    """Logs which materials are not read because a column of them is missing."""
+    for field, names in columns.material_columns.properties.items():
+        missing = [name for name in names if name not in vertex.names]
+        if 0 < len(missing) < len(names):
+            _log.warning("%s: %s left out: no %s", os.fspath(header.path), field, ", ".join(missing))
 
 
 def _leave_out_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
