@@ -76,7 +76,7 @@ def test_materials_are_of_poses_that_were_refined(
         (("-o", "a.compressed.ply"), "a.compressed.ply, expected a .ply: others have no columns for --relightable"),
         (("-o", "a.ply", "--pipeline", "trace"), "--relightable is of --pipeline raster and --projection ewa"),
         (("-o", "a.ply", "--exposures"), "of one exposure: leave out --exposures"),
-        (("-o", "a.ply", "--material-steps", "-1"), "iterations is -1, expected"),
+        (("-o", "a.ply", "--material-steps", "-1"), "--material-steps is -1, expected 0 or more"),
     ],
 )
 def test_mistakes(options: tuple[str, ...], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,6 +122,8 @@ class Train(DeviceCommand):
             raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
         if self.relightable and self.exposures:
             raise ls.ConfigError("--relightable finds materials of photographs of one exposure: leave out --exposures")
+        if self.material_steps < 0:
+            raise ls.ConfigError(f"--material-steps is {self.material_steps}, expected 0 or more")
         for made in (self._config, self._materials_config, self._seconds, self._checked_background):
             made()
 
