@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import lumisplat as ls
 from lumisplat.cli import main
+from lumisplat.math.color import decode_srgb
 from support.scenes.training_scenes import folder_of
 
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--device", "cpu", "--material-steps", "3")
@@ -34,7 +36,11 @@ def test_a_capture_gets_materials_and_its_sky(tmp_path: Path, capsys: pytest.Cap
     report = output.with_suffix(".training") / "materials"
     told = json.loads((report / "materials.json").read_text())
     assert told["gaussians"] == found.count and told["error"] > 0.0
-    assert (report / "environment.png").exists() and len(list(report.glob("*.png"))) == 3
+    assert len(list(report.glob("*.png"))) == 3
+    # However bright the sky is: 0.3 of display white on average, but for what is brighter than white.
+    assert decode_srgb(np.asarray(Image.open(report / "environment.png")) / 255.0).mean() == pytest.approx(
+        0.3, abs=0.05
+    )
     assert "flatness = 0.3" in (output.with_suffix(".training") / "settings.toml").read_text()
 
 

@@ -17,6 +17,8 @@ _VIEWS = 4
 """Photographs beside which materials are shown, at most."""
 _SKY_PX = 16
 """Side of a pixel of the sky's picture."""
+_SKY_MEAN = 0.3
+"""Mean of the sky in its picture, linear: how bright it is there is a convention, and above 1 is white."""
 _SH_C0 = 0.28209479177387814
 
 
@@ -35,7 +37,8 @@ def write_materials(folder: Path, found: ls.FoundMaterials, photographs: ls.Phot
         write_picture(folder / f"{stem}.png", np.concatenate(shown, axis=1))
     image = found.environment.image
     if image is not None:
-        write_picture(folder / "environment.png", np.kron(_encoded(image), np.ones((_SKY_PX, _SKY_PX, 1))))
+        exposed = image * (_SKY_MEAN / max(float(image.mean()), 1e-9))
+        write_picture(folder / "environment.png", np.kron(_encoded(exposed), np.ones((_SKY_PX, _SKY_PX, 1))))
     told = plain({"error": found.error, "too_light": found.too_light}) | {"gaussians": found.gaussians.count}
     write_json(folder / "materials.json", told)
 
