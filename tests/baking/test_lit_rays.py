@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from lumisplat.baking.reflected_colors import reflected_colors
 from lumisplat.baking.seen_together import Pixels, SeenTogether
 from lumisplat.baking.sightlines import Sightlines
 from lumisplat.constants import SH_C0
-from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.scenes.path_scenes import ball, diffuse
 
@@ -70,25 +68,6 @@ def test_rays_across_edges_of_colour_show_what_frames_do(shines: bool, monkeypat
     errors = (shown.colors - truth.colors)[across, 1]
     assert abs(errors.mean()) < 0.01
     assert np.sqrt(np.square(errors).mean()) < 0.06
-
-
-def test_backs_begin_where_lit_rays_turn_normals_around(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Up to 30 degrees beyond the horizon, the light of a Gaussian is that of its front, and shared as such."""
-    found: list[Any] = []
-    light = SeenTogether._light  # pyright: ignore[reportPrivateUsage]
-
-    def noted(self: SeenTogether, rays: Any) -> Doubles:
-        found.append(rays)
-        return light(self, rays)
-
-    monkeypatch.setattr(SeenTogether, "_light", noted)
-    shown = patched_ball(shines=False)
-    ls.bake(ls.Scene([shown], lights=[SKY]), TRACE, degree=0, directions=8, device="cpu")
-    (rays,) = found
-    assert shown.gaussians.normals is not None
-    facing = (shown.gaussians.normals[rays.side // 2] * rays.directions[rays.ray]).sum(axis=1)
-    np.testing.assert_array_equal(rays.side % 2 == 1, facing > 0.5)
-    assert min((facing > 0.5).sum(), ((facing > 0.0) & (facing <= 0.5)).sum()) > 50
 
 
 def test_parts_of_rays_end_half_way_to_what_is_not_wanted() -> None:

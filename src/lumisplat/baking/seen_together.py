@@ -23,7 +23,6 @@ from lumisplat.baking.sightlines import Sightlines
 from lumisplat.baking.view_weights import plane_normals
 from lumisplat.baking.visible_lights import meets_light
 from lumisplat.config import HitDistance, Pipeline, RenderConfig
-from lumisplat.constants import BEYOND_HORIZON
 from lumisplat.constants.baking import (
     BOUNCED_MIN,
     BOUNCED_PART,
@@ -85,7 +84,7 @@ class _SeenRays:
     ray: _Rows
     """Ascending, (S,)."""
     side: IntArray
-    """Twice the number of the Gaussian, and one more where its back is lit, (S,)."""
+    """Twice the number of the Gaussian, and one more where its back is seen, (S,)."""
     weight: Doubles
     """They add up to the share of each ray, (S,)."""
     along: FloatArray
@@ -177,9 +176,7 @@ class SeenTogether:
             kept &= ~meets_light(self._scene.lights, origins, directions)
         kept = _first_kept(kept.reshape(lines.origins.shape[:2]))
         rows = kept[met.ray] & relit & (met.weight > SIGHT_MIN)
-        # Lit rays turn normals that are stored around no sooner than there.
-        beyond = np.where(self._knows_front, BEYOND_HORIZON, 0.0)
-        met, back = met.where(rows), facing[rows] > beyond[met.gaussian[rows]]
+        met, back = met.where(rows), facing[rows] > 0.0
         scale = share / np.maximum(met.total(np.ones(len(met.ray))), 1e-12)
         return _SeenRays(
             origins[kept],
