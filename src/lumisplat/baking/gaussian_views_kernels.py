@@ -100,7 +100,7 @@ def store_hit(
         color = gaussian_color(gaussians, k, eye, wp.min(sh_degree, instance.sh_degree))
     normal = gaussian_facing(gaussians, k, eye)
     if instance.own_normals != 0:
-        normal = towards(gaussians.normals[k], -direction)
+        normal = towards(gaussians.normals[k], -direction, 0.0)
     hits.color[i] = color
     hits.normal[i] = instance.world_from_object * normal
     hits.transmittance[i] = 0.0

@@ -51,12 +51,13 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 
 
 @wp.func
-def towards(normal: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
-    """The unit normal, or its opposite where it faces away from the eye by more than a surface that bends away does.
+def towards(normal: wp.vec3, to_eye: wp.vec3, beyond: float) -> wp.vec3:
+    """The unit normal, or its opposite where it faces away from the eye by more than a cosine.
 
-    Silhouettes show Gaussians whose normals are a little beyond the horizon (docs/method/gaussians.md#normals).
+    Pixels see silhouettes, which show Gaussians whose normals are a little beyond the horizon (BEYOND_MAX,
+    docs/method/gaussians.md#normals). Light arrives from anywhere, at sheets from either side (0).
     """
-    return wp.where(wp.dot(normal, to_eye) < -BEYOND_MAX * wp.length(to_eye), -normal, normal)
+    return wp.where(wp.dot(normal, to_eye) < -beyond * wp.length(to_eye), -normal, normal)
 
 
 @wp.func
@@ -136,7 +137,7 @@ def project_gaussian(
         degree = wp.min(wp.min(raster.sh_degree, instance.sh_degree), stored)
         splat.color = sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
     if instance.own_normals != 0:
-        splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye)
+        splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye, BEYOND_MAX)
     else:
         splat.normal = instance.world_from_object * gaussian_normal(rotation, scale, to_eye)
     return splat

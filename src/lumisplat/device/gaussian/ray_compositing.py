@@ -7,7 +7,7 @@ import warp as wp
 
 from lumisplat.device.gaussian.compositing import empty_pixel, instance_of, lay_behind
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
-from lumisplat.device.gaussian.projection import towards
+from lumisplat.device.gaussian.projection import BEYOND_MAX, towards
 from lumisplat.device.math.random import draw
 from lumisplat.device.structs.bvh import AssetBvh, TraceData
 from lumisplat.device.structs.raster import BlendState
@@ -72,7 +72,7 @@ def blend_hit(
     color = hit_color(view, instance, gaussians, i, eye)
     normal = wp.vec3()
     if instance.own_normals != 0:
-        normal = towards(gaussians.normals[i], -direction)
+        normal = towards(gaussians.normals[i], -direction, wp.where(ray.spread > 0.0, BEYOND_MAX, 0.0))
     elif view.ellipsoid_normal != 0:
         normal = ellipsoid_normal(instance, gaussians, i, origin, direction, ray)
     else:

@@ -8,7 +8,7 @@ import warp as wp
 from lumisplat.device.camera.camera import FISHEYE
 from lumisplat.device.camera.lens import row_time, seen_point, view_at
 from lumisplat.device.camera.tiles import TILE
-from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, OPACITY_MIN, gaussian_normal, towards
+from lumisplat.device.gaussian.projection import BEYOND_MAX, LOG_ALPHA_MIN, OPACITY_MIN, gaussian_normal, towards
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import PixelBox, RayRasterData, RaySplat, TileRect, WorldGaussian
@@ -115,7 +115,7 @@ def ray_splat(
         degree = wp.min(wp.min(raster.sh_degree, instance.sh_degree), stored)
         splat.color = sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
     if instance.own_normals != 0:
-        splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye)
+        splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye, BEYOND_MAX)
     else:
         rotation = wp.quat_to_matrix(gaussians.rotations[i])
         splat.normal = instance.world_from_object * gaussian_normal(rotation, gaussians.scales[i], to_eye)
