@@ -49,13 +49,13 @@ def test_a_white_ball_in_an_even_sky_has_its_color() -> None:
     (shown,) = baked(scene).splats
     expected = encode_srgb(np.array(SKY.color))
     colors = seen_from_outside(shown.gaussians)
-    np.testing.assert_allclose(colors.mean(axis=0), expected, atol=0.001)
-    assert np.abs(colors - expected).max() < 0.02
+    np.testing.assert_allclose(colors.mean(axis=0), expected, atol=0.004)
+    assert np.abs(colors - expected).max() < 0.05
     for camera in views_of(scene):
         frame = ls.render(ls.Scene([shown]), camera, replace(TRACE, samples=1), device="cpu")
         inside = frame.alpha > 0.98
         assert inside.sum() > 500
-        assert np.abs(frame.color / np.maximum(frame.alpha, 0.5)[..., None] - expected)[inside].max() < 0.01
+        assert np.abs(frame.color / np.maximum(frame.alpha, 0.5)[..., None] - expected)[inside].max() < 0.03
 
 
 def test_a_plane_in_the_sun_is_lamberts() -> None:
