@@ -31,7 +31,8 @@ EXPOSURE_RANGE = (0.08, 0.92)
 """Display values between which neither black nor white has cut off what was there."""
 
 EXPOSURES_DIFFER = 0.25
-"""Standard deviation of exposures, stops, from which on it is said: a set of one exposure has below 0.1."""
+"""Standard deviation of exposures, stops, from which on it is said: photographs of one exposure have 0.1,
+rendered ones 0.01."""
 
 # --- The start ---
 

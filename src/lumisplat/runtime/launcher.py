@@ -42,7 +42,6 @@ SCRATCH_BYTES_KEPT = 2**30
 """Memory of its pool that a GPU does not take back when it is idle, bytes: otherwise the scratch space of sums and
 sorts, about 16 bytes for each (tile, Gaussian) pair, is got anew in every frame that is not replayed from a graph."""
 
-
 Kernel = wp.Kernel | Callable[..., None]
 """A Warp kernel, which type checkers take for the function that it is made of."""
 

@@ -33,7 +33,6 @@ from lumisplat.training.views import TrainingView
 
 _log = logging.getLogger("lumisplat")
 
-
 CAPTURES = (".ply", ".spz")
 CHECKPOINT_EVERY_S = 60.0
 """Seconds between two checkpoints."""

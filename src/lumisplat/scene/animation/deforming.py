@@ -28,8 +28,9 @@ class Deforming:
             FormatError: It cannot be read.
         """
         check_time(time)
-        if time not in self._shown:
-            read = self.read(time)
+        shown = self._shown.get(time)
+        if shown is None:
+            shown = self.read(time)
             self._shown.clear()
-            self._shown[time] = read
-        return self._shown[time]
+            self._shown[time] = shown
+        return shown

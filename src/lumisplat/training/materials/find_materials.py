@@ -163,8 +163,10 @@ class _Search:
     def _begun(self) -> tuple[FoundSoFar, IncidentRadiance]:
         """Where steps begin, and what was traced for them."""
         config, gaussians = self._config, self._gaussians
-        normals, weights = self._normals()
-        self._tell_exposures()
+        settings = RenderConfig(pipeline=Pipeline.RASTER, lighting=False)
+        renderer = DifferentiableRenderer(settings, self._device, threads=self._threads, progress=self._progress)
+        normals, weights = self._normals(renderer)
+        self._tell_exposures(renderer)
         directions = even_directions(config.directions)
         incident = self._incident(normals)
         white, outgoing = incident.irradiance(normals), mean_outgoing(gaussians, normals)
@@ -180,25 +182,21 @@ class _Search:
             self._files.write(so_far)
         return so_far, incident
 
-    def _normals(self) -> tuple[Doubles, Doubles]:
+    def _normals(self, renderer: DifferentiableRenderer) -> tuple[Doubles, Doubles]:
         """Of Gaussians, and how much of the photographs these are."""
-        settings = RenderConfig(pipeline=Pipeline.RASTER, lighting=False)
-        renderer = DifferentiableRenderer(settings, self._device, threads=self._threads, progress=self._progress)
         cameras = [view.camera for view in self._views]
         normals, weights = seen_normals(self._gaussians, cameras, renderer, self._progress)
         if not weights.any():
             raise SceneError("no photograph shows anything of the capture: they are of something else, or elsewhere")
         return normals, weights
 
-    def _tell_exposures(self) -> None:
+    def _tell_exposures(self, renderer: DifferentiableRenderer) -> None:
         """Says so if photographs are brighter or darker than what the capture shows."""
-        settings = RenderConfig(pipeline=Pipeline.RASTER, lighting=False)
-        renderer = create_renderer(settings, self._device, threads=self._threads, progress=self._progress)
         spread = exposure_spread(self._gaussians, self._views, renderer, self._progress)
         if spread > EXPOSURES_DIFFER:
             _log.warning(
                 "photographs are brighter or darker than the capture, by %.2g stops (standard deviation): their "
-                "exposure changes, and is taken for material and light, or the capture was trained too shortly",
+                "exposure changes, and is taken for material and light, or the capture was trained by too few steps",
                 spread,
             )
 
