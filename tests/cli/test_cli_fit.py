@@ -116,6 +116,11 @@ def test_lights_of_a_photograph_go_into_a_scene_file(work):
 
 def test_an_environment_lies_beside_the_scene_file(work):
     """Harmonics become an image that the file names by a relative path, and that is read again."""
+    sunlit = work.path("truth.toml").read_text() + "[environment]\ncolor = [0.5, 0.6, 0.8]\nvisible = false\n"
+    work.path("sunlit.toml").write_text(sunlit)
+    scene = ls.load(work.path("sunlit.toml"))
+    assert isinstance(scene, ls.Scene)
+    ls.render(scene, ls.load_cameras(work.path("sunlit.toml"))[0], device="cpu").save(work.path("door.png"))
     done = work.run(
         "fit",
         "@room.toml",
@@ -137,6 +142,16 @@ def test_an_environment_lies_beside_the_scene_file(work):
     assert work.path("f.assets/environment.exr").exists()
     assert 'path = "f.assets/environment.exr"' in work.path("f.toml").read_text()
     assert "environment" in lights_of(work, "f.toml")
+
+
+def test_no_file_of_a_sky_that_was_not_found(work, caplog):
+    """Lamps alone shone: one line says so, and the scene names no environment, where one that is black would pass."""
+    options = ("--environment-degree", "1", "--size", "32", "--pipeline", "raster", "--samples", "2", "--device", "cpu")
+    done = work.run("fit", "@room.toml", "@door.png", *options, "-o", "@f.toml")
+    assert done.status == 0, done.err
+    assert "environment: none of its light was found in the photographs, and the scene has none" in caplog.messages
+    assert "environment" not in work.path("f.toml").read_text() and "environment" not in done.out
+    assert not work.path("f.assets").exists()
 
 
 def test_several_photographs_and_a_report(work):

@@ -248,6 +248,27 @@ def check_sky(found: ls.LightFit, truth: EnvironmentProbe) -> None:
     assert (found.environment.radiance(directions) > -0.02).all()
 
 
+@pytest.mark.parametrize("room", [open_above, closed])
+def test_an_environment_of_which_nothing_is_found_is_none(room):
+    """Lamps alone: one line says that there is no sky, whether none gets in or none shone."""
+    lamps = three_lamps()
+    options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
+    found = fitted(room(*unknown(*lamps)), taken(room(*lamps), VIEW), **options)
+    assert found.environment is None and found.scene.lights == found.lights and len(found.lights) == 3
+    assert len(found.shares) == len(found.standard_errors) == len(found.position_errors) == 3
+    assert found.remarks[0] == "environment: none of its light was found in the photographs, and the scene has none"
+    assert_powers(found.lights, lamps, 0.03)
+
+
+def test_a_red_sky_is_found():
+    """Where two channels are black, and so left out, everywhere."""
+    red, camera = ls.LightEnvironment(color=(1.0, 0.0, 0.0), intensity=0.4), view(32, 24)
+    config = ls.RenderConfig(samples=16)
+    found = fitted(open_above(), taken(open_above(red), camera, config), camera, config=config, environment_degree=0)
+    assert found.environment is not None and found.shares == pytest.approx([1.0], abs=1e-6)
+    np.testing.assert_allclose(found.environment.radiance(np.eye(3))[:, 0], 0.4, rtol=0.05)
+
+
 def test_an_environment_with_an_image_keeps_it():
     """It is one light, whose strength and colour are found; without harmonics unless they are asked for."""
     image = sky().image(16)

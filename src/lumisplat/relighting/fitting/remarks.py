@@ -25,13 +25,13 @@ _OFF = 1e-6
 
 
 def remarks_of(
-    given: Scene, options: FitOptions, guesser: Guesser, guess: Guess, certainty: Certainty
+    given: Scene, options: FitOptions, guesser: Guesser, guess: Guess, certainty: Certainty, *, has_sky: bool
 ) -> tuple[str, ...]:
-    """The lines; arguments as of ``result_of``."""
+    """The lines; arguments as of ``result_of``, and whether light of harmonics was found."""
     return (
         *_held(given, options, guesser),
         *_colors(guesser, guess),
-        *_lights(guesser, guess, certainty),
+        *_lights(guesser, guess, certainty, has_sky=has_sky),
         *_photographs(guesser, guess),
     )
 
@@ -62,16 +62,18 @@ def _colors(guesser: Guesser, guess: Guess) -> Iterator[str]:
             yield f"{paint.name}: {share:.0%} of its Gaussians have become white, and can be no brighter"
 
 
-def _lights(guesser: Guesser, guess: Guess, certainty: Certainty) -> Iterator[str]:
+def _lights(guesser: Guesser, guess: Guess, certainty: Certainty, *, has_sky: bool) -> Iterator[str]:
     """What cannot be told of lights."""
     for number in certainty.dark:
         yield f"{light_name(guess, number)}: none of its light is in the photographs, it stays as it was"
     for number, power in guess.powers.items():
         if number not in certainty.dark and guesser.task.scales and not (power > _OFF * _brightest(guess)).any():
             yield f"{light_name(guess, number)}: it is off"
-    if guess.harmonics.shape[1] and not guess.harmonics.any():
-        yield f"{NAME}: none of its light is in the photographs, it is black"
+    if guess.harmonics.shape[1] and not has_sky:
+        yield f"{NAME}: none of its light was found in the photographs, and the scene has none"
     for names in certainty.alike:
+        if names == (NAME,) and not has_sky:
+            continue
         if names == (NAME,):
             yield f"{NAME}: some of its harmonics cannot be told from the photographs, and follow from the others"
         elif len(names) == 1:

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lumisplat.constants import LUMINANCE
+from lumisplat.constants import LUMINANCE, SH_C0
+from lumisplat.constants.light_fit import SKY_ERRORS_MIN, SKY_SHARE_MIN
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import encode_srgb
 from lumisplat.relighting.fitting.guess import Guess, Guesser
@@ -48,7 +49,8 @@ class LightFit:
     scene: Scene
     """The scene with these lights, and base colours if they were asked for."""
     lights: tuple[Light, ...]
-    """The L lights that were fitted, in the order of the scene; an environment of harmonics is the last one."""
+    """The L lights that were fitted, in the order of the scene; an environment of harmonics is the last one, if light
+    of one was found."""
     shares: Doubles
     """Of the light that is explained, how much each light gives, shape (L,); the rest shines by itself."""
     standard_errors: Doubles
@@ -56,7 +58,7 @@ class LightFit:
     position_errors: Doubles
     """Standard errors of positions, scene units, shape (L, 3); NaN where they were not fitted."""
     environment: EnvironmentProbe | None
-    """The harmonics that were found; None: none were asked for."""
+    """The harmonics that were found; None: none were asked for, or none of the light is theirs."""
     base_colors: dict[str, tuple[float, float, float]]
     """Those that were fitted, linear, by the names of materials; of captures, the mean over their Gaussians."""
     exposures: Doubles
@@ -85,16 +87,19 @@ def result_of(given: Scene, options: FitOptions, guesser: Guesser, guess: Guess,
     kept = list(lit.lights)
     for number in certainty.dark:  # nothing is known of it
         kept[number] = task.scene.lights[number]
-    scene = replace(lit, lights=tuple(kept))
-    has_sky = bool(guess.harmonics.shape[1])
+    shares = _shares(guesser, guess)
+    has_sky = _has_sky(guess, shares, certainty)
+    if guess.harmonics.shape[1] and not has_sky:  # a scene with a black one would pass for lit by a sky
+        del kept[-1]
+    lights = tuple(kept[number] for number in task.lights) + ((kept[-1],) if has_sky else ())
     colors = colors_of(guess.scene, task.paints)
     views = _views(guesser, guess)
     return LightFit(
-        scene=scene,
-        lights=tuple(kept[number] for number in task.lights) + ((kept[-1],) if has_sky else ()),
-        shares=_shares(guesser, guess),
-        standard_errors=certainty.powers,
-        position_errors=certainty.positions,
+        scene=replace(lit, lights=tuple(kept)),
+        lights=lights,
+        shares=shares[: len(lights)],
+        standard_errors=certainty.powers[: len(lights)],
+        position_errors=certainty.positions[: len(lights)],
         environment=EnvironmentProbe(guess.coefficients) if has_sky else None,
         base_colors={
             paint.name: (float(color[0]), float(color[1]), float(color[2]))
@@ -102,8 +107,16 @@ def result_of(given: Scene, options: FitOptions, guesser: Guesser, guess: Guess,
         },
         exposures=np.log2(guess.gains),
         views=views,
-        remarks=remarks_of(given, options, guesser, guess, certainty),
+        remarks=remarks_of(given, options, guesser, guess, certainty, has_sky=has_sky),
     )
+
+
+def _has_sky(guess: Guess, shares: Doubles, certainty: Certainty) -> bool:
+    """Whether harmonics are more than what noise is taken for."""
+    if not guess.harmonics.shape[1]:
+        return False
+    mean = SH_C0 * np.abs(guess.coefficients[0])
+    return bool(shares[-1] >= SKY_SHARE_MIN or (mean > SKY_ERRORS_MIN * certainty.powers[-1]).any())
 
 
 def _views(guesser: Guesser, guess: Guess) -> tuple[FittedView, ...]:
@@ -122,11 +135,11 @@ def _views(guesser: Guesser, guess: Guess) -> tuple[FittedView, ...]:
 
 
 def _shares(guesser: Guesser, guess: Guess) -> Doubles:
-    """Luminance that each light gives to pixels that count, of all that is explained there."""
-    counts = guesser.observed.counts.all(axis=1)
+    """Luminance that each light gives to what counts, of all that is explained there."""
+    counts = guesser.observed.counts
 
     def brightness(picture: Doubles) -> float:
-        return float((guesser.exposed(picture, guess.gains)[counts] @ np.array(LUMINANCE)).sum())
+        return float(((guesser.exposed(picture, guess.gains) * counts) @ np.array(LUMINANCE)).sum())
 
     parts = [brightness(guess.powers[number] * picture.mean(axis=0)) for number, picture in guess.lights.items()]
     if guess.harmonics.shape[1]:
