@@ -10,6 +10,7 @@ import warp as wp
 
 import lumisplat as ls
 from support.files.cli_files import Workplace
+from support.files.small_disks import small_disk
 from support.scenes.path_scenes import ball, diffuse
 
 
@@ -56,6 +57,21 @@ def test_scenes_of_other_programs_hold_materials(work):
     assert isinstance(scene, ls.Gaussians) and isinstance(capture, ls.Gaussians)
     for name in ("albedo", "roughness", "normals"):
         np.testing.assert_array_equal(getattr(scene, name), getattr(capture, name))
+
+
+def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
+    """The system's reason; no half of a sky, and the capture, which has taken the time, is there."""
+    with small_disk(work.path("disk"), "4k") as disk:
+        done = work.run(
+            "delight", "@ball.ply", "-o", "@out.ply", "--cells", "4", "--sky", str(disk / "sky.exr"), "--device", "cpu"
+        )
+        assert done.status == 2 and done.out == ""
+        assert done.err.splitlines() == [
+            f"error: {disk / 'sky.exr'}: cannot be written: No space left on device ({work.path('out.ply')} is written)"
+        ]
+        assert not list(disk.iterdir())
+    capture = ls.load(work.path("out.ply"))
+    assert isinstance(capture, ls.Gaussians) and capture.albedo is not None
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from PIL import Image
 
 from lumisplat.cli import main
 from lumisplat.training import train
+from support.files.small_disks import small_disk
 from support.scenes.training_scenes import folder_of
 
 SHORT = ("--iterations", "60", "--cap", "120", "--sh-degree", "1", "--device", "cpu")
@@ -28,17 +29,10 @@ def told(capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 200 kB, which is full soon."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(folder)], check=False, capture_output=True
-    )
-    if mounted.returncode:
-        pytest.skip("file systems cannot be mounted here")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system that is full soon."""
+    with small_disk(tmp_path / "disk", "200k") as folder:
+        yield folder
 
 
 def test_a_single_photograph_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,22 +107,22 @@ def test_a_disk_that_fills_up_loses_nothing(
 
 
 def test_a_full_disk_is_one_line(
-    small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of a file system that is really full; with room, the same command goes on."""
-    folder, output = folder_of(tmp_path / "set"), small_disk / "a.ply"
+    folder, output = folder_of(tmp_path / "set"), disk / "a.ply"
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
     command = ["train", str(folder), "-o", str(output), *SHORT]
     assert main([*command, "--stop-after", "0.01"]) == 0
     capsys.readouterr()
-    steps = json.loads((small_disk / "a.training" / "curve.json").read_text())["count"]
-    ballast = small_disk / "ballast"
+    steps = json.loads((disk / "a.training" / "curve.json").read_text())["count"]
+    ballast = disk / "ballast"
     with pytest.raises(OSError, match="No space left"), ballast.open("wb", buffering=0) as file:
         while True:
             file.write(bytes(4096))
     assert main(command) == 2
     assert "cannot be written: No space left on device" in told(capsys)
     ballast.unlink()
-    subprocess.run(["mount", "-o", "remount,size=2m", str(small_disk)], check=True)
+    subprocess.run(["mount", "-o", "remount,size=2m", str(disk)], check=True)
     assert main(command) == 0 and steps < 60
     assert "60 of 60 steps" in capsys.readouterr().out

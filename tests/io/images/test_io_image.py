@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.images.deep_exr import write_deep_exr
 from lumisplat.io.images.exr import Channel, read_exr, write_exr
 from lumisplat.io.images.npz import write_npz
 from lumisplat.io.images.png import write_png
 from lumisplat.io.images.texture import decode_texture, read_texture
 from support.files.image_files import read_image
 from support.files.mesh_files import TEXELS, png_bytes
+from support.files.small_disks import small_disk
 
 
 @pytest.mark.parametrize("channels", [3, 4])
@@ -108,6 +110,21 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path, extension: str) -> None
     with pytest.raises(FormatError, match="cannot be written"):
         write[extension]()
     assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("is_deep", [False, True])
+def test_an_exr_on_a_full_disk(tmp_path: Path, is_deep: bool) -> None:
+    """The system's reason, not the library's words; no half of a file, and the one of before stays."""
+    noise = np.random.default_rng(0).random((64, 64)).astype(np.float32)
+    with small_disk(tmp_path / "disk", "8k") as disk:
+        path = disk / "a.exr"
+        write_exr(path, {"R": np.zeros((4, 4), np.float32)})
+        with pytest.raises(FormatError, match=r"a\.exr: cannot be written: No space left on device$"):
+            if is_deep:
+                write_deep_exr(path, (64, 64), np.arange(64 * 64 + 1), {"A": noise.ravel()})
+            else:
+                write_exr(path, {"R": noise})
+        assert os.listdir(disk) == ["a.exr"] and read_exr(path)["R"].shape == (4, 4)
 
 
 def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,8 @@
-"""What libraries in C++ need that read or write files themselves: names in UTF-8, and silence."""
+"""What libraries in C++ need that read or write files themselves: names in UTF-8, silence, and plain errors."""
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import tempfile
@@ -10,6 +11,7 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
 
 _silence = threading.RLock()
@@ -34,6 +36,28 @@ def utf8_path(path: PathLike) -> Generator[str]:
             yield os.fspath(link)
     else:
         yield text
+
+
+@contextmanager
+def native_write(path: PathLike, text: str) -> Generator[None]:
+    """What a library says of a file that it cannot write is said as of all files, by the system's reason alone.
+
+    Args:
+        path: The file as the user knows it.
+        text: As the library knows it.
+
+    Raises:
+        OSError: The library names the system's reason, such as a full disk: `atomic_write` says it.
+        FormatError: It names another one.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        said = " ".join(str(error).split())
+        for number in errno.errorcode:
+            if os.strerror(number) in said:
+                raise OSError(number, os.strerror(number)) from None
+        raise FormatError(path, f"cannot be written: {said.replace(text, os.fspath(path))}") from None
 
 
 @contextmanager

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.native import utf8_path
+from lumisplat.io.files.native import native_write, utf8_path
 from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import FloatArray, Rows
 
@@ -34,11 +32,8 @@ def write_deep_exr(path: PathLike, size: tuple[int, int], first: Rows, channels:
     header = {"compression": package.ZIPS_COMPRESSION, "type": package.deepscanline}
     planes = {name: _lists(values, size, first) for name, values in channels.items()}
     with atomic_write(path) as temporary, utf8_path(temporary) as text, OpenEXR.File(header, planes) as file:
-        try:
+        with native_write(path, text):
             file.write(text)
-        except RuntimeError as error:
-            reason = str(error).replace(text, os.fspath(path))
-            raise FormatError(path, f"cannot be written: {' '.join(reason.split())}") from None
 
 
 def _lists(values: FloatArray, size: tuple[int, int], first: Rows) -> npt.NDArray[Any]:

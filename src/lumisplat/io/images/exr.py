@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +12,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.limits import check_expansion
-from lumisplat.io.files.native import silent_natives, utf8_path
+from lumisplat.io.files.native import native_write, silent_natives, utf8_path
 from lumisplat.io.files.source import PathLike, read_bytes
 
 Channel = npt.NDArray[Any]
@@ -65,11 +64,8 @@ def write_exr(
     else:
         made = OpenEXR.File(_header(metadata or {}), _planes(channels))
     with atomic_write(path) as temporary, utf8_path(temporary) as text, made as file:
-        try:
+        with native_write(path, text):
             file.write(text)
-        except RuntimeError as error:
-            reason = str(error).replace(text, os.fspath(path))
-            raise FormatError(path, f"cannot be written: {' '.join(reason.split())}") from None
 
 
 def _header(metadata: Mapping[str, str]) -> dict[str, Any]:

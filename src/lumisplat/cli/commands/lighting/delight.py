@@ -68,7 +68,11 @@ class Delight(LevelsCommand, DeviceCommand):
             report("writing", 0.0)
             ls.save(self.output, found.gaussians)
             if self.sky is not None:
-                found.save_sky(self.sky, upright(ls.Scene([capture]), self.up).upright_wxyz)
+                try:
+                    found.save_sky(self.sky, upright(ls.Scene([capture]), self.up).upright_wxyz)
+                except ls.FormatError as error:
+                    error.add_note(f"{self.output} is written")
+                    raise
         print(f"{self.output}: {counted(capture.count, 'Gaussian')} with albedo, roughness and normals")
         for remark in found.remarks:
             print(remark)
