@@ -79,7 +79,7 @@ def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
     [
         (
             ("@ball.ply", "-o", "@out.spz"),
-            "expected .ply, .glb, .gltf, .usda, .usdc or .usdz: others have no room for materials",
+            "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others have no room for materials",
         ),
         (("@ball.ply", "-o", "@out.compressed.ply"), "expected .ply"),
         (("@ball.ply", "-o", "@out.ply", "--sky", "@sky.png"), "expected .exr"),

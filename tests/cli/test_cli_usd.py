@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,7 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
     return place
 
 
-@pytest.mark.parametrize("name", ["scene.usda", "scene.usdc", "scene.usdz"])
+@pytest.mark.parametrize("name", ["scene.usda", "scene.usdc", "scene.usdz", "scene.usd"])
 def test_the_picture_is_the_same(work: Workplace, name: str) -> None:
     """A lit scene and its file show the same picture, each through its own camera; validators are content."""
     outcome = work.run("export", "@scene.toml", "-o", f"@{name}")
@@ -92,6 +93,18 @@ def test_what_moves_moves_in_the_file(work: Workplace) -> None:
     (mover,) = loaded.actors
     assert mover.name == "mover"
     np.testing.assert_allclose(mover.at(0.75)[0].transform[:3, 3], (0.0, 0.75, 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["found.usd", "found.usdz"])
+def test_materials_that_are_found_go_into_a_file(work: Workplace, name: str) -> None:
+    """Whichever extension of OpenUSD it has."""
+    ls.save(
+        work.path("ball.ply"),
+        replace(ls.gaussians_from_mesh(ls.sphere(0.5), 700), albedo=None, roughness=None, normals=None),
+    )
+    outcome = work.run("delight", "@ball.ply", "-o", f"@{name}", "--cells", "4", "--device", "cpu")
+    assert outcome.status == 0, outcome.err
+    assert work.capture(name).albedo is not None
 
 
 def test_what_is_in_a_file(work: Workplace) -> None:

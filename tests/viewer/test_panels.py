@@ -15,6 +15,7 @@ import pytest
 from test_viewer import camera, cloud
 
 import lumisplat as ls
+from lumisplat.io.formats import USD
 from lumisplat.viewer.colors import color_of_temperature, linear_from_picked, picked_from_linear
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.hands.gizmo import Drag, dragged, grip_of
@@ -28,6 +29,7 @@ from lumisplat.viewer.panels.viewpoints import selected_ball
 from lumisplat.viewer.state.boxes import Boxes, pose_of, world_corners
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Options, Session, State
+from lumisplat.viewer.things import adding
 from lumisplat.viewer.things.adding import free_name, light_tables, standing, with_sky
 from lumisplat.viewer.things.crop import crop_ends, crop_reach, crop_table, cropped
 from lumisplat.viewer.things.inspector import light_fields, look_of, put_field
@@ -444,6 +446,11 @@ def test_edits_of_several_threads_are_all_there() -> None:
     thread.join()
     assert session.state.config.seed == 7 and len(session.state.document.entries) == 8
     assert session.state.document.entry(2).lights[0].intensity == 5.0  # pyright: ignore
+
+
+def test_every_extension_of_openusd_can_be_added() -> None:
+    """Those that are read."""
+    assert {*USD} <= {*adding._READABLE}
 
 
 def test_long_names_of_uploads_are_cut(tmp_path: Path) -> None:

@@ -42,9 +42,9 @@ class Convert(LevelsCommand):
     """.ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder, or a glTF or OpenUSD file with captures.
     Without -o, there are two, and the second is written."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """.ply, .compressed.ply, .spz, .sog, meta.json or lod-meta.json (SOG folders), .glb, .gltf, .usda, .usdc
-    or .usdz; glTF and OpenUSD have y up, to which it is turned, as .spz is. - is standard output, in PLY. Needed to
-    join captures."""
+    """.ply, .compressed.ply, .spz, .sog, meta.json or lod-meta.json (SOG folders), .glb, .gltf, .usda, .usdc,
+    .usdz or .usd; glTF and OpenUSD have y up, to which it is turned, as .spz is. - is standard output, in PLY. Needed
+    to join captures."""
     box: Annotated[str | None, arg(metavar="X,Y,Z,X,Y,Z", help_behavior_hint="")] = None
     """Keep what lies between two corners, with its mean."""
     sphere: Annotated[str | None, arg(metavar="X,Y,Z,R", help_behavior_hint="")] = None

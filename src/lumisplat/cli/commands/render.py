@@ -57,9 +57,9 @@ class Render(ViewsCommand, FrameCommand):
     """Render a scene to pictures."""
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl), both (.glb, .gltf, .usda, .usdc, .usdz),
-    or a scene.toml, which has lights, cameras and settings, too. Several make one scene. Of a capture in blocks, which
-    lumisplat blocks makes, unlit, rasterised pictures load what they see."""
+    """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl), both (.glb, .gltf, .usda, .usdc, .usdz,
+    .usd), or a scene.toml, which has lights, cameras and settings, too. Several make one scene. Of a capture in blocks,
+    which lumisplat blocks makes, unlit, rasterised pictures load what they see."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
     """A folder, or for one frame a file: .png, .exr or .npz. - is standard output, in PNG or as --format says."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None

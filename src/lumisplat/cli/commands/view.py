@@ -29,8 +29,8 @@ class View(LevelsCommand, DeviceCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl), both (.glb, .gltf, .usda, .usdc, .usdz),
-    or a scene.toml. Files that cannot be read are left out, and listed on the page."""
+    """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl), both (.glb, .gltf, .usda, .usdc, .usdz,
+    .usd), or a scene.toml. Files that cannot be read are left out, and listed on the page."""
     port: Annotated[int, arg(metavar="N")] = _PORT
     """Port to listen on; 0: a free one."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import lumisplat as ls
+from lumisplat.cli.input.loading import USD
 
 _Range = tuple[float | None, float | None]
-_SCENES = (".glb", ".gltf", ".usda", ".usdc", ".usdz")
+_SCENES = (".glb", ".gltf", *USD)
 
 
 def holds_all_columns(path: Path) -> bool:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _NOTHING = "nothing"
 _SKIES = (".hdr", ".exr")
 _CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
-_READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", *_SKIES)
+_READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", *_SKIES)
 _LIGHTS = ("point", "spot", "directional", "sphere", "rect")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"

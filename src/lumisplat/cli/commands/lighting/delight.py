@@ -33,7 +33,7 @@ class Delight(LevelsCommand, DeviceCommand):
     capture: Positional[Annotated[Path, arg(metavar="CAPTURE")]]
     """A capture: .ply, .compressed.ply, .spz, .sog or a folder of streamed SOG."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.ply, .glb, .gltf, .usda, .usdc or .usdz, which have room for materials. - is standard output, a .ply."""
+    """.ply, .glb, .gltf, .usda, .usdc, .usdz or .usd, which have room for materials. - is standard output, a .ply."""
     inside: Literal["auto", "yes", "no"] = "auto"
     """Whether the capture was taken from inside of it, as that of a room is; then there is no sky. auto: yes if a good
     part of it sees none."""
@@ -83,7 +83,8 @@ class Delight(LevelsCommand, DeviceCommand):
         """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
         if not holds_materials(self.output):
             raise ls.FormatError(
-                self.output, "expected .ply, .glb, .gltf, .usda, .usdc or .usdz: others have no room for materials"
+                self.output,
+                "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others have no room for materials",
             )
         ls.check_format(self.output)  # whether what writes it is installed
         if self.sky is not None and self.sky.suffix.lower() != ".exr":
