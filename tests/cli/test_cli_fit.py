@@ -218,6 +218,13 @@ def test_mistakes_are_said_in_a_line(work, arguments, message):
     assert not work.path("a.toml").exists()
 
 
+def test_help_says_what_it_costs(work):
+    """Of a fit, and of one that looks for places, before anybody waits for it."""
+    told = " ".join(work.run("fit", "--help").out.replace("│", " ").split())
+    assert "half a minute on a CPU core, and with --positions four" in told
+    assert "where spots and suns shine: takes minutes" in told
+
+
 def test_colours_of_a_capture_go_into_a_file_beside_it(work):
     """A capture that is darker than in the photograph: the scene that is written names one of the right colours."""
     mesh = ls.load(work.path("box.obj"))

@@ -59,6 +59,21 @@ def test_a_lamp_is_found_again():
     assert (found.position_errors < 0.02 * ROOM).all()
 
 
+def test_progress_goes_on_with_every_picture(monkeypatch):
+    """No picture is rendered without a word of it, whatever the stage; the fraction never falls, and ends at 1."""
+    lamp, rendered, told = three_lamps()[1], [], []
+    both = LightLayers._both
+    monkeypatch.setattr(LightLayers, "_both", lambda *args: rendered.append(len(told)) or both(*args))
+    start = replace(lamp, position=(1.9, 1.5, 3.3), intensity=1.0)
+    photograph = taken(closed(lamp), view(32, 24))
+    fitted(closed(start), view(32, 24), photograph, positions=True, progress=lambda *now: told.append(now))
+    assert max(np.diff(rendered)) <= 2 and min(np.diff(rendered)) >= 1 and len(rendered) > 100
+    labels, shares = zip(*told, strict=True)
+    assert list(shares) == sorted(shares) and told[-1] == ("fitting lights", 1.0)
+    stages = ("looking for lamps", "a picture of each", "step by step", "errors")
+    assert list(dict.fromkeys(labels)) == ["fitting lights", *(f"fitting lights, {stage}" for stage in stages)]
+
+
 def test_a_lamp_is_found_again_between_pixels_that_do_not_count():
     """Black dots all over, so that no larger pixel is whole: it is looked for at the size that is compared."""
     lamp = three_lamps()[1]

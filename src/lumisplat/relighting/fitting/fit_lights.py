@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from lumisplat.config import RenderConfig, ToneMap, check_whole
 from lumisplat.config.checks import check_kind, enum_member
-from lumisplat.constants.light_fit import COARSE_SIZE, FIT_SIZE, PLACES_A_SIDE
+from lumisplat.constants.light_fit import COARSE_SAMPLES, COARSE_SIZE, FIT_SIZE, PLACES_A_SIDE, STEPS_EXPECTED
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
-from lumisplat.progress import Progress, say_nothing
+from lumisplat.progress import Pace, Progress, say_nothing
 from lumisplat.relighting.fitting.columns import huber_cost
 from lumisplat.relighting.fitting.guess import Guesser
 from lumisplat.relighting.fitting.layers import LightLayers
@@ -31,6 +31,8 @@ from lumisplat.scene.scene import Scene
 Picture = npt.NDArray[np.floating] | npt.NDArray[np.unsignedinteger] | str | os.PathLike[str]
 
 _LABEL = "fitting lights"
+_LOOKING, _PICTURES, _STEPS, _ERRORS = "looking for lamps", "a picture of each", "step by step", "errors"
+"""Stages, of which the pictures take the time."""
 _SURE = 0.9
 """A lamp that was found elsewhere has to leave less than this share of the cost of one found near where it was."""
 
@@ -122,10 +124,14 @@ def fit_lights(
     views = read_photographs(cameras, photographs, masks, linear=linear, tone_map=curve)
     report = progress or say_nothing
     report(_LABEL, 0.0)
-    layers = LightLayers(config, device)
+    pace = Pace(report, _LABEL)
+    layers = LightLayers(config, device, rendered=lambda: pace.add(1.0))
     small = [view.scaled(size) for view in views]
     exposures = [view.camera.exposure for view in views]
     task = FitTask.of(scene, options, exposures, shines=lambda: bool(layers.picture(scene, (), small).any()))
+    tiny = [view.scaled(min(size, COARSE_SIZE)) for view in views]
+    tiny_cost = COARSE_SAMPLES * sum(one.light.size for one in tiny) / sum(one.light.size for one in small)
+    pace.plan(_costs(task, tiny_cost))
     guesser = Guesser(task, small, layers)
     if not guesser.observed.counts.any():
         raise SceneError(
@@ -134,29 +140,42 @@ def fit_lights(
         )
     start, gains = task.scene, task.gains
     if any(move.kind == "position" for move in task.moves):
-        coarse = Guesser(
-            task, [view.scaled(min(size, COARSE_SIZE)) for view in views], LightLayers(config, device, 0.25)
-        )
+        pace.begin(_LOOKING)
+        quick = LightLayers(config, device, COARSE_SAMPLES, rendered=lambda: pace.add(tiny_cost))
+        coarse = Guesser(task, tiny, quick)
         if not coarse.observed.counts.any():  # large pixels that are whole: what is clipped may lie everywhere
             coarse = guesser
-        start, gains = _looked_for(coarse, lambda share: report(_LABEL, 0.1 + 0.5 * share))
-    found = search(guesser, guesser.begin(start, gains), lambda share: report(_LABEL, 0.6 + 0.4 * share))
-    found = guesser.settled(found)
+        start, gains = _looked_for(coarse)
+    pace.begin(_PICTURES)
+    first = guesser.begin(start, gains)
+    pace.begin(_STEPS)
+    found = guesser.settled(search(guesser, first))
+    pace.begin(_ERRORS)
     result = result_of(scene, options, guesser, found, certainty_of(guesser, found))
     report(_LABEL, 1.0)
     return result
 
 
-def _looked_for(guesser: Guesser, report: Callable[[float], None]) -> tuple[Scene, Doubles]:
-    """Where lamps are about, by small pictures, and exposures: the best of searches from several places.
+def _costs(task: FitTask, tiny: float) -> dict[str, float]:
+    """Pictures that the stages of a fit are expected to take.
 
     Args:
-        guesser: Of small pictures.
-        report: Called with the fraction done, 0..1.
+        task: What is unknown.
+        tiny: What a picture costs in which lamps are looked for, of one of the fit's size.
     """
+    moved = {move.light for move in task.moves}
+    placed = {move.light for move in task.moves if move.kind == "position"}
+    every = 1 + len(task.lights) + (0 if task.degree is None else (task.degree + 1) ** 2)
+    slopes = 2 * (len(task.moves) + len(task.paints))
+    steps = STEPS_EXPECTED * (slopes + (every if task.paints else len(moved))) if slopes else 0
+    searches = every + (1 + len(PLACES_A_SIDE)) * steps + sum(side**3 for side in PLACES_A_SIDE) * len(placed)
+    return {_LOOKING: tiny * searches if placed else 0.0, _PICTURES: every, _STEPS: steps, _ERRORS: slopes}
+
+
+def _looked_for(guesser: Guesser) -> tuple[Scene, Doubles]:
+    """Where lamps are about, by small pictures, and exposures: the best of searches from several places."""
     best = search(guesser, guesser.begin(guesser.task.scene, guesser.task.gains))
-    for row, side in enumerate(PLACES_A_SIDE):
-        report((1 + row) / (1 + len(PLACES_A_SIDE)))
+    for side in PLACES_A_SIDE:
         scene = elsewhere(guesser, best, side)
         if scene is best.scene:
             continue

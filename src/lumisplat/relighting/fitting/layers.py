@@ -39,9 +39,17 @@ class LightLayers:
         config: How light behaves; None: as paths.
         device: As of ``create_renderer``.
         share: Of the samples that are taken.
+        rendered: Called after each light.
     """
 
-    def __init__(self, config: RenderConfig | None, device: str, share: float = 1.0) -> None:
+    def __init__(
+        self,
+        config: RenderConfig | None,
+        device: str,
+        share: float = 1.0,
+        *,
+        rendered: Callable[[], None] = lambda: None,
+    ) -> None:
         base = RenderConfig(pipeline=Pipeline.PATH) if config is None else config
         if base.pipeline is Pipeline.REALTIME:
             raise ConfigError("Pipeline.REALTIME finds light over many frames: fit by Pipeline.PATH, whose light it is")
@@ -51,7 +59,7 @@ class LightLayers:
         settled = {"background": (0.0, 0.0, 0.0), "lighting": True, "samples": half, "adaptive": False}
         without = {"time_limit": None, "noise": None, "aovs": _PATH_AOVS if self.is_path else ()}
         self.config = replace(base, **settled, **without)
-        self._device = device
+        self._device, self._rendered = device, rendered
         self._renderers: list[Renderer] = []
         self._smooth: dict[tuple[object, ...], tuple[_Things, SmoothLight]] = {}
         """By view: the things of the last scene, and which pixels are on one surface."""
@@ -88,9 +96,11 @@ class LightLayers:
         """A layer rendered with two seeds; a single time, if it is not random."""
         first = self._frames(0, scene, photographs)
         rows = self._rows(scene, first, layer)
-        if not self._is_random and all(frame.samples <= 1 for frame in first):
-            return np.stack([rows, rows])
-        return np.stack([rows, self._rows(scene, self._frames(1, scene, photographs), layer)])
+        second = rows
+        if self._is_random or any(frame.samples > 1 for frame in first):
+            second = self._rows(scene, self._frames(1, scene, photographs), layer)
+        self._rendered()
+        return np.stack([rows, second])
 
     def _rows(self, scene: Scene, frames: Sequence[Frame], layer: Layer) -> Doubles:
         return np.concatenate([layer(scene, frame).reshape(-1, 3) for frame in frames])

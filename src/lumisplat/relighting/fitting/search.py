@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,8 +30,6 @@ _ANCHOR = 1e3
 _BETTER = 1e-3
 """Share of the cost that a step has to save to be followed by another."""
 
-Report = Callable[[float], None]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
@@ -44,14 +41,12 @@ class Slopes:
     """Moves and exposures are one number for all channels, paints one a channel."""
 
 
-def search(guesser: Guesser, guess: Guess, report: Report | None = None) -> Guess:
-    """The best guess near one; ``report`` is called with the fraction done, 0..1."""
+def search(guesser: Guesser, guess: Guess) -> Guess:
+    """The best guess near one."""
     task, damping = guesser.task, DAMPING_START
     if not (task.moves or task.paints or any(task.exposed)):
         return guess
-    for step in range(SEARCH_STEPS):
-        if report is not None:
-            report(step / SEARCH_STEPS)
+    for _ in range(SEARCH_STEPS):
         slopes = slopes_of(guesser, guess)
         cost = huber_cost(guesser.observed, guess.solution.model, guess.solution.deviation)
         while True:

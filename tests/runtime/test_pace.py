@@ -1,0 +1,36 @@
+"""How far work is, told by what its pieces cost."""
+
+from __future__ import annotations
+
+import pytest
+
+from lumisplat.progress import Pace
+
+
+def test_pieces_and_stages() -> None:
+    """Pieces before the first stage are not told; what costs more than expected waits, what costs less is jumped."""
+    told: list[tuple[str, float]] = []
+    pace = Pace(lambda *now: told.append(now), "work")
+    pace.plan({"cheap": 2.0, "free": 0.0, "dear": 8.0})
+    pace.add(1.0)
+    assert not told
+    pace.begin("cheap")
+    for _ in range(3):
+        pace.add(1.0)
+    pace.begin("free")
+    pace.add(5.0)
+    pace.begin("dear")
+    pace.add(4.0)
+    assert [label for label, _ in told] == ["work, cheap"] * 4 + ["work, free"] * 2 + ["work, dear"] * 2
+    assert [share for _, share in told] == pytest.approx([0.0, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.6])
+
+
+def test_work_is_not_done_before_it_is() -> None:
+    """At the end of the last stage, and where nothing is expected to cost anything, something is still left."""
+    told: list[float] = []
+    pace = Pace(lambda _, share: told.append(share), "work")
+    for cost in (1.0, 0.0):
+        pace.plan({"all": cost})
+        pace.begin("all")
+        pace.add(2.0)
+    assert told == pytest.approx([0.0, 0.99, 0.0, 0.0])
