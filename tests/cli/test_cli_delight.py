@@ -25,6 +25,10 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         place.path("few.ply"),
         ls.Gaussians(*(column[:9] for column in (lit.means, lit.rotations_wxyz, lit.scales, lit.opacities, lit.sh))),
     )
+    rng = np.random.default_rng(0)
+    means, opacities, scales = rng.uniform(-1.0, 1.0, (700, 3)), np.full(700, 0.2), np.full((700, 3), 0.04)
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (700, 1))
+    ls.save(place.path("fog.ply"), ls.Gaussians(means, turns, scales, opacities, np.zeros((700, 1, 3))))
     place.path("scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
     return place
 
@@ -87,6 +91,7 @@ def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
         (("@ball.ply", "-o", "@out.ply", "--lod", "2"), "--lod is of streamed SOGs"),
         (("@scene.toml", "-o", "@out.ply"), "is not a capture"),
         (("@none.ply", "-o", "@out.ply"), "none.ply"),
+        (("@fog.ply", "-o", "@out.ply"), "fog.ply: no surface whose material could be told: light is lost bit by bit"),
         (("@few.ply", "-o", "@out.ply"), "few.ply: no surface whose material could be told: 9 of 9 Gaussians"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from lumisplat.relighting.delight.incident import IncidentRays
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
 from lumisplat.relighting.delight.sky_cells import SkyCells
-from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides
+from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides, is_fog
 from lumisplat.scene.sampling.blue_noise import cross_pairs
 
 SH_CONSTANT = 0.28209479177387814
@@ -312,6 +313,45 @@ def test_what_cannot_be_delighted_is_said(
         ls.DelightConfig(cells=2)
     ls.delight(plain, ls.DelightConfig(cells=4), device="cpu")
     assert "has an albedo already" in caplog.text
+
+
+def fog(count: int, scale: float, opacity: float) -> ls.Gaussians:
+    """Round Gaussians of one size that fill a ball."""
+    rng = np.random.default_rng(3)
+    ways = rng.standard_normal((count, 3))
+    means = ways * (rng.random(count) ** (1.0 / 3.0) / np.linalg.norm(ways, axis=1))[:, None]
+    same = np.full((count, 3), scale), np.full(count, opacity)
+    return ls.Gaussians(means, rng.standard_normal((count, 4)), *same, 0.3 * rng.standard_normal((count, 1, 3)))
+
+
+@pytest.mark.parametrize(("count", "scale", "opacity"), [(3000, 0.03, 0.1), (3000, 0.03, 0.5), (20_000, 0.01, 0.5)])
+def test_fog_has_no_surface(count: int, scale: float, opacity: float) -> None:
+    """Thin, or of dense Gaussians, few or many: one line says so."""
+    with pytest.raises(ls.SceneError, match="no surface whose material could be told: light is lost bit by bit"):
+        ls.delight(fog(count, scale, opacity), device="cpu")
+
+
+def test_what_stops_rays_at_once_is_no_fog(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Round Gaussians on a surface, large or small; a ball that is full of them, and dense; flat ones in any order."""
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    plain, _ = ball
+    largest = float(plain.scales.max())
+    for scale in (0.3 * largest, largest, 3.0 * largest):
+        assert not is_fog(replace(plain, scales=np.full_like(plain.scales, scale)), renderer, 0)
+    assert is_fog(fog(3000, 0.03, 0.5), renderer, 0)
+    assert not is_fog(fog(3000, 0.1, 0.5), renderer, 0)
+    thin = fog(3000, 0.03, 0.5)
+    assert not is_fog(replace(thin, scales=thin.scales * np.array([1.0, 1.0, 0.3], np.float32)), renderer, 0)
+
+
+@pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
+def test_captures_of_others_are_no_fog(data_dir: Path, name: str) -> None:
+    """Nor nearly: what half of the rays lose at once is 0.8 of it or more, and few Gaussians are round."""
+    capture = ls.load(data_dir / "splats" / name)
+    assert isinstance(capture, ls.Gaussians)
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    round_ones = replace(capture, scales=capture.scales.max(axis=1, keepdims=True).repeat(3, axis=1))
+    assert not is_fog(capture, renderer, 0) and not is_fog(round_ones, renderer, 0)
 
 
 def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]) -> None:

@@ -175,6 +175,25 @@ GAUSSIANS_LEAST = 64
 OPACITY_SEEN = 0.1
 """Opacity of those, at least."""
 
+FOG_RAYS = 512
+"""Rays from outside by which fog is told from surfaces."""
+
+FOG_HALF = 0.5
+"""Share of its light that a ray has to lose to have met anything."""
+
+FOG_EXTENT, FOG_SCALES = 0.02, 2.0
+"""How far around the depth that it shows a ray that meets a surface loses its light: a share of the extent of the set,
+or so many times the largest scale of the Gaussian there if that is farther, as coarse surfaces are thick."""
+
+FOG_SHARP = 0.6
+"""Share of what they lose that half of the rays lose within that, at least, if there is a surface: 0.9 to 1 of captures
+of others and of baked ones, 0.39 to 0.99 of those that were learnt in some minutes, 0 to 0.56 of balls of fog
+(docs/adr/0079-fog-has-no-surface.md)."""
+
+FOG_ROUND, FOG_SHARE = 0.9, 0.8
+"""Least scale over the middle one from which on a Gaussian has no normal, and share of such ones, by area, in fog: 0.02
+to 0.65 of captures, those that were hardly learnt included."""
+
 TOO_LIGHT = 0.02
 """Share of Gaussians beyond what is possible, or not explained, from which on it is worth a remark."""
 

@@ -35,6 +35,7 @@ from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
 from lumisplat.relighting.delight.roughness_fit import Roughness, RoughnessFit, arriving_light
 from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.relighting.delight.surfaces import is_fog
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
@@ -117,6 +118,11 @@ def estimate_materials(
     if gaussians.albedo is not None:
         _log.warning("the capture has an albedo already: it is replaced by one from its captured colours")
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device, threads=threads)
+    if is_fog(gaussians, renderer, config.seed):
+        raise SceneError(
+            "no surface whose material could be told: light is lost bit by bit on its way through round Gaussians, as "
+            "in fog (of a training that was stopped early, more steps make surfaces)"
+        )
     rays = IncidentRays(gaussians, renderer, config.seed)
     return _Delighter(gaussians, config, rays, progress or say_nothing).run()
 
