@@ -42,9 +42,6 @@ OUTGOING_DIRECTIONS = 64
 OUTGOING_COSINE = 0.3
 """Of those with the normal, at least: flatter views are extrapolated."""
 
-ALBEDO_ROUNDS = 4
-"""How often the sky is scaled for that: what blocks it stays as it is."""
-
 # --- The sky ---
 
 SKY_PAIRS = 60_000

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from lumisplat.constants.delight import (
-    ALBEDO_HIGH,
     CHROMA_WIDTH,
     EDGE_WIDTHS,
     FAR_LEAST,
@@ -16,16 +15,13 @@ from lumisplat.constants.delight import (
     LIGHT_PRIOR,
     LIGHT_STEP_MAX,
     LIGHT_STEPS,
-    LIGHTEST,
-    LIT_LEAST,
     LIT_MOST,
     RADIANCE_LEAST,
-    SCALE_STEPS,
-    SKY_LEAST,
     SKY_SMOOTHNESS,
 )
 from lumisplat.math.arrays import Doubles, Rows
 from lumisplat.relighting.albedo.irradiance import Irradiance
+from lumisplat.relighting.albedo.usual import even_radiance, lit_evenly, usual_factor
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.scene.sampling.blue_noise import Pairs
 
@@ -119,33 +115,18 @@ def first_light(outgoing: Doubles, incident: Irradiance) -> Light:
     Of lamps, Gaussians count by the square of the light that reaches them: what is wrong about that light makes a
     radiance wrong by as much, divided by it. Without, some that fog hides from a lamp make it many times too bright.
     """
-    columns = np.concatenate([incident.sky, incident.lamps], axis=1)
-    lit = columns.sum(axis=1, dtype=np.float64)
-    usual = max(float(np.median(lit)), 1e-9)
-    rows = lit > LIT_LEAST * usual
-    radiance = 1.0
-    if rows.any():
-        wanted = (outgoing / ALBEDO_HIGH - incident.observed).max(axis=1)[rows] / lit[rows]
-        exponent = 2.0 if incident.lamps.size else 0.0
-        weights = np.minimum(lit[rows] / usual, LIT_MOST) ** exponent
-        radiance = max(_weighted_quantile(wanted, weights, LIGHTEST), SKY_LEAST)
+    lit = lit_evenly(incident)
+    exponent = 2.0 if incident.lamps.size else 0.0
+    weights = np.minimum(lit / max(float(np.median(lit)), 1e-9), LIT_MOST) ** exponent
+    radiance = even_radiance(outgoing, incident, weights)
     return Light(np.full((incident.sky.shape[1], 3), radiance), np.full((incident.lamps.shape[1], 3), radiance))
-
-
-def _weighted_quantile(values: Doubles, weights: Doubles, share: float) -> float:
-    """The value below which a share of the weight is, between values by interpolation; of equal weights, numpy's."""
-    order = np.argsort(values, kind="stable")
-    below: Doubles = np.cumsum(weights[order]) - 0.5 * weights[order]
-    return float(np.interp(float(below[0] + share * (below[-1] - below[0])), below, values[order]))
 
 
 def with_usual_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:
     """The light, brighter or darker by one factor, so that the lightest surfaces have a usual albedo."""
-    for _ in range(SCALE_STEPS):
-        irradiance = np.maximum(incident.total(light.sky, light.lamps), RADIANCE_LEAST)
-        factor = float(np.quantile((outgoing / irradiance).max(axis=1), LIGHTEST)) / ALBEDO_HIGH
-        light = Light(factor * light.sky, factor * light.lamps)
-    return light
+    lit = incident.total(light.sky, light.lamps) - incident.observed
+    factor = usual_factor(outgoing, incident.observed, lit, np.ones(len(lit)))
+    return Light(factor * light.sky, factor * light.lamps)
 
 
 def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> Rows:

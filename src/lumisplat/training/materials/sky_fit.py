@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.constants.delight import ALBEDO_HIGH, RADIANCE_LEAST
+from lumisplat.constants.delight import RADIANCE_LEAST
 from lumisplat.constants.materials import (
-    ALBEDO_ROUNDS,
     SKY_NEIGHBOURS,
     SKY_PAIRS,
     SKY_PRIOR,
@@ -17,6 +16,7 @@ from lumisplat.constants.materials import (
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Progress
 from lumisplat.relighting.albedo.irradiance import Irradiance
+from lumisplat.relighting.albedo.usual import even_radiance, usual_factor
 from lumisplat.training.materials.adam import Adam
 from lumisplat.training.materials.alike_pairs import AlikePairs
 
@@ -29,25 +29,6 @@ def lit_white(white: Irradiance, sky: Doubles) -> Doubles:
 def sees_sky(white: Irradiance) -> bool:
     """Whether there is a sky to be found."""
     return float(np.median(white.sky.sum(axis=1))) > SKY_SEEN
-
-
-def even_sky(outgoing: Doubles, white: Irradiance, weights: Doubles) -> float:
-    """Radiance of an even, grey sky under which the lightest Gaussians have a usual albedo.
-
-    Args:
-        outgoing: Radiance of Gaussians, shape (N, 3).
-        white: What shines on them.
-        weights: How much they count, shape (N,).
-    """
-    share = white.sky.sum(axis=1)
-    counts = (share > 0.2 * np.median(share)) & (weights > 0.0)
-    if not counts.any() or not sees_sky(white):
-        return 1.0
-    lightest = outgoing[counts].max(axis=1) / ALBEDO_HIGH
-    wanted = (lightest - white.observed[counts].mean(axis=1)) / share[counts]
-    order = np.argsort(wanted)
-    shares = np.cumsum(weights[counts][order])
-    return max(float(wanted[order][np.searchsorted(shares, 0.95 * shares[-1])]), 10.0 * RADIANCE_LEAST)
 
 
 def fitted_sky(
@@ -76,9 +57,9 @@ def fitted_sky(
         rng: Chooses pairs.
         report: Called with what is being done and the fraction done, 0..1.
     """
-    start = np.full((len(directions), 3), np.log(even_sky(outgoing, white, weights)))
     if not sees_sky(white):
-        return np.exp(start)
+        return np.ones((len(directions), 3))
+    start = np.full((len(directions), 3), np.log(even_radiance(outgoing, white, weights)))
     chosen = rng.choice(len(outgoing), (2, SKY_PAIRS), p=weights / weights.sum())
     rows, compact = np.unique(chosen, return_inverse=True)
     first, second = compact.reshape(2, SKY_PAIRS)
@@ -95,17 +76,9 @@ def fitted_sky(
         by_sky += smoothness_gradient(moved, neighbours) + SKY_PRIOR / len(directions) * (moved - start)
         moved += adam.step(by_sky, SKY_RATE * (1.0 - step / steps))
         moved += start.mean(axis=0) - moved.mean(axis=0)
-    return scaled_sky(np.exp(moved), outgoing, white, weights)
-
-
-def scaled_sky(sky: Doubles, outgoing: Doubles, white: Irradiance, weights: Doubles) -> Doubles:
-    """The same sky, as bright as leaves a usual albedo to the lightest surfaces: their 95th percentile, by weight."""
-    for _ in range(ALBEDO_ROUNDS):
-        lightest = (outgoing / lit_white(white, sky)).max(axis=1)
-        order = np.argsort(lightest)
-        shares = np.cumsum(weights[order])
-        sky = sky * (lightest[order][np.searchsorted(shares, 0.95 * shares[-1])] / ALBEDO_HIGH)
-    return sky
+    sky = np.exp(moved)
+    lit = (white.sky @ sky.astype(np.float32)).astype(np.float64)
+    return usual_factor(outgoing, white.observed, lit, weights) * sky
 
 
 def nearest_directions(directions: Doubles) -> np.ndarray:
