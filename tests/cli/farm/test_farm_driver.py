@@ -294,6 +294,23 @@ def test_what_all_workers_refuse_is_said_once(caplog: pytest.LogCaptureFixture) 
     assert caplog.messages == ["one worker fewer: out: cannot be written: Read-only file system"]
 
 
+def test_every_reason_why_workers_refuse_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    """Once each, also if none works: the last is the error, and those before it are lines, lost workers' included."""
+    executor = FakeExecutor()
+    full, missing = ls.FormatError("out", "cannot be written: No space left on device"), ls.DeviceError("no GPU")
+    executor.coming = [Refused(0, missing), Refused(1, full), Refused(2, missing), Refused(3, full)]
+    with pytest.raises(ls.FormatError, match="No space left"):
+        driver(executor, 4, range(9))[0].run()
+    assert caplog.messages == ["one worker fewer: no GPU"]
+    caplog.clear()
+    executor = FakeExecutor()
+    killed = "killed by SIGKILL"
+    executor.coming = [Refused(0, missing), Lost(1, killed), Lost(2, killed)]
+    with pytest.raises(ls.DeviceError, match="ended before it was ready"):
+        driver(executor, 2, range(9))[0].run()
+    assert caplog.messages[-1] == "one worker fewer: no GPU"
+
+
 def test_a_worker_that_sees_other_files_is_not_used(caplog: pytest.LogCaptureFixture) -> None:
     """A mixed film is worse than a slow one; the line says what differs."""
     executor = FakeExecutor()

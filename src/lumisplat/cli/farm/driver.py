@@ -131,9 +131,11 @@ class Driver:
             for event in self._executor.events(_WAIT_S):
                 self._take(event)
             self._end_hung()
+        nobody = "no worker could be started" if self.frames is None else "all workers were lost"
+        why = self._refusal or ls.DeviceError(nobody)
+        self._say_who_refused(told=one_line(why))
         if self.frames is None:
-            raise self._refusal or ls.DeviceError("no worker could be started")
-        why = self._refusal or ls.DeviceError("all workers were lost")
+            raise why
         self.tally.failed |= dict.fromkeys(self._waiting, why)
         return self.tally
 
@@ -203,9 +205,11 @@ class Driver:
         if self.frames is not None and self._workers:
             self._say_who_refused()
 
-    def _say_who_refused(self) -> None:
-        for error in self._refused:
-            self._say(f"one worker fewer: {one_line(error)}")
+    def _say_who_refused(self, told: str = "") -> None:
+        """A line for each reason, but for the one that is told as the job's error."""
+        for reason in map(one_line, self._refused):
+            if reason != told:
+                self._say(f"one worker fewer: {reason}")
         self._refused.clear()
 
     def _put_down(self, number: int, frame: int) -> None:

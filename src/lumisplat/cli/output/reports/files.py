@@ -1,10 +1,12 @@
-"""Files of a report."""
+"""Files of a report, which appear whole or not at all."""
 
 from __future__ import annotations
 
 import json
+import os
+import secrets
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,8 +29,8 @@ def write_json(path: Path, content: Mapping[str, object]) -> None:
     Raises:
         FormatError: The file cannot be written.
     """
-    with _or_said(path):
-        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    with _replaced(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def write_picture(path: Path, color: Picture) -> None:
@@ -40,8 +42,8 @@ def write_picture(path: Path, color: Picture) -> None:
     import numpy as np
     from PIL import Image
 
-    with _or_said(path):
-        Image.fromarray((255.0 * np.clip(color, 0.0, 1.0) + 0.5).astype(np.uint8)).save(path)
+    with _replaced(path) as temporary:
+        Image.fromarray((255.0 * np.clip(color, 0.0, 1.0) + 0.5).astype(np.uint8)).save(temporary)
 
 
 def write_beside(
@@ -65,9 +67,18 @@ def write_beside(
 
 
 @contextmanager
-def _or_said(path: Path) -> Generator[None]:
-    """Why a file cannot be written is said."""
+def _replaced(path: Path) -> Generator[Path]:
+    """A file beside ``path`` to write to, which takes its name if the block succeeds; the one of before stays if not.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(6)}.lumisplat{path.suffix}")  # as those of frames
     try:
-        yield
+        yield temporary
+        os.replace(temporary, path)
     except OSError as error:
         raise ls.FormatError(path, f"cannot be written: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            temporary.unlink()

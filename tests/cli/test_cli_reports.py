@@ -1,0 +1,43 @@
+"""Files of reports: whole, or as they were."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.cli.output.reports.files import write_beside, write_json
+from support.files.small_disks import small_disk
+
+NOISE = np.random.default_rng(0).random((60, 40, 3))
+SMALL = np.zeros((4, 4, 3))
+
+
+def test_a_full_disk_leaves_the_report_of_before(tmp_path: Path) -> None:
+    """No half of a file, and nothing beside it."""
+    with small_disk(tmp_path / "disk", "16k") as disk:
+        write_json(disk / "report.json", {"psnr": 31.0})
+        write_beside(disk / "door.png", [(SMALL, SMALL)])
+        with pytest.raises(ls.FormatError, match=r"report\.json: cannot be written: No space left on device"):
+            write_json(disk / "report.json", {"psnr": list(range(4000))})
+        with pytest.raises(ls.FormatError, match=r"door\.png: cannot be written: No space left on device"):
+            write_beside(disk / "door.png", [(NOISE, NOISE[::-1])])
+        assert sorted(os.listdir(disk)) == ["door.png", "report.json"]
+        assert json.loads((disk / "report.json").read_text()) == {"psnr": 31.0}
+        with Image.open(disk / "door.png") as picture:
+            assert picture.size == (12, 4)
+
+
+def test_reports_are_replaced(tmp_path: Path) -> None:
+    """By those that are written after them; a folder that is none is said."""
+    for psnr in (31.0, 32.0):
+        write_json(tmp_path / "report.json", {"psnr": psnr})
+    assert json.loads((tmp_path / "report.json").read_text()) == {"psnr": 32.0}
+    assert os.listdir(tmp_path) == ["report.json"]
+    with pytest.raises(ls.FormatError, match="cannot be written: Not a directory"):
+        write_json(tmp_path / "report.json" / "b.json", {})
