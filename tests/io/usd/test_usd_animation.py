@@ -172,6 +172,30 @@ def test_what_deforms_in_many_places_keeps_its_first_shape(tmp_path: Path, caplo
     assert "shapes that change with time, of which the first is shown" in caplog.text
 
 
+@pytest.mark.parametrize("stands_first", [True, False])
+def test_what_is_also_put_elsewhere_deforms_where_it_stands(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, stands_first: bool
+) -> None:
+    """A prim that is shown by itself and by an instancer, in either order: the copies alone stand still."""
+    own = f'def Xform "p" {{ {DEFORMING} }}\n'
+    copies = """def PointInstancer "i" {
+        int[] protoIndices = [0, 0]
+        point3f[] positions = [(0, 0, 0), (5, 0, 0)]
+        rel prototypes = </p>
+    }
+    """
+    body = own + copies if stands_first else copies + own
+    loaded = ls.load_animation(write_usda(tmp_path / "a.usda", body, 'upAxis = "Y"\ntimeCodesPerSecond = 24'))
+    assert [actor.name for actor in loaded.actors] == ["m", "g"]
+    assert (len(loaded.scene.meshes), len(loaded.scene.splats)) == (2, 2)
+    (middle,) = loaded.actors[0].at(0.5)
+    np.testing.assert_allclose(middle.transform[:3, 3], (0, 0, 2))
+    np.testing.assert_allclose(expect_kind(ls.MeshInstance, middle).mesh.positions[1], (2, 0, 0))
+    still = sorted(tuple(instance.transform[:3, 3]) for instance in loaded.scene.meshes)
+    assert still == [(0, 0, 0), (5, 0, 0)]
+    assert "shapes that change with time, of which the first is shown (m, g)" in caplog.text
+
+
 def test_the_first_time_is_shown(tmp_path: Path) -> None:
     """A stage is shown at its first time code, wherever that is; seconds count from there, by codes a second."""
     body = """def Cube "c" {

@@ -113,11 +113,10 @@ class Reading:
     deforming: dict[str, tuple[Placed, list[SplatInstance | MeshInstance]]] = field(
         default_factory=dict[str, "tuple[Placed, list[SplatInstance | MeshInstance]]"]
     )
-    """Likewise, what changes its shape; of what is shown at several places, nothing."""
+    """Likewise, what changes its shape where it stands itself; what point instancers show of it keeps its first one."""
     has_cameras: bool = False
     _captures: dict[str, Gaussians | None] = field(default_factory=dict[str, "Gaussians | None"])
     _materials: UsdMaterials = field(init=False)
-    _instanced: set[str] = field(default_factory=set[str])
 
     def run(self) -> Reading:
         """Finds everything.
@@ -186,10 +185,7 @@ class Reading:
             return
         path = str(placed.prim.GetPath())
         if shape_codes(placed.prim).size > 1:
-            if not np.allclose(placed.world_from_prim, _place(self.file, placed.prim)):
-                self._instanced.add(path)  # an instancer puts it there
-                self.deforming.pop(path, None)
-            elif self.plays and path not in self._instanced:
+            if self.plays and not placed.instanced:
                 self.deforming[path] = placed, instances
                 return
             self.file.remarks.add("shapes that change with time, of which the first is shown", placed.name)

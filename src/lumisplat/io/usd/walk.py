@@ -26,6 +26,8 @@ class Placed(NamedTuple):
     """Whether it is shown: lights that are not are turned off, cameras take pictures all the same."""
     animated: bool = False
     """Whether its place changes with time."""
+    instanced: bool = False
+    """Whether a point instancer puts it there, where its own transform does not."""
 
     @property
     def asset(self) -> str:
@@ -94,7 +96,8 @@ class _Walk:
                 and imageable.ComputePurpose() in ("default", "render")
             )
             if not prim.IsA(px.UsdGeom.PointInstancer):
-                yield Placed(prim, world_from_prim, prim_name(prim), visible, not inside and _moves(prim))
+                moves = not inside and _moves(prim)
+                yield Placed(prim, world_from_prim, prim_name(prim), visible, moves, instanced=bool(inside))
                 continue
             walk.PruneChildren()  # its prototypes, which are not shown by themselves
             if visible and prim.GetPath() not in inside:
