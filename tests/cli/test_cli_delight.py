@@ -29,6 +29,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     means, opacities, scales = rng.uniform(-1.0, 1.0, (700, 3)), np.full(700, 0.2), np.full((700, 3), 0.04)
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (700, 1))
     ls.save(place.path("fog.ply"), ls.Gaussians(means, turns, scales, opacities, np.zeros((700, 1, 3))))
+    ls.save(place.path("point.ply"), ls.Gaussians(0.0 * means, turns, scales, opacities, np.zeros((700, 1, 3))))
     place.path("scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
     return place
 
@@ -63,6 +64,17 @@ def test_scenes_of_other_programs_hold_materials(work):
         np.testing.assert_array_equal(getattr(scene, name), getattr(capture, name))
 
 
+def test_a_room_has_no_sky(work, monkeypatch):
+    """Where it is found to be one: a line says so, where an image of black was written."""
+    capture = ls.load(work.path("ball.ply"))
+    assert isinstance(capture, ls.Gaussians)
+    found = ls.estimate_materials(capture, ls.DelightConfig(cells=4, inside=True), device="cpu")
+    monkeypatch.setattr(ls, "estimate_materials", lambda *_, **__: found)
+    done = work.run("delight", "@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--device", "cpu")
+    assert (done.status, done.err) == (0, "") and f"{work.path('sky.exr')}: is not written: a room has" in done.out
+    assert work.path("out.ply").exists() and not work.path("sky.exr").exists()
+
+
 def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
     """The system's reason; no half of a sky, and the capture, which has taken the time, is there."""
     with small_disk(work.path("disk"), "4k") as disk:
@@ -88,10 +100,22 @@ def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
         (("@ball.ply", "-o", "@out.compressed.ply"), "expected .ply"),
         (("@ball.ply", "-o", "@out.ply", "--sky", "@sky.png"), "expected .exr"),
         (("@ball.ply", "-o", "@out.ply", "--cells", "2"), "cells is 2"),
+        (
+            ("@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--inside", "yes"),
+            "--inside yes says that it is a room",
+        ),
+        (("@ball.ply", "-o", "@out.ply", "--up", "0,0,0"), "--up is '0,0,0', expected a direction"),
+        (
+            ("@point.ply", "-o", "@out.ply"),
+            "point.ply: no surface whose material could be told: all Gaussians are in one",
+        ),
         (("@ball.ply", "-o", "@out.ply", "--lod", "2"), "--lod is of streamed SOGs"),
         (("@scene.toml", "-o", "@out.ply"), "is not a capture"),
         (("@none.ply", "-o", "@out.ply"), "none.ply"),
-        (("@fog.ply", "-o", "@out.ply"), "fog.ply: no surface whose material could be told: light is lost bit by bit"),
+        (
+            ("@fog.ply", "-o", "@out.ply"),
+            "fog.ply: no surface whose material could be told: light passes between round Gaussians",
+        ),
         (("@few.ply", "-o", "@out.ply"), "few.ply: no surface whose material could be told: 9 of 9 Gaussians"),
     ],
 )

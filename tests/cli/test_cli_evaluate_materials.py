@@ -87,7 +87,8 @@ def test_what_is_missing_is_said_in_a_line(work, caplog):
 @pytest.mark.parametrize(
     ("args", "problem"),
     [
-        ((*COMMAND, "--scale", "0.5"), "--scale, --projection and --background are not for --materials"),
+        ((*COMMAND, "--scale", "0.5"), "--scale, --hold-out, --projection and --background are not for --materials"),
+        ((*COMMAND, "--hold-out", "3"), "--scale, --hold-out, --projection and --background are not for --materials"),
         (("evaluate", "@ball.ply", "@ball.ply", "@set", "--materials"), "2 captures given, expected one with"),
         (("evaluate", "@ball.ply", "@set", "--samples", "4"), "--environment, --samples and the pipelines hybrid and"),
         (("evaluate", "@ball.ply", "@set", "--pipeline", "path"), "--environment, --samples and the pipelines hybrid"),

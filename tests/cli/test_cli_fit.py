@@ -206,6 +206,16 @@ def test_nothing_is_overwritten_unless_asked_for(work):
         (("@room.toml", "@other.png", "-o", "@a.toml"), "has no camera 'other'"),
         (("@box.obj", "@door.png", "-o", "@a.toml"), "no cameras given"),
         (("@room.toml", "@door.png", "-o", "@a.toml", "--exposure", "bright"), "--exposure is 'bright'"),
+        (
+            ("@room.toml", "@door.png", "-o", "@a.toml", "--base-colors", " ,"),
+            "--base-colors is ' ,', expected all, or",
+        ),
+        (("@room.toml", "@door.png", "-o", "@a.toml", "--keep-hues", "--no-intensities"), "give one of them"),
+        (("@room.toml", "@door.png", "-o", "@a.toml", "--no-intensities"), "nothing is left to find"),
+        (
+            ("@room.toml", "@door.png", "-o", "@a.toml", "--report", "@door.png"),
+            "door.png: is a file, expected a folder",
+        ),
         (("@room.toml", "@wide.png", "-o", "@a.toml", "--camera", "door"), "of another shape"),
     ],
 )

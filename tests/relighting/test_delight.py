@@ -327,7 +327,9 @@ def fog(count: int, scale: float, opacity: float) -> ls.Gaussians:
 @pytest.mark.parametrize(("count", "scale", "opacity"), [(3000, 0.03, 0.1), (3000, 0.03, 0.5), (20_000, 0.01, 0.5)])
 def test_fog_has_no_surface(count: int, scale: float, opacity: float) -> None:
     """Thin, or of dense Gaussians, few or many: one line says so."""
-    with pytest.raises(ls.SceneError, match="no surface whose material could be told: light is lost bit by bit"):
+    with pytest.raises(
+        ls.SceneError, match="no surface whose material could be told: light passes between round Gaussians"
+    ):
         ls.delight(fog(count, scale, opacity), device="cpu")
 
 

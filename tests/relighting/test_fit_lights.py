@@ -303,6 +303,17 @@ def test_a_lamp_that_is_not_seen_stays_as_it_was():
     assert found.remarks == ("hidden: none of its light is in the photographs, it stays as it was",)
 
 
+def test_what_no_light_has_is_not_looked_for():
+    """One line for each."""
+    lamps = three_lamps()
+    small = view(32, 24)
+    found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), small), small, radii=True, angles=True)
+    assert found.remarks == (
+        "radii were asked for, and no light has any: nothing was looked for",
+        "angles were asked for, and no light has any: nothing was looked for",
+    )
+
+
 def test_base_colours_of_two_materials():
     """The lights being known, the ball's and the box's colours are found; those of the walls are known."""
     lamps = three_lamps()

@@ -63,7 +63,7 @@ def test_scenes_without_anything_to_fit():
     assert "no lights to fit" in refusal(GREY, scene=closed())
     off = [replace(lamp, enabled=False) for lamp in three_lamps()]
     assert "no lights to fit" in refusal(GREY, scene=closed(*off))
-    assert "nothing else is asked for" in refusal(GREY, intensities=False)
+    assert "nothing is left to find" in refusal(GREY, intensities=False)
     away = ls.Camera.look_at((2, 1.5, -9), (2, 1.5, -20), width=96, height=72)
     assert "show nothing that the lights light" in refusal(GREY, cameras=away)
     assert "show nothing that the lights light" in refusal(GREY, cameras=away, positions=True)

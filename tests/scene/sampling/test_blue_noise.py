@@ -42,6 +42,17 @@ def test_cross_pairs_are_those_of_brute_force(seed: int, radius: float) -> None:
     assert set(found) == brute_force(points, others, radius)
 
 
+@pytest.mark.parametrize("far", [1e15, 1e30])
+def test_points_of_no_cell_disturb_no_others(far: float) -> None:
+    """So far out that their cells have no numbers: nothing is near them; no warning."""
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3)).astype(np.float32)
+    strays = np.array([[far, 0.0, 0.0], [-far, far, far]], np.float32)
+    found, alone = neighbour_pairs(np.concatenate([points, strays]), 0.3), neighbour_pairs(points, 0.3)
+    assert {*zip(found.first.tolist(), found.second.tolist(), strict=True)} == {
+        *zip(alone.first.tolist(), alone.second.tolist(), strict=True)
+    }
+
+
 def test_poisson_disk_keeps_apart_and_leaves_no_gap() -> None:
     """Of a dense square, the kept points are far apart, and every other point is near a kept one."""
     rng = np.random.default_rng(3)

@@ -15,7 +15,7 @@ from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
 from lumisplat.cli.options.command import LoadingCommand
 from lumisplat.cli.options.up import UpOption, upright
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
-from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.pictures import check_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class Export(LoadingCommand):
     def run(self) -> None:
         """Loads, writes, and prints what is in the file."""
         ls.check_format(self.output, scene=True)  # found now, rather than after the work
-        check_writable(self.output.absolute().parent)
+        check_folder(self.output.absolute().parent)
         cameras = self._cameras()
         with progress_bars() as report:
             animation = self._animation(report)

@@ -85,14 +85,22 @@ def check_writable(output: Path) -> None:
     Raises:
         FormatError: A file is in the way, or the folder that is there already cannot be written to.
     """
-    folder = output.parent if output.suffix.lower().removeprefix(".") in FORMATS else output
+    check_folder(output.parent if output.suffix.lower().removeprefix(".") in FORMATS else output)
+
+
+def check_folder(folder: Path) -> None:
+    """Checks whether files can be written into a folder that is there or that can be made; leaves nothing behind.
+
+    Raises:
+        FormatError: As of `check_writable`.
+    """
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing.is_dir():
         raise ls.FormatError(existing, "is a file, expected a folder for the pictures")
     try:
         tempfile.TemporaryFile(dir=existing).close()
     except OSError as error:
-        raise ls.FormatError(output, f"cannot be written, nothing can in {existing}: {error.strerror}") from None
+        raise ls.FormatError(folder, f"cannot be written, nothing can in {existing}: {error.strerror}") from None
 
 
 def make_folder(folder: Path) -> None:

@@ -118,10 +118,12 @@ def estimate_materials(
     if gaussians.albedo is not None:
         _log.warning("the capture has an albedo already: it is replaced by one from its captured colours")
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device, threads=threads)
+    if not np.ptp(gaussians.means, axis=0).any():
+        raise SceneError("no surface whose material could be told: all Gaussians are in one place")
     if is_fog(gaussians, renderer, config.seed):
         raise SceneError(
-            "no surface whose material could be told: light is lost bit by bit on its way through round Gaussians, as "
-            "in fog (of a training that was stopped early, more steps make surfaces)"
+            "no surface whose material could be told: light passes between round Gaussians, or is lost in them bit by "
+            "bit, as in fog (of a training that was stopped early, more steps make surfaces)"
         )
     rays = IncidentRays(gaussians, renderer, config.seed)
     return _Delighter(gaussians, config, rays, progress or say_nothing).run()

@@ -41,6 +41,10 @@ def _held(given: Scene, options: FitOptions, guesser: Guesser) -> Iterator[str]:
     task = guesser.task
     if task.degree is not None and any(isinstance(one, LightEnvironment) and one.enabled for one in given.lights):
         yield f"the scene's environment was replaced by harmonics of degree {task.degree}"
+    sought = {"positions": ("position", "direction"), "radii": ("radius",), "angles": ("inner", "outer")}
+    for name, kinds in sought.items():
+        if getattr(options, name) and not any(move.kind in kinds for move in task.moves):
+            yield f"{name} were asked for, and no light has any: nothing was looked for"
     if options.exposure == "fit" and not task.exposed[0]:
         others = "; those of the others follow from it" if len(task.exposed) > 1 else ""
         yield (

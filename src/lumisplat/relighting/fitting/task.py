@@ -111,7 +111,10 @@ class FitTask:
         paints = paints_of(start, options.base_colors)
         fits_exposure = options.exposure == "fit"
         if not (options.intensities or moves or paints or fits_exposure or degree is not None):
-            raise ConfigError("intensities is False, and nothing else is asked for: there is nothing to fit")
+            raise ConfigError(
+                "nothing is left to find: intensities are kept, and neither places, sizes, colours, an exposure nor an "
+                "environment are asked for, or the scene has none that could change"
+            )
         unknown = [fits_exposure] * len(exposures)
         if fits_exposure and options.intensities and not shines():
             unknown[0] = False  # else all lights could be twice as strong, and the exposure a stop less

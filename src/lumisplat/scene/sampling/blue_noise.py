@@ -14,6 +14,8 @@ _Indices = npt.NDArray[np.integer]
 
 _CELL_BITS = 21
 _CELL_MASK = (1 << _CELL_BITS) - 1
+_CELL_MAX = 2.0**40
+"""Number of a cell, at most: points farther out are in the last one, all of them."""
 
 
 class Pairs(NamedTuple):
@@ -130,7 +132,9 @@ def _keep_maximal(pairs: Pairs, kept: npt.NDArray[np.bool_]) -> None:
 
 
 def _cells(points: npt.NDArray[np.floating], size: float) -> npt.NDArray[np.int64]:
-    return np.floor(np.asarray(points, dtype=np.float32) / np.float32(size)).astype(np.int64)
+    with np.errstate(over="ignore"):
+        cells = np.floor(np.asarray(points, dtype=np.float32) / np.float32(size))
+    return np.clip(cells, -_CELL_MAX, _CELL_MAX).astype(np.int64)
 
 
 def _cell_keys(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

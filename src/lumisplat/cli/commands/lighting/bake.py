@@ -15,7 +15,7 @@ from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.settings import changed_config, setting, without_none
 from lumisplat.cli.options.up import UpOption, upright
 from lumisplat.cli.output.console import byte_size, counted, progress_bars
-from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 
@@ -64,7 +64,7 @@ class Bake(LoadingCommand, DeviceCommand):
                 replace(self, output=file).run()
             return
         ls.check_format(self.output)  # found now, rather than after the work
-        check_writable(self.output.absolute().parent)
+        check_folder(self.output.absolute().parent)
         config = self._config()
         light = LightOptions(environment=self.environment, environment_rotation=self.environment_rotation)
         environment = light.environment_light()
@@ -90,7 +90,13 @@ class Bake(LoadingCommand, DeviceCommand):
             print(f"{counted(len(scene.meshes), 'mesh instance')} cast shadows and light, and are not in the result")
 
     def _config(self) -> ls.RenderConfig:
-        """The settings: those of a scene.toml, and the options."""
+        """The settings: those of a scene.toml, and the options.
+
+        Raises:
+            ConfigError: They contradict each other.
+        """
+        if self.direct and self.max_bounces is not None:
+            raise ls.ConfigError("--direct leaves out the bounces that --max-bounces counts: give one of them")
         base = scene_settings(scene_file(self.scene))
         given = {"max_bounces": self.max_bounces, "seed": self.seed, "tone_map": self.tone_map}
         pipeline = ls.Pipeline.TRACE if self.direct else ls.Pipeline.PATH

@@ -11,9 +11,9 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.options.captures import holds_materials
 from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
-from lumisplat.cli.options.up import UpOption, upright
+from lumisplat.cli.options.up import UpOption, parse_up, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
-from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 _INSIDE = {"auto": None, "yes": True, "no": False}
@@ -38,7 +38,8 @@ class Delight(LevelsCommand, DeviceCommand):
     """Whether the capture was taken from inside of it, as that of a room is; then there is no sky. auto: yes if a good
     part of it sees none."""
     sky: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Also write the sky that was found as a latitude-longitude image, .exr: --environment of render takes it."""
+    """Also write the sky that was found as a latitude-longitude image, .exr: --environment of render takes it. Of a
+    room, there is none."""
     up: UpOption = "auto"
     """Which way is up in the image of --sky; auto: y down."""
     cells: Annotated[int, arg(metavar="4..32")] = 12
@@ -67,20 +68,39 @@ class Delight(LevelsCommand, DeviceCommand):
                 raise ls.FormatError(self.capture, str(error)) from None
             report("writing", 0.0)
             ls.save(self.output, found.gaussians)
-            if self.sky is not None:
-                try:
-                    found.save_sky(self.sky, upright(ls.Scene([capture]), self.up).upright_wxyz)
-                except ls.FormatError as error:
-                    error.add_note(f"{self.output} is written")
-                    raise
+            if self.sky is not None and not found.is_inside:
+                self._save_sky(found, self.sky, capture)
         print(f"{self.output}: {counted(capture.count, 'Gaussian')} with albedo, roughness and normals")
         for remark in found.remarks:
             print(remark)
         if self.sky is not None:
-            print(f"{self.sky}: the sky as an image")
+            told = "the sky as an image" if not found.is_inside else "is not written: a room has no sky"
+            print(f"{self.sky}: {told}")
+
+    def _save_sky(self, found: ls.MaterialEstimate, sky: Path, capture: ls.Gaussians) -> None:
+        """Writes the image of the sky.
+
+        Raises:
+            FormatError: It cannot be written; the message says that the capture is.
+        """
+        try:
+            found.save_sky(sky, upright(ls.Scene([capture]), self.up).upright_wxyz)
+        except ls.FormatError as error:
+            error.add_note(f"{self.output} is written")
+            raise
 
     def _check_outputs(self) -> None:
-        """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
+        """Refuses what cannot be written, before anything slow is done.
+
+        Raises:
+            ConfigError: A sky is wanted of a room, or --up is no direction.
+            FormatError: A file of that name cannot be written.
+        """
+        parse_up(self.up)
+        if self.sky is not None and self.inside == "yes":
+            raise ls.ConfigError(
+                "--sky is the sky around an object, and --inside yes says that it is a room: leave one"
+            )
         if not holds_materials(self.output):
             raise ls.FormatError(
                 self.output,
@@ -91,7 +111,7 @@ class Delight(LevelsCommand, DeviceCommand):
             raise ls.FormatError(self.sky, "unknown extension for the image of a sky, expected .exr")
         for path in (self.output, self.sky):
             if path is not None:
-                check_writable(path.absolute().parent)
+                check_folder(path.absolute().parent)
 
     def _loaded(self, report: Report) -> ls.Gaussians:
         """The capture."""

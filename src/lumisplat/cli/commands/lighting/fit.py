@@ -16,7 +16,7 @@ from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.rays import PipelineName
 from lumisplat.cli.options.settings import setting
 from lumisplat.cli.output.console import print_columns, progress_bars
-from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.reports.fitted_lights import light_rows, write_report
 from lumisplat.cli.output.reports.fitted_scene import fitted_document
 
@@ -84,6 +84,8 @@ class Fit(LoadingCommand, DeviceCommand):
 
     def run(self) -> None:
         """Fits, writes, prints."""
+        if self.no_intensities and self.keep_hues:
+            raise ls.ConfigError("--no-intensities keeps what --keep-hues is to find: give one of them")
         scenes = [file for file in self.files if file.suffix.lower() not in _PHOTOGRAPHS]
         photographs = [file for file in self.files if file.suffix.lower() in _PHOTOGRAPHS]
         if not scenes or not photographs:
@@ -134,9 +136,9 @@ class Fit(LoadingCommand, DeviceCommand):
             raise ls.FormatError(self.output, "is no .toml: the scene in the light that is found is saved as one")
         if self.output.exists() and not self.overwrite:
             raise ls.FormatError(self.output, "is there already: choose another name, or give --overwrite")
-        check_writable(self.output.parent)
+        check_folder(self.output.absolute().parent)
         if self.report is not None:
-            check_writable(self.report)
+            check_folder(self.report)
 
     def _cameras(self, file: Path | None, photographs: list[Path]) -> list[ls.Camera]:
         """The camera of each photograph.
@@ -173,9 +175,17 @@ class Fit(LoadingCommand, DeviceCommand):
         return None if self.environment_degree == "none" else int(self.environment_degree)
 
     def _base_colors(self) -> bool | list[str]:
+        """Those that were asked for.
+
+        Raises:
+            ConfigError: No name was given.
+        """
         if self.base_colors is None or self.base_colors == "all":
             return self.base_colors is not None
-        return [name.strip() for name in self.base_colors.split(",") if name.strip()]
+        names = [name.strip() for name in self.base_colors.split(",") if name.strip()]
+        if not names:
+            raise ls.ConfigError(f"--base-colors is '{self.base_colors}', expected all, or names with commas")
+        return names
 
     def _exposure(self) -> float | Literal["fit"] | None:
         """The exposure that was given.

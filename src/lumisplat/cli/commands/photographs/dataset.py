@@ -24,7 +24,7 @@ from lumisplat.cli.options.settings import given_options, setting, without_none
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_source import FrameSource
-from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.stats import print_stats
 
@@ -137,7 +137,7 @@ class Dataset(FrameCommand):
                 "--pipeline realtime is of frames that follow from each other, and views do not: path or hybrid"
             )
         cameras = self._cameras(settings)
-        check_writable(self.output)
+        check_folder(self.output)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
         scene = self.viewpoint.upright(self.load_scene(self.scene, report))

@@ -17,12 +17,14 @@ from lumisplat.cli.options.settings import setting
 from lumisplat.cli.output.comparisons import Comparison, compare, write_side_by_side
 from lumisplat.cli.output.console import counted, print_columns, progress_bars
 from lumisplat.cli.output.figures import cells, mean, plain
-from lumisplat.cli.output.pictures import check_writable, file_stems, make_folder
+from lumisplat.cli.output.pictures import check_folder, file_stems, make_folder
 from lumisplat.cli.output.reports.evaluated_materials import figure_rows, write_material_report
 from lumisplat.cli.output.reports.files import write_json
 
 _log = logging.getLogger("lumisplat")
 
+_HOLD_OUT = 8
+"""Unless told otherwise."""
 _WORST = 3
 """How many of the worst views are named, and shown."""
 
@@ -48,7 +50,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
     as strong) of the worst ones, side by side."""
     scale: Annotated[float, arg(metavar="0..1")] = 1.0
     """Size of the photographs, as a share of that of the files: that at which the capture was trained."""
-    hold_out: Annotated[int, arg(metavar="N")] = 8
+    hold_out: Annotated[int, arg(metavar="N")] = _HOLD_OUT
     """The first photograph by name and each Nth after it are compared; of Blender's sets those of transforms_test.json
     are."""
     pipeline: Annotated[
@@ -92,7 +94,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
             raise ls.ConfigError("--background is transparent, expected a colour over which pictures are compared")
         keeps_lenses = config.pipeline is ls.Pipeline.TRACE or config.raster.projection is ls.Projection.UNSCENTED
         if self.output is not None:
-            check_writable(self.output)
+            check_folder(self.output)
         with progress_bars() as report:
             scene = self.load_scene(scene_files, report)
             views = self._views(folder, config.background, straighten=not keeps_lenses)
@@ -128,12 +130,17 @@ class Evaluate(LoadingCommand, DeviceCommand):
             ConfigError: An option is for photographs alone, or there is no single capture.
             FormatError: A file cannot be read or written.
         """
-        if self.scale != 1.0 or self.projection is not None or self.background is not None:
-            raise ls.ConfigError("--scale, --projection and --background are not for --materials")
+        if (
+            self.scale != 1.0
+            or self.hold_out != _HOLD_OUT
+            or self.projection is not None
+            or self.background is not None
+        ):
+            raise ls.ConfigError("--scale, --hold-out, --projection and --background are not for --materials")
         if len(captures) != 1:
             raise ls.ConfigError(f"{counted(len(captures), 'capture')} given, expected one with --materials")
         if self.output is not None:
-            check_writable(self.output)
+            check_folder(self.output)
         found = self.environment or captures[0].with_suffix(".environment.exr")
         light = ls.load_radiance(found) if self.environment or found.is_file() else None
         config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
