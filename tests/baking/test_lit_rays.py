@@ -66,8 +66,10 @@ def test_rays_across_edges_of_colour_show_what_frames_do(shines: bool, monkeypat
     across = spread > 0.2 * green.max()
     assert across.sum() > 50
     errors = (shown.colors - truth.colors)[across, 1]
-    assert abs(errors.mean()) < 0.01
-    assert np.sqrt(np.square(errors).mean()) < 0.06
+    # Within three standard errors of the mean; and no noisier than with this seed (0.042 and 0.044). By the albedo of
+    # what shines they are 0.007 and 0.065, and the noise of light that is not shared is 0.13 and 0.14.
+    assert abs(errors.mean()) < 3.0 * errors.std() / np.sqrt(errors.size)
+    assert np.sqrt(np.square(errors).mean()) < 0.046
 
 
 def test_parts_of_rays_end_half_way_to_what_is_not_wanted() -> None:
