@@ -15,10 +15,6 @@ SPREAD_SHARE = 0.3
 """Of the angle between neighbouring directions, what is added to alpha of highlights, in squares: narrower ones would
 fall between directions."""
 
-VIEW_COSINE_MIN = 0.1
-"""Cosine between normal and view, below which a Gaussian is shaded as if seen from there: normals are uncertain, and
-black at silhouettes would be taken for albedo."""
-
 # --- Exposures ---
 
 EXPOSURE_VIEWS = 24

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lumisplat.constants.materials import VIEW_COSINE_MIN
 from support.oracles.bsdf_oracle import pbr_diffuse, pbr_specular
 
 Array = np.ndarray
@@ -33,13 +32,9 @@ def radiance(lit: Lit, eye: Array) -> Array:
 
 
 def lit_view(normal: Array, way: Array) -> Array:
-    """The direction of a view, no flatter than the least cosine, in the plane of the normal and the view."""
+    """The direction of a view; from below the surface, that which a mirror there would have."""
     view = way / np.linalg.norm(way)
-    if view @ normal >= VIEW_COSINE_MIN:
-        return view
-    tangent = view - (view @ normal) * normal
-    tangent /= np.linalg.norm(tangent)
-    return VIEW_COSINE_MIN * normal + np.sqrt(1.0 - VIEW_COSINE_MIN**2) * tangent
+    return view if view @ normal >= 0.0 else view - 2.0 * (view @ normal) * normal
 
 
 def _of_one(lit: Lit, i: int, view: Array) -> Array:

@@ -4,10 +4,10 @@ import warp as wp
 
 from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.compositing import instance_of
-from lumisplat.device.gaussian.projection import above_horizon
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
+from lumisplat.device.math.directions import seen_from
 from lumisplat.device.structs.light import BSDF_PBR
 from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface, WaveData
 
@@ -192,8 +192,8 @@ def splat_interaction(
     to_eye = -wave[0].rays.direction[i]
     interaction.position = wave[0].rays.origin[i] - surface.depth * to_eye
     interaction.normal = unit_or(wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), to_eye)
-    # What bends away at a silhouette is lit by its own normal, and seen from its horizon.
-    interaction.wo = above_horizon(to_eye, interaction.normal)
+    # What bends away at a silhouette is lit by its own normal, and seen from its own side.
+    interaction.wo = seen_from(to_eye, interaction.normal)
     interaction.horizon_normal = interaction.normal
     interaction.geometric_normal = interaction.normal
     finish = finish_of(surface.instance, surface.gaussian, scene)

@@ -6,7 +6,6 @@ It is what ``pbr_eval`` is without metal, layers and transmission (docs/method/m
 import warp as wp
 
 from lumisplat.constants import COAT_HEAD_ON
-from lumisplat.constants.materials import VIEW_COSINE_MIN
 from lumisplat.device.material.ggx import (
     ggx_d,
     lost_share,
@@ -21,7 +20,6 @@ from lumisplat.device.structs.training import DirectionalLight
 wp.set_module_options({"enable_backward": False})
 
 HEAD_ON = wp.constant(wp.float32(COAT_HEAD_ON))
-VIEW_COSINE = wp.constant(wp.float32(VIEW_COSINE_MIN))
 
 
 @wp.func
@@ -65,23 +63,6 @@ def reflected_dot(
     diffuse = diffuse_factor(wp.dot(normal, view), cos_light, alpha)
     highlight = highlight_factor(normal, view, light, wp.sqrt(alpha * alpha + spread))
     return cos_light * (by_diffuse * diffuse + by_highlight * highlight)
-
-
-@wp.func
-def lit_view(normal: wp.vec3, way: wp.vec3) -> wp.vec3:
-    """Where a Gaussian is seen from, unit; one that is seen from behind or along its surface as if from a little above.
-
-    Normals are uncertain, and black at silhouettes would be taken for albedo.
-    """
-    view = wp.normalize(way)
-    missing = VIEW_COSINE - wp.dot(normal, view)
-    if missing > 0.0:
-        across = view - wp.dot(normal, view) * normal
-        length = wp.length(across)
-        if length < 1e-6:
-            return normal
-        return VIEW_COSINE * normal + (wp.sqrt(1.0 - VIEW_COSINE * VIEW_COSINE) / length) * across
-    return view
 
 
 @wp.func

@@ -35,6 +35,16 @@ def angle_of(y: float, x: float) -> float:
 
 
 @wp.func
+def seen_from(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
+    """A unit direction to the eye, mirrored at the surface of a unit normal where it is below it.
+
+    Silhouettes show Gaussians from a little beyond the horizon: they stand for what lies as far before it
+    (docs/method/gaussians.md#own-normals).
+    """
+    return to_eye - 2.0 * wp.min(wp.dot(to_eye, normal), 0.0) * normal
+
+
+@wp.func
 def around(axis: wp.vec3, cosine: float, sine: float, turn: float) -> wp.vec3:
     """The unit direction at the angle of this cosine and sine from a unit axis, ``turn`` (0..1) of the way around it.
 

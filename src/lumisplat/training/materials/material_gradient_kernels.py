@@ -6,7 +6,8 @@ other kernel of the module has called them: they would be 0.
 
 import warp as wp
 
-from lumisplat.device.material.rough_dielectric import light_on, lit_view, reflected_dot
+from lumisplat.device.material.rough_dielectric import light_on, reflected_dot
+from lumisplat.device.math.directions import seen_from
 from lumisplat.device.structs.training import DirectionalLight, GaussianMaterials, MaterialGradient
 
 wp.set_module_options({"enable_backward": False})
@@ -30,7 +31,7 @@ def differentiate(
     if wp.dot(given, given) > 0.0:
         normal = materials.normals[i]
         albedo = materials.albedo[i]
-        view = lit_view(normal, eye - materials.means[i])
+        view = seen_from(wp.normalize(eye - materials.means[i]), normal)
         for k in range(light.directions.shape[0]):
             way = light.directions[k]
             if wp.dot(normal, way) > 0.0:

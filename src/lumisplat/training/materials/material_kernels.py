@@ -8,8 +8,9 @@ import warp as wp
 from lumisplat.constants import SH_C0
 from lumisplat.constants.materials import SKY_CHUNK
 from lumisplat.device.gaussian.splat_coverage import is_listed
-from lumisplat.device.material.rough_dielectric import diffuse_factor, highlight_factor, light_on, lit_view
+from lumisplat.device.material.rough_dielectric import diffuse_factor, highlight_factor, light_on
 from lumisplat.device.math.color import encode_srgb
+from lumisplat.device.math.directions import seen_from
 from lumisplat.device.structs.gradients import SplatGradient
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.training import DirectionalLight, GaussianMaterials
@@ -48,7 +49,7 @@ def shade(
     i = start + wp.tid()
     normal = materials.normals[i]
     roughness = materials.roughness[i]
-    view = lit_view(normal, eye - materials.means[i])
+    view = seen_from(wp.normalize(eye - materials.means[i]), normal)
     cos_view = wp.dot(normal, view)
     wide = alpha_of(roughness, light.spread)
     diffuse = wp.vec3(0.0)
@@ -108,7 +109,7 @@ def differentiate_sky(
         if wp.dot(given, given) > 0.0:
             normal = materials.normals[i]
             roughness = materials.roughness[i]
-            view = lit_view(normal, eye - materials.means[i])
+            view = seen_from(wp.normalize(eye - materials.means[i]), normal)
             cos_view = wp.dot(normal, view)
             wide = alpha_of(roughness, light.spread)
             by_diffuse = wp.cw_mul(given, materials.albedo[i])
