@@ -75,6 +75,18 @@ def test_samples_do_not_blur_what_is_compared(folder, ball):
     assert result.relit["dusk"].psnr > 55.0
 
 
+def test_rays_as_wide_as_pixels_go_through_their_centres(folder, ball):
+    """As splats do; those of antialiased captures are without width, and spread."""
+    spread = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=4)
+    assert spread.jitter
+    for capture, is_spread in ((ball, False), (replace(ball, antialiased=True), True)):
+        by_default, central = (
+            ls.evaluate_materials(capture, folder, config=config, device="cpu").relit["dusk"]
+            for config in (spread, replace(spread, jitter=False))
+        )
+        assert (by_default != central) == is_spread
+
+
 def test_a_scale_of_albedo_is_recovered(folder, ball):
     """One a channel for all views; without it the error is that of the factors, as sRGB."""
     factors = np.array([0.5, 0.9, 1.6])

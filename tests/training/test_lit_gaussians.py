@@ -80,6 +80,16 @@ def test_radiance_is_that_of_the_books() -> None:
     assert (expected > 1.0).any() and (expected < 1.0).any()
 
 
+def test_from_below_it_shows_what_a_mirror_there_would_show() -> None:
+    """As frames have it of normals beyond the horizon: to an eye that is as far above, each shows the same."""
+    lit = some(2)
+    ways = EYE - lit.means
+    heights = (ways * lit.normals).sum(axis=1, keepdims=True)
+    assert (heights < -1.0).any()
+    above = replace(lit, means=lit.means + 2.0 * np.minimum(heights, 0.0) * lit.normals)
+    np.testing.assert_allclose(Shown(lit).gaussians.radiance, Shown(above).gaussians.radiance, rtol=1e-4, atol=1e-6)
+
+
 def test_directions_are_a_quadrature_of_the_material() -> None:
     """Of what `pbr_eval` reflects of a smooth sky, over the hemisphere."""
     lit = replace(some(directions=1024), seen=np.zeros((COUNT, 1024, 3)), open=np.ones((COUNT, 1024)))
@@ -134,7 +144,7 @@ def test_derivatives(name: str) -> None:
 
 
 def test_derivatives_by_normals_of_what_faces_the_eye() -> None:
-    """Along tangents, where the view is not bent, and no direction crosses the horizon."""
+    """Along tangents, where the view is not mirrored, and no direction crosses the horizon."""
     lit, rng = some(5), np.random.default_rng(6)
     given = rng.normal(size=(COUNT, 3))
     found = Shown(lit).by_radiance(given).normals

@@ -10,6 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import HORIZON_COSINE
 from lumisplat.math.sh import even_directions
+from support.oracles.bsdf_oracle import evaluate
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh
 
@@ -78,3 +79,31 @@ def test_a_sheet_from_behind_is_turned_around(pipeline: ls.Pipeline) -> None:
         carried = replace(ball(1), means=np.zeros((1, 3)), normals=own[None])
         frame = seen(carried, pipeline, ls.LightDirectional((0.0, 0.0, 1.0)))
         np.testing.assert_allclose(frame.normal[24, 24], wanted, atol=0.01)
+
+
+@pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH])
+def test_a_surface_from_beyond_its_horizon_is_seen_as_from_its_own_side(pipeline: ls.Pipeline) -> None:
+    """It reflects light as it does to an eye that is as far above its horizon, whatever shines where.
+
+    As if seen from just above, a glossy one would be a mirror at every angle.
+    """
+    gloss, to_eye = ls.MaterialPbr(roughness=0.5), -CAMERA.ray_directions()[24, 24].astype(np.float64)
+    to_eye = to_eye @ CAMERA.camera_from_world[:3, :3]
+    books = {"model": "pbr", "diffuse": [1.0] * 3, "specular": [0.04] * 3, "grazing": 1.0}
+    books |= {"dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": 0.25}
+    for beyond in (25.0, 10.0, 1.0):
+        along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
+        own = np.array([across, 0.0, along])
+        carried = replace(ball(1), means=np.zeros((1, 3)), normals=own[None])
+        view = to_eye - 2.0 * (to_eye @ own) * own
+        assert view @ own == pytest.approx(along, abs=0.02) and to_eye @ own < 0.0
+        for light in ([0.2, 0.1, 1.0], [1.0, 0.3, 0.4], [1.0, -0.5, -0.6]):
+            towards = np.array(light) / np.linalg.norm(light)
+            lamp = ls.LightDirectional(tuple(-towards))
+            scene = ls.Scene(splats=[ls.SplatInstance(carried, material=gloss)], lights=[lamp])
+            config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.OFF, background=None, max_bounces=0)
+            if pipeline is ls.Pipeline.PATH:
+                config = replace(config, samples=64, jitter=False)
+            frame = ls.render(scene, CAMERA, config, device="cpu")
+            expected = evaluate(books, own, view, towards) * max(towards @ own, 0.0)
+            np.testing.assert_allclose(frame.straight()[24, 24], expected, rtol=2e-3)

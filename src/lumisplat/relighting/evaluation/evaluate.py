@@ -28,10 +28,11 @@ from lumisplat.relighting.evaluation.found import LayerRenderer, over_black, rel
 from lumisplat.relighting.evaluation.results import MaterialEvaluation, RelitFigures
 from lumisplat.relighting.evaluation.truth import RelightableSet
 from lumisplat.renderer.renderer import Renderer, create_renderer
+from lumisplat.renderer.scene.instance_tables import footprint_of
 from lumisplat.scene.gaussians import Gaussians
 
-SPLATS = (Pipeline.RASTER, Pipeline.HYBRID)
-"""Pipelines whose Gaussians are wide enough for pixels; rays are not."""
+SPLATS, RAYS = (Pipeline.RASTER, Pipeline.HYBRID), (Pipeline.TRACE, Pipeline.PATH)
+"""Pipelines that show Gaussians through the centres of pixels as they were learnt: all, and those that rays widen."""
 
 
 def evaluate_materials(
@@ -57,9 +58,9 @@ def evaluate_materials(
         environment: The light of the photographs that was found, linear radiance, shape (H, W, 3), with the axes of
             `LightEnvironment`; None: none was.
         config: How the capture is relit; None: ``Pipeline.HYBRID``, which has shadows and no bounces, and where lamps
-            light a room ``Pipeline.PATH``, which has both. Whatever it says, without a background, and splats with
-            samples through the centres of pixels: they were learnt as they are seen there, and spread samples would
-            blur them once more.
+            light a room ``Pipeline.PATH``, which has both. Whatever it says, without a background, and with samples
+            through the centres of pixels: Gaussians were learnt as they are seen there, and spread samples would blur
+            them once more. Rays that find antialiased captures as narrow as they are have theirs spread.
         samples: Of each pixel of relit pictures, in place of those of ``config``; None: those, and 64 if neither says
             it, so that grain is a small part of the error (docs/guide/materials.md#grain).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
@@ -80,7 +81,7 @@ def evaluate_materials(
     given = with_albedo(gaussians)
     seen = list(_seen(truth, given, device, report))
     scale = albedo_scale(seen)
-    renderer = create_renderer(_relighting(config, samples, has_lamps=truth.has_lamps), device)
+    renderer = create_renderer(_relighting(config, samples, gaussians, has_lamps=truth.has_lamps), device)
     relit = _relit(truth, given, scale, renderer, report)
     seen = [replace(view, relit=pictures) for view, pictures in zip(seen, relit, strict=True)]
     views, problems = zip(*(measured(view, scale) for view in seen), strict=True)
@@ -104,13 +105,15 @@ def evaluate_materials(
     )
 
 
-def _relighting(config: RenderConfig | None, samples: int | None, *, has_lamps: bool) -> RenderConfig:
+def _relighting(
+    config: RenderConfig | None, samples: int | None, gaussians: Gaussians, *, has_lamps: bool
+) -> RenderConfig:
     """How relit pictures are made."""
     settings = config or RenderConfig(pipeline=Pipeline.PATH if has_lamps else Pipeline.HYBRID)
     if samples is None and settings.time_limit is None and settings.noise is None:
         samples = settings.samples or RELIT_SAMPLES
-    jitter = settings.jitter and settings.pipeline not in SPLATS
-    return replace(settings, background=None, samples=samples, jitter=jitter)
+    wide = settings.pipeline in SPLATS or (settings.pipeline in RAYS and footprint_of(gaussians, settings) > 0.0)
+    return replace(settings, background=None, samples=samples, jitter=settings.jitter and not wide)
 
 
 def _panorama(environment: npt.ArrayLike) -> FloatArray:
