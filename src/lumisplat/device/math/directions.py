@@ -39,7 +39,7 @@ def seen_from(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
     """A unit direction to the eye, mirrored at the surface of a unit normal where it is below it.
 
     Silhouettes show Gaussians from a little beyond the horizon: they stand for what lies as far before it
-    (docs/method/gaussians.md#own-normals).
+    (docs/method/gaussians.md#normals).
     """
     return to_eye - 2.0 * wp.min(wp.dot(to_eye, normal), 0.0) * normal
 
