@@ -165,6 +165,7 @@ def test_missing_packages_leave_their_figures_out(work, monkeypatch):
         (("@capture.ply", "@photos", "--background", "transparent"), "--background is transparent, expected a colour"),
         (("@capture.ply", "@photos", "--background", "mauve"), "--background is 'mauve', expected three numbers"),
         (("@capture.ply", "@photos", "-o", "@capture.ply"), "capture.ply: is a file, expected a folder"),
+        (("@capture.ply", "@photos", "-o", "@photos/images"), "photos/images has the photographs, whose places"),
         (("@capture.ply", "@photos", "-o", "@photos/images/v0.png"), "v0.png: is a file, expected a folder"),
     ],
 )

@@ -210,6 +210,12 @@ def test_nothing_is_overwritten_unless_asked_for(work):
             ("@room.toml", "@door.png", "-o", "@a.toml", "--base-colors", " ,"),
             "--base-colors is ' ,', expected all, or",
         ),
+        (("@room.toml", "@door.png", "-o", "@a.toml", "--report", "@."), "has the photographs, whose places pictures"),
+        (
+            ("@room.toml", "@door.png", "-o", "@folder.toml", "--overwrite"),
+            "folder.toml: is a folder, expected the name",
+        ),
+        (("@room.toml", "@door.png", "-o", "@b.toml"), "b.assets: is a file, expected a folder"),
         (("@room.toml", "@door.png", "-o", "@a.toml", "--keep-hues", "--no-intensities"), "give one of them"),
         (("@room.toml", "@door.png", "-o", "@a.toml", "--no-intensities"), "nothing is left to find"),
         (
@@ -222,10 +228,13 @@ def test_nothing_is_overwritten_unless_asked_for(work):
 def test_mistakes_are_said_in_a_line(work, arguments, message):
     """Status 2, one line, no file."""
     Image.new("RGB", (80, 40), (90, 90, 90)).save(work.path("wide.png"))
+    work.path("folder.toml").mkdir()
+    work.path("b.assets").write_text("in the way")
+    before = work.path("door.png").read_bytes()
     done = work.run("fit", *arguments, *FIT)
     assert done.status == 2 and done.out == ""
     assert message in done.err and done.err.count("\n") == 1
-    assert not work.path("a.toml").exists()
+    assert not work.path("a.toml").exists() and work.path("door.png").read_bytes() == before
 
 
 def test_help_says_what_it_costs(work):

@@ -17,8 +17,9 @@ from lumisplat.cli.options.rays import PipelineName
 from lumisplat.cli.options.settings import setting
 from lumisplat.cli.output.console import print_columns, progress_bars
 from lumisplat.cli.output.pictures import check_folder
+from lumisplat.cli.output.reports.files import check_report
 from lumisplat.cli.output.reports.fitted_lights import light_rows, write_report
-from lumisplat.cli.output.reports.fitted_scene import fitted_document
+from lumisplat.cli.output.reports.fitted_scene import assets_of, fitted_document
 
 _log = logging.getLogger("lumisplat")
 
@@ -91,7 +92,7 @@ class Fit(LoadingCommand, DeviceCommand):
         if not scenes or not photographs:
             missing = "scene" if not scenes else "photograph"
             raise ls.ConfigError(f"no {missing} given: lumisplat fit room.toml photo.jpg -o fitted.toml")
-        self._check_output()
+        self._check_output(photographs)
         file = scene_file(scenes)
         cameras = self._cameras(file, photographs)
         config = self._config(scene_settings(file))
@@ -130,15 +131,17 @@ class Fit(LoadingCommand, DeviceCommand):
         residuals = ", ".join(f"{view.residual:.4f}" for view in fit.views)
         print(f"{self.output}: residual {residuals} (1 is white)")
 
-    def _check_output(self) -> None:
+    def _check_output(self, photographs: list[Path]) -> None:
         """Refuses what cannot be written, before anything slow is done."""
         if self.output.suffix.lower() != ".toml":
             raise ls.FormatError(self.output, "is no .toml: the scene in the light that is found is saved as one")
         if self.output.exists() and not self.overwrite:
             raise ls.FormatError(self.output, "is there already: choose another name, or give --overwrite")
-        check_folder(self.output.absolute().parent)
+        if self.output.is_dir():
+            raise ls.FormatError(self.output, "is a folder, expected the name of a file to write")
+        check_folder(assets_of(self.output))
         if self.report is not None:
-            check_folder(self.report)
+            check_report(self.report, photographs)
 
     def _cameras(self, file: Path | None, photographs: list[Path]) -> list[ls.Camera]:
         """The camera of each photograph.

@@ -19,7 +19,7 @@ from lumisplat.cli.output.console import counted, print_columns, progress_bars
 from lumisplat.cli.output.figures import cells, mean, plain
 from lumisplat.cli.output.pictures import check_folder, file_stems, make_folder
 from lumisplat.cli.output.reports.evaluated_materials import figure_rows, write_material_report
-from lumisplat.cli.output.reports.files import write_json
+from lumisplat.cli.output.reports.files import check_report, write_json
 
 _log = logging.getLogger("lumisplat")
 
@@ -140,7 +140,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if len(captures) != 1:
             raise ls.ConfigError(f"{counted(len(captures), 'capture')} given, expected one with --materials")
         if self.output is not None:
-            check_folder(self.output)
+            inside = self.output.resolve().is_relative_to(folder.resolve())
+            check_report(self.output, [view.path for view in ls.load_photographs(folder).held_out] if inside else ())
         found = self.environment or captures[0].with_suffix(".environment.exr")
         light = ls.load_radiance(found) if self.environment or found.is_file() else None
         config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
@@ -171,7 +172,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         """The photographs that are held out.
 
         Raises:
-            ConfigError: None is.
+            ConfigError: None is, or the report would take their place.
             FormatError: The folder cannot be read.
         """
         photographs = ls.load_photographs(
@@ -184,6 +185,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
         )
         if not photographs.held_out:
             raise ls.ConfigError(f"--hold-out is {self.hold_out}: no photograph is left to compare, expected 2 or more")
+        if self.output is not None:
+            check_report(self.output, [view.path for view in photographs.held_out])
         return photographs.held_out
 
 

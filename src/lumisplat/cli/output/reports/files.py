@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import os
 import secrets
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lumisplat as ls
+from lumisplat.cli.output.pictures import check_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,6 +22,24 @@ if TYPE_CHECKING:
 
 _GAIN = 4.0
 """By how much differences are shown stronger than they are."""
+
+
+def check_report(folder: Path, photographs: Iterable[Path]) -> None:
+    """Checks whether a report can be written, without harm to photographs: its pictures have their names.
+
+    Args:
+        folder: Of the report.
+        photographs: What it is about.
+
+    Raises:
+        ConfigError: It is the folder of a photograph.
+        FormatError: Nothing can be written there.
+    """
+    check_folder(folder)
+    if any(photograph.absolute().parent.resolve() == folder.resolve() for photograph in photographs):
+        raise ls.ConfigError(
+            f"{folder} has the photographs, whose places pictures of a report would take: name another"
+        )
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> None:

@@ -54,14 +54,19 @@ def _sky_table(light: ls.LightEnvironment) -> dict[str, Any]:
 def _written(fit: ls.LightFit, output: Path) -> Path:
     """The file of the harmonics' image."""
     assert fit.environment is not None
-    path = _assets_of(output) / "environment.exr"
+    path = _made_assets(output) / "environment.exr"
     fit.environment.save(path, rotation_wxyz=fit.scene.upright_wxyz, height=32)
     return path
 
 
-def _assets_of(output: Path) -> Path:
+def assets_of(output: Path) -> Path:
     """The folder for what a scene file names."""
-    folder = output.with_name(f"{output.stem}.assets").absolute()
+    return output.with_name(f"{output.stem}.assets").absolute()
+
+
+def _made_assets(output: Path) -> Path:
+    """The same, which is there."""
+    folder = assets_of(output)
     make_folder(folder)
     return folder
 
@@ -78,7 +83,7 @@ def _with_captures(document: ls.SceneDocument, fit: ls.LightFit, output: Path) -
         if entry.kind != "splats" or sum(one.id == entry.id for one in entries) > 1:
             remarks.append(f"{entry.name} is no file of one capture: its colours stay")
             continue
-        path = _assets_of(output) / f"{stem}.ply"
+        path = _made_assets(output) / f"{stem}.ply"
         ls.save(path, after.splats[number].gaussians)
         document = document.changed(entry.id, path=str(path))
     return document, remarks
