@@ -104,6 +104,7 @@ def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
             ("@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--inside", "yes"),
             "--inside yes says that it is a room",
         ),
+        (("@ball.ply", "-o", "/proc/lumisplat.ply"), "/proc/lumisplat.ply: cannot be written, nothing can in /proc"),
         (("@ball.ply", "-o", "@out.ply", "--up", "0,0,0"), "--up is '0,0,0', expected a direction"),
         (
             ("@point.ply", "-o", "@out.ply"),

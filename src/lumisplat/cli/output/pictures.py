@@ -85,11 +85,15 @@ def check_writable(output: Path) -> None:
     Raises:
         FormatError: A file is in the way, or the folder that is there already cannot be written to.
     """
-    check_folder(output.parent if output.suffix.lower().removeprefix(".") in FORMATS else output)
+    check_folder(output.parent if output.suffix.lower().removeprefix(".") in FORMATS else output, output)
 
 
-def check_folder(folder: Path) -> None:
+def check_folder(folder: Path, output: Path | None = None) -> None:
     """Checks whether files can be written into a folder that is there or that can be made; leaves nothing behind.
+
+    Args:
+        folder: The folder.
+        output: What messages name; None: the folder.
 
     Raises:
         FormatError: As of `check_writable`.
@@ -100,7 +104,9 @@ def check_folder(folder: Path) -> None:
     try:
         tempfile.TemporaryFile(dir=existing).close()
     except OSError as error:
-        raise ls.FormatError(folder, f"cannot be written, nothing can in {existing}: {error.strerror}") from None
+        raise ls.FormatError(
+            output or folder, f"cannot be written, nothing can in {existing}: {error.strerror}"
+        ) from None
 
 
 def make_folder(folder: Path) -> None:

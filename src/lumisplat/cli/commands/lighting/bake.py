@@ -64,7 +64,7 @@ class Bake(LoadingCommand, DeviceCommand):
                 replace(self, output=file).run()
             return
         ls.check_format(self.output)  # found now, rather than after the work
-        check_folder(self.output.absolute().parent)
+        check_folder(self.output.absolute().parent, self.output)
         config = self._config()
         light = LightOptions(environment=self.environment, environment_rotation=self.environment_rotation)
         environment = light.environment_light()

@@ -111,7 +111,7 @@ class Delight(LevelsCommand, DeviceCommand):
             raise ls.FormatError(self.sky, "unknown extension for the image of a sky, expected .exr")
         for path in (self.output, self.sky):
             if path is not None:
-                check_folder(path.absolute().parent)
+                check_folder(path.absolute().parent, path)
 
     def _loaded(self, report: Report) -> ls.Gaussians:
         """The capture."""

@@ -139,7 +139,7 @@ class Fit(LoadingCommand, DeviceCommand):
             raise ls.FormatError(self.output, "is there already: choose another name, or give --overwrite")
         if self.output.is_dir():
             raise ls.FormatError(self.output, "is a folder, expected the name of a file to write")
-        check_folder(assets_of(self.output))
+        check_folder(assets_of(self.output), self.output)
         if self.report is not None:
             check_report(self.report, photographs)
 
