@@ -2,10 +2,11 @@
 
 ``python -m bench.delighted [--scenes room spot "glossy spot"]`` prints a JSON object a scene, and writes pictures to
 /tmp/delighted: captured colours, albedo found and true albedo side by side. Captures are sets of Gaussians with the
-light of `lumisplat bake` in their colours, degree 0, or 3 and 32 samples where surfaces are glossy, at 8 bounces. All
-is compared in pictures from 8 sides, where they are opaque: albedo in linear light, after one factor a channel, as how
-bright the light was cannot be known, and encoded, as ``evaluate --materials`` has it (``albedo_srgb_db``); pictures in
-a new light as displays show them, after the same factor.
+light of `lumisplat bake` in their colours, degree 0, or 3 and 32 samples where surfaces are glossy, at 8 bounces; they
+hide each other in the order of their centres, as captures are trained. All is compared in pictures from 8 sides, where
+they are opaque: albedo in linear light, after one factor a channel, as how bright the light was cannot be known, and
+encoded, as ``evaluate --materials`` has it (``albedo_srgb_db``); pictures in a new light as displays show them, after
+the same factor.
 ``shadow_left`` is how much of the light on the floor is still in its albedo: the slope of one's logarithm by the
 other's. ``roughness``: for each true one, mean and root-mean-square error of what was found on the floor and on the
 cow, and how sure that says it is.
@@ -33,6 +34,8 @@ from lumisplat.relighting.albedo.outgoing import median_outgoing
 
 OUT = Path("/tmp/delighted")
 MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)
+AS_TRAINED = ls.RenderConfig(pipeline=ls.Pipeline.PATH, trace=ls.TraceConfig(hit_distance=ls.HitDistance.MEAN))
+"""Paths on which Gaussians hide each other as in captures."""
 GLOSSY = (0.15, 0.3, 0.5, 0.8)
 """Roughnesses, a quadrant each."""
 SH_CONSTANT = 0.28209479177387814
@@ -126,8 +129,7 @@ def glossy_spot(sky: Doubles, device: str) -> Case:
     turn = np.arctan2(truth.means[:, 2], truth.means[:, 0]) / np.pi + 1.0
     truth = replace(truth, roughness=np.array(GLOSSY, np.float32)[np.floor(2.0 * turn).astype(int) % 4])
     material = ls.MaterialPbr()
-    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=32)
-    captured = _baked(_under(sky, truth, material), device, config, 3)
+    captured = _baked(_under(sky, truth, material), device, replace(AS_TRAINED, samples=32), 3)
     return Case(truth, captured, cameras, on_floor, material)
 
 
@@ -289,7 +291,7 @@ def psnr(a: Doubles, b: Doubles) -> float:
     return round(float(-10.0 * np.log10(np.mean((np.clip(a, 0.0, 1.0) - b) ** 2))), 2)
 
 
-def _baked(scene: ls.Scene, device: str, config: ls.RenderConfig | None = None, degree: int = 0) -> ls.Gaussians:
+def _baked(scene: ls.Scene, device: str, config: ls.RenderConfig = AS_TRAINED, degree: int = 0) -> ls.Gaussians:
     """What a capture of the scene's set knows: its colours."""
     return replace(ls.bake(scene, config, degree=degree, device=device).splats[0].gaussians, normals=None)
 

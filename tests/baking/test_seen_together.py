@@ -53,11 +53,36 @@ def test_harmonics_that_are_known_are_found_again() -> None:
     blend = Blend(some, GAUSSIANS, 16, Launcher("cpu"))
     start = truth + rng.normal(0.0, 0.1, truth.shape)
     known = Pixels(blend.show(truth), 0.0, some.ray, some.gaussian, some.weight, some.direction)
-    found = changed_to_fit(blend, known, start)
+    found = changed_to_fit(blend, known, start, np.zeros(GAUSSIANS))
     assert np.abs(found - truth).mean() < 0.5 * np.abs(start - truth).mean()
     assert (
         np.square(blend.show(found) - known.colors).mean() < 0.01 * np.square(blend.show(start) - known.colors).mean()
     )
+
+
+def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend, Pixels]:
+    """So many rays that see three Gaussians each, and noise of 0.1 on what they show, of which nobody knows."""
+    some = pixels(rng)
+    sights = SIGHTS * rays
+    some = replace(
+        some,
+        colors=some.colors[:rays],
+        **{name: getattr(some, name)[:sights] for name in ("ray", "gaussian", "weight", "direction")},
+    )
+    blend = Blend(some, GAUSSIANS, 16, Launcher("cpu"))
+    return blend, replace(some, colors=blend.show(truth) + rng.normal(0.0, 0.1, (rays, 3)))
+
+
+def test_a_few_rays_that_come_later_do_not_undo_what_many_have_told() -> None:
+    """Gaussians at the border of what is changed together are seen by few rays of the next: these count as they are."""
+    rng = np.random.default_rng(3)
+    truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
+    many, few = noisy(rng, truth, RAYS), noisy(rng, truth, RAYS // 20)
+    first = changed_to_fit(*many, np.zeros_like(truth), np.zeros(GAUSSIANS))
+    then, heedless = (changed_to_fit(*few, first, told) for told in (many[1].tell(GAUSSIANS), np.zeros(GAUSSIANS)))
+    off, off_then, off_heedless = (np.square(found - truth).mean() for found in (first, then, heedless))
+    assert off_then < 1.05 * off
+    assert off_heedless > 2.0 * off
 
 
 LAMPS = [
