@@ -97,6 +97,7 @@ def test_what_is_missing_is_said_in_a_line(work, caplog):
         ((*COMMAND, "--environment", "@lost.exr"), "lost.exr: no such file"),
         (("evaluate", "@ball.ply", "@lost", "--materials"), "lost: no such folder"),
         ((*COMMAND, "-o", "@ball.ply"), "ball.ply: is a file, expected a folder"),
+        ((*COMMAND, "-o", "@set/train"), "set/train has the photographs, whose places pictures of a report would take"),
         ((*COMMAND, "-o", "@set/test"), "set/test has the photographs, whose places pictures of a report would take"),
     ],
 )

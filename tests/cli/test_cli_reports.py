@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
+from lumisplat.cli.output.reports import files
 from lumisplat.cli.output.reports.files import write_beside, write_json
 from support.files.small_disks import small_disk
 
@@ -31,6 +32,14 @@ def test_a_full_disk_leaves_the_report_of_before(tmp_path: Path) -> None:
         assert json.loads((disk / "report.json").read_text()) == {"psnr": 31.0}
         with Image.open(disk / "door.png") as picture:
             assert picture.size == (12, 4)
+
+
+def test_reports_that_are_written_are_no_leftovers_of_others(tmp_path: Path) -> None:
+    """The first file that another process writes into a folder removes what killed ones have left there."""
+    with files._replaced(tmp_path / "report.json") as temporary:
+        temporary.write_text("{}")
+        ls.save(tmp_path / "other.ply", ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4))
+    assert sorted(os.listdir(tmp_path)) == ["other.ply", "report.json"]
 
 
 def test_reports_are_replaced(tmp_path: Path) -> None:

@@ -348,7 +348,7 @@ def test_what_stops_rays_at_once_is_no_fog(ball: tuple[ls.Gaussians, np.ndarray]
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
 def test_captures_of_others_are_no_fog(data_dir: Path, name: str) -> None:
-    """Nor nearly: what half of the rays lose at once is 0.8 of it or more, and few Gaussians are round."""
+    """Few of their Gaussians are round; if all were, half of the rays would still lose most of their light at once."""
     capture = ls.load(data_dir / "splats" / name)
     assert isinstance(capture, ls.Gaussians)
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")

@@ -81,7 +81,7 @@ def test_radiance_is_that_of_the_books() -> None:
 
 
 def test_from_below_it_shows_what_a_mirror_there_would_show() -> None:
-    """As frames have it of normals beyond the horizon: to an eye that is as far above, each shows the same."""
+    """As frames have it of normals up to 30 degrees beyond the horizon: to an eye as far above, each shows the same."""
     lit = some(2)
     ways = EYE - lit.means
     heights = (ways * lit.normals).sum(axis=1, keepdims=True)

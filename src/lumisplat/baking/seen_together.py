@@ -71,7 +71,8 @@ class Pixels:
     def tell(self, gaussians: int) -> Doubles:
         """How much they tell of each coefficient of a Gaussian that is seen from all sides, shape (N,).
 
-        The diagonal of the normal equations; the mean square of a harmonic over all directions is 1 / (4 pi).
+        The diagonal of the normal equations; the mean square of a harmonic over all directions is 1 / (4 pi). Pixels of
+        all parts of a bake are taken to be as noisy.
         """
         return np.bincount(self.gaussian, np.square(self.weight), gaussians) / (4.0 * np.pi)
 

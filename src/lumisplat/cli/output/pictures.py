@@ -100,7 +100,7 @@ def check_folder(folder: Path, output: Path | None = None) -> None:
     """
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing.is_dir():
-        raise ls.FormatError(existing, "is a file, expected a folder for the pictures")
+        raise ls.FormatError(existing, "is a file, expected a folder")
     try:
         tempfile.TemporaryFile(dir=existing).close()
     except OSError as error:

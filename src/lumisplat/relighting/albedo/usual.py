@@ -44,6 +44,9 @@ def even_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> 
 def usual_factor(outgoing: Doubles, observed: Doubles, lit: Doubles, weights: Doubles) -> float:
     """By what a light is too dark; what Gaussians show each other stays as it was captured.
 
+    In a few rounds, each of which comes nearer by the light's share: where Gaussians are lit mostly by each other, the
+    lightest albedos stay between what they were and what is usual.
+
     Args:
         outgoing: Radiance of Gaussians, shape (N, 3).
         observed: Irradiance over pi of what the capture shows, shape (N, 3).

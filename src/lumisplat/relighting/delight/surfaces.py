@@ -67,15 +67,16 @@ def _lost_at_once(gaussians: Gaussians, areas: Doubles, renderer: Renderer, seed
     """Of what rays lose that come from outside, the share that they lose around the depth that they show, 0..1."""
     rng, scene = np.random.default_rng([seed, 11]), Scene([gaussians])
     low, high = scene.bulk_bounds()
+    extent = float(np.linalg.norm(high - low))
     ways = rng.standard_normal((FOG_RAYS, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     met = gaussians.means[rng.choice(gaussians.count, FOG_RAYS, p=areas / areas.sum())]
-    starts = met - 2.0 * float(np.linalg.norm(np.ptp(gaussians.means, axis=0))) * ways
+    starts = met - 2.0 * extent * ways
     hits = renderer.trace_rays(scene, starts, ways)
     lost = 1.0 - hits.transmittance.astype(np.float64)
     rows = np.flatnonzero((lost > FOG_HALF) & np.isfinite(hits.depth))
     scales = gaussians.scales.max(axis=1)[hits.gaussian_index[rows]]
-    reach = np.maximum(FOG_EXTENT * float(np.linalg.norm(high - low)), FOG_SCALES * scales)
+    reach = np.maximum(FOG_EXTENT * extent, FOG_SCALES * scales)
     before, after = (
         renderer.transmittance(scene, starts[rows], ways[rows], np.maximum(hits.depth[rows] + sign * reach, 0.0))
         for sign in (-1.0, 1.0)

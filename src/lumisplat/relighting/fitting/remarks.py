@@ -29,18 +29,19 @@ def remarks_of(
 ) -> tuple[str, ...]:
     """The lines; arguments as of ``result_of``, and whether light of harmonics was found."""
     return (
-        *_held(given, options, guesser),
+        *_held(given, options, guesser, has_sky=has_sky),
         *_colors(guesser, guess),
         *_lights(guesser, guess, certainty, has_sky=has_sky),
         *_photographs(guesser, guess),
     )
 
 
-def _held(given: Scene, options: FitOptions, guesser: Guesser) -> Iterator[str]:
+def _held(given: Scene, options: FitOptions, guesser: Guesser, *, has_sky: bool) -> Iterator[str]:
     """What was fixed, as only products are seen."""
     task = guesser.task
     if task.degree is not None and any(isinstance(one, LightEnvironment) and one.enabled for one in given.lights):
-        yield f"the scene's environment was replaced by harmonics of degree {task.degree}"
+        instead = f"replaced by harmonics of degree {task.degree}" if has_sky else "taken out"
+        yield f"the scene's environment was {instead}"
     sought = {"positions": ("position", "direction"), "radii": ("radius",), "angles": ("inner", "outer")}
     for name, kinds in sought.items():
         if getattr(options, name) and not any(move.kind in kinds for move in task.moves):
@@ -76,7 +77,7 @@ def _lights(guesser: Guesser, guess: Guess, certainty: Certainty, *, has_sky: bo
     if guess.harmonics.shape[1] and not has_sky:
         yield f"{NAME}: none of its light was found in the photographs, and the scene has none"
     for names in certainty.alike:
-        if names == (NAME,) and not has_sky:
+        if NAME in names and not has_sky:
             continue
         if names == (NAME,):
             yield f"{NAME}: some of its harmonics cannot be told from the photographs, and follow from the others"

@@ -22,7 +22,7 @@ def differentiate(
     by_radiance: wp.array[wp.vec3],
     gradient_out: MaterialGradient,
 ):
-    """Item = Gaussian: derivatives by what it is made of; the view stays on its side of the surface."""
+    """Item = Gaussian: derivatives by what it is made of; by normals, a view that is mirrored stays where it is."""
     i = start + wp.tid()
     by_albedo = wp.vec3(0.0)
     by_roughness = float(0.0)

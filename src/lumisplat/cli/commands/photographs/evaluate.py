@@ -141,7 +141,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
             raise ls.ConfigError(f"{counted(len(captures), 'capture')} given, expected one with --materials")
         if self.output is not None:
             inside = self.output.resolve().is_relative_to(folder.resolve())
-            check_report(self.output, [view.path for view in ls.load_photographs(folder).held_out] if inside else ())
+            check_report(self.output, _files_of(ls.load_photographs(folder)) if inside else ())
         found = self.environment or captures[0].with_suffix(".environment.exr")
         light = ls.load_radiance(found) if self.environment or found.is_file() else None
         config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
@@ -186,8 +186,13 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if not photographs.held_out:
             raise ls.ConfigError(f"--hold-out is {self.hold_out}: no photograph is left to compare, expected 2 or more")
         if self.output is not None:
-            check_report(self.output, [view.path for view in photographs.held_out])
+            check_report(self.output, _files_of(photographs))
         return photographs.held_out
+
+
+def _files_of(photographs: ls.Photographs) -> list[Path]:
+    """Of all: those of a folder for training may have the names of those that are held out in another."""
+    return [view.path for view in (*photographs.training, *photographs.held_out)]
 
 
 def _common_scales(views: Sequence[ls.Photograph]) -> int:

@@ -92,7 +92,7 @@ def _replaced(path: Path) -> Generator[Path]:
     Raises:
         FormatError: It cannot be written.
     """
-    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(6)}.lumisplat{path.suffix}")  # as those of frames
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(6)}.report{path.suffix}")
     try:
         yield temporary
         os.replace(temporary, path)
