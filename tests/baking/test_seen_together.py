@@ -73,13 +73,15 @@ def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend
     return blend, replace(some, colors=blend.show(truth) + rng.normal(0.0, 0.1, (rays, 3)))
 
 
-def test_a_few_rays_that_come_later_do_not_undo_what_many_have_told() -> None:
+def test_a_few_rays_that_come_later_do_not_undo_what_many_have_shown() -> None:
     """Gaussians at the border of what is changed together are seen by few rays of the next: these count as they are."""
     rng = np.random.default_rng(3)
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
     many, few = noisy(rng, truth, RAYS), noisy(rng, truth, RAYS // 20)
     first = changed_to_fit(*many, np.zeros_like(truth), np.zeros(GAUSSIANS))
-    then, heedless = (changed_to_fit(*few, first, told) for told in (many[1].tell(GAUSSIANS), np.zeros(GAUSSIANS)))
+    then, heedless = (
+        changed_to_fit(*few, first, known) for known in (many[1].information(GAUSSIANS), np.zeros(GAUSSIANS))
+    )
     off, off_then, off_heedless = (np.square(found - truth).mean() for found in (first, then, heedless))
     assert off_then < 1.05 * off
     assert off_heedless > 2.0 * off

@@ -68,8 +68,8 @@ class Pixels:
     direction: FloatArray
     """From the eye to the Gaussian's mean, its own space, unit, shape (S, 3)."""
 
-    def tell(self, gaussians: int) -> Doubles:
-        """How much they tell of each coefficient of a Gaussian that is seen from all sides, shape (N,).
+    def information(self, gaussians: int) -> Doubles:
+        """About each coefficient of a Gaussian, as if it was seen from all sides, in units of their noise, shape (N,).
 
         The diagonal of the normal equations; the mean square of a harmonic over all directions is 1 / (4 pi). Pixels of
         all parts of a bake are taken to be as noisy.
@@ -145,10 +145,10 @@ class SeenTogether:
     def changed(self, sh: Doubles, lines: Sightlines, progress: Progress | None) -> Doubles:
         """Harmonics of all Gaussians of the scene, (N, K, 3), such that these rays show what frames do.
 
-        Neighbours are changed together, some thousands at a time, and what is around them follows, but for what rays
-        of before have told of it.
+        Neighbours are changed together, some thousands at a time. What is around them follows, and the more rays it was
+        fitted to before, the less.
         """
-        result, told = np.array(sh), np.zeros(len(sh))
+        result, information = np.array(sh), np.zeros(len(sh))
         order = morton_order(self._means[lines.gaussian])
         for rows in _ranges(len(order), max(TOGETHER_LINES // lines.origins.shape[1], 1)):
             if progress:
@@ -159,8 +159,8 @@ class SeenTogether:
             here, renamed = np.unique(pixels.gaussian, return_inverse=True)
             some = replace(pixels, gaussian=renamed)
             blend = Blend(some, len(here), sh.shape[1], self._launcher)
-            result[here] = changed_to_fit(blend, some, result[here], told[here])
-            told[here] += some.tell(len(here))
+            result[here] = changed_to_fit(blend, some, result[here], information[here])
+            information[here] += some.information(len(here))
         return result
 
     def pixels(self, lines: Sightlines) -> Pixels:
@@ -315,7 +315,7 @@ class Blend:
         return self._colors.numpy().astype(np.float64)
 
 
-def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles, told: Doubles) -> Doubles:
+def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubles) -> Doubles:
     """Harmonics (N, K, 3) changed so that pixels show their colours, by least squares.
 
     Coefficients are expected to change by some hundredths, and pixels tell as much of it as their noise lets them: the
@@ -325,10 +325,10 @@ def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles, told: Doubles) -> 
         blend: Of the pixels.
         pixels: What they show, and of which Gaussians.
         sh: What is to be changed.
-        told: What other pixels, to which it has been fitted before, tell of it, as of `Pixels.tell`, shape (N,).
+        information: Of the pixels to which it was fitted before, as of `Pixels.information`, shape (N,).
     """
     level: Doubles = np.floor(np.sqrt(np.arange(sh.shape[1], dtype=np.float64) + 0.5))[:, None]
-    ridge = (pixels.noise + MISFIT**2) / CHANGE_SPREAD**2 * (level + 1.0) ** 2 + told[:, None, None]
+    ridge = (pixels.noise + MISFIT**2) / CHANGE_SPREAD**2 * (level + 1.0) ** 2 + information[:, None, None]
     residual = blend.gather(pixels.colors - blend.show(sh))
     change = np.zeros_like(sh)
     along, before = residual.copy(), np.square(residual).sum(axis=(0, 1))
