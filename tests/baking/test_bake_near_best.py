@@ -91,7 +91,7 @@ def test_borders_of_what_is_changed_together_cost_little(monkeypatch: pytest.Mon
     """
     scene = glossy_ball()
     whole = decibels(ls.bake(scene, TRACE, device="cpu"), scene)
-    monkeypatch.setattr(seen_together, "TOGETHER_LINES", 100 * 96)
+    monkeypatch.setattr(seen_together, "TOGETHER_RAYS", 100 * 64)
     parts = decibels(ls.bake(scene, TRACE, device="cpu"), scene)
     print(f"whole {whole:.2f} dB, in parts {parts:.2f} dB")
     assert parts > whole - 0.7

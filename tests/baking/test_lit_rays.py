@@ -12,7 +12,7 @@ from lumisplat.baking import seen_together
 from lumisplat.baking.met_gaussians import MetGaussians, clear_spans
 from lumisplat.baking.reflected_colors import reflected_colors
 from lumisplat.baking.seen_together import Pixels, SeenTogether
-from lumisplat.baking.sightlines import Sightlines
+from lumisplat.baking.sightlines import Draws, Sightlines
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.scenes.path_scenes import ball, diffuse
@@ -34,14 +34,14 @@ def patched_ball(*, shines: bool) -> ls.SplatInstance:
     return ls.SplatInstance(replace(gaussians, sh=sh, albedo=even), material=replace(MATTE, emissive=(0.2, 0.2, 0.2)))
 
 
-def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.MonkeyPatch) -> tuple[Pixels, Sightlines]:
-    """What rays of a bake show, and the lines that they are of."""
-    found: list[tuple[Pixels, Sightlines]] = []
+def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.MonkeyPatch) -> Pixels:
+    """What rays of a bake show."""
+    found: list[Pixels] = []
     pixels = SeenTogether.pixels
 
-    def noted(self: SeenTogether, lines: Sightlines) -> Pixels:
-        found.append((pixels(self, lines), lines))
-        return found[-1][0]
+    def noted(self: SeenTogether, ways: Sightlines, count: int, draws: Draws) -> Pixels:
+        found.append(pixels(self, ways, count, draws))
+        return found[-1]
 
     monkeypatch.setattr(SeenTogether, "pixels", noted)
     ls.bake(scene, config, degree=0, directions=8, device="cpu")
@@ -56,9 +56,9 @@ def test_rays_across_edges_of_colour_show_what_frames_do(shines: bool, monkeypat
     the albedo of Gaussians that shine by what was captured, edges would keep their noise.
     """
     scene = ls.Scene([patched_ball(shines=shines)], lights=[SKY])
-    shown, _ = pixels_of(scene, DIRECT, monkeypatch)
+    shown = pixels_of(scene, DIRECT, monkeypatch)
     monkeypatch.setattr(seen_together, "shared_light", lambda halves, found, *_: halves / np.maximum(found, 1e-12))
-    truth, _ = pixels_of(scene, replace(DIRECT, samples=48), monkeypatch)
+    truth = pixels_of(scene, replace(DIRECT, samples=48), monkeypatch)
     green = reflected_colors(scene.splats[0])[:, 1]
     total = np.bincount(truth.ray, truth.weight)
     mean = np.bincount(truth.ray, truth.weight * green[truth.gaussian]) / total
@@ -111,7 +111,7 @@ def test_what_is_not_baked_is_not_on_rays(
     sheet = replace(sheet, gaussians=replace(sheet.gaussians, albedo=np.full((sheet.gaussians.count, 3), 0.8)))
     splats, meshes = ([sheet, other], []) if isinstance(other, ls.SplatInstance) else ([sheet], [other])
     sun = ls.LightDirectional((1.0, -1.0, 0.0), intensity=0.5)  # the shadow of the veil is beside the sheet
-    shown, _ = pixels_of(ls.Scene(splats, meshes, [sun]), TRACE, monkeypatch)
+    shown = pixels_of(ls.Scene(splats, meshes, [sun]), TRACE, monkeypatch)
     share = np.bincount(shown.ray, shown.weight)
     colors = (shown.colors / share[:, None])[share > 0.5]
     assert len(colors) > 500

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,18 +12,22 @@ import pytest
 import lumisplat as ls
 from lumisplat.baking import seen_together
 from lumisplat.baking.seen_together import Pixels, SeenTogether
-from lumisplat.baking.sightlines import Sightlines, sightlines
+from lumisplat.baking.sightlines import Draws, Lines, Sightlines
 from lumisplat.math.sh import even_directions
 from support.scenes.path_scenes import ball, diffuse
 
 
-def lines_of(instance: ls.SplatInstance, count: int, numbers: np.random.Generator) -> Sightlines:
+def ways_of(instance: ls.SplatInstance) -> Sightlines:
     """Of Gaussians that are seen from everywhere, up to a distance of 3."""
     total = instance.gaussians.count
     directions = np.broadcast_to(even_directions(8), (total, 8, 3))
-    weights, distances = np.ones((total, 8)), np.full((total, 8), 3.0)
-    draws = numbers, np.random.default_rng(1)
-    return sightlines(instance, directions, weights, distances, first=0, count=count, draws=draws)
+    return Sightlines.of_views(instance, directions, np.ones((total, 8)), np.full((total, 8), 3.0), first=0)
+
+
+def lines_of(instance: ls.SplatInstance, count: int, numbers: np.random.Generator) -> Lines:
+    """So many along these ways."""
+    starts = np.random.default_rng(2).random(instance.gaussians.count)
+    return ways_of(instance).lines(range(count), starts, (numbers, np.random.default_rng(1)))
 
 
 def small() -> ls.SplatInstance:
@@ -38,30 +44,56 @@ def test_eyes_are_within_their_distance_and_the_more_the_farther_away() -> None:
     np.testing.assert_allclose(np.square(away / 3.0).mean(), 0.5, atol=0.02)
 
 
-def test_lines_are_put_where_they_stay() -> None:
-    """Some at a time into room for all: nothing is held twice."""
-    part = lines_of(small(), 64, np.random.default_rng(0))
+def test_ways_are_put_where_they_stay() -> None:
+    """Some at a time into room for all: nothing is held twice, and it is less than 16 rays along them."""
+    part = ways_of(small())
     count = len(part.gaussian)
-    size = sum(values.nbytes for values in (part.gaussian, part.origins, part.directions))
+    names = Sightlines.__slots__
+    size = sum(getattr(part, name).nbytes for name in names)
     tracemalloc.start()
-    lines = Sightlines.room(20 * count, 64)
+    ways = Sightlines.room(20 * count, 8)
     for number in range(20):
-        lines.put(number * count, part)
+        ways.put(number * count, part)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1.1 * 20 * size
-    for name in ("gaussian", "origins", "directions"):
-        np.testing.assert_array_equal(getattr(lines, name)[3 * count : 4 * count], getattr(part, name))
+    lines = lines_of(small(), 16, np.random.default_rng(0))
+    assert size < lines.origins.nbytes + lines.directions.nbytes
+    for name in names:
+        np.testing.assert_array_equal(getattr(ways, name)[3 * count : 4 * count], getattr(part, name))
 
 
-def test_the_more_lines_the_fewer_gaussians_are_changed_together(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gaussians_in_corners_get_as_many_rays_as_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inside of a closed box, more than half of the lines to an edge come through a wall: others take their place."""
+    walls = ls.gaussians_from_mesh(ls.box(2.0, material=diffuse(0.5)), 300)
+    assert walls.normals is not None
+    inside = ls.SplatInstance(replace(walls, normals=-walls.normals), material=diffuse(0.5))
+    scene = ls.Scene([inside], lights=[ls.LightPoint((0.0, 0.0, 0.0), visible=False)])
+    found: list[np.ndarray] = []
+    seen = SeenTogether._seen
+
+    def noted(self: SeenTogether, lines: Lines, wanted: np.ndarray) -> Any:
+        rays, kept = seen(self, lines, wanted)
+        found.append(wanted - kept)
+        return rays, kept
+
+    monkeypatch.setattr(SeenTogether, "_seen", noted)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
+    ls.bake(scene, config, degree=0, directions=8, device="cpu")
+    first, last = found[0], found[-1]
+    print(f"{(first > 8).mean():.2f} lack half at first, {last.sum() / (16 * len(first)):.3f} lack at the end")
+    assert (first > 8).mean() > 0.1
+    assert last.sum() < 0.02 * 16 * len(first)
+
+
+def test_the_more_rays_the_fewer_gaussians_are_changed_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory does not grow with the number of directions; nor does it with that of lines that are listed at once."""
     counts: list[int] = []
     pixels = SeenTogether.pixels
 
-    def noted(self: SeenTogether, lines: Sightlines) -> Pixels:
-        counts.append(lines.origins.shape[0] * lines.origins.shape[1])
-        return pixels(self, lines)
+    def noted(self: SeenTogether, ways: Sightlines, count: int, draws: Draws) -> Pixels:
+        counts.append(len(ways.gaussian) * count)
+        return pixels(self, ways, count, draws)
 
     scene = ls.Scene([small()], lights=[ls.LightDirectional((0.0, -1.0, 0.0))])
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
@@ -70,8 +102,8 @@ def test_the_more_lines_the_fewer_gaussians_are_changed_together(monkeypatch: py
     parts = ls.bake(scene, config, degree=0, directions=16, device="cpu").splats[0].gaussians.sh
     np.testing.assert_array_equal(parts, whole)
     monkeypatch.setattr(SeenTogether, "pixels", noted)
-    monkeypatch.setattr(seen_together, "TOGETHER_LINES", 500)
+    monkeypatch.setattr(seen_together, "TOGETHER_RAYS", 333)
     for directions in (4, 16):
         counts.clear()
         ls.bake(scene, config, degree=0, directions=directions, device="cpu")
-        assert max(counts) <= 500 and len(counts) > 1
+        assert max(counts) <= 333 and len(counts) > 1

@@ -13,7 +13,7 @@ import numpy as np
 from lumisplat.baking.gaussian_views import GaussianViewer, ShownLight
 from lumisplat.baking.seen_together import SeenTogether
 from lumisplat.baking.sh_fit import fit_sh
-from lumisplat.baking.sightlines import Draws, Sightlines, sightlines
+from lumisplat.baking.sightlines import Sightlines
 from lumisplat.baking.steadying import steadied
 from lumisplat.baking.view_weights import on_seen_sides, plane_normals, random_turns, turned_directions, view_weights
 from lumisplat.config import Pipeline, RenderConfig, check_whole
@@ -22,7 +22,6 @@ from lumisplat.constants.baking import (
     BAKE_DIRECTIONS,
     BAKE_DIRECTIONS_MAX,
     BAKE_SAMPLES,
-    LINES_A_DIRECTION,
     PILOT_DIRECTIONS,
     VIEWS_AT_ONCE,
 )
@@ -98,8 +97,8 @@ def bake(
     if not viewer.is_lit:
         raise SceneError("nothing to bake: the scene has no lights or environment, and nothing in it shines")
     together = sum(one.gaussians.count for one in scene.splats if is_relit(one))
-    lines = Sightlines.room(together, settings.lines)
-    baker = _Baker(viewer, settings, progress, scene.gaussian_count, lines)
+    ways = Sightlines.room(together, directions)
+    baker = _Baker(viewer, settings, progress, scene.gaussian_count, ways)
     splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
     return Scene(baker.seen_together(scene, splats), up=scene.up)
 
@@ -132,11 +131,6 @@ class _Settings:
         """Of each direction, of sets that are seen together after that."""
         return max(self.samples // 2, 2)
 
-    @property
-    def lines(self) -> int:
-        """To each Gaussian, of those that are seen together."""
-        return LINES_A_DIRECTION * self.directions
-
 
 @dataclass(slots=True)
 class _Baker:
@@ -147,9 +141,9 @@ class _Baker:
     progress: Progress | None
     total: int
     """Gaussians of the scene."""
-    lines: Sightlines
-    """Rays to the Gaussians of relit sets, from where eyes may be; to as many of them as are baked."""
-    lines_put: int = 0
+    ways: Sightlines
+    """Along which eyes see the Gaussians of relit sets; of as many of them as are baked."""
+    ways_put: int = 0
 
     def baked(self, scene: Scene, number: int) -> SplatInstance:
         """The instance of this number, as it looks in the light of the scene."""
@@ -157,8 +151,6 @@ class _Baker:
         first = sum(one.gaussians.count for one in scene.splats[:number])
         parts: list[FloatArray] = []
         nonfinite = 0
-        seed = self.settings.config.seed
-        draws = np.random.default_rng((seed, first, 1)), np.random.default_rng((seed, first, 2))
         samples = self.settings.samples_alone if is_relit(instance) else self.settings.samples
         for views in self._views(instance, first):
             shown = self._shown(views, samples)
@@ -168,8 +160,8 @@ class _Baker:
                 continue
             parts.append(views.harmonics(shown, self.settings))
             if is_relit(instance):
-                self.lines.put(self.lines_put, views.lines(shown, instance, self.settings.lines, draws))
-                self.lines_put += views.gaussians.count
+                self.ways.put(self.ways_put, views.ways(shown, instance))
+                self.ways_put += views.gaussians.count
         if nonfinite:
             _log.warning("%d samples of %s were not finite and are left out", nonfinite, instance.name or "a set")
         joined = np.concatenate(parts)
@@ -180,7 +172,7 @@ class _Baker:
 
     def seen_together(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
         """The sets, with harmonics of relit ones changed such that blends of them show what frames do."""
-        if not self.lines_put:
+        if not self.ways_put:
             return splats
         terms = (self.settings.degree + 1) ** 2
         config = replace(self.settings.config, samples=self.settings.samples)
@@ -191,7 +183,7 @@ class _Baker:
         relit = [is_relit(one) for one in scene.splats]
         for row, one in itertools.compress(zip(rows, splats, strict=True), relit):
             known[row] = one.gaussians.sh
-        changed = together.changed(known, self.lines, self.progress).astype(np.float32)
+        changed = together.changed(known, self.ways, self.progress).astype(np.float32)
         return [
             replace(one, gaussians=replace(one.gaussians, sh=read_only_view(changed[row]))) if is_one else one
             for one, row, is_one in zip(splats, rows, relit, strict=True)
@@ -261,11 +253,11 @@ class _Views:
         colors = 2.0 * seen(0.5 * (even + odd)) - 0.5 * (halves[0] + halves[1])
         return fit_sh(self.directions, colors, (shares * noise).sum(axis=1), weights, settings.degree)
 
-    def lines(self, shown: ShownLight, instance: SplatInstance, count: int, draws: Draws) -> Sightlines:
-        """So many rays to each of these Gaussians of the instance, from where eyes may be by what views show."""
+    def ways(self, shown: ShownLight, instance: SplatInstance) -> Sightlines:
+        """Along which eyes see these Gaussians of the instance, by what views show."""
         weights, distances = self._weights(shown), shown.distance.reshape(self.directions.shape[:2])
         some = replace(instance, gaussians=self.gaussians)
-        return sightlines(some, self.directions, weights, distances, first=self.first, count=count, draws=draws)
+        return Sightlines.of_views(some, self.directions, weights, distances, self.first)
 
     def shadow(self, shown: ShownLight) -> FloatArray:
         """Factors of the light of captured colours, (N, 3); exactly 1 where nothing has changed."""

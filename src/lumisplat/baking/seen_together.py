@@ -19,7 +19,7 @@ from lumisplat.baking.frame_rays import FrameRays
 from lumisplat.baking.met_gaussians import MetGaussians, clear_spans
 from lumisplat.baking.reflected_colors import reflected_colors
 from lumisplat.baking.shared_light import SeenWeights, shared_light
-from lumisplat.baking.sightlines import Sightlines
+from lumisplat.baking.sightlines import Draws, Lines, Sightlines
 from lumisplat.baking.view_weights import plane_normals
 from lumisplat.baking.visible_lights import meets_light
 from lumisplat.config import HitDistance, Pipeline, RenderConfig
@@ -29,13 +29,13 @@ from lumisplat.constants.baking import (
     CHANGE_SPREAD,
     COVERED_MIN,
     DIRECT_SLOPE,
-    LINES_A_DIRECTION,
+    LINE_ROUNDS,
     LINES_AT_ONCE,
     MISFIT,
     OTHERS_MAX,
     RAYS_A_DIRECTION,
     SIGHT_MIN,
-    TOGETHER_LINES,
+    TOGETHER_RAYS,
     TOGETHER_STEPS,
 )
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
@@ -142,18 +142,21 @@ class SeenTogether:
         self._met = FrameRays(met, launcher)
         self._blends = Renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), launcher)
 
-    def changed(self, sh: Doubles, lines: Sightlines, progress: Progress | None) -> Doubles:
-        """Harmonics of all Gaussians of the scene, (N, K, 3), such that these rays show what frames do.
+    def changed(self, sh: Doubles, ways: Sightlines, progress: Progress | None) -> Doubles:
+        """Harmonics of all Gaussians of the scene, (N, K, 3), such that rays along these ways show what frames do.
 
         Neighbours are changed together, some thousands at a time. What is around them follows, and the more rays it was
         fitted to before, the less.
         """
         result, information = np.array(sh), np.zeros(len(sh))
-        order = morton_order(self._means[lines.gaussian])
-        for rows in _ranges(len(order), max(TOGETHER_LINES // lines.origins.shape[1], 1)):
+        order = morton_order(self._means[ways.gaussian])
+        rays = RAYS_A_DIRECTION * ways.shares.shape[1]
+        seed = self._config.seed
+        draws = np.random.default_rng((seed, 1)), np.random.default_rng((seed, 2))
+        for rows in _ranges(len(order), max(TOGETHER_RAYS // rays, 1)):
             if progress:
                 progress("baking", 0.5 + 0.5 * rows.start / len(order))
-            pixels = self.pixels(lines.of(order[rows]))
+            pixels = self.pixels(ways.of(order[rows]), rays, draws)
             if not len(pixels.colors):
                 continue
             here, renamed = np.unique(pixels.gaussian, return_inverse=True)
@@ -163,15 +166,31 @@ class SeenTogether:
             information[here] += some.information(len(here))
         return result
 
-    def pixels(self, lines: Sightlines) -> Pixels:
-        """What frames show on these rays: those of them that show nothing but relit sets, from their front."""
-        at_once = max(LINES_AT_ONCE // lines.origins.shape[1], 1)
-        rays = _SeenRays.joined([self._seen(lines.of(rows)) for rows in _ranges(len(lines.gaussian), at_once)])
+    def pixels(self, ways: Sightlines, count: int, draws: Draws) -> Pixels:
+        """What frames show on so many rays to each Gaussian, along these ways."""
+        rays = self._rays(ways, count, draws)
         colors, noise = self._shown(self._light(rays), rays.share[:, None])
         return Pixels(colors, noise, rays.ray, rays.side.astype(np.int64) // 2, rays.weight, rays.along)
 
-    def _seen(self, lines: Sightlines) -> _SeenRays:
-        """Those of some rays that tell of what they look at, as viewers of captures see it."""
+    def _rays(self, ways: Sightlines, count: int, draws: Draws) -> _SeenRays:
+        """Those that show nothing but relit sets, from their front; in place of others, more are drawn, some rounds."""
+        parts: list[_SeenRays] = []
+        lacking = np.full(len(ways.gaussian), count)
+        starts = draws[0].random(len(lacking))
+        for number in range(LINE_ROUNDS):
+            wanting = np.flatnonzero(lacking)
+            if parts and not len(wanting):
+                break
+            numbers = range(number * count, (number + 1) * count)
+            for some in _ranges(len(wanting), max(LINES_AT_ONCE // count, 1)):
+                rows = wanting[some]
+                seen, found = self._seen(ways.of(rows).lines(numbers, starts[rows], draws), lacking[rows])
+                parts.append(seen)
+                lacking[rows] -= found
+        return _SeenRays.joined(parts)
+
+    def _seen(self, lines: Lines, wanted: _Rows) -> tuple[_SeenRays, _Rows]:
+        """The first lines to each Gaussian that tell of it, as viewers of captures see it, and how many these are."""
         origins, directions = (rays.reshape(-1, 3) for rays in (lines.origins, lines.directions))
         hits = self._blends.trace_rays(self._scene, origins, directions, profile=True)
         assert hits.profile is not None
@@ -184,11 +203,13 @@ class SeenTogether:
         kept &= met.total(facing * self._knows_front[met.gaussian]) <= 0.0
         if self._config.pipeline is Pipeline.PATH:  # which shows lights as bodies, in front of Gaussians and behind
             kept &= ~meets_light(self._scene.lights, origins, directions)
-        kept = _first_kept(kept.reshape(lines.origins.shape[:2]))
+        kept = kept.reshape(lines.origins.shape[:2])
+        kept &= np.cumsum(kept, axis=1) <= wanted[:, None]
+        found, kept = kept.sum(axis=1), kept.ravel()
         rows = kept[met.ray] & relit & (met.weight > SIGHT_MIN)
         met, back = met.where(rows), facing[rows] > 0.0
         scale = share / np.maximum(met.total(np.ones(len(met.ray))), 1e-12)
-        return _SeenRays(
+        seen = _SeenRays(
             origins[kept],
             directions[kept],
             share[kept],
@@ -198,6 +219,7 @@ class SeenTogether:
             weight=scale[met.ray] * met.weight,
             along=self._directions(origins[met.ray], met.gaussian),
         )
+        return seen, found
 
     def _facing(self, gaussian: _Rows, directions: FloatArray) -> Doubles:
         """Cosines of directions to the normals of Gaussians: above 0 where they show their backs."""
@@ -346,12 +368,6 @@ def _ranges(count: int, at_once: int) -> Iterator[slice]:
     """Ranges of so many numbers at once; at least an empty one."""
     for begin in range(0, max(count, 1), at_once):
         yield slice(begin, min(begin + at_once, count))
-
-
-def _first_kept(kept: Flags) -> Flags:
-    """The first of the lines of each Gaussian that tell of it, (N, L) to (N * L,): as many as it has rays."""
-    rays = kept.shape[1] * RAYS_A_DIRECTION // LINES_A_DIRECTION
-    return (kept & (np.cumsum(kept, axis=1) <= rays)).ravel()
 
 
 def _world_normals(instance: SplatInstance) -> Doubles:

@@ -14,85 +14,101 @@ from lumisplat.math.transforms import transform_points
 from lumisplat.scene.scene import SplatInstance
 
 Draws = tuple[np.random.Generator, np.random.Generator]
-"""Generators of numbers of rays, and of points."""
+"""Generators of places along ways, and of points; each draws Gaussian by Gaussian, so that these may come in parts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightlines:
-    """Rays from where an eye may be, world space, some to each of N Gaussians."""
+class Lines:
+    """Rays, world space, R to each of N Gaussians."""
 
-    gaussian: IntArray
-    """Which Gaussians of the scene, shape (N,)."""
     origins: FloatArray
     """The eyes, (N, R, 3)."""
     directions: FloatArray
     """Unit, (N, R, 3)."""
 
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightlines:
+    """Ways along which eyes may see N Gaussians, D each, world space: rays are drawn from them when they are needed."""
+
+    gaussian: IntArray
+    """Which Gaussians of the scene, shape (N,)."""
+    means: FloatArray
+    """Shape (N, 3)."""
+    axes: FloatArray
+    """Those of the Gaussians, times standard deviations, in columns, shape (N, 3, 3)."""
+    directions: FloatArray
+    """From the eye, unit, shape (N, D, 3)."""
+    distances: FloatArray
+    """Up to which eyes see the Gaussian, scene units, shape (N, D)."""
+    shares: FloatArray
+    """Of rays along each way and the ways before it, up to 1, shape (N, D)."""
+
     @classmethod
-    def room(cls, gaussians: int, rays: int) -> Sightlines:
-        """Room for so many rays to each of so many Gaussians."""
-        shape = (gaussians, rays, 3)
-        return cls(np.empty(gaussians, np.int32), np.empty(shape, np.float32), np.empty(shape, np.float32))
+    def room(cls, gaussians: int, ways: int) -> Sightlines:
+        """Room for so many ways to each of so many Gaussians."""
+        shapes = (3,), (3, 3), (ways, 3), (ways,), (ways,)
+        return cls(np.empty(gaussians, np.int32), *(np.empty((gaussians, *shape), np.float32) for shape in shapes))
+
+    @classmethod
+    def of_views(
+        cls, instance: SplatInstance, directions: Doubles, weights: Doubles, distances: Doubles, first: int
+    ) -> Sightlines:
+        """Those of views of an instance's Gaussians: the more rays, the more a view counts and the farther it sees.
+
+        Eyes that are in free space anywhere would be spread evenly along a view, each with as many pixels of the
+        Gaussian as it shows; but people look across rooms, and not at the wall beside them.
+
+        Args:
+            instance: The Gaussians, in their place.
+            directions: From the eye, object space, unit, shape (N, D, 3).
+            weights: Of these, shape (N, D).
+            distances: Up to which it is seen, scene units, shape (N, D).
+            first: Number of the first Gaussian in the scene.
+        """
+        gaussians = instance.gaussians
+        across = weights * distances
+        linear = instance.transform[:3, :3]
+        axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64)) * gaussians.scales[:, None]
+        return cls(
+            np.arange(first, first + gaussians.count, dtype=np.int32),
+            transform_points(instance.transform, gaussians.means.astype(np.float64)).astype(np.float32),
+            (linear @ axes).astype(np.float32),
+            (directions @ (linear.T / instance.scale)).astype(np.float32),
+            distances.astype(np.float32),
+            np.cumsum(across / across.sum(axis=1, keepdims=True), axis=1).astype(np.float32),
+        )
 
     def put(self, first: int, some: Sightlines) -> None:
         """Writes those of some Gaussians, from this row on."""
         rows = slice(first, first + len(some.gaussian))
-        self.gaussian[rows], self.origins[rows], self.directions[rows] = some.gaussian, some.origins, some.directions
+        for name in self.__slots__:
+            getattr(self, name)[rows] = getattr(some, name)
 
-    def of(self, rows: npt.NDArray[np.int64] | slice) -> Sightlines:
-        """Those to some of the Gaussians."""
-        return Sightlines(self.gaussian[rows], self.origins[rows], self.directions[rows])
+    def of(self, rows: npt.NDArray[np.int64]) -> Sightlines:
+        """Those of some of the Gaussians."""
+        return Sightlines(*(getattr(self, name)[rows] for name in self.__slots__))
 
+    def lines(self, numbers: range, starts: Doubles, draws: Draws) -> Lines:
+        """Rays to each Gaussian, through points drawn from it.
 
-def sightlines(
-    instance: SplatInstance,
-    directions: Doubles,
-    weights: Doubles,
-    distances: Doubles,
-    *,
-    first: int,
-    count: int,
-    draws: Draws,
-) -> Sightlines:
-    """Some rays to each Gaussian, from eyes that see its middle, through a point drawn from it.
+        Eyes are spread along the distance up to which the Gaussian is seen, the farther the more.
 
-    From views that count more come more of them. Eyes are spread along the distance up to which the Gaussian is seen,
-    the farther the more: those that are in free space anywhere would be spread evenly, each with as many pixels of it
-    as it shows, but people look across rooms, and not at the wall beside them.
-
-    Args:
-        instance: The Gaussians, in their place.
-        directions: From the eye, object space, unit, shape (N, D, 3).
-        weights: Of these, shape (N, D).
-        distances: Up to which it is seen, scene units, shape (N, D).
-        first: Number of the first Gaussian in the scene.
-        count: Rays of each Gaussian.
-        draws: Each draws Gaussian by Gaussian, so that a set may come in parts.
-    """
-    gaussians = instance.gaussians
-    total = gaussians.count
-    across = weights * distances
-    shares = np.cumsum(across / across.sum(axis=1, keepdims=True), axis=1)
-    numbers = draws[0].random((total, count, 2))
-    # Any first few of them are spread evenly over the views.
-    wanted = (GOLDEN_STEP * np.arange(count) + numbers[:, :1, 0]) % 1.0
-    view = (wanted[:, :, None] > shares[:, None, :-1]).sum(axis=2)
-    along = np.take_along_axis(directions, view[:, :, None], axis=1)
-    away = np.take_along_axis(distances, view, axis=1) * np.sqrt(numbers[..., 1]) / instance.scale
-    point = draws[1].standard_normal((total, count, 3))
-    point *= np.minimum(1.0, SIGHT_REACH / np.maximum(np.linalg.norm(point, axis=2, keepdims=True), 1e-12))
-    axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64))
-    means = gaussians.means[:, None].astype(np.float64)
-    place = means + (point * gaussians.scales[:, None]) @ np.swapaxes(axes, 1, 2)
-    eyes = transform_points(instance.transform, (means - away[:, :, None] * along).reshape(-1, 3))
-    ways = transform_points(instance.transform, place.reshape(-1, 3)) - eyes
-    length = np.linalg.norm(ways, axis=1, keepdims=True)
-    # An eye within the very point that it looks at looks past it.
-    ahead = along.reshape(-1, 3) @ (instance.transform[:3, :3] / instance.scale).T
-    ways = np.where(length > 0.0, ways / np.maximum(length, 1e-300), ahead)
-    shape = (total, count, 3)
-    return Sightlines(
-        np.arange(first, first + total, dtype=np.int32),
-        eyes.reshape(shape).astype(np.float32),
-        ways.reshape(shape).astype(np.float32),
-    )
+        Args:
+            numbers: Of the rays: any few that follow one another are spread evenly over the ways.
+            starts: Where that begins, for each Gaussian, 0 to 1, shape (N,).
+            draws: By which distances and points are drawn.
+        """
+        shape = len(self.gaussian), len(numbers)
+        wanted = (GOLDEN_STEP * np.array(numbers) + starts[:, None]) % 1.0
+        way = (wanted[:, :, None] > self.shares[:, None, :-1]).sum(axis=2)
+        along = np.take_along_axis(self.directions, way[:, :, None], axis=1).astype(np.float64)
+        away = np.take_along_axis(self.distances, way, axis=1) * np.sqrt(draws[0].random(shape))
+        point = draws[1].standard_normal((*shape, 3))
+        point *= np.minimum(1.0, SIGHT_REACH / np.maximum(np.linalg.norm(point, axis=2, keepdims=True), 1e-12))
+        # From the eye; one within the very point that it looks at looks past it.
+        towards = away[..., None] * along + point @ np.swapaxes(self.axes, 1, 2)
+        length = np.linalg.norm(towards, axis=2, keepdims=True)
+        towards = np.where(length > 0.0, towards / np.maximum(length, 1e-300), along)
+        eyes = self.means[:, None] - away[..., None] * along
+        return Lines(eyes.astype(np.float32), towards.astype(np.float32))

@@ -39,9 +39,9 @@ BAKE_DIRECTIONS_MAX = 1024
 RAYS_A_DIRECTION = 2
 """Rays to Gaussians that are seen together, for each direction from which they are seen alone."""
 
-LINES_A_DIRECTION = 3
-"""Lines that are tried for these: in closed rooms, a quarter to a half show the back of something, or what is not
-baked."""
+LINE_ROUNDS = 8
+"""Rounds in which as many lines are tried as rays are wanted, to Gaussians that lack some: in closed rooms, half of the
+lines show the back of something, or what is not baked, and near corners nine in ten."""
 
 GOLDEN_STEP = 0.6180339887498949
 """Fraction of the golden ratio: its multiples are spread evenly, however many there are."""
@@ -88,5 +88,5 @@ MISFIT = 0.03
 TOGETHER_STEPS = 40
 """Of conjugate gradients: with 10, a room has 0.3 dB less, a statue 0.3, a ball of rough metal 0.6."""
 
-TOGETHER_LINES = 3 * 2**18
-"""Lines to Gaussians that are changed together: to 8,192 of them with 32 directions."""
+TOGETHER_RAYS = 2**19
+"""Rays to Gaussians that are changed together: to 8,192 of them with 32 directions."""
