@@ -68,7 +68,7 @@ def test_gaussians_in_corners_get_as_many_rays_as_others(monkeypatch: pytest.Mon
     walls = ls.gaussians_from_mesh(ls.box(2.0, material=diffuse(0.5)), 300)
     assert walls.normals is not None
     inside = ls.SplatInstance(replace(walls, normals=-walls.normals), material=diffuse(0.5))
-    scene = ls.Scene([inside], lights=[ls.LightPoint((0.0, 0.0, 0.0), visible=False)])
+    scene = ls.Scene([inside], lights=[ls.LightPoint((0.0, 0.0, 0.0))])
     found: list[np.ndarray] = []
     seen = SeenTogether._seen
 
