@@ -12,7 +12,7 @@ from lumisplat.baking import seen_together
 from lumisplat.baking.met_gaussians import MetGaussians, clear_spans
 from lumisplat.baking.reflected_colors import reflected_colors
 from lumisplat.baking.seen_together import Pixels, SeenTogether
-from lumisplat.baking.sightlines import Draws, Sightlines
+from lumisplat.baking.sightlines import Sightlines
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.scenes.path_scenes import ball, diffuse
@@ -39,8 +39,8 @@ def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.Monk
     found: list[Pixels] = []
     pixels = SeenTogether.pixels
 
-    def noted(self: SeenTogether, ways: Sightlines, count: int, draws: Draws) -> Pixels:
-        found.append(pixels(self, ways, count, draws))
+    def noted(self: SeenTogether, ways: Sightlines, count: int) -> Pixels:
+        found.append(pixels(self, ways, count))
         return found[-1]
 
     monkeypatch.setattr(SeenTogether, "pixels", noted)

@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.baking import seen_together
 from lumisplat.baking.seen_together import Pixels, SeenTogether
-from lumisplat.baking.sightlines import Draws, Lines, Sightlines
+from lumisplat.baking.sightlines import Lines, Sightlines
 from lumisplat.math.sh import even_directions
 from support.scenes.path_scenes import ball, diffuse
 
@@ -24,10 +24,9 @@ def ways_of(instance: ls.SplatInstance) -> Sightlines:
     return Sightlines.of_views(instance, directions, np.ones((total, 8)), np.full((total, 8), 3.0), first=0)
 
 
-def lines_of(instance: ls.SplatInstance, count: int, numbers: np.random.Generator) -> Lines:
+def lines_of(instance: ls.SplatInstance, count: int) -> Lines:
     """So many along these ways."""
-    starts = np.random.default_rng(2).random(instance.gaussians.count)
-    return ways_of(instance).lines(range(count), starts, (numbers, np.random.default_rng(1)))
+    return ways_of(instance).lines(range(count), 1)
 
 
 def small() -> ls.SplatInstance:
@@ -38,7 +37,7 @@ def small() -> ls.SplatInstance:
 def test_eyes_are_within_their_distance_and_the_more_the_farther_away() -> None:
     """The square of the distance is even, of eyes that see their Gaussian from up to 3 away."""
     instance = small()
-    lines = lines_of(instance, 30, np.random.default_rng(0))
+    lines = lines_of(instance, 30)
     away = np.linalg.norm(lines.origins - instance.gaussians.means[:, None], axis=2)
     assert away.max() < 3.0 + 1e-4
     np.testing.assert_allclose(np.square(away / 3.0).mean(), 0.5, atol=0.02)
@@ -57,7 +56,7 @@ def test_ways_are_put_where_they_stay() -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1.1 * 20 * size
-    lines = lines_of(small(), 16, np.random.default_rng(0))
+    lines = lines_of(small(), 16)
     assert size < lines.origins.nbytes + lines.directions.nbytes
     for name in names:
         np.testing.assert_array_equal(getattr(ways, name)[3 * count : 4 * count], getattr(part, name))
@@ -91,9 +90,9 @@ def test_the_more_rays_the_fewer_gaussians_are_changed_together(monkeypatch: pyt
     counts: list[int] = []
     pixels = SeenTogether.pixels
 
-    def noted(self: SeenTogether, ways: Sightlines, count: int, draws: Draws) -> Pixels:
+    def noted(self: SeenTogether, ways: Sightlines, count: int) -> Pixels:
         counts.append(len(ways.gaussian) * count)
-        return pixels(self, ways, count, draws)
+        return pixels(self, ways, count)
 
     scene = ls.Scene([small()], lights=[ls.LightDirectional((0.0, -1.0, 0.0))])
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)

@@ -19,7 +19,7 @@ from lumisplat.baking.frame_rays import FrameRays
 from lumisplat.baking.met_gaussians import MetGaussians, clear_spans
 from lumisplat.baking.reflected_colors import reflected_colors
 from lumisplat.baking.shared_light import SeenWeights, shared_light
-from lumisplat.baking.sightlines import Draws, Lines, Sightlines
+from lumisplat.baking.sightlines import Lines, Sightlines
 from lumisplat.baking.view_weights import plane_normals
 from lumisplat.baking.visible_lights import meets_light
 from lumisplat.config import HitDistance, Pipeline, RenderConfig
@@ -151,12 +151,10 @@ class SeenTogether:
         result, information = np.array(sh), np.zeros(len(sh))
         order = morton_order(self._means[ways.gaussian])
         rays = RAYS_A_DIRECTION * ways.shares.shape[1]
-        seed = self._config.seed
-        draws = np.random.default_rng((seed, 1)), np.random.default_rng((seed, 2))
         for rows in _ranges(len(order), max(TOGETHER_RAYS // rays, 1)):
             if progress:
                 progress("baking", 0.5 + 0.5 * rows.start / len(order))
-            pixels = self.pixels(ways.of(order[rows]), rays, draws)
+            pixels = self.pixels(ways.of(order[rows]), rays)
             if not len(pixels.colors):
                 continue
             here, renamed = np.unique(pixels.gaussian, return_inverse=True)
@@ -166,17 +164,16 @@ class SeenTogether:
             information[here] += some.information(len(here))
         return result
 
-    def pixels(self, ways: Sightlines, count: int, draws: Draws) -> Pixels:
+    def pixels(self, ways: Sightlines, count: int) -> Pixels:
         """What frames show on so many rays to each Gaussian, along these ways."""
-        rays = self._rays(ways, count, draws)
+        rays = self._rays(ways, count)
         colors, noise = self._shown(self._light(rays), rays.share[:, None])
         return Pixels(colors, noise, rays.ray, rays.side.astype(np.int64) // 2, rays.weight, rays.along)
 
-    def _rays(self, ways: Sightlines, count: int, draws: Draws) -> _SeenRays:
+    def _rays(self, ways: Sightlines, count: int) -> _SeenRays:
         """Those that show nothing but relit sets, from their front; in place of others, more are drawn, some rounds."""
         parts: list[_SeenRays] = []
         lacking = np.full(len(ways.gaussian), count)
-        starts = draws[0].random(len(lacking))
         for number in range(LINE_ROUNDS):
             wanting = np.flatnonzero(lacking)
             if parts and not len(wanting):
@@ -184,7 +181,7 @@ class SeenTogether:
             numbers = range(number * count, (number + 1) * count)
             for some in _ranges(len(wanting), max(LINES_AT_ONCE // count, 1)):
                 rows = wanting[some]
-                seen, found = self._seen(ways.of(rows).lines(numbers, starts[rows], draws), lacking[rows])
+                seen, found = self._seen(ways.of(rows).lines(numbers, self._config.seed), lacking[rows])
                 parts.append(seen)
                 lacking[rows] -= found
         return _SeenRays.joined(parts)

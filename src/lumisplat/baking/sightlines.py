@@ -13,9 +13,6 @@ from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.scene import SplatInstance
 
-Draws = tuple[np.random.Generator, np.random.Generator]
-"""Generators of places along ways, and of points; each draws Gaussian by Gaussian, so that these may come in parts."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
@@ -89,22 +86,20 @@ class Sightlines:
         """Those of some of the Gaussians."""
         return Sightlines(*(getattr(self, name)[rows] for name in self.__slots__))
 
-    def lines(self, numbers: range, starts: Doubles, draws: Draws) -> Lines:
+    def lines(self, numbers: range, seed: int) -> Lines:
         """Rays to each Gaussian, through points drawn from it.
 
         Eyes are spread along the distance up to which the Gaussian is seen, the farther the more.
 
         Args:
             numbers: Of the rays: any few that follow one another are spread evenly over the ways.
-            starts: Where that begins, for each Gaussian, 0 to 1, shape (N,).
-            draws: By which distances and points are drawn.
+            seed: By which, and by the number of the Gaussian, points and distances are drawn.
         """
-        shape = len(self.gaussian), len(numbers)
-        wanted = (GOLDEN_STEP * np.array(numbers) + starts[:, None]) % 1.0
+        even, point = self._draws(numbers, seed)
+        wanted = (GOLDEN_STEP * np.array(numbers) + even[:, :1]) % 1.0
         way = (wanted[:, :, None] > self.shares[:, None, :-1]).sum(axis=2)
         along = np.take_along_axis(self.directions, way[:, :, None], axis=1).astype(np.float64)
-        away = np.take_along_axis(self.distances, way, axis=1) * np.sqrt(draws[0].random(shape))
-        point = draws[1].standard_normal((*shape, 3))
+        away = np.take_along_axis(self.distances, way, axis=1) * np.sqrt(even[:, 1:])
         point *= np.minimum(1.0, SIGHT_REACH / np.maximum(np.linalg.norm(point, axis=2, keepdims=True), 1e-12))
         # From the eye; one within the very point that it looks at looks past it.
         towards = away[..., None] * along + point @ np.swapaxes(self.axes, 1, 2)
@@ -112,3 +107,16 @@ class Sightlines:
         towards = np.where(length > 0.0, towards / np.maximum(length, 1e-300), along)
         eyes = self.means[:, None] - away[..., None] * along
         return Lines(eyes.astype(np.float32), towards.astype(np.float32))
+
+    def _draws(self, numbers: range, seed: int) -> tuple[Doubles, Doubles]:
+        """Even numbers, the first of a Gaussian the same for all its rays, (N, 1 + R), and normal ones, (N, R, 3)."""
+        even, normal = np.empty((len(self.gaussian), 1 + len(numbers))), np.empty((len(self.gaussian), len(numbers), 3))
+        for row, gaussian in enumerate(self.gaussian):
+            start, rng = (
+                np.random.Generator(np.random.Philox(key=(seed, int(gaussian)), counter=(0, 0, 0, first)))
+                for first in (0, 1 + numbers.start)
+            )
+            even[row, 0] = start.random()
+            rng.random(out=even[row, 1:])
+            rng.standard_normal(out=normal[row])
+        return even, normal
