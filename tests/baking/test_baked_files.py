@@ -56,17 +56,22 @@ def test_a_ply_is_the_bake(baked, tmp_path):
 
 
 def test_an_spz_is_the_bake_to_its_steps(baked, tmp_path):
-    """From each direction, a Gaussian's colour is off by at most half a step of each coefficient."""
+    """From each direction, a Gaussian's colour is off by at most half a step of each coefficient.
+
+    Of sharp highlights, single coefficients are beyond -1..1, where SPZ ends: these are clipped, as saving says.
+    """
     again = loaded(baked, tmp_path / "baked.spz")
     basis = sh_basis(even_directions(200), 3)
-    colors, expected = (np.einsum("dk,nkc->ndc", basis, one.sh) for one in (again, baked))
+    held = np.concatenate([baked.sh[:, :1], np.clip(baked.sh[:, 1:], -1.0, 127.0 / 128.0)], axis=1)
+    assert (held != baked.sh).mean() < 1e-3
+    colors, expected = (np.einsum("dk,nkc->ndc", basis, sh) for sh in (again.sh, held))
     bound = 0.5 * np.abs(basis) @ STEPS
     off = np.abs(colors - expected).max(axis=(0, 2))
     assert (off <= bound + 1e-6).all()
     assert off.max() > 0.5 * 0.5 * SH_C0 * STEPS[0]  # it is quantised at all
     # So are frames of them by the shapes that were baked, as blends of these colours.
     same_shapes = frames(replace(baked, sh=again.sh))
-    assert np.abs(same_shapes - frames(baked)).max() <= bound.max() + 1e-6
+    assert np.abs(same_shapes - frames(replace(baked, sh=held))).max() <= bound.max() + 1e-6
 
 
 def test_frames_of_an_spz_are_near(baked, tmp_path):

@@ -137,7 +137,7 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
 
     Values are quantised: positions by `position_bits`, log scales to 1/16 within -10..5.94, opacities to 8 bits, DC to
     8 bits within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits per component. Values outside are
-    clamped.
+    clamped; Gaussians whose scales or harmonics are get a warning with their number.
 
     Raises:
         FormatError: A position does not fit into 24-bit fixed point, or the file cannot be written.
@@ -155,6 +155,13 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
     if thin:
         least = f"{math.exp(LOG_SCALE_MIN):.2g}"
         _log.warning("%s: %s Gaussians are thinner than %s, as thin as SPZ gets: widened", os.fspath(path), thin, least)
+    wide = np.count_nonzero((np.abs(columns.sh[:, 1:]) > 1.0).any(axis=(1, 2)))
+    if wide:
+        _log.warning(
+            "%s: %s Gaussians have harmonics beyond -1..1, where SPZ ends: clipped, save as .ply to keep them",
+            os.fspath(path),
+            wide,
+        )
     bits = position_bits(path, float(np.abs(columns.means).max()))
     sections = [section for section in encode_sections(columns, bits) if section]
     pack = zstandard.ZstdCompressor(level=ZSTD_LEVEL, write_checksum=True).compress
