@@ -240,7 +240,7 @@ def test_small_and_large_scenes(tmp_path: Path, size: float) -> None:
 
 
 def test_what_is_clamped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Scales end at e^-10 and e^5.94, SH at -1 and 1; Gaussians that are widened or clipped are counted in log lines."""
+    """Scales end at e^-10 and e^5.94, SH at -1 and 1; Gaussians that are widened or clipped are counted in the log."""
     base = capture(4)
     scales, sh = base.scales.copy(), base.sh.copy()
     scales[0], scales[1, 2], scales[2] = 1e-7, 4.4e-5, 1e4
