@@ -107,7 +107,7 @@ def test_borders_of_what_is_changed_together_cost_little(monkeypatch: pytest.Mon
 def test_degree_three_comes_near_the_best_harmonics() -> None:
     """A closed room of 1,300 Gaussians from 16 views, beside harmonics that know the bake and 40 other views of it.
 
-    The target is 1 dB. It is missed, by 0.1 dB here (docs/benchmarks.md#baked-captures): this holds what there is.
+    The target is 1 dB: 29.7 dB beside 30.6. In larger scenes it is missed (docs/benchmarks.md#baked-captures).
     """
     case = bench.cases(100)["room"]()
     rng = np.random.default_rng(0)
@@ -121,4 +121,4 @@ def test_degree_three_comes_near_the_best_harmonics() -> None:
     shown = bench.decibels(views, sh)
     print(f"alone {bench.decibels(views, alone)}, baked {shown}, best {best}")
     assert shown > bench.decibels(views, alone) + 2.0
-    assert shown > best - 1.4
+    assert shown > best - 1.0
