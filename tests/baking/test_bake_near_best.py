@@ -87,19 +87,25 @@ def test_a_highlight_is_within_a_decibel_of_the_best_harmonics() -> None:
 def test_borders_of_what_is_changed_together_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """A large capture cannot be changed as a whole: of 300 Gaussians, 100 at a time, most are at a border.
 
-    They come to 0.3 to 1.0 dB less with five seeds; to twice as much less where later rays undo what others have told.
+    They come to 0.3 to 1.0 dB less with five seeds, in the mean of two 0.8; to twice as much less where later rays undo
+    what others have told.
     """
     scene = glossy_ball()
-    whole = decibels(ls.bake(scene, TRACE, device="cpu"), scene)
+
+    def baked() -> float:
+        seeds = (ls.bake(scene, replace(TRACE, seed=seed), device="cpu") for seed in (0, 1))
+        return float(np.mean([decibels(one, scene) for one in seeds]))
+
+    whole = baked()
     monkeypatch.setattr(seen_together, "TOGETHER_RAYS", 100 * 64)
-    parts = decibels(ls.bake(scene, TRACE, device="cpu"), scene)
+    parts = baked()
     fit = seen_together.changed_to_fit
     monkeypatch.setattr(
         seen_together, "changed_to_fit", lambda blend, some, sh, told: fit(blend, some, sh, np.zeros_like(told))
     )
-    heedless = decibels(ls.bake(scene, TRACE, device="cpu"), scene)
+    heedless = baked()
     print(f"whole {whole:.2f} dB, in parts {parts:.2f} dB, if later rays undo what others have told {heedless:.2f} dB")
-    assert parts > whole - 1.1
+    assert parts > whole - 1.0
     assert whole - parts < 0.7 * (whole - heedless)
 
 

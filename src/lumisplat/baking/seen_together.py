@@ -100,12 +100,12 @@ class _SeenRays:
 
     @classmethod
     def joined(cls, parts: list[_SeenRays]) -> _SeenRays:
-        """All of them, in order; the list is emptied, so that little is held twice."""
+        """All of them, in order; the list is emptied, so that no more than an array of each is held twice."""
         firsts = np.cumsum([0, *(len(part.share) for part in parts)])
-        parts[:] = [replace(part, ray=part.ray + first) for part, first in zip(parts, firsts, strict=False)]
-        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__}
+        fields = {name: [getattr(part, name) for part in parts] for name in cls.__slots__}
+        fields["ray"] = [ray + first for ray, first in zip(fields["ray"], firsts, strict=False)]
         parts.clear()
-        return cls(**arrays)
+        return cls(**{name: np.concatenate(fields.pop(name)) for name in cls.__slots__})
 
 
 class SeenTogether:
@@ -176,18 +176,17 @@ class SeenTogether:
         lacking = np.full(len(ways.gaussian), count)
         for number in range(LINE_ROUNDS):
             wanting = np.flatnonzero(lacking)
-            if parts and not len(wanting):
+            if not len(wanting):
                 break
-            numbers = range(number * count, (number + 1) * count)
             for some in _ranges(len(wanting), max(LINES_AT_ONCE // count, 1)):
                 rows = wanting[some]
-                seen, found = self._seen(ways.of(rows).lines(numbers, self._config.seed), lacking[rows])
+                seen, found = self._seen(ways.of(rows).lines(number, count, self._config.seed), lacking[rows])
                 parts.append(seen)
                 lacking[rows] -= found
         return _SeenRays.joined(parts)
 
     def _seen(self, lines: Lines, wanted: _Rows) -> tuple[_SeenRays, _Rows]:
-        """The first lines to each Gaussian that tell of it, as viewers of captures see it, and how many these are."""
+        """The first lines to each Gaussian that show relit sets as viewers of captures do, and how many these are."""
         origins, directions = (rays.reshape(-1, 3) for rays in (lines.origins, lines.directions))
         hits = self._blends.trace_rays(self._scene, origins, directions, profile=True)
         assert hits.profile is not None

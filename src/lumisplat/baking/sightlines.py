@@ -86,18 +86,21 @@ class Sightlines:
         """Those of some of the Gaussians."""
         return Sightlines(*(getattr(self, name)[rows] for name in self.__slots__))
 
-    def lines(self, numbers: range, seed: int) -> Lines:
-        """Rays to each Gaussian, through points drawn from it.
+    def lines(self, number: int, count: int, seed: int) -> Lines:
+        """Rays to each Gaussian, through points drawn from it: those of a round, evenly spread over the ways.
 
         Eyes are spread along the distance up to which the Gaussian is seen, the farther the more.
 
         Args:
-            numbers: Of the rays: any few that follow one another are spread evenly over the ways.
+            number: Of the round, from 0 on: each has other rays.
+            count: Of the rays to each Gaussian; the same in all rounds.
             seed: By which, and by the number of the Gaussian, points and distances are drawn.
         """
-        even, point = self._draws(numbers, seed)
-        wanted = (GOLDEN_STEP * np.array(numbers) + even[:, :1]) % 1.0
-        way = (wanted[:, :, None] > self.shares[:, None, :-1]).sum(axis=2)
+        even, point = self._draws(number, count, seed)
+        wanted = (GOLDEN_STEP * np.arange(number * count, (number + 1) * count) + even[:, :1]) % 1.0
+        row = np.arange(len(wanted))[:, None]
+        below = np.searchsorted((row + self.shares[:, :-1].astype(np.float64)).ravel(), row + wanted)
+        way = below - row * (self.shares.shape[1] - 1)
         along = np.take_along_axis(self.directions, way[:, :, None], axis=1).astype(np.float64)
         away = np.take_along_axis(self.distances, way, axis=1) * np.sqrt(even[:, 1:])
         point *= np.minimum(1.0, SIGHT_REACH / np.maximum(np.linalg.norm(point, axis=2, keepdims=True), 1e-12))
@@ -108,13 +111,13 @@ class Sightlines:
         eyes = self.means[:, None] - away[..., None] * along
         return Lines(eyes.astype(np.float32), towards.astype(np.float32))
 
-    def _draws(self, numbers: range, seed: int) -> tuple[Doubles, Doubles]:
-        """Even numbers, the first of a Gaussian the same for all its rays, (N, 1 + R), and normal ones, (N, R, 3)."""
-        even, normal = np.empty((len(self.gaussian), 1 + len(numbers))), np.empty((len(self.gaussian), len(numbers), 3))
+    def _draws(self, number: int, count: int, seed: int) -> tuple[Doubles, Doubles]:
+        """Even numbers, the first of a Gaussian the same in all rounds, (N, 1 + R), and normal ones, (N, R, 3)."""
+        even, normal = np.empty((len(self.gaussian), 1 + count)), np.empty((len(self.gaussian), count, 3))
         for row, gaussian in enumerate(self.gaussian):
             start, rng = (
                 np.random.Generator(np.random.Philox(key=(seed, int(gaussian)), counter=(0, 0, 0, first)))
-                for first in (0, 1 + numbers.start)
+                for first in (0, 1 + number)
             )
             even[row, 0] = start.random()
             rng.random(out=even[row, 1:])

@@ -40,7 +40,7 @@ RAYS_A_DIRECTION = 2
 """Rays to Gaussians that are seen together, for each direction from which they are seen alone."""
 
 LINE_ROUNDS = 8
-"""Rounds in which as many lines are tried as rays are wanted, to Gaussians that lack some: in closed rooms, a quarter
+"""Rounds of as many lines as a Gaussian is to have rays, to those that lack any: in closed rooms, a quarter
 to a half of the lines show the back of something, or what is not baked, and near corners up to nine in ten."""
 
 GOLDEN_STEP = 0.6180339887498949

@@ -240,18 +240,22 @@ def test_small_and_large_scenes(tmp_path: Path, size: float) -> None:
 
 
 def test_what_is_clamped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Scales end at e^-10 and e^5.94, SH at -1 and 1; Gaussians that are widened or clipped are counted in the log."""
+    """Scales end at e^-10 and e^5.94, DC at 3.33, other SH at -1 and 1; Gaussians that are clamped are counted."""
     base = capture(4)
     scales, sh = base.scales.copy(), base.sh.copy()
     scales[0], scales[1, 2], scales[2] = 1e-7, 4.4e-5, 1e4
     sh[3, 1:] = 5.0
+    sh[:2, 0] = [[4.0, 0.0, 0.0], [0.0, 0.0, -4.0]]
     ls.save(tmp_path / "a.spz", ls.Gaussians(base.means, base.rotations_wxyz, scales, base.opacities, sh))
     loaded = load_gaussians(tmp_path / "a.spz")
     np.testing.assert_allclose(np.log(loaded.scales)[[0, 2]], [[-10] * 3, [255 / 16 - 10] * 3], rtol=1e-6)
     np.testing.assert_allclose(loaded.sh[3, 1:], 1.0, atol=1 / 128)
-    thin, wide = (record.message for record in caplog.records)
+    np.testing.assert_allclose([loaded.sh[0, 0, 0], loaded.sh[1, 0, 2]], [0.5 / 0.15, -0.5 / 0.15], rtol=1e-5)
+    thin, wide, bright, sharp = (record.message for record in caplog.records)
     assert "a.spz: 2 Gaussians are thinner than 4.5e-05" in thin
-    assert "a.spz: 1 Gaussians have harmonics beyond -1..1" in wide
+    assert "a.spz: 1 Gaussians are wider than 379" in wide
+    assert "a.spz: 2 Gaussians have a colour too bright or too dark" in bright
+    assert "a.spz: 1 Gaussians have harmonics beyond -1..1" in sharp
 
 
 def test_positions_beyond_the_format(tmp_path: Path) -> None:

@@ -34,7 +34,14 @@ from lumisplat.io.splats.spz_header import (
     parse_spz_header,
 )
 from lumisplat.io.splats.spz_legacy import read_legacy
-from lumisplat.io.splats.spz_sections import LOG_SCALE_MIN, SECTIONS, decode_sections, encode_sections
+from lumisplat.io.splats.spz_sections import (
+    CONSTANT_MAX,
+    LOG_SCALE_MAX,
+    LOG_SCALE_MIN,
+    SECTIONS,
+    decode_sections,
+    encode_sections,
+)
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
@@ -136,8 +143,8 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
     """Writes SPZ version 4 in RUB axes.
 
     Values are quantised: positions by `position_bits`, log scales to 1/16 within -10..5.94, opacities to 8 bits, DC to
-    8 bits within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits per component. Values outside are
-    clamped; Gaussians whose scales or harmonics are get a warning with their number.
+    8 bits within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits per component. Gaussians of which
+    anything is outside are counted in a warning, and clamped.
 
     Raises:
         FormatError: A position does not fit into 24-bit fixed point, or the file cannot be written.
@@ -151,17 +158,7 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
         )
     columns = replace(columns_from_gaussians(gaussians), opacities=gaussians.opacities, opacities_are_logits=False)
     columns = mirror_axes(columns, rdf_signs("RUB"))
-    thin = np.count_nonzero((columns.log_scales < LOG_SCALE_MIN).any(axis=1))
-    if thin:
-        least = f"{math.exp(LOG_SCALE_MIN):.2g}"
-        _log.warning("%s: %s Gaussians are thinner than %s, as thin as SPZ gets: widened", os.fspath(path), thin, least)
-    wide = np.count_nonzero((np.abs(columns.sh[:, 1:]) > 1.0).any(axis=(1, 2)))
-    if wide:
-        _log.warning(
-            "%s: %s Gaussians have harmonics beyond -1..1, where SPZ ends: clipped, save as .ply to keep them",
-            os.fspath(path),
-            wide,
-        )
+    _warn_clamped(path, columns)
     bits = position_bits(path, float(np.abs(columns.means).max()))
     sections = [section for section in encode_sections(columns, bits) if section]
     pack = zstandard.ZstdCompressor(level=ZSTD_LEVEL, write_checksum=True).compress
@@ -172,6 +169,21 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
     header = HEADER_V4.pack(MAGIC, 4, columns.count, degree, bits, flags, len(streams), HEADER_V4.size)
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join([header, np.array(toc, "<u8").tobytes(), *streams]))
+
+
+def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
+    """Says of how many Gaussians a file keeps less than they have."""
+    kept = "clipped, save as .ply to keep them"
+    clamped = (
+        (columns.log_scales < LOG_SCALE_MIN, f"are thinner than {math.exp(LOG_SCALE_MIN):.2g}, as SPZ ends: widened"),
+        (columns.log_scales > LOG_SCALE_MAX, f"are wider than {math.exp(LOG_SCALE_MAX):.3g}, as SPZ ends: narrowed"),
+        (np.abs(columns.sh[:, :1]) > CONSTANT_MAX, f"have a colour too bright or too dark for SPZ: {kept}"),
+        (np.abs(columns.sh[:, 1:]) > 1.0, f"have harmonics beyond -1..1, where SPZ ends: {kept}"),
+    )
+    for beyond, what in clamped:
+        count = np.count_nonzero(beyond.reshape(columns.count, -1).any(axis=1))
+        if count:
+            _log.warning("%s: %s Gaussians %s", os.fspath(path), count, what)
 
 
 def position_bits(path: PathLike, largest: float) -> int:

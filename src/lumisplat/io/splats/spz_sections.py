@@ -12,10 +12,14 @@ from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_small
 from lumisplat.io.splats.spz_header import SpzHeader
 
 COLOR_SCALE = 0.15
-"""A colour byte is 255 (0.5 + 0.15 DC): a range wider than 0..1, so that no coefficient is clipped."""
+"""A colour byte is 255 (0.5 + 0.15 DC): a range wider than 0..1, so that hardly a coefficient is clipped."""
+CONSTANT_MAX = 0.5 / COLOR_SCALE
+"""Largest DC, of either sign."""
 
 LOG_SCALE_MIN = -10.0
 """Smallest logarithm of a scale that SPZ can store; a byte is 16 (log scale - this)."""
+LOG_SCALE_MAX = LOG_SCALE_MIN + 255.0 / 16.0
+"""Largest."""
 
 SECTIONS = ("positions", "alphas", "colours", "scales", "rotations", "SH")
 
