@@ -100,7 +100,7 @@ class _SeenRays:
 
     @classmethod
     def joined(cls, parts: list[_SeenRays]) -> _SeenRays:
-        """All of them, in order; the list is emptied, so that no more than an array of each is held twice."""
+        """All of them, in order; the list is emptied, and one field at a time is held twice."""
         firsts = np.cumsum([0, *(len(part.share) for part in parts)])
         fields = {name: [getattr(part, name) for part in parts] for name in cls.__slots__}
         fields["ray"] = [ray + first for ray, first in zip(fields["ray"], firsts, strict=False)]

@@ -98,6 +98,7 @@ class Sightlines:
         """
         even, point = self._draws(number, count, seed)
         wanted = (GOLDEN_STEP * np.arange(number * count, (number + 1) * count) + even[:, :1]) % 1.0
+        # With the row added, the shares of all Gaussians ascend, and are searched at once.
         row = np.arange(len(wanted))[:, None]
         below = np.searchsorted((row + self.shares[:, :-1].astype(np.float64)).ravel(), row + wanted)
         way = below - row * (self.shares.shape[1] - 1)

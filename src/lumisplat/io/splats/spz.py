@@ -35,7 +35,7 @@ from lumisplat.io.splats.spz_header import (
 )
 from lumisplat.io.splats.spz_legacy import read_legacy
 from lumisplat.io.splats.spz_sections import (
-    CONSTANT_MAX,
+    DC_MAX,
     LOG_SCALE_MAX,
     LOG_SCALE_MIN,
     SECTIONS,
@@ -175,9 +175,12 @@ def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
     """Says of how many Gaussians a file keeps less than they have."""
     kept = "clipped, save as .ply to keep them"
     clamped = (
-        (columns.log_scales < LOG_SCALE_MIN, f"are thinner than {math.exp(LOG_SCALE_MIN):.2g}, as SPZ ends: widened"),
-        (columns.log_scales > LOG_SCALE_MAX, f"are wider than {math.exp(LOG_SCALE_MAX):.3g}, as SPZ ends: narrowed"),
-        (np.abs(columns.sh[:, :1]) > CONSTANT_MAX, f"have a colour too bright or too dark for SPZ: {kept}"),
+        (
+            columns.log_scales < LOG_SCALE_MIN,
+            f"are thinner than {math.exp(LOG_SCALE_MIN):.2g}, where SPZ ends: widened",
+        ),
+        (columns.log_scales > LOG_SCALE_MAX, f"are wider than {math.exp(LOG_SCALE_MAX):.3g}, where SPZ ends: narrowed"),
+        (np.abs(columns.sh[:, :1]) > DC_MAX, f"have a colour too bright or too dark for SPZ: {kept}"),
         (np.abs(columns.sh[:, 1:]) > 1.0, f"have harmonics beyond -1..1, where SPZ ends: {kept}"),
     )
     for beyond, what in clamped:

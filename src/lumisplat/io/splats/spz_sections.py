@@ -13,7 +13,7 @@ from lumisplat.io.splats.spz_header import SpzHeader
 
 COLOR_SCALE = 0.15
 """A colour byte is 255 (0.5 + 0.15 DC): a range wider than 0..1, so that hardly a coefficient is clipped."""
-CONSTANT_MAX = 0.5 / COLOR_SCALE
+DC_MAX = 0.5 / COLOR_SCALE
 """Largest DC, of either sign."""
 
 LOG_SCALE_MIN = -10.0
