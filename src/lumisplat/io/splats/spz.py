@@ -173,13 +173,11 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
 
 def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
     """Says of how many Gaussians a file keeps less than they have."""
+    least, most = f"{math.exp(LOG_SCALE_MIN):.2g}", f"{math.exp(LOG_SCALE_MAX):.3g}"
     kept = "clipped, save as .ply to keep them"
     clamped = (
-        (
-            columns.log_scales < LOG_SCALE_MIN,
-            f"are thinner than {math.exp(LOG_SCALE_MIN):.2g}, where SPZ ends: widened",
-        ),
-        (columns.log_scales > LOG_SCALE_MAX, f"are wider than {math.exp(LOG_SCALE_MAX):.3g}, where SPZ ends: narrowed"),
+        (columns.log_scales < LOG_SCALE_MIN, f"are thinner than {least}, where SPZ ends: widened"),
+        (columns.log_scales > LOG_SCALE_MAX, f"are wider than {most}, where SPZ ends: narrowed"),
         (np.abs(columns.sh[:, :1]) > DC_MAX, f"have a colour too bright or too dark for SPZ: {kept}"),
         (np.abs(columns.sh[:, 1:]) > 1.0, f"have harmonics beyond -1..1, where SPZ ends: {kept}"),
     )
