@@ -23,7 +23,7 @@ def ball(material: ls.MaterialPbr, x: float, z: float, radius: float) -> ls.Mesh
 def main(width: int = 320, samples: int = 16) -> None:
     """Writes out/drop_in_capture/dropped.png."""
     # The room keeps its look. What is added is lit by what was captured, and changes the light on the room.
-    room = ls.SplatInstance(ls.demo_scene().splats[0].gaussians, shadow_only=True)
+    room = ls.SplatInstance(ls.demo_scene().splats[0].gaussians, shadow_catcher=True)
     balls = [ball(PAINT, -0.4, 0.25, 0.26), ball(COPPER, -0.7, 0.95, 0.19), ball(GLASS, -0.05, 0.85, 0.17)]
     camera = ls.Camera.look_at(
         (0.75, 0.95, 2.3), (-0.15, 0.2, 0.2), width=width, height=round(0.5625 * width), fov_y=0.55

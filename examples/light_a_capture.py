@@ -31,7 +31,7 @@ def main(width: int = 320, samples: int = 4) -> None:
 
     # Kept: the capture holds all its light already. It only takes shadows, as deep as if that light had been the
     # lamp's and the sky's, and as much besides as ``ambient`` says.
-    kept = ls.SplatInstance(capture, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)), shadow_only=True)
+    kept = ls.SplatInstance(capture, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)), shadow_catcher=True)
     scene = ls.Scene(splats=[kept], meshes=[knot], lights=[lamp, sky])
     renderer.render(scene, camera).save("out/light_a_capture/kept.png")
 

@@ -133,12 +133,12 @@ def test_what_is_kept_stays_as_it_is() -> None:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
 def test_a_shadow_falls_on_a_shadow_only_capture(pipeline: ls.Pipeline) -> None:
     """Where a mesh blocks the sun its colours are darker; where it does not, they are the same to the bit."""
-    capture = replace(floor(1200), material=None, shadow_only=True)
+    capture = replace(floor(1200), material=None, shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((0.8, 0.02, 0.8), material=diffuse(0.0)), position=(-0.5, 0.5, 0.0))
     down = ls.LightDirectional((0.0, -1.0, 0.0), intensity=2.0)
     config = ls.RenderConfig(pipeline=pipeline, samples=2, max_bounces=0)
     (shown,) = baked(ls.Scene([capture], [roof], [down]), config, directions=8).splats
-    assert not shown.shadow_only and shown.material is None
+    assert not shown.shadow_catcher and shown.material is None
     means, before, after = capture.gaussians.means, capture.gaussians.sh, shown.gaussians.sh
     size = float(np.median(capture.gaussians.scales.max(axis=1)))
     below = (np.abs(means[:, 0] + 0.5) < 0.4 - 3 * size) & (np.abs(means[:, 2]) < 0.4 - 3 * size)
@@ -154,7 +154,7 @@ def test_a_dim_sun_takes_no_more_than_it_gave_a_white_surface() -> None:
 
     Less of Gaussians that are seen from below, too, where the sun does not shine.
     """
-    capture = replace(floor(), material=None, shadow_only=True)
+    capture = replace(floor(), material=None, shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((9.0, 0.02, 9.0), material=diffuse(0.0)), position=(0.0, 0.5, 0.0))
     dim = ls.LightDirectional((0.0, -1.0, 0.0), intensity=0.5)
     (shown,) = baked(ls.Scene([capture], [roof], [dim]), replace(PATH, samples=2, max_bounces=0), directions=8).splats

@@ -456,9 +456,9 @@ def test_info_of_lights_alone(work):
     assert "sphere 1 cd/m2 at (0, 0, 1) radius 0.5" in shown and "bounds" not in shown
     work.path("glow.toml").write_text(
         '[[meshes]]\npath = "mesh.obj"\nmaterial = { emissive = 2 }\n'
-        '[[splats]]\npath = "capture.ply"\nshadow_only = true\nmaterial = "dull"\n'
+        '[[splats]]\npath = "capture.ply"\nshadow_catcher = true\nmaterial = "dull"\n'
         '[materials.dull]\ntype = "simple"\ndiffuse = 0.5\n'
     )
     shown = " ".join(work.run("info", "@glow.toml").out.split())
-    assert "emissive 2 2 2" in shown and "shadow only" in shown
+    assert "emissive 2 2 2" in shown and "shadow catcher" in shown
     assert "material dull surface emissive 1 1 1 ambient 0 0 0 diffuse 0.5 0.5 0.5" in shown

@@ -17,7 +17,7 @@ from support.files.cli_files import Workplace
 from support.scenes.raster_scenes import one_gaussian, quad
 
 LAMP, SECOND, SKY = ls.LightPoint((0, 0, 1)), ls.LightPoint((1, 0, 1)), ls.LightEnvironment()
-KEPT = ls.SplatInstance(one_gaussian(), shadow_only=True)
+KEPT = ls.SplatInstance(one_gaussian(), shadow_catcher=True)
 RELIT = ls.SplatInstance(one_gaussian(), material=ls.MaterialPbr())
 WALL, MIRROR = quad(4.0), quad(4.0, material=ls.MaterialPbr(roughness=0.0, metallic=1.0))
 LAMPLIT = quad(4.0, material=ls.MaterialSimple(emissive=(0, 0, 0), ambient=(0.2, 0.2, 0.2)))
@@ -73,7 +73,7 @@ def test_an_albedo_that_no_material_uses_is_announced() -> None:
         ls.Scene([kept]),
         ls.Scene([kept], [], [replace(SKY, enabled=False)]),
         ls.Scene([replace(kept, material=ls.MaterialPbr())], [], [SKY]),
-        ls.Scene([replace(kept, shadow_only=True)], [], [SKY]),
+        ls.Scene([replace(kept, shadow_catcher=True)], [], [SKY]),
     ):
         assert remarks(scene) == []
 
@@ -83,7 +83,7 @@ def test_commands_say_it_once_and_the_environment_helps(tmp_path, capsys, monkey
     """As the line says it, in a scene.toml."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     work = Workplace(tmp_path, capsys)
-    scene = '[[splats]]\npath = "capture.ply"\nshadow_only = true\n[[meshes]]\npath = "mesh.obj"\n'
+    scene = '[[splats]]\npath = "capture.ply"\nshadow_catcher = true\n[[meshes]]\npath = "mesh.obj"\n'
     scene += '[[lights]]\ntype = "point"\nposition = [0, 0, 9]\n'
     sky = "[environment]\nintensity = 0.3\nvisible = false\n"
     options = ("--width", "16", "--device", "cpu", *(("--seconds", "0.08") if command == "orbit" else ()))

@@ -234,9 +234,9 @@ def test_captures_alone_stay_unlit_and_receive_the_shadows_of_objects(duck) -> N
     assert views_of(small_config(poses=poses), capture)[0].scene.lights == ()
     objects = ls.DatasetObjects(files=(duck,), count=(1, 1))
     view = views_of(small_config(poses=poses, objects=objects), capture)[0]
-    assert len(view.scene.lights) == 2 and view.scene.splats[0].shadow_only
+    assert len(view.scene.lights) == 2 and view.scene.splats[0].shadow_catcher
     kept = replace(objects, shadows=False)
-    assert not views_of(small_config(poses=poses, objects=kept), capture)[0].scene.splats[0].shadow_only
+    assert not views_of(small_config(poses=poses, objects=kept), capture)[0].scene.splats[0].shadow_catcher
 
 
 def test_impossible_poses_are_one_line() -> None:

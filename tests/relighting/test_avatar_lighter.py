@@ -250,12 +250,12 @@ def test_given_lights_all_light_meshes() -> None:
 
 def test_beside_mesh_actors_captures_stay_as_captured() -> None:
     """Lights that come with them are for meshes: sets that would reflect them lose their materials, actors too."""
-    sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_only=True)]
+    sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_catcher=True)]
     actors = [ls.MeshInstance(icosphere(0.4)), replace(puppet(2.0), material=ls.MaterialPbr())]
     stage = lighter(ls.Scene(splats=sets))
-    assert all(i.material is None and not i.shadow_only for i in stage.light(actors).splats)
+    assert all(i.material is None and not i.shadow_catcher for i in stage.light(actors).splats)
     alone = stage.light(actors[1:])
-    assert not alone.lights and alone.splats[0].material is not None and alone.splats[1].shadow_only
+    assert not alone.lights and alone.splats[0].material is not None and alone.splats[1].shadow_catcher
 
 
 def test_meshes_of_the_scene_cast_from_the_start() -> None:
@@ -275,7 +275,7 @@ def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFi
     """Its own lights cast; what reflects them or only takes shadows gets those from rays, and a line says so."""
     sets = [
         ls.SplatInstance(floor(), material=ls.MaterialPbr()),
-        ls.SplatInstance(floor(), shadow_only=True),
+        ls.SplatInstance(floor(), shadow_catcher=True),
         ls.SplatInstance(floor()),
     ]
     scene = ls.Scene(splats=sets, lights=[LIGHT, ls.LightEnvironment()])

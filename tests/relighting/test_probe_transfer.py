@@ -139,14 +139,14 @@ def test_an_instance_is_lit_as_it_stands() -> None:
     """Its normals are turned with it; place and size do not matter; what it is else stays."""
     gaussians = ls.gaussians_from_mesh(shapes.torus(), 800)
     pose = similarity((0.3, 1.0, -0.4), 2.0, 7.0, (5.0, -3.0, 1.0))
-    instance = ls.SplatInstance(gaussians, pose, ls.MaterialPbr(), name="ring", sh_degree=2, shadow_only=True)
+    instance = ls.SplatInstance(gaussians, pose, ls.MaterialPbr(), name="ring", sh_degree=2, shadow_catcher=True)
     relit = ls.relight(instance, some_probe())
     assert gaussians.normals is not None
     turned = gaussians.normals @ (pose[:3, :3] / 7.0).T
     expected = ls.relight(gaussians, some_probe(), normals=turned)
     np.testing.assert_allclose(relit.gaussians.sh, expected.sh, atol=1e-5)
     assert np.abs(relit.gaussians.sh - ls.relight(gaussians, some_probe()).sh).max() > 0.1
-    for name in ("material", "name", "sh_degree", "shadow_only"):
+    for name in ("material", "name", "sh_degree", "shadow_catcher"):
         assert getattr(relit, name) == getattr(instance, name)
     np.testing.assert_array_equal(relit.transform, instance.transform)
     for name, values in gaussians.arrays().items():

@@ -48,10 +48,10 @@ def name_of(module: Any) -> str:
     return module.__name__ if hasattr(module, "__name__") else module.name
 
 
-def scene(meshes: Sequence[ls.Mesh], *lights: Any, shadow_only: bool = False) -> ls.Scene:
+def scene(meshes: Sequence[ls.Mesh], *lights: Any, shadow_catcher: bool = False) -> ls.Scene:
     """A capture, relit or only darkened, with meshes."""
-    material = None if shadow_only else ls.MaterialPbr()
-    capture = ls.SplatInstance(random_gaussians(3, count=60), material=material, shadow_only=shadow_only)
+    material = None if shadow_catcher else ls.MaterialPbr()
+    capture = ls.SplatInstance(random_gaussians(3, count=60), material=material, shadow_catcher=shadow_catcher)
     return ls.Scene([capture], list(meshes), lights)
 
 
@@ -61,7 +61,7 @@ SCENES = {
     "mirror": scene([replace(icosphere(0.4), material=MIRROR)], LAMP),
     "shadow": scene([], LAMP),
     "no shadow": scene([], ls.LightDirectional((0.2, 0.3, 1.0), casts_shadow=False)),
-    "shadow-only": scene([icosphere(0.4)], LAMP, shadow_only=True),
+    "shadow-only": scene([icosphere(0.4)], LAMP, shadow_catcher=True),
 }
 SETTINGS: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -113,10 +113,10 @@ def test_frames_without_blockers_follow_no_shadow_rays(soft: bool) -> None:
     settings: dict[str, Any] = {"shadows": ls.Shadows.SOFT} if soft else {}
     for lamp in (LAMP, ls.LightEnvironment()):
         kept = ls.Scene([random_gaussians(3, count=60)], (), [lamp])
-        for content in (scene([], lamp, shadow_only=True), kept):
+        for content in (scene([], lamp, shadow_catcher=True), kept):
             names = names_of(content, **settings)
             assert not names & {"shadow_kernel", "mesh_shadow_kernels", "gaussian_bvh_kernels", "direct_light_kernels"}
-        for content in (scene([]), scene([icosphere(0.4)], shadow_only=True)):
+        for content in (scene([]), scene([icosphere(0.4)], shadow_catcher=True)):
             shadowed = names_of(ls.Scene(content.splats, content.meshes, [lamp]), **settings)
             assert shadowed >= {"shadow_kernel", "gaussian_bvh_kernels", "direct_light_kernels"}
 

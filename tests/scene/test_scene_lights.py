@@ -119,10 +119,10 @@ def test_what_is_no_light_is_refused(lights: Any, message: str) -> None:
         ({"sh_degree": 4}, "sh_degree is 4, expected a whole number from 0 to 3"),
         ({"sh_degree": True}, "sh_degree is True"),
         ({"sh_degree": 1.0}, "sh_degree is 1.0"),
-        ({"shadow_only": 1}, "shadow_only is 1, expected True or False"),
+        ({"shadow_catcher": 1}, "shadow_catcher is 1, expected True or False"),
     ],
 )
 def test_how_splats_take_light_is_checked(settings: dict[str, Any], message: str) -> None:
-    """Material, SH degree and ``shadow_only`` of an instance must have the right types."""
+    """Material, SH degree and ``shadow_catcher`` of an instance must have the right types."""
     with pytest.raises(ls.SceneError, match=message):
         ls.SplatInstance(random_gaussians(0, 3), **settings)

@@ -55,7 +55,7 @@ def bake(
     Each Gaussian is seen from directions all around it by paths of light. What it shows is tone-mapped, and fitted by
     its spherical harmonics, so that every viewer of captures shows it. Meshes and lights do their part, and are not in
     the result; `gaussians_from_mesh` makes Gaussians of a mesh. Sets that keep their captured light come out as they
-    are, to the bit; ``shadow_only`` ones are darkened, or brightened, by what was added to them. Source:
+    are, to the bit; ``shadow_catcher`` ones are darkened, or brightened, by what was added to them. Source:
     docs/method/relighting.md#baking.
 
     Captures hold what a display shows: what is brighter than its white is white, so choose ``exposure`` and
@@ -155,7 +155,7 @@ class _Baker:
         for views in self._views(instance, first):
             shown = self._shown(views, samples)
             nonfinite += shown.nonfinite
-            if instance.shadow_only:
+            if instance.shadow_catcher:
                 parts.append(views.shadow(shown))
                 continue
             parts.append(views.harmonics(shown, self.settings))
@@ -165,8 +165,8 @@ class _Baker:
         if nonfinite:
             _log.warning("%d samples of %s were not finite and are left out", nonfinite, instance.name or "a set")
         joined = np.concatenate(parts)
-        if instance.shadow_only:
-            return replace(scale_light_of(instance, joined), material=None, shadow_only=False)
+        if instance.shadow_catcher:
+            return replace(scale_light_of(instance, joined), material=None, shadow_catcher=False)
         baked = replace(instance.gaussians, sh=read_only_view(joined), albedo=None, roughness=None, metallic=None)
         return replace(instance, gaussians=baked, material=None, sh_degree=SH_DEGREE_MAX)
 

@@ -38,7 +38,7 @@ class ShownLight:
     captured_weight: Doubles
     """1 where there is one, else 0, (V,)."""
     change: Doubles
-    """Of what a shadow-only surface receives, by all that was added to it, (V, 3)."""
+    """Of what a shadow catcher receives, by all that was added to it, (V, 3)."""
     received: Doubles
     """What it received as it was captured, in the same unit, (V, 3); 0: it is no such surface."""
     distance: Doubles
@@ -64,7 +64,7 @@ class GaussianViewer(Renderer):
     def enter(self, scene: Scene, far: float, progress: Progress | None = None) -> None:
         """Uploads the scene; eyes are at most ``far`` scene units away from what they see."""
         plan = self._sync_rays(scene)
-        # Rays of queries do not find what shadow-only sets receive; views do.
+        # Rays of queries do not find what shadow catchers receive; views do.
         receives = FramePlan.of(self.config, scene).has_receivers
         self._plan, self._far = replace(plan, has_receivers=receives), far
         self._load([*frame_modules(self._plan, self._launcher, self.config), kernels], progress)
@@ -129,7 +129,7 @@ class GaussianViewer(Renderer):
         if self._plan.has_receivers:
             sent, arrived = (read(array) * (scale / samples) for array in (sums.sent, sums.arrived))
             change = arrived - sent
-            # No surface reflects more than it receives (docs/method/paths.md#shadow-only-captures).
+            # No surface reflects more than it receives (docs/method/paths.md#shadow-catchers).
             received = np.maximum(sent, np.pi * decode_srgb(captured).astype(np.float64))
         elif self._plan.has_shadow_only:
             change = read(sums.factor) * scale / samples - 1.0  # exactly 0 where nothing is shadowed

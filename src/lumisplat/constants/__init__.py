@@ -198,8 +198,8 @@ SHRINK_INSTANCES_MAX = 8
 EDGE_WEIGHT_MAX = 1e-5
 """Barycentric weight above which a ray through glass is certainly not on a triangle's edge: above all rounding."""
 
-SHADOW_ONLY_AMBIENT = 0.5
-"""Ambient light, as radiance over albedo, of a shadow-only set without a material."""
+CATCHER_AMBIENT = 0.5
+"""Ambient light, as radiance over albedo, of a shadow catcher without a material."""
 
 LIT_WEIGHT_MIN = 1.0 / 512.0
 """Transmittance of the Gaussians before a mesh below which the mesh is not lit: half a step of an 8-bit image. Opaque

@@ -190,4 +190,4 @@ def _loaded_assets(files: Sequence[str], loader: Loader | None) -> list[Asset]:
 
 def _receiving(splats: SplatInstance) -> SplatInstance:
     """A capture that keeps its look, and receives shadows."""
-    return splats if splats.material is not None else replace(splats, shadow_only=True)
+    return splats if splats.material is not None else replace(splats, shadow_catcher=True)

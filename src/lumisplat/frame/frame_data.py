@@ -117,7 +117,7 @@ class FrameData:
     """The same, reflected by highlights, mirrors and glass."""
     bounces: FloatArray | None = None
     """Linear radiance of a frame of paths by how often surfaces have scattered it, (max_bounces + 2, H, W, 3); the sum
-    is ``light``, but for what light changes of shadow-only captures."""
+    is ``light``, but for what light changes of shadow catchers."""
     motion: FloatArray | None = None
     """Of a frame in real time, how the surface that is most of the pixel has moved since the frame before, (H, W, 3): x
     and y where it is minus where it was in the image, pixels, to the right and down, and its distance from the eye less

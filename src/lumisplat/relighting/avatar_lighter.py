@@ -291,7 +291,7 @@ def _receivers(scene: Scene, is_lit: bool) -> list[int]:
 
 
 def _as_captured(instance: SplatInstance) -> SplatInstance:
-    return instance if emits_capture_only(instance) else replace(instance, material=None, shadow_only=False)
+    return instance if emits_capture_only(instance) else replace(instance, material=None, shadow_catcher=False)
 
 
 def _mean_luminance(probe: EnvironmentProbe) -> float:

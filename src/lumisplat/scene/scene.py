@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.renamed import refuse_renamed
 from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, box_text
@@ -32,6 +33,7 @@ _BINS = 2**14
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
 
+@refuse_renamed
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatInstance(PlacedInstance):
     """A Gaussian set placed in the world by rotation, uniform scale and translation.
@@ -48,8 +50,8 @@ class SplatInstance(PlacedInstance):
     """How it reflects light; None: it shines as captured, whatever the lights."""
     sh_degree: int = field(default=SH_DEGREE_MAX, kw_only=True)
     """Highest SH degree that is evaluated, 0..3. A lower degree removes view-dependent light that was baked in."""
-    shadow_only: bool = field(default=False, kw_only=True)
-    """Whether it shows its captured colours and only receives shadows: lights do not brighten it, its own Gaussians do
+    shadow_catcher: bool = field(default=False, kw_only=True)
+    """Whether it is a shadow catcher: it shows its captured colours, lights do not brighten it, its own Gaussians do
     not shadow it, and it is darkened where something else blocks a light. By how much depends on its ambient light,
     the ``ambient`` of a `MaterialSimple` (0.5 without a material)."""
 
@@ -58,13 +60,13 @@ class SplatInstance(PlacedInstance):
         if self.material is not None:
             check_kind("material", self.material, (MaterialPbr, MaterialSimple), "a MaterialPbr or MaterialSimple")
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
-        check_flag("shadow_only", self.shadow_only)
+        check_flag("shadow_catcher", self.shadow_catcher)
         self._place(self.world_from_object, Placing(*placing))
         check_similarity(self.transform[:3, :3])
 
     def __repr__(self) -> str:
         material = f", material={type(self.material).__name__}" if self.material is not None else ""
-        kept = ", shadow_only" if self.shadow_only else ""
+        kept = ", shadow_catcher" if self.shadow_catcher else ""
         return f"SplatInstance({self.gaussians!r}, {self._placement()}{material}{kept})"
 
     @property

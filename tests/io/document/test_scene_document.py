@@ -87,7 +87,7 @@ def assert_same_scene(found: Any, expected: ls.Scene) -> None:
             np.testing.assert_allclose(mine.gaussians.arrays()[name], values, rtol=2e-7)  # files hold logarithms
         np.testing.assert_allclose(mine.transform, other.transform, atol=1e-11)
         assert_same(mine.material, other.material)
-        assert (mine.sh_degree, mine.shadow_only, mine.name) == (other.sh_degree, other.shadow_only, other.name)
+        assert (mine.sh_degree, mine.shadow_catcher, mine.name) == (other.sh_degree, other.shadow_catcher, other.name)
     for mine, other in zip(found.meshes, expected.meshes, strict=True):
         world = [i.mesh.positions @ i.transform[:3, :3].T + i.transform[:3, 3] for i in (mine, other)]
         np.testing.assert_allclose(world[0][mine.mesh.indices], world[1][other.mesh.indices], rtol=1e-6, atol=1e-6)
@@ -245,7 +245,7 @@ def memory_scene() -> ls.Scene:
     return ls.Scene(
         splats=[
             ls.SplatInstance(gaussians, name="a", material=ls.MaterialSimple(ambient=(0.2, 0.3, 0.4), shininess=30.0)),
-            ls.SplatInstance(gaussians, position=(5.0, 0.0, 0.0), shadow_only=True, sh_degree=1, name="b"),
+            ls.SplatInstance(gaussians, position=(5.0, 0.0, 0.0), shadow_catcher=True, sh_degree=1, name="b"),
         ],
         meshes=[ls.MeshInstance(square, position=(0, 0, 4), scale_by=0.25), ls.MeshInstance(square, shear)],
         lights=lights,

@@ -187,13 +187,14 @@ def test_captures_that_come_or_go_are_refused(tmp_path: Path, scales: tuple[floa
         moving_capture(tmp_path, sampler)
 
 
-def test_captures_keep_their_settings(tmp_path: Path) -> None:
-    """Shadows only, and harmonics of a lower degree, as in a file in which nothing moves."""
+@pytest.mark.parametrize("key", ["shadow_catcher", "shadow_only"])
+def test_captures_keep_their_settings(tmp_path: Path, key: str) -> None:
+    """A shadow catcher, by its present or old key, and its SH degree, as in a file in which nothing moves."""
     sampler = ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], "LINEAR")
-    moving = moving_capture(tmp_path, sampler, extras={"lumisplat": {"shadow_only": True, "sh_degree": 0}})
+    moving = moving_capture(tmp_path, sampler, extras={"lumisplat": {key: True, "sh_degree": 0}})
     (instance,) = moving.actors_at(0.5)
     splat = expect_kind(ls.SplatInstance, instance)
-    assert splat.shadow_only and splat.sh_degree == 0
+    assert splat.shadow_catcher and splat.sh_degree == 0
 
 
 def test_skins_move(tmp_path: Path) -> None:

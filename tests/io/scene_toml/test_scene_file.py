@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -87,16 +88,24 @@ def test_how_splats_take_light(folder: Path) -> None:
     scene = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
-        '[[splats]]\npath = "capture.ply"\nsh_degree = 0\nshadow_only = true\n'
+        '[[splats]]\npath = "capture.ply"\nsh_degree = 0\nshadow_catcher = true\n'
         'material = { type = "simple", ambient = 0.3 }\n'
         '[[splats]]\npath = "capture.ply"\nmaterial = { roughness = 0.25 }\n',
     )
     plain, shadowed, physical = scene.splats
-    assert (plain.sh_degree, plain.shadow_only, plain.material) == (3, False, None)
-    assert (shadowed.sh_degree, shadowed.shadow_only) == (0, True)
+    assert (plain.sh_degree, plain.shadow_catcher, plain.material) == (3, False, None)
+    assert (shadowed.sh_degree, shadowed.shadow_catcher) == (0, True)
     assert isinstance(shadowed.material, ls.MaterialSimple) and shadowed.material.ambient == (0.3, 0.3, 0.3)
     assert isinstance(physical.material, ls.MaterialPbr) and physical.material.roughness == 0.25
     assert plain.gaussians is shadowed.gaussians is physical.gaussians
+
+
+def test_shadow_only_is_the_old_key_of_shadow_catcher(folder: Path) -> None:
+    """Scene files that were written before the new name keep their meaning."""
+    scene = load_text(folder, '[[splats]]\npath = "capture.ply"\nshadow_only = true\n')
+    assert scene.splats[0].shadow_catcher
+    with pytest.raises(ls.ConfigError, match=r"shadow_only is now SplatInstance\.shadow_catcher"):
+        cast("Any", ls.SplatInstance)(scene.splats[0].gaussians, shadow_only=True)
 
 
 def test_comments_and_byte_order_marks_do_not_matter(folder: Path) -> None:
@@ -144,11 +153,11 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
         (SPLAT + "kernel_degree = 7", "line 3, splats[0]: kernel_degree is 7, expected a whole number from 0 to 5"),
         (SPLAT + "kernel_degree = true", "line 3, splats[0]: kernel_degree is true, expected a whole number"),
         (SPLAT + "sh_degree = 4", "line 3, splats[0]: sh_degree is 4, expected a whole number from 0 to 3"),
-        (SPLAT + "shadow_only = 1", "line 3, splats[0]: shadow_only is 1, expected true or false"),
+        (SPLAT + "shadow_catcher = 1", "line 3, splats[0]: shadow_catcher is 1, expected true or false"),
         (SPLAT + "lights = false", "line 3, splats[0]: unknown 'lights'"),
         (MESH + "lights = 'no'", "line 3, meshes[0]: lights is 'no', expected true or false"),
         (MESH + "kernel_degree = 4", "line 3, meshes[0]: unknown 'kernel_degree'"),
-        (SPLAT + MESH + MESH + "shadow_only = true", "line 7, meshes[1]: unknown 'shadow_only'"),
+        (SPLAT + MESH + MESH + "shadow_catcher = true", "line 7, meshes[1]: unknown 'shadow_catcher'"),
     ],
 )
 def test_bad_scene_files(folder, text, problem):

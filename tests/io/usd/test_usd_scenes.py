@@ -121,7 +121,7 @@ def test_what_others_will_not_know_is_one_line(tmp_path: Path, caplog: pytest.Lo
     (line,) = [record.getMessage() for record in caplog.records]
     for remark in (
         "that a capture is relit, which only Lumisplat will know (relit)",
-        "shadow_only and sh_degree of captures, which only Lumisplat will know (relit)",
+        "shadow_catcher and sh_degree of captures, which only Lumisplat will know (relit)",
         "colours of vertices beside a texture (textures)",
         "the range of lights (bulb)",
         "that lights are not seen themselves (visible) (ball, sky)",
@@ -178,8 +178,8 @@ def test_a_capture_that_is_placed_or_relit(tmp_path: Path) -> None:
     ls.save(tmp_path / "b.usdc", ls.Scene([ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))]))
     scene = expect_kind(ls.Scene, ls.load(tmp_path / "b.usdc"))
     assert expect_kind(ls.MaterialPbr, scene.splats[0].material).roughness == 0.25
-    ls.save(tmp_path / "c.usdc", ls.Scene([ls.SplatInstance(capture(5), shadow_only=True)]))
-    assert expect_kind(ls.Scene, ls.load(tmp_path / "c.usdc")).splats[0].shadow_only
+    ls.save(tmp_path / "c.usdc", ls.Scene([ls.SplatInstance(capture(5), shadow_catcher=True)]))
+    assert expect_kind(ls.Scene, ls.load(tmp_path / "c.usdc")).splats[0].shadow_catcher
     assert [shows_one_capture(tmp_path / name) for name in ("a.usdc", "b.usdc", "c.usdc")] == [True, False, False]
 
 

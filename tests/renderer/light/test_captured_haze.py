@@ -19,7 +19,7 @@ GREEN, RED = np.array([0.2, 0.7, 0.3]), np.array([0.8, 0.3, 0.2])
 GLOWING = ls.MaterialSimple(emissive=(0.5, 0.5, 0.5))
 """Relit: none of it is as captured, and half of its albedo shines without light."""
 KEPT = {
-    "shadow-only": {"shadow_only": True},
+    "shadow-only": {"shadow_catcher": True},
     "ambient": {"material": ls.MaterialSimple(ambient=(0.4, 0.4, 0.4))},
     "diffuse": {"material": ls.MaterialSimple(diffuse=(0.5, 0.5, 0.5))},
 }

@@ -55,7 +55,7 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
         (scene(SKY, material=ls.MaterialPbr()), {}, SOME),
         (scene(SKY, SOFT_SUN, material=ls.MaterialPbr()), {"shadows": ls.Shadows.SOFT}, MANY),
         (scene(SKY, sh_degree=0), {}, 1),
-        (scene(SKY, shadow_only=True), {}, 1),
+        (scene(SKY, shadow_catcher=True), {}, 1),
         (scene(SKY), {"samples": 3}, 3),
     ],
 )

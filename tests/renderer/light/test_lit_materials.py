@@ -234,7 +234,7 @@ def test_shadows_take_the_same_share_of_fine_detail(samples: int, pipeline: ls.P
     stripes = ls.SplatInstance(
         ls.Gaussians(means, wxyz, scales, np.full(341, 0.99), flat_sh(colors)),
         material=ls.MaterialSimple(ambient=(0.5, 0.5, 0.5)),
-        shadow_only=True,
+        shadow_catcher=True,
     )
     sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
     screen = np.array([[-9.0, -9.0, -3.0], [9.0, -9.0, -3.0], [9.0, 9.0, -3.0], [-9.0, 9.0, -3.0]])

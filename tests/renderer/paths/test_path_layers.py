@@ -28,7 +28,7 @@ def test_layers_add_up_to_the_picture(shown: str) -> None:
     """The five parts; the bounces, with captures; the lights, with captures: to 1e-5."""
     lit = rooms()
     if shown == "shadow-only":
-        lit = replace(lit, splats=[replace(one, material=None, shadow_only=True) for one in lit.splats])
+        lit = replace(lit, splats=[replace(one, material=None, shadow_catcher=True) for one in lit.splats])
     frame: Any = paths(lit, camera(), 4, 3, aovs=ALL)
     captured = frame.color - frame.light
     parts = sum(getattr(frame, name).astype(np.float64) for name in PATH_PARTS)
@@ -121,7 +121,7 @@ def test_layers_are_resumed() -> None:
     """Two and two samples are four, bit for bit, in all layers, and where captures only receive light."""
     lit = rooms()
     lit = replace(
-        lit, splats=[lit.splats[0], *(replace(one, material=None, shadow_only=True) for one in lit.splats[1:])]
+        lit, splats=[lit.splats[0], *(replace(one, material=None, shadow_catcher=True) for one in lit.splats[1:])]
     )
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=2, max_bounces=2, aovs=ALL)
     renderer = ls.create_renderer(settings, "cpu")

@@ -16,12 +16,12 @@ SHARE = RADIUS**2 / (RADIUS**2 + HEIGHT**2)
 """Of a cosine-weighted hemisphere that the disc hides from the point below it."""
 
 
-def place(y: float, color: float, *, size: float = 1e4, shadow_only: bool = True) -> ls.SplatInstance:
+def place(y: float, color: float, *, size: float = 1e4, shadow_catcher: bool = True) -> ls.SplatInstance:
     """A level sheet that shows a grey as captured, display-referred; it covers 0.99 of what is behind."""
     sheet = replace(wide_sheet(y, 0.99, 0.5).gaussians, scales=np.array([[size, size, 1e-4]]))
     sh = np.full((1, 1, 3), (color - 0.5) / 0.28209479177387814, np.float32)
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
-    return ls.SplatInstance(replace(sheet, sh=sh, albedo=None, normals=None), turn, shadow_only=shadow_only)
+    return ls.SplatInstance(replace(sheet, sh=sh, albedo=None, normals=None), turn, shadow_catcher=shadow_catcher)
 
 
 def disc(material: ls.MaterialPbr) -> ls.Mesh:
@@ -102,7 +102,7 @@ def test_nothing_changes_where_nothing_was_added() -> None:
 
 def test_a_capture_that_is_added_takes_light_too() -> None:
     """A kept set that is not shadow-only: black, it takes all of the light that would come from above."""
-    scene = ls.Scene([place(0.0, 0.5, size=0.5), place(3.0, 0.8), place(2.5, 0.0, shadow_only=False)])
+    scene = ls.Scene([place(0.0, 0.5, size=0.5), place(3.0, 0.8), place(2.5, 0.0, shadow_catcher=False)])
     left = factor(scene)
     assert left.max() < 0.02
 

@@ -356,7 +356,7 @@ def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
 @PIPELINES
 def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pipeline) -> None:
     """Captured colour times (A pi + E V) / (A pi + E), and just as captured outside the shadow."""
-    capture = sheet(shadow_only=True)
+    capture = sheet(shadow_catcher=True)
     lid = parallelogram((-0.4, 0.7, 0.4), (0.8, 0.0, 0.0), (0.0, 0.0, -0.8), matte(0.5))
     lid = replace(lid, indices=lid.indices[:, ::-1])  # Seen from above or not, it is in the way.
     light = ls.LightDirectional((0.5, -1.0, 0.0), color=(1.0, 0.6, 0.3), intensity=4.0)
@@ -388,7 +388,7 @@ def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pi
         np.testing.assert_allclose(brighter.color[covered], decode_srgb(unlit.color[covered]) * ratio, rtol=0.03)
     below = brighter.instance_index == 1
     assert below.sum() > 50
-    plain = lit(ls.Scene([replace(capture, shadow_only=False)], [lid], [light, lamp]), camera, pipeline)
+    plain = lit(ls.Scene([replace(capture, shadow_catcher=False)], [lid], [light, lamp]), camera, pipeline)
     np.testing.assert_allclose(brighter.color[below], plain.color[below], rtol=1e-4, atol=1e-6)
 
 
@@ -396,9 +396,9 @@ def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pi
 @pytest.mark.parametrize("aovs", [(), ("lights",)], ids=["", "lights"])
 def test_shadow_only_sets_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: tuple[str, ...]) -> None:
     """With nothing else in the scene they stay as captured, to the bit, and all of the light arrives."""
-    over = ls.SplatInstance(stack(), shadow_only=True)
+    over = ls.SplatInstance(stack(), shadow_catcher=True)
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
-    frame = lit(ls.Scene([sheet(shadow_only=True), over], (), [light]), STACK_CAMERA, pipeline, aovs=aovs)
+    frame = lit(ls.Scene([sheet(shadow_catcher=True), over], (), [light]), STACK_CAMERA, pipeline, aovs=aovs)
     unlit = ls.render(ls.Scene([sheet(), stack()]), STACK_CAMERA, ls.RenderConfig(pipeline=pipeline), device="cpu")
     assert frame.captured is not None
     assert frame.light is not None
@@ -416,8 +416,10 @@ def test_other_sets_shadow_shadow_only_ones(pipeline: ls.Pipeline) -> None:
     """Where only Gaussians are in the way, the exact product is what is left of the light."""
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
     shares = []
-    for shadow_only in (False, True):
-        scene = ls.Scene([sheet(shadow_only=True), replace(sheet(1), gaussians=stack(), shadow_only=shadow_only)])
+    for shadow_catcher in (False, True):
+        scene = ls.Scene(
+            [sheet(shadow_catcher=True), replace(sheet(1), gaussians=stack(), shadow_catcher=shadow_catcher)]
+        )
         frame = lit(replace(scene, lights=[light]), STACK_CAMERA, pipeline, aovs=("lights",))
         assert frame.light_shadow is not None
         on_sheet = (frame.instance_index == 0) & (frame.alpha > 0.99) & (np.abs(frame.position[..., 1]) < 0.1)

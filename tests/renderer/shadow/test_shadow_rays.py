@@ -367,7 +367,7 @@ def test_rays_skip_shadow_only_instances(rig: ShadowRig) -> None:
     """Only marked rays skip them, not the others of the packet; all intersect the rest of the scene."""
     scene = ls.Scene(
         [
-            ls.SplatInstance(stack(0.5), shadow_only=True),
+            ls.SplatInstance(stack(0.5), shadow_catcher=True),
             ls.SplatInstance(stack(0.8), similarity(offset=(0.0, 0.0, 1.0))),
         ],
         [quad(9.0)],
@@ -377,7 +377,7 @@ def test_rays_skip_shadow_only_instances(rig: ShadowRig) -> None:
         light = rig.light(scene, np.zeros((48, 3)), AHEAD, skips=skips, t_max=8.0, method=method, hits=4)[:, 0]
         if method is not STOCHASTIC:
             np.testing.assert_allclose(light, np.where(skips, 0.2, 0.1), rtol=1e-5)
-    alone = ls.Scene([ls.SplatInstance(stack(0.5), shadow_only=True)])
+    alone = ls.Scene([ls.SplatInstance(stack(0.5), shadow_catcher=True)])
     assert (rig.light(alone, np.zeros((16, 3)), AHEAD, skips=1) == 1.0).all()
 
 

@@ -64,8 +64,8 @@ def test_every_subject_is_shown(rig: ls.Rig) -> None:
 
 
 def test_captures_of_a_scene_stay_as_they_are_lit():
-    """Materials, SH degrees and ``shadow_only`` are kept, and so are names unless the actor has one."""
-    settings = {"material": ls.MaterialPbr(), "sh_degree": 1, "shadow_only": True, "name": "prop"}
+    """Materials, SH degrees and ``shadow_catcher`` are kept, and so are names unless the actor has one."""
+    settings = {"material": ls.MaterialPbr(), "sh_degree": 1, "shadow_catcher": True, "name": "prop"}
     scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN, **settings)])
     (instance,) = ls.Actor(scene, MOVE).at(1.0)
     assert {name: getattr(instance, name) for name in settings} == settings

@@ -27,7 +27,7 @@ def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
     """A line if lights shine on captures that have an albedo, and show them as captured for lack of a material."""
     kept = [one for one in scene.splats if one.gaussians.albedo is not None and one.material is None]
     lights = [light for light in scene.lights if light.enabled]
-    if config.lighting is not False and lights and any(not one.shadow_only for one in kept):
+    if config.lighting is not False and lights and any(not one.shadow_catcher for one in kept):
         yield (
             "captures with an albedo stay as captured without a material, whatever shines on them: material = {} of "
             "their [[splats]] in a scene.toml lights them"
@@ -44,7 +44,7 @@ def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
     bounces = config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)  # there, the capture itself lights them
     if config.lighting is False or len(lights) != 1 or is_surrounded or not scene.splats or bounces:
         return
-    relit = [splats.material for splats in scene.splats if splats.material is not None and not splats.shadow_only]
+    relit = [splats.material for splats in scene.splats if splats.material is not None and not splats.shadow_catcher]
     things = {
         "meshes": any(_needs_light(instance.mesh.material) for instance in scene.meshes),
         "relit captures": any(map(_needs_light, relit)),

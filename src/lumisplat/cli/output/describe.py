@@ -84,8 +84,8 @@ def splat_rows(splat: ls.SplatInstance) -> Rows:
         rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material))]
     if splat.sh_degree < splat.gaussians.sh_degree:
         rows.append(("SH used", f"degree {splat.sh_degree}"))
-    if splat.shadow_only:
-        rows.append(("shadow only", "stays as captured, takes shadows"))
+    if splat.shadow_catcher:
+        rows.append(("shadow catcher", "stays as captured, takes shadows"))
     return rows
 
 

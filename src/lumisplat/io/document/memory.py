@@ -86,7 +86,7 @@ def _splat_table(memory: MemoryEntries, splat: SplatInstance, paths: dict[int, s
         table["material"] = material_table(splat.material)
     if splat.sh_degree != SplatInstance(splat.gaussians).sh_degree:
         table["sh_degree"] = splat.sh_degree
-    return table | ({"shadow_only": True} if splat.shadow_only else {})
+    return table | ({"shadow_catcher": True} if splat.shadow_catcher else {})
 
 
 def _mesh_table(memory: MemoryEntries, instance: MeshInstance, paths: dict[int, str]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import MISSING, fields
 from typing import Any, cast
 
+from lumisplat.config.renamed import with_present_keys
 from lumisplat.errors import SceneError
 from lumisplat.scene.lights import Light
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
@@ -21,7 +22,7 @@ _MATERIALS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": Materi
 _NOT_OF_CAPTURES = ("_texture", "_wraps", "wrap_u", "wrap_v", "alpha_mode")
 """Ends of the fields of materials that captures do not have."""
 _LIGHTS = ("radius", "angle", "casts_shadow", "shadow_distance")
-_INSTANCES = ("sh_degree", "shadow_only")
+_INSTANCES = ("sh_degree", "shadow_catcher")
 CAMERAS = ("width", "height", "exposure", "aperture", "focus_distance")
 
 
@@ -88,7 +89,8 @@ def _material_fields(kind: type[Material]) -> list[str]:
 
 
 def _known(own: dict[str, Any] | None, names: Iterable[str]) -> dict[str, Any]:
-    return {name: own[name] for name in names if name in own} if own else {}
+    given = with_present_keys(own or {})
+    return {name: given[name] for name in names if name in given}
 
 
 def _changed(item: Any, names: Iterable[str]) -> dict[str, Any]:

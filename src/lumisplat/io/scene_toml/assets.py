@@ -65,7 +65,7 @@ ENTRY_KEYS = {
         **_ENTRY,
         "kernel_degree": WHOLE,
         "sh_degree": WHOLE,
-        "shadow_only": FLAG,
+        "shadow_catcher": FLAG,
         "lod": WHOLE,
         "lod_budget": WHOLE,
         "crop_low": VECTOR,
@@ -122,7 +122,7 @@ class Assets:
         """The captures of an entry in the world."""
         given, world_from_file = _read_entry(table, "splats", self.up)
         assets = self._assets(table, "splats", given)
-        settings = {key: given[key] for key in ("sh_degree", "shadow_only") if key in given}
+        settings = {key: given[key] for key in ("sh_degree", "shadow_catcher") if key in given}
         try:
             splats = [
                 replace(

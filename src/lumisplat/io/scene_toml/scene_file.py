@@ -5,7 +5,7 @@ up = "y-down"                           # of all that follows; this is what capt
 [[splats]]
 path = "garden.ply"                     # relative to the scene file
 kernel_degree = 4                       # if it was not trained with degree 2 and the file does not say so
-shadow_only = true                      # shows its captured colours, and receives shadows of other objects
+shadow_catcher = true                   # shows its captured colours, and receives shadows of other objects
 
 [[meshes]]
 path = "teapot.glb"
@@ -32,6 +32,7 @@ from dataclasses import replace
 
 import numpy.typing as npt
 
+from lumisplat.config.renamed import with_present_keys
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.scene_toml.actors import Load, read_actors
 from lumisplat.io.scene_toml.assets import Assets
@@ -57,6 +58,9 @@ def read_document(path: PathLike) -> TomlTable:
     """
     document = TomlTable.read(path, "a scene file")
     document.check_keys(_TOP)
+    captures = document.tables("splats")
+    if captures:
+        document.values["splats"] = [with_present_keys(table.values) for table in captures]
     return document
 
 

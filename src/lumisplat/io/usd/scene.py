@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lumisplat.config.renamed import with_present_keys
 from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
@@ -80,8 +81,8 @@ def shows_one_capture(path: PathLike) -> bool:
 
 def _settings(prim: Any) -> dict[str, Any]:
     """What of a field is shown, if our file says so."""
-    own = hints_of(prim)
-    return {name: own[name] for name in ("sh_degree", "shadow_only") if name in own}
+    own = with_present_keys(hints_of(prim))
+    return {name: own[name] for name in ("sh_degree", "shadow_catcher") if name in own}
 
 
 def shape_codes(prim: Any) -> Doubles:
@@ -158,7 +159,7 @@ class Reading:
         if len(self.splats) != 1 or self.meshes or self.lights or self.has_cameras:
             return None
         only = self.splats[0]
-        if only.material is not None or only.shadow_only or only.sh_degree < SH_DEGREE_MAX:
+        if only.material is not None or only.shadow_catcher or only.sh_degree < SH_DEGREE_MAX:
             return None
         place = _Y_DOWN @ only.transform
         return only.gaussians if np.array_equal(place, np.eye(4)) else transform(only.gaussians, place)

@@ -38,7 +38,7 @@ class SplatSets(Enum):
     def has(self, instance: SplatInstance) -> bool:
         """Whether an instance is one of them."""
         if self is SplatSets.SHADOW_ONLY:
-            return instance.shadow_only
+            return instance.shadow_catcher
         return self is SplatSets.ALL or is_relit(instance) == (self is SplatSets.RELIT)
 
 

@@ -51,12 +51,12 @@ class SplatShadows:
     on_reflecting: bool
     """On surfaces that reflect light: all sets do."""
     on_shadow_only: bool
-    """On shadow-only sets: those that are not shadow-only themselves do."""
+    """On shadow catchers: sets that are none themselves do."""
 
     @classmethod
     def of(cls, scene: Scene) -> SplatShadows:
         """Of the splat sets of a scene, on what there is in it."""
-        casting = [not instance.shadow_only for instance in scene.splats]
+        casting = [not instance.shadow_catcher for instance in scene.splats]
         return cls(reflects_light(scene) and bool(casting), any(casting) and not all(casting))
 
     @property
@@ -131,7 +131,7 @@ class FramePlan:
     """Rays meet surfaces of some alpha by chance, as in paths and where meshes are rasterised only; else they go on
     behind such surfaces by the share that these leave. Media are met either way: who enters one leaves it, too."""
     has_shadow_only: bool
-    """Some splat set is shadow-only, and not seen by paths: lights darken it."""
+    """Some splat set is a shadow catcher, and not seen by paths: lights darken it."""
     keeps_captures: bool
     """Some splat sets keep their captured colours."""
     relights: bool
@@ -141,7 +141,7 @@ class FramePlan:
     shows_means: bool
     """Surfaces of relit Gaussians that are rasterised are weighted means."""
     has_receivers: bool
-    """Paths find what shadow-only surfaces receive, as there is something that takes or adds light."""
+    """Paths find what shadow catchers receive, as there is something that takes or adds light."""
     shows_lights_in_haze: bool
     """Rays of paths may show lights behind Gaussians that are blended, such as captures that are kept."""
     aovs: frozenset[str]
@@ -222,7 +222,7 @@ class FramePlan:
             relights=relights,
             mixes_sets=is_lit and keeps and relights and blends_first(config),
             shows_means=is_lit and rasterises and relights and takes_means(config.raster),
-            has_shadow_only=is_lit and not is_path and any(instance.shadow_only for instance in scene.splats),
+            has_shadow_only=is_lit and not is_path and any(instance.shadow_catcher for instance in scene.splats),
             has_receivers=casts_shadows and traces_paths and not is_realtime and adds_to_captures(scene),
             shows_lights_in_haze=in_haze,
             aovs=aovs,
@@ -285,8 +285,8 @@ def shows_lights_in_haze(config: RenderConfig, scene: Scene) -> bool:
 
 
 def adds_to_captures(scene: Scene) -> bool:
-    """Whether there are shadow-only sets, and something else that may take light from them or add some."""
-    captured = [instance.shadow_only for instance in scene.splats]
+    """Whether there are shadow catchers, and something else that may take light from them or add some."""
+    captured = [instance.shadow_catcher for instance in scene.splats]
     return any(captured) and (bool(scene.meshes) or not all(captured))
 
 
@@ -317,7 +317,7 @@ def materials_of(scene: Scene) -> list[Material]:
 
 def reflects_light(scene: Scene) -> bool:
     """Whether lights brighten anything: a mesh, or a splat set with a material that reflects."""
-    return bool(scene.meshes) or not all(i.shadow_only or emits_capture_only(i) for i in scene.splats)
+    return bool(scene.meshes) or not all(i.shadow_catcher or emits_capture_only(i) for i in scene.splats)
 
 
 def takes_means(raster: RasterConfig) -> bool:

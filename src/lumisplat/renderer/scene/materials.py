@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.constants import COAT_ROUGHNESS_MIN, SHADOW_ONLY_AMBIENT, SHEEN_ROUGHNESS_MIN
+from lumisplat.constants import CATCHER_AMBIENT, COAT_ROUGHNESS_MIN, SHEEN_ROUGHNESS_MIN
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
 from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, VariedData
 from lumisplat.device.structs.shading import MaterialData
@@ -37,7 +37,7 @@ _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture"
 def emits_capture_only(instance: SplatInstance) -> bool:
     """Whether a splat set only emits its captured colours, whatever the lights."""
     material = material_of(instance)
-    if instance.shadow_only or isinstance(material, MaterialPbr):
+    if instance.shadow_catcher or isinstance(material, MaterialPbr):
         return False
     return material.emissive == (1.0, 1.0, 1.0) and not any(material.ambient + material.diffuse + material.specular)
 
@@ -46,7 +46,7 @@ def is_relit(instance: SplatInstance) -> bool:
     """Whether light alone determines what a splat set shows in lit frames: nothing of it is kept as captured."""
     material = material_of(instance)
     ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
-    return not instance.shadow_only and min(np.add(material.emissive, ambient)) < 1.0
+    return not instance.shadow_catcher and min(np.add(material.emissive, ambient)) < 1.0
 
 
 def is_medium(instance: MeshInstance, *, traces_paths: bool) -> bool:
@@ -81,7 +81,7 @@ def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
     return {
         "own_normals": [r and i.gaussians.normals is not None for r, i in zip(reflects, scene.splats, strict=True)],
         "own_colors": [
-            r and i.gaussians.albedo is not None and not i.shadow_only and not any(material_of(i).emissive)
+            r and i.gaussians.albedo is not None and not i.shadow_catcher and not any(material_of(i).emissive)
             for r, i in zip(reflects, scene.splats, strict=True)
         ],
     }
@@ -105,10 +105,10 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, c
         _fill(row, material)
         row["emits_capture_only"] = not is_lit or emits_capture_only(splats)
         row["keeps_capture"] = not is_lit or not is_relit(splats)
-        if splats.shadow_only:
+        if splats.shadow_catcher:
             row["shadow_only"] = 1
             row["emissive"] = 1.0
-            row["ambient"] = ambient if isinstance(splats.material, MaterialSimple) else SHADOW_ONLY_AMBIENT
+            row["ambient"] = ambient if isinstance(splats.material, MaterialSimple) else CATCHER_AMBIENT
     for row, meshes in zip(rows[len(scene.splats) :], scene.meshes, strict=True):
         _fill(row, meshes.mesh.material)
         _fill_textures(row, meshes.mesh, texture_first)

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 _WHITE_K = 6500.0
 """Temperature that is shown of a light whose colour is not of a temperature that was chosen here."""
 _CAPTURE_LOOKS: dict[str, dict[str, Any]] = {
-    "as captured": {"material": None, "shadow_only": None},
-    "relit": {"material": {"type": "pbr"}, "shadow_only": None},
-    "simple": {"material": {"type": "simple"}, "shadow_only": None},
-    "shadows only": {"material": None, "shadow_only": True},
+    "as captured": {"material": None, "shadow_catcher": None},
+    "relit": {"material": {"type": "pbr"}, "shadow_catcher": None},
+    "simple": {"material": {"type": "simple"}, "shadow_catcher": None},
+    "shadow catcher": {"material": None, "shadow_catcher": True},
 }
 """How a capture may look, and the keys of its entry that make it so."""
 _MESH_LOOKS: dict[str, dict[str, Any]] = {
@@ -37,7 +37,7 @@ _MESH_LOOKS: dict[str, dict[str, Any]] = {
 }
 """How a mesh may look."""
 _CAPTURE_HINT = (
-    "as captured: it shines with its own light. relit, simple: lights light it. shadows only: it keeps its look, and "
+    "as captured: it shines with its own light. relit, simple: lights light it. shadow catcher: it keeps its look, and "
     "others cast shadows on it."
 )
 _MESH_HINT = "The kind of its material; its colours and numbers are below."
@@ -68,8 +68,8 @@ def look_of(entry: ls.SceneEntry) -> str:
             return "as in its file"
         return "simple" if isinstance(entry.meshes[0].mesh.material, ls.MaterialSimple) else "metallic and rough"
     splat = entry.splats[0]
-    if splat.shadow_only:
-        return "shadows only"
+    if splat.shadow_catcher:
+        return "shadow catcher"
     if splat.material is None:
         return "as captured"
     return "relit" if isinstance(splat.material, ls.MaterialPbr) else "simple"

@@ -118,14 +118,14 @@ def test_placed_captures_are_instances(path: Path) -> None:
     scene = ls.Scene(
         splats=[
             ls.SplatInstance(given, name="a", material=material, sh_degree=1),
-            ls.SplatInstance(given, placed, name="b", material=simple, shadow_only=True),
+            ls.SplatInstance(given, placed, name="b", material=simple, shadow_catcher=True),
         ]
     )
     read = again(path, scene)
     assert len(document(path)["meshes"]) == 1
     first, second = read.splats
     assert (first.name, second.name) == ("a", "b")
-    assert (first.sh_degree, second.sh_degree, second.shadow_only) == (1, 3, True)
+    assert (first.sh_degree, second.sh_degree, second.shadow_catcher) == (1, 3, True)
     for field in fields(material):
         assert getattr(first.material, field.name) == getattr(material, field.name)
     assert expect_kind(ls.MaterialSimple, second.material).ambient == (0.5, 0.5, 0.5)
@@ -140,7 +140,7 @@ def test_a_capture_alone_that_is_relit_stays_a_scene(path: Path) -> None:
     relit = ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))
     assert expect_kind(ls.MaterialPbr, again(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
     assert not shows_one_capture(path)
-    assert again(path, ls.Scene(splats=[ls.SplatInstance(capture(5), shadow_only=True)])).splats[0].shadow_only
+    assert again(path, ls.Scene(splats=[ls.SplatInstance(capture(5), shadow_catcher=True)])).splats[0].shadow_catcher
     ls.save(path, ls.Scene(splats=[ls.SplatInstance(capture(5), name="a")]))
     assert isinstance(ls.load(path), ls.Gaussians) and shows_one_capture(path)
 

@@ -106,7 +106,7 @@ class Bake(LoadingCommand, DeviceCommand):
 
 def _with_material(instance: ls.SplatInstance) -> ls.SplatInstance:
     """A capture with albedo, of which its file says how it reflects."""
-    if instance.material is None and not instance.shadow_only and instance.gaussians.albedo is not None:
+    if instance.material is None and not instance.shadow_catcher and instance.gaussians.albedo is not None:
         return replace(instance, material=ls.MaterialPbr())
     return instance
 

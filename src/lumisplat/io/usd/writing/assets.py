@@ -56,10 +56,10 @@ class AssetWriter:
         if instance.material is not None:
             self.materials.bind(prim, instance.material)
             self.writer.remarks.add("that a capture is relit, which only Lumisplat will know", instance.name)
-        if instance.shadow_only or instance.sh_degree < SH_DEGREE_MAX:
-            self.writer.hint(prim, shadow_only=instance.shadow_only, sh_degree=instance.sh_degree)
+        if instance.shadow_catcher or instance.sh_degree < SH_DEGREE_MAX:
+            self.writer.hint(prim, shadow_catcher=instance.shadow_catcher, sh_degree=instance.sh_degree)
             self.writer.remarks.add(
-                "shadow_only and sh_degree of captures, which only Lumisplat will know", instance.name
+                "shadow_catcher and sh_degree of captures, which only Lumisplat will know", instance.name
             )
         return prim
 
@@ -87,7 +87,7 @@ def _key(instance: Instance) -> tuple[int, int, int]:
     """What an instance shows: asset, material and settings."""
     if isinstance(instance, MeshInstance):
         return id(instance.mesh), 0, 0
-    return id(instance.gaussians), id(instance.material), instance.sh_degree + 4 * instance.shadow_only
+    return id(instance.gaussians), id(instance.material), instance.sh_degree + 4 * instance.shadow_catcher
 
 
 def define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:
