@@ -83,6 +83,28 @@ def test_names_stay_in_their_folder(tmp_path: Path, namer, absolute: bool) -> No
     ls.load(path, allow_outside=True)
 
 
+def test_backslashes_are_slashes_where_no_file_has_the_name(tmp_path: Path, namer) -> None:
+    """Windows programs write backslashes; a file whose name holds one is found by it, and none is found outside."""
+    write, content = namer
+    (tmp_path / "model" / "my files").mkdir(parents=True)
+    (tmp_path / "model" / "my files" / "one 1").write_bytes(content)
+    (tmp_path / "secret").write_bytes(content)
+    ls.load(write(tmp_path / "model", "my files\\one 1"))
+    ls.load(write(tmp_path / "model", ".\\my files\\one 1"))
+    (tmp_path / "model" / "back\\slash").write_bytes(content)
+    ls.load(write(tmp_path / "model", "back\\slash"))
+    with pytest.raises(FormatError, match="not in its folder"):
+        ls.load(write(tmp_path / "model", "..\\secret"))
+
+
+def test_scene_files_may_have_backslashes(tmp_path: Path) -> None:
+    """Paths of a scene file, too, are those of the user's system."""
+    (tmp_path / "parts").mkdir()
+    _obj_library(tmp_path / "parts", "none.mtl")
+    (tmp_path / "scene.toml").write_text("[[meshes]]\npath = 'parts\\tri.obj'\n")
+    ls.load(tmp_path / "scene.toml")
+
+
 def test_the_shell_allows_it_too(tmp_path: Path, capsys) -> None:
     """The option of the message."""
     (tmp_path / "model").mkdir()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.input.file_marks import toml_values
 from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
 from lumisplat.cli.options.command import LoadingCommand
 from lumisplat.cli.options.up import UpOption, upright
@@ -92,7 +92,7 @@ def _moves(file: Path) -> bool:
     """Whether a scene file has actors or cameras with keyframes; one that cannot be read says so later."""
     values: dict[str, Any] = {}
     with suppress(OSError, ValueError):
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
+        values = toml_values(file)
     return "actors" in values or any("keyframes" in camera for camera in _tables(values.get("cameras")))
 
 

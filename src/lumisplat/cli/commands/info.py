@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.input.file_marks import toml_values
 from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, size_on_disk
 from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.output.console import byte_size, print_table, progress_bars
@@ -128,7 +128,7 @@ def _cameras(path: Path) -> list[ls.Camera]:
 
 def _animation(path: Path) -> ls.Animation | None:
     """The animation of a scene file; None: it has no actors."""
-    if path.suffix.lower() != ".toml" or not tomllib.loads(path.read_text(encoding="utf-8")).get("actors"):
+    if path.suffix.lower() != ".toml" or not toml_values(path).get("actors"):
         return None
     return ls.load_animation(path)
 

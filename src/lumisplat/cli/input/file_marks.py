@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import importlib
 import json
 import os
@@ -43,25 +44,38 @@ def file_marks(paths: list[Path], apart: Path) -> dict[str, str]:
         status = path.stat()
         found[path] = f"{status.st_size} bytes, {status.st_mtime_ns} ns"
         with suppress(ValueError):  # a file that does not parse refers to nothing here; its reader reports it
-            waiting += [path.parent / text for text in _texts(path) if _may_be_a_path(text)]
+            waiting += [path.parent / name for text in _texts(path) for name in _paths(text)]
     home = Path(os.path.abspath(paths[0])).parent
     return {os.path.relpath(path, home): mark for path, mark in sorted(found.items())}
 
 
-def _may_be_a_path(text: str) -> bool:
-    """Whether a text names something else than this folder or one around it."""
-    return 0 < len(text) < 1024 and "\0" not in text and bool(set(Path(text).parts) - {".", "..", "/"})
+def toml_values(path: Path) -> dict[str, Any]:
+    """Parses a TOML file, in UTF-8 or UTF-16, with or without a byte order mark.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is not TOML.
+    """
+    data = path.read_bytes()
+    is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return tomllib.loads(data.decode("utf-16" if is_utf16 else "utf-8-sig"))
+
+
+def _paths(text: str) -> set[str]:
+    """The paths that a text may be, with slashes or Windows' backslashes; none for this folder and those around it."""
+    is_path = 0 < len(text) < 1024 and "\0" not in text and bool(set(Path(text).parts) - {".", "..", "/"})
+    return {text, text.replace("\\", "/")} if is_path else set()
 
 
 def _texts(path: Path) -> Iterator[str]:
     """The texts of a file that may refer to others."""
     suffix = path.suffix.lower()
     if suffix == ".toml":
-        yield from _strings(tomllib.loads(path.read_text()))
+        yield from _strings(toml_values(path))
     elif path.name in ("meta.json", "lod-meta.json"):
-        yield from _strings(json.loads(path.read_text()))
+        yield from _strings(json.loads(path.read_bytes()))
     elif suffix in (".gltf", ".glb"):
-        for text in _strings(json.loads(path.read_text() if suffix == ".gltf" else _json_of_glb(path))):
+        for text in _strings(json.loads(path.read_bytes() if suffix == ".gltf" else _json_of_glb(path))):
             yield from {text, unquote(text)}
     elif suffix in (".usda", ".usd", ".usdc"):
         with path.open("rb") as stream:

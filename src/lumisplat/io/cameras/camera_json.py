@@ -14,7 +14,7 @@ from lumisplat.io.cameras.inria_json import inria_camera
 from lumisplat.io.cameras.json_values import Entry, is_list, is_object, quote
 from lumisplat.io.cameras.names import unique_names
 from lumisplat.io.cameras.transforms_json import transforms_camera
-from lumisplat.io.files.source import PathLike, parsing, read_bytes
+from lumisplat.io.files.source import PathLike, parsing, read_text
 from lumisplat.scene.camera import Camera
 
 
@@ -65,7 +65,7 @@ def parse_json(path: Path) -> object:
         FormatError: It cannot be read, or is no JSON.
     """
     try:
-        return json.loads(read_bytes(path).decode("utf-8-sig"))
+        return json.loads(read_text(path))
     except json.JSONDecodeError as error:
         raise FormatError(
             path, f"invalid JSON at line {error.lineno}: {error.msg}; expected transforms.json or cameras.json"

@@ -13,7 +13,7 @@ import numpy as np
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.names import name_from_image
-from lumisplat.io.files.source import PathLike, parsing, read_bytes
+from lumisplat.io.files.source import PathLike, parsing, read_bytes, read_text
 from lumisplat.math.rotations import rotation_matrix
 from lumisplat.scene.camera import Camera, CameraModel
 
@@ -178,6 +178,6 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
 
 def text_lines(path: Path, blank: bool = False) -> Iterator[str]:
     """The lines of a text file without its comments, and without empty ones unless asked for."""
-    for line in read_bytes(path).decode(errors="surrogateescape").splitlines():
+    for line in read_text(path, errors="surrogateescape").splitlines():
         if not line.startswith("#") and (blank or line.strip()):
             yield line

@@ -32,6 +32,7 @@ def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Pa
     """The path of a file that another one names; it need not exist.
 
     Symbolic links are followed wherever they lead: the names are those of the file, the links are the user's.
+    Windows' backslashes are read as slashes where no file has the name as it is.
 
     Args:
         path: The file that names it.
@@ -41,7 +42,7 @@ def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Pa
     Raises:
         FormatError: It leaves the folder, which is not allowed.
     """
-    found = Path(path).parent / name
+    found = named_path(Path(path).parent, name)
     home = os.path.abspath(Path(path).parent if folder is None else folder)
     if not _may_leave_folder.get() and not Path(os.path.abspath(found)).is_relative_to(home):
         raise FormatError(
@@ -50,6 +51,12 @@ def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Pa
             "(allow_outside=True)",
         )
     return found
+
+
+def named_path(folder: Path, name: str) -> Path:
+    """Joins a folder and a name, whose backslashes are slashes if no file has that name."""
+    found = folder / name
+    return folder / name.replace("\\", "/") if "\\" in name and not os.path.exists(found) else found
 
 
 def read_reference(path: PathLike, name: str, folder: Path | None = None) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import stat
@@ -48,6 +49,29 @@ def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
     if not data:
         raise FormatError(path, f"is empty: zero bytes{because}")
     return data
+
+
+def read_text(path: PathLike, *, wanted_by: PathLike | None = None, errors: str = "strict") -> str:
+    """Reads a whole text file; see `read_bytes` and `decode_text`."""
+    return decode_text(read_bytes(path, wanted_by=wanted_by), errors)
+
+
+def decode_text(data: bytes, errors: str = "strict") -> str:
+    """Decodes UTF-8, or UTF-16 that begins with its byte order mark; a byte order mark is left out.
+
+    Windows' Notepad begins UTF-8 with a mark, and its PowerShell writes UTF-16.
+
+    Args:
+        data: The text.
+        errors: What is done with bytes that are no text, as of `bytes.decode`.
+
+    Raises:
+        UnicodeDecodeError: There are such bytes, and ``errors`` is ``"strict"``.
+    """
+    is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if is_utf16 and errors == "surrogateescape":  # UTF-16 has no such bytes
+        errors = "replace"
+    return data.decode("utf-16" if is_utf16 else "utf-8-sig", errors)
 
 
 def check_regular(path: PathLike, status: os.stat_result, because: str = "") -> None:

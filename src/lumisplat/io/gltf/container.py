@@ -20,7 +20,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.files.limits import check_expansion
 from lumisplat.io.files.references import read_reference
-from lumisplat.io.files.source import read_bytes
+from lumisplat.io.files.source import decode_text, read_bytes
 
 if TYPE_CHECKING:
     import pygltflib
@@ -49,7 +49,7 @@ class GltfFile:
         self._decoded_bytes = 0
         text, self._binary_chunk = _split_glb(path, data) if data[:4] == b"glTF" else (data, None)
         try:
-            document: dict[str, Any] = json.loads(text.decode("utf-8"))
+            document: dict[str, Any] = json.loads(decode_text(text))
             nodes: list[dict[str, Any]] | None = document.pop("nodes", None)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)  # about values that are missing: they are checked here

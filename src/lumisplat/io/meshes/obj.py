@@ -13,7 +13,7 @@ from lumisplat.constants import CREASE_ANGLE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.limits import TextureBytes
 from lumisplat.io.files.references import read_reference, referenced_file
-from lumisplat.io.files.source import parsing, read_bytes
+from lumisplat.io.files.source import parsing, read_text
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
 from lumisplat.math.color import decode_srgb
@@ -77,7 +77,7 @@ def read_obj(path: Path, crease_angle: float = CREASE_ANGLE) -> Mesh | Scene:
 
 
 def _read(path: Path) -> list[Mesh]:
-    listing = _parse_obj(path, read_bytes(path).decode("utf-8", errors="replace"))
+    listing = _parse_obj(path, read_text(path, errors="replace"))
     if not listing.faces_from_material:
         kind = "points only" if listing.positions else "no vertex and no face"
         raise FormatError(path, f"holds {kind}, expected an OBJ file with faces ('f' lines)")
@@ -116,7 +116,7 @@ def _parse_obj(path: Path, text: str) -> _ObjFile:
             elif keyword == "usemtl":
                 material = rest[0].strip() if rest else ""
             elif keyword == "mtllib" and rest:
-                listing.libraries.append(rest[0].strip().replace("\\", "/"))
+                listing.libraries.append(rest[0].strip())
         except ValueError as error:
             raise FormatError(path, f"line {number}: {error} in {line.strip()[:60]!r}") from None
     return listing
@@ -217,7 +217,7 @@ def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, Materi
     """
     settings: dict[str, dict[str, Any]] = {}
     current: dict[str, Any] = {}
-    for number, line in enumerate(read_bytes(path, wanted_by=obj).decode(errors="replace").splitlines(), 1):
+    for number, line in enumerate(read_text(path, wanted_by=obj, errors="replace").splitlines(), 1):
         keyword, *rest = line.split(None, 1) or [""]
         argument = rest[0].strip() if rest else ""
         try:
@@ -226,7 +226,7 @@ def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, Materi
             elif keyword == "Kd" and not argument.startswith(("spectral", "xyz")):
                 current["base_color"] = tuple(np.clip((_numbers(argument, 1) * 3)[:3], 0.0, 1.0))
             elif keyword == "map_Kd":
-                name = _without_options(argument).replace("\\", "/")
+                name = _without_options(argument)
                 data = read_reference(path, name, folder=obj.parent)
                 current["base_color_texture"] = decode_texture(data, path.parent / name, total=textures)
             elif keyword == "Ni":

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError
-from lumisplat.io.files.source import parsing, read_bytes
+from lumisplat.io.files.source import decode_text, parsing, read_bytes
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.mesh import Mesh
@@ -43,8 +43,9 @@ def _corners(path: Path, data: bytes) -> FloatArray:
     # The length decides, not the word "solid": binary files may begin with it too.
     if len(data) >= _HEADER_BYTES and len(data) == expected:
         return np.frombuffer(data, _TRIANGLE, count, _HEADER_BYTES)["corners"].reshape(-1, 3)
-    if data.lstrip()[:5].lower() == b"solid" and _LOOP.search(data):
-        return _ascii_corners(path, data)
+    text = decode_text(data, "replace").encode()
+    if text.lstrip()[:5].lower() == b"solid" and _LOOP.search(text):
+        return _ascii_corners(path, text)
     raise FormatError(path, f"{len(data):,} bytes, expected {expected:,} for an STL of {count:,} triangles")
 
 

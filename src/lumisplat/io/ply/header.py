@@ -112,7 +112,7 @@ def read_ply_header(path: PathLike) -> PlyHeader:
     with Path(path).open("rb") as file:
         head = file.read(HEADER_BYTES_MAX)
         size = os.fstat(file.fileno()).st_size
-    if not re.match(rb"ply\s", head):
+    if not re.match(rb"(\xef\xbb\xbf)?ply\s", head):
         raise FormatError(path, "is not a PLY file: it does not begin with 'ply'")
     end = re.search(rb"^end_header[ \t]*\r?\n", head, re.MULTILINE)
     if end is None:

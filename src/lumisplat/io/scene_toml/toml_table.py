@@ -14,7 +14,8 @@ from lumisplat.config.checks import suggestion
 from lumisplat.constants import TOML_KEY_PARTS_MAX
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.limits import TextureBytes
-from lumisplat.io.files.source import PathLike, read_bytes
+from lumisplat.io.files.references import named_path
+from lumisplat.io.files.source import PathLike, read_text
 from lumisplat.io.scene_toml.toml_lines import KeyPath, line_numbers
 
 Values = dict[str, Any]
@@ -118,7 +119,7 @@ class TomlTable:
             FormatError: The file cannot be read, or is not TOML.
         """
         try:
-            text = read_bytes(path).decode("utf-8-sig")
+            text = read_text(path)
             if long := _LONG_KEY.search(text):
                 line = text.count("\n", 0, long.start()) + 1
                 raise FormatError(path, f"line {line}: a dotted key has more than {TOML_KEY_PARTS_MAX} parts")
@@ -227,7 +228,7 @@ class TomlTable:
         Raises:
             FormatError: There is no such file.
         """
-        path = self.path.parent / self.values[key]
+        path = named_path(self.path.parent, self.values[key])
         if not path.exists():
             raise self.error(f"{key} is {self.values[key]!r}, no such file", key)
         return path

@@ -155,7 +155,7 @@ def _specular(path: Path) -> float:
     if not path.exists():
         return 1.0
     try:
-        told = cast("object", json.loads(path.read_text("utf-8")))
+        told = cast("object", json.loads(path.read_bytes()))
     except (OSError, ValueError) as error:
         raise FormatError(path, f"cannot be read as JSON: {error}") from None
     specular = cast("dict[str, object]", told).get("specular", 1.0) if isinstance(told, dict) else None

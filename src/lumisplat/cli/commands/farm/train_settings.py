@@ -12,7 +12,6 @@ poses = "colmap"
 from __future__ import annotations
 
 import logging
-import tomllib
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -22,6 +21,7 @@ from tyro.conf import FlagCreatePairsOff
 
 import lumisplat as ls
 from lumisplat.cli.commands.photographs.train import Train
+from lumisplat.cli.input.file_marks import toml_values
 from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors
 
 _log = logging.getLogger("lumisplat")
@@ -52,7 +52,7 @@ class TrainSettings:
         if path is None:
             return TrainSettings(None, names, {})
         try:
-            document = tomllib.loads(path.read_text(encoding="utf-8"))
+            document = toml_values(path)
         except FileNotFoundError:
             raise ls.MissingFileError(path, "no such file") from None
         except (OSError, ValueError) as error:
