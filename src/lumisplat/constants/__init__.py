@@ -704,6 +704,12 @@ TOML_KEY_PARTS_MAX = 32
 
 # --- Lens distortion ---
 
+DISTORTION_MAX = 1e9
+"""Largest coefficient of a lens: far beyond those of any, and its polynomial still fits into float64."""
+
+DISTORTION_MIN = 1e-30
+"""Coefficients below this count as 0: they move no point, and reciprocals of them overflow."""
+
 DISTORTION_STEPS = 12
 """Newton steps of its inverse: quadratic, so that 5 suffice for lenses; more help near the fold of the polynomial."""
 

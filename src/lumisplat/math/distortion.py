@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.constants import DISTORTION_RESIDUAL, DISTORTION_STEPS
+from lumisplat.constants import DISTORTION_MIN, DISTORTION_RESIDUAL, DISTORTION_STEPS
 from lumisplat.math.arrays import Doubles
 
 Coefficients = tuple[float, float, float, float, float, float]
@@ -52,7 +52,7 @@ def undistort(points: Doubles, coefficients: Coefficients) -> Doubles:
 
 def distortion_reach(coefficients: Coefficients) -> float:
     """Radius up to which the radial polynomial rises, before distortion; inf if it always does."""
-    k1, k2, k3, k4, _, _ = coefficients
+    k1, k2, k3, k4, _, _ = (k if abs(k) >= DISTORTION_MIN else 0.0 for k in coefficients)
     roots = np.roots([9.0 * k4, 7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
     squares = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
     return float(np.sqrt(squares.min())) if squares.size else np.inf

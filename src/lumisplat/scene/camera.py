@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import enum_member, is_number
-from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
+from lumisplat.constants import DISTORTION_MAX, EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.constants.parts import WINDOW_STEP
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
@@ -346,6 +346,8 @@ def _coefficients(values: object, model: CameraModel) -> Coefficients:
     numbers = finite_numbers(values, (6,))
     if numbers is None:
         raise SceneError(f"camera distortion is {values}, expected six finite numbers, k1 k2 k3 k4 p1 p2")
+    if np.abs(numbers).max() > DISTORTION_MAX:
+        raise SceneError(f"camera distortion is {values}, expected k1 k2 k3 k4 p1 p2 of at most {DISTORTION_MAX:g}")
     if model is CameraModel.ORTHOGRAPHIC and numbers.any():
         raise SceneError("camera distortion is of pinhole and fisheye cameras, this one is orthographic")
     k1, k2, k3, k4, p1, p2 = (float(number) for number in numbers)

@@ -81,6 +81,18 @@ def read_colmap_images(path: PathLike) -> list[tuple[Camera, str]]:
         return found
 
 
+def count_colmap_images(folder: Path) -> int:
+    """Returns how many images of a model have a pose; 0: the file of them is damaged or missing."""
+    try:
+        path = _file(folder, "images")
+        with parsing(path, "a sparse model of COLMAP"):
+            if path.suffix == ".txt":
+                return sum(1 for _ in _read_images(path))
+            return int(struct.unpack_from("<Q", read_bytes(path))[0])
+    except FormatError:
+        return 0
+
+
 def _file(folder: Path, stem: str) -> Path:
     """The file of that name, .bin before .txt, as COLMAP reads them."""
     for suffix in (".bin", ".txt"):
@@ -152,13 +164,14 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
 def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
     """Number, pose, camera's number and name of each image."""
     if path.suffix == ".txt":
-        lines = text_lines(path, blank=True)
-        for line in lines:
-            if not line.strip():
+        follows = False  # whether the points of an image may come next; some programs leave them out
+        for line in text_lines(path):
+            if follows and not _is_image(line):
+                follows = False
                 continue
             number, *pose, camera, name = line.split(maxsplit=9)
             yield int(number), [float(value) for value in pose], int(camera), name.strip()
-            next(lines, None)  # its points, which may be none
+            follows = True
         return
     data = read_bytes(path)
     (count,), at = struct.unpack_from("<Q", data), 8
@@ -176,8 +189,22 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
         yield number, pose, camera, name
 
 
-def text_lines(path: Path, blank: bool = False) -> Iterator[str]:
-    """The lines of a text file without its comments, and without empty ones unless asked for."""
+def _is_image(line: str) -> bool:
+    """Tells whether a line is of an image, and not of points: these are X, Y and a number each, without a name."""
+    words = line.split(maxsplit=9)
+    return len(words) == 10 and (not _is_number(words[9].split()[0]) or len(line.split()) % 3 != 0)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def text_lines(path: Path) -> Iterator[str]:
+    """Yields the lines of a text file without its comments and empty lines."""
     for line in read_text(path, errors="surrogateescape").splitlines():
-        if not line.startswith("#") and (blank or line.strip()):
+        if line.strip() and not line.startswith("#"):
             yield line

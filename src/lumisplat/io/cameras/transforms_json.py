@@ -23,6 +23,7 @@ from lumisplat.io.cameras.json_values import (
 )
 from lumisplat.io.cameras.names import name_from_image
 from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.references import named_path
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.images.texture import image_size
 from lumisplat.scene.camera import Camera, CameraModel
@@ -92,7 +93,7 @@ def frame_image(folder: Path, values: Entry) -> Path | None:
     """The image of a frame in a folder, else in its ``images``; its extension may be left off. None: there is none."""
     stem = str(values.get("file_path", ""))
     candidates = (
-        place / (stem + extension) for place in (folder, folder / "images") for extension in _IMAGE_EXTENSIONS
+        named_path(place, stem + extension) for place in (folder, folder / "images") for extension in _IMAGE_EXTENSIONS
     )
     return next((path for path in candidates if os.path.isfile(path)), None)
 

@@ -20,6 +20,12 @@ from lumisplat.scene.camera import Camera
 
 _log = logging.getLogger("lumisplat")
 
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
+"""Extensions of images, and of masks."""
+
+_MASK_ENDINGS = (".mask", "_mask", "-mask")
+"""Ends of names, before the extension, that say that a file is a mask."""
+
 _SHOWN = 3
 """How many names a message lists."""
 
@@ -36,8 +42,12 @@ class Listed:
     """The ``file_path`` of its frame, in its shortest spelling."""
 
 
-def transforms_photographs(path: Path) -> list[Listed]:
-    """The photographs of a ``transforms.json``; those that are missing are left out, and a log line names them.
+def transforms_photographs(path: Path, *, may_lack_all: bool = False) -> list[Listed]:
+    """Lists the images of a ``transforms.json``; those that are missing are left out, and a log line names them.
+
+    Args:
+        path: The file.
+        may_lack_all: Whether none of them has to be there; then nothing is logged of such a file.
 
     Raises:
         FormatError: The file is malformed, a frame has no valid pose or intrinsics, or no image is there.
@@ -49,6 +59,7 @@ def transforms_photographs(path: Path) -> list[Listed]:
             raise FormatError(path, "lists no photographs: expected 'frames', each with file_path and transform_matrix")
         found: list[Listed] = []
         missing: list[str] = []
+        masks = Masks(path.parent)
         for index, entry in enumerate(frames):
             values = entry if is_object(entry) else {}
             name = str(values.get("file_path", f"frame {index} without a file_path"))
@@ -59,10 +70,18 @@ def transforms_photographs(path: Path) -> list[Listed]:
                 continue
             camera = decode_frame(path, index, entry, partial(transforms_camera, path, content, None))
             assert image is not None
-            mask = _listed_mask(path, values.get("mask_path")) or _mask_beside(path.parent, image)
-            found.append(Listed(camera, image, mask, str(PurePosixPath(name))))
+            mask = _listed_mask(path, values.get("mask_path")) or masks.of(image)
+            found.append(Listed(camera, image, mask, shortest_name(name)))
+        if may_lack_all and not found:
+            return []
         _report_missing(path, missing, len(frames), f"{path.parent} or its images")
+        masks.report(found)
         return found
+
+
+def shortest_name(name: str) -> str:
+    """Returns the shortest spelling of a ``file_path``, by which frames are told apart."""
+    return str(PurePosixPath(name.replace("\\", "/")))
 
 
 def colmap_photographs(model: Path, folder: Path) -> list[Listed]:
@@ -78,16 +97,37 @@ def colmap_photographs(model: Path, folder: Path) -> list[Listed]:
     images = folder / "images" if (folder / "images").is_dir() else folder
     found: list[Listed] = []
     missing: list[str] = []
+    masks = Masks(folder)
     listed = read_colmap_images(model)
     for camera, name in listed:
         with parsing(model, "a sparse model of COLMAP"):
             image = referenced_file(images / "images", name)
         if os.path.isfile(image):
-            found.append(Listed(camera, image, _mask_beside(folder, image)))
+            found.append(Listed(camera, image, masks.of(image)))
         else:
             missing.append(name)
     _report_missing(model, missing, len(listed), str(images))
+    masks.report(found)
     return found
+
+
+def report_without_pose(file: Path, folder: Path, listed: Sequence[Listed]) -> None:
+    """Logs how many images lie beside those of a file without being listed in it, so that they have no pose.
+
+    Args:
+        file: The file, or the folder of the model, that lists images.
+        folder: The folder of the set; its images are in ``images``, without that in the folder itself.
+        listed: What the file lists.
+    """
+    images = folder / "images"
+    there = _files_below(images) if images.is_dir() else [path for path in folder.iterdir() if path.is_file()]
+    known = {os.path.abspath(one.image) for one in listed}
+    pictures = [path for path in there if path.suffix.lower() in IMAGE_SUFFIXES and not _is_mask_name(path)]
+    lost = sorted(path.name for path in pictures if os.path.abspath(path) not in known)
+    if lost and len(lost) < len(pictures):
+        _log.warning(
+            "%s: %d of %d images have no pose (%s): left out", file, len(lost), len(pictures), some_names(lost)
+        )
 
 
 def _listed_mask(path: Path, name: object) -> Path | None:
@@ -104,12 +144,72 @@ def _listed_mask(path: Path, name: object) -> Path | None:
     return mask
 
 
-def _mask_beside(folder: Path, image: Path) -> Path | None:
-    """The mask of an image in ``masks``: of its name, with .png in place of its extension or after it."""
-    images = folder / "images"
-    relative = image.relative_to(images) if image.is_relative_to(images) else Path(image.name)
-    candidates = (folder / "masks" / name for name in (relative.with_suffix(".png"), f"{relative}.png"))
-    return next((path for path in candidates if os.path.isfile(path)), None)
+class Masks:
+    """Finds the masks of a set: files of ``masks`` (or ``mask``) that are named after images, as several programs do.
+
+    For ``images/a/1.jpg`` in ``masks/a``: ``1.png`` and ``1.jpg.png`` (COLMAP, nerfstudio), ``1.jpg.mask.png``
+    (RealityScan, also beside the image), ``1.mask.png``, ``1_mask.png`` and ``1-mask.png``, with any extension of
+    images.
+
+    Args:
+        folder: The folder of the set.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._images = folder / "images"
+        places = (folder / name for name in ("masks", "mask"))
+        self._place = next((place for place in places if place.is_dir()), None)
+        files = [] if self._place is None else _files_below(self._place)
+        self._files = sorted(path for path in files if path.suffix.lower() in IMAGE_SUFFIXES)
+        self._by_key = {_mask_key(path.relative_to(self._place)): path for path in reversed(self._files) if self._place}
+
+    def of(self, image: Path) -> Path | None:
+        """Returns the mask of an image; None: it has none."""
+        relative = image.relative_to(self._images) if image.is_relative_to(self._images) else Path(image.name)
+        for key in (relative, relative.with_suffix("")):
+            if (found := self._by_key.get(str(key).lower())) is not None:
+                return found
+        beside = image.with_name(f"{image.name}.mask.png")
+        return beside if beside.is_file() else None
+
+    def report(self, listed: Sequence[Listed]) -> None:
+        """Logs a line if a folder of masks has none for any of the images, or for some of them only."""
+        masked = sum(one.mask is not None for one in listed)
+        if not self._files or masked == len(listed):
+            return
+        if masked:
+            _log.warning(
+                "%s has masks of %d of %d images: the others count as a whole", self._place, masked, len(listed)
+            )
+            return
+        names, image = some_names([path.name for path in self._files]), listed[0].image
+        _log.warning(
+            "%s is ignored: none of its %d files (%s) is named after an image, expected such as %s.png or %s.mask.png",
+            self._place,
+            len(self._files),
+            names,
+            image.stem,
+            image.name,
+        )
+
+
+def _mask_key(name: Path) -> str:
+    """Returns the name of the image that a mask is named after, in lower case; with its extension if that is in it."""
+    stem = name.with_suffix("")
+    for ending in _MASK_ENDINGS:
+        if stem.name.lower().endswith(ending) and len(stem.name) > len(ending):
+            stem = stem.with_name(stem.name[: -len(ending)])
+            break
+    return str(stem).lower()
+
+
+def _is_mask_name(path: Path) -> bool:
+    return path.stem.lower().endswith(_MASK_ENDINGS)
+
+
+def _files_below(folder: Path) -> list[Path]:
+    """Returns all files of a folder and its folders."""
+    return [Path(place) / name for place, _, names in os.walk(folder) for name in names]
 
 
 def _report_missing(path: Path, missing: Sequence[str], count: int, place: str) -> None:

@@ -13,7 +13,7 @@ from lumisplat.config.checks import check_flag, check_range, check_whole, is_num
 from lumisplat.config.colors import Color, display_color
 from lumisplat.constants.photographs import HOLD_OUT, PHOTOGRAPH_CACHE_BYTES
 from lumisplat.errors import ConfigError, FormatError, MissingFileError
-from lumisplat.io.cameras.colmap import is_colmap
+from lumisplat.io.cameras.colmap import count_colmap_images, is_colmap
 from lumisplat.io.cameras.colmap_points import read_colmap_points
 from lumisplat.io.cameras.names import unique_names
 from lumisplat.io.files.references import references_outside
@@ -22,7 +22,13 @@ from lumisplat.io.images.texture import image_size
 from lumisplat.io.images.undamaged import check_undamaged
 from lumisplat.io.photographs.cache import PixelCache
 from lumisplat.io.photographs.lens import is_bent, pinhole_of
-from lumisplat.io.photographs.listing import Listed, colmap_photographs, transforms_photographs
+from lumisplat.io.photographs.listing import (
+    Listed,
+    colmap_photographs,
+    report_without_pose,
+    some_names,
+    transforms_photographs,
+)
 from lumisplat.io.photographs.nerfstudio import Splits, nerfstudio_points
 from lumisplat.io.photographs.photographs import Photograph, Photographs, ReadFrom
 from lumisplat.io.photographs.pixels import Source, read_mask
@@ -70,10 +76,11 @@ def load_photographs(
 
     The first that is there counts: ``transforms_train.json`` (Blender, NeRF-synthetic; what is held out are the
     photographs of ``transforms_test.json``, else of ``transforms_val.json``), ``transforms.json`` (nerfstudio,
-    instant-ngp), or a sparse model of COLMAP in ``sparse/0``, ``sparse`` or the folder itself, with its photographs in
-    ``images``. The ``train_filenames`` and ``test_filenames`` (else ``val_filenames``) of a ``transforms.json``, where
-    it has these, say what is held out, and its ``ply_file_path`` has points. Where ``masks`` holds a mask of the name
-    of a photograph, or the file names one, only what is not black there counts.
+    instant-ngp), or a sparse model of COLMAP in ``sparse`` (of several there, the one with most photographs), or in the
+    folder itself, with its photographs in ``images``. The ``train_filenames`` and ``test_filenames`` (else
+    ``val_filenames``) of a ``transforms.json``, where it has these, say what is held out, and its ``ply_file_path`` has
+    points. Where the file names a mask, or ``masks`` holds one that is named after a photograph, only what is not black
+    there counts. Log lines count what is left out: photographs that are missing or have no pose, models, and masks.
 
     Lenses that distort, and fisheyes, are straightened, unless they are to stay: the cameras are pinholes of the same
     focal lengths and size, whose pixels are resampled by Catmull-Rom's cubics; a log line says so. What the pinhole
@@ -142,22 +149,61 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
         raise FormatError(folder, f"is a file, expected the folder that holds {_EXPECTED}")
     train = folder / "transforms_train.json"
     if train.is_file():
-        tests = (folder / f"transforms_{name}.json" for name in ("test", "val"))
-        test = next((path for path in tests if path.is_file() and with_held_out), None)
-        return _Found(train, transforms_photographs(train), None if test is None else transforms_photographs(test))
+        return _Found(train, transforms_photographs(train), _held_out(folder) if with_held_out else None)
     if (folder / "transforms.json").is_file():
         file = folder / "transforms.json"
-        learnt, held_out = Splits.of(file).divide(file, transforms_photographs(file), holds_out=with_held_out)
+        listed = transforms_photographs(file)
+        report_without_pose(file, folder, listed)
+        learnt, held_out = Splits.of(file).divide(file, listed, holds_out=with_held_out)
         return _Found(file, learnt, held_out, nerfstudio_points(file))
-    models = (folder / "sparse" / "0", folder / "sparse", folder)
-    model = next((path for path in models if is_colmap(path)), None)
+    model = _model(folder)
     if model is None:
         raise FormatError(
             folder,
             f"has no photographs with poses: expected {_EXPECTED} in sparse/0; for photographs without poses, "
             "find_poses (--poses colmap) makes one",
         )
-    return _Found(model, colmap_photographs(model, folder), points=read_colmap_points(model))
+    listed = colmap_photographs(model, folder)
+    report_without_pose(model, folder, listed)
+    return _Found(model, listed, points=read_colmap_points(model))
+
+
+def _held_out(folder: Path) -> list[Listed] | None:
+    """Returns the images of ``transforms_test.json``, else of ``transforms_val.json``; None: there are none.
+
+    Some exporters write a test file and leave its images to be rendered: a log line says what is held out then.
+    """
+    files = [path for name in ("test", "val") if (path := folder / f"transforms_{name}.json").is_file()]
+    lists = [transforms_photographs(path, may_lack_all=True) for path in files]
+    found = next((number for number, listed in enumerate(lists) if listed), None)
+    lacking = files[:found]
+    if lacking:
+        instead = "some of those to learn from" if found is None else f"those of {files[found].name}"
+        _log.warning("%s: none of its images is there: %s are held out instead", lacking[0], instead)
+    return None if found is None else lists[found]
+
+
+def _model(folder: Path) -> Path | None:
+    """Returns the folder of a sparse model; of several in ``sparse``, the one with most images, as a line says."""
+    sparse = folder / "sparse"
+    inside = [path for path in sparse.iterdir() if path.is_dir()] if sparse.is_dir() else []
+    models = sorted((path for path in inside if is_colmap(path)), key=lambda path: (len(path.name), path.name))
+    if len(models) > 1:
+        counts = [count_colmap_images(path) for path in models]
+        best = counts.index(max(counts))
+        others = [f"{path.name} with {count}" for path, count in zip(models, counts, strict=True)]
+        taken = models[best]
+        del others[best]
+        _log.warning(
+            "%s has %d models: %s with %d images is taken, and %s left out, whose poses are in frames of their own",
+            sparse,
+            len(models),
+            taken.name,
+            counts[best],
+            f"{some_names(others)} {'is' if len(others) == 1 else 'are'}",
+        )
+        return taken
+    return next((path for path in (*models, sparse, folder) if is_colmap(path)), None)
 
 
 def _views(file: Path, wanted: Wanted, cache: PixelCache, listed: Sequence[Listed]) -> list[Photograph]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from lumisplat.io.cameras.camera_json import parse_json
 from lumisplat.io.cameras.json_values import Entry, is_list, is_object, quote
 from lumisplat.io.files.references import referenced_file
 from lumisplat.io.files.source import parsing
-from lumisplat.io.photographs.listing import Listed
+from lumisplat.io.photographs.listing import Listed, shortest_name
 from lumisplat.io.ply.header import read_ply_header
 from lumisplat.io.ply.rows import PlyRows, read_ply_element
 from lumisplat.math.arrays import FloatArray
@@ -118,4 +118,4 @@ def _names(path: Path, content: Entry, key: str) -> frozenset[str] | None:
         return None
     if not is_list(names) or not all(isinstance(name, str) for name in names):
         raise FormatError(path, f"{key} is {quote(names)}, expected a list of the file_path of frames")
-    return frozenset(str(PurePosixPath(str(name))) for name in names)
+    return frozenset(shortest_name(str(name)) for name in names)

@@ -66,18 +66,21 @@ def decode(source: Source) -> Pixels:
 
 
 def read_mask(path: Path) -> Plane:
-    """A mask: 255 where the image counts, which is wherever it is not black, or transparent; shape (H, W, 1).
+    """Reads a mask: 255 where the image counts, which is wherever it is not black, or transparent; shape (H, W, 1).
+
+    Of a JPEG, what is darker than half is black: its black is not exact beside white.
 
     Raises:
         FormatError: The file cannot be read, or nothing counts.
     """
     texels = read_texture(path)
     counts = texels[..., 3:] if texels.shape[2] == 4 else texels.max(axis=2, keepdims=True)
+    counts = counts > (127 if path.suffix.lower() in (".jpg", ".jpeg") else 0)
     if not counts.any():
         raise FormatError(
             path, "is black everywhere: no pixel of its photograph would count, expected white where it does"
         )
-    return 255 * (counts > 0).astype(np.uint8)
+    return 255 * counts.astype(np.uint8)
 
 
 def _counted(planes: dict[str, Plane], smaller: dict[str, Plane]) -> dict[str, Plane]:

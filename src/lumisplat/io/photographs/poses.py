@@ -16,13 +16,13 @@ from typing import Any
 
 from lumisplat.errors import FormatError, MissingExtraError, MissingFileError
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.photographs.listing import IMAGE_SUFFIXES
 from lumisplat.io.photographs.mapping import Mapping
 from lumisplat.io.photographs.verdict import Placement
 from lumisplat.progress import Progress
 
 _log = logging.getLogger("lumisplat")
 
-_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 _WORK = "poses.unfinished"
 """Folder of what has been found until poses are."""
 
@@ -89,10 +89,10 @@ def _photographs(folder: Path) -> Sequence[str]:
     if not folder.is_dir():
         raise MissingFileError(folder, "no such folder")
     images = _images(folder)
-    names = sorted(path.name for path in images.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+    names = sorted(path.name for path in images.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
     if len(names) < 2:
         found = "one photograph" if names else "no photographs"
-        raise FormatError(images, f"has {found}, expected two or more ({', '.join(_SUFFIXES)})")
+        raise FormatError(images, f"has {found}, expected two or more ({', '.join(IMAGE_SUFFIXES)})")
     return names
 
 
