@@ -155,7 +155,7 @@ def test_an_interrupted_animation_goes_on(work, monkeypatch):
     monkeypatch.setattr(Renderer, "render", interrupted)
     stopped = animate(work, "frames", "--video", "@out.mp4")
     assert (stopped.status, stopped.out) == (130, "")
-    assert stopped.err == f"interrupted: {work.path('frames')} holds 2 of 4 frames; the same command goes on\n"
+    assert stopped.err == f"interrupted: {work.path('frames')} holds 2 of 4 frames; the same command continues\n"
     assert list(frames(work, "frames")) == names(0, 1)
     assert {path.name for path in work.path("frames").iterdir()} == {*names(0, 1), STAMP}
     assert not work.path("out.mp4").exists() and not list(work.folder.glob(".*"))
@@ -215,7 +215,7 @@ def test_other_settings_do_not_mix(work, option):
     name = option.strip("-").partition("=")[0]
     of_actors = ("no-shadows", "no-relight", "no-sun-on-actors", "direct")
     changed = "actors." + name.removeprefix("no-").replace("-", "_") if name in of_actors else name
-    assert f"holds frames from before a change of {changed}: give --overwrite" in refused.err
+    assert f"holds frames of other settings or files ({changed}): give --overwrite" in refused.err
     assert frames(work, "frames") == before
     assert animate(work, "frames", option, "--frames", "1:2", "--overwrite").status == 0
     after = frames(work, "frames")
@@ -229,9 +229,9 @@ def test_changed_files_do_not_mix(work):
     assert animate(work, "frames", "--frames", "0:1").status == 0
     status = work.path("ball.ply").stat()
     os.utime(work.path("ball.ply"), ns=(status.st_atime_ns, status.st_mtime_ns + 10**9))
-    assert "a change of ball.ply: give" in animate(work, "frames").err
+    assert "settings or files (ball.ply): give" in animate(work, "frames").err
     work.path("scene.toml").write_text(SCENE + "\n# later\n")
-    assert "a change of ball.ply, scene.toml: give" in animate(work, "frames").err
+    assert "settings or files (ball.ply, scene.toml): give" in animate(work, "frames").err
 
 
 def test_unknown_frames_are_not_touched(work):
@@ -290,7 +290,7 @@ def test_interrupted_while_frames_are_made_anew(work, monkeypatch):
     monkeypatch.setattr(Renderer, "render", interrupted)
     done = animate(work, "frames", "--frames", "0:1", "--overwrite")
     assert done.status == 130
-    told = f"{work.path('frames')} holds 0 of 1 frame; the same command without --overwrite goes on"
+    told = f"{work.path('frames')} holds 0 of 1 frame; the same command without --overwrite continues"
     assert done.err == f"interrupted: {told}\n"
 
 

@@ -56,10 +56,11 @@ def make(work: Workplace, folder: str, *options: str, farm: bool = False):
     return work.run(*command, "@scene.toml", "--settings", "@set.toml", "-o", f"@{folder}", *SIZE, *options)
 
 
-def test_views_go_on_and_are_the_same_by_parts(work) -> None:
+def test_views_go_on_and_are_the_same_by_parts(work, caplog) -> None:
     """Parts make the whole, to the bit, once all are there; more views leave those that are there."""
     whole = make(work, "whole", "--views", "5", "--seed", "7", "--shards", "2")
     assert whole.status == 0, whole.err
+    assert "--seed" not in caplog.text  # the poses use it in every pipeline
     assert "5 views in" in whole.out and "transforms.json: " in whole.out and " shards; " in whole.out
     first = make(work, "parts", "--views", "3", "--seed", "7")
     assert first.status == 0 and "transforms.json: " in first.out and not work.path("parts/shards").exists()
@@ -69,13 +70,13 @@ def test_views_go_on_and_are_the_same_by_parts(work) -> None:
     assert "5 views in" in done.out and "4 of them were there" in done.out
     assert contents(work, "parts") == contents(work, "whole")
     refused = make(work, "parts", "--views", "5", "--seed", "8")
-    assert refused.status == 2 and "holds frames from before a change of dataset.seed" in refused.err
+    assert refused.status == 2 and "holds frames of other settings or files (dataset.seed" in refused.err
     again = make(work, "parts", "--views", "1", "--seed", "8", "--overwrite", "--layers", "none")
     assert again.status == 0 and len(json.loads(work.path("parts/transforms.json").read_text())["frames"]) == 1
 
 
 def test_a_farm_makes_the_same(work) -> None:
-    """By two workers: every file, to the bit, with light and objects; the same command goes on."""
+    """By two workers: every file, to the bit, with light and objects; the same command continues."""
     assert make(work, "whole", "--views", "4").status == 0
     assert make(work, "farm", "--views", "4", "--frames", "2").status == 0
     done = make(work, "farm", "--views", "4", "--workers", "2", farm=True)

@@ -49,7 +49,7 @@ def test_an_orbit_goes_on_where_it_was_interrupted(work) -> None:
     assert work.path("round/frame_0001.png").stat().st_mtime_ns == before
     for options in (("--elevation", "40"), ("--turns", "0.5"), ("--up", "y-up")):
         refused = orbit(work, *options)
-        assert refused.status == 2 and "holds frames from before a change of" in refused.err
+        assert refused.status == 2 and "holds frames of other settings or files (" in refused.err
     assert orbit(work, "--turns", "0.5", "--overwrite").status == 0
 
 
@@ -62,6 +62,31 @@ def test_a_video_is_made_of_the_frames(work) -> None:
 
     with Image.open(work.path("round.gif")) as video:
         assert video.n_frames == 4 and video.size == (32, 24)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_the_default_folder_follows_the_video_and_other_settings_replace_its_frames(work, caplog) -> None:
+    """Two orbits of different length in a row: the second replaces the first's frames and says so."""
+    video = ("--video", str(work.path("turn.gif")), "--fps", "10", *SIZE)
+    assert work.run("orbit", "@capture.ply", "--seconds", "0.3", *video).status == 0
+    assert work.path("turn/frame_0002.png").is_file()
+    second = work.run("orbit", "@capture.ply", "--seconds", "0.2", *video)
+    assert second.status == 0 and "turn: 3 frames of other settings or files (seconds) replaced" in caplog.text
+    assert sorted(path.name for path in work.path("turn").iterdir()) == [
+        "frame_0000.png",
+        "frame_0001.png",
+        "orbit.json",
+    ]
+    caplog.clear()
+    assert work.run("orbit", "@capture.ply", "--seconds", "0.2", *video).status == 0 and "replaced" not in caplog.text
+
+
+def test_frames_that_no_orbit_made_are_never_replaced(work) -> None:
+    """A folder of images that happens to have the default name."""
+    work.path("turn").mkdir()
+    work.path("turn/frame_0000.png").write_bytes(b"mine")
+    refused = work.run("orbit", "@capture.ply", "--video", str(work.path("turn.gif")), *SIZE)
+    assert refused.status == 2 and "no orbit.json" in refused.err
+    assert work.path("turn/frame_0000.png").read_bytes() == b"mine"
 
 
 def test_an_orbit_starts_at_the_eye(work) -> None:

@@ -51,7 +51,7 @@ def test_orbit_goes_along_a_path(work) -> None:
     for k in range(4):
         assert same(work, f"out/frame_{k:04d}.png", way.at(2.0 * k / 3))
     refused = work.run(*args)
-    assert refused.status == 2 and "holds frames from before a change of" in refused.err
+    assert refused.status == 2 and "holds frames of other settings or files (" in refused.err
 
 
 def test_animate_moves_the_camera_of_a_scene_file(work) -> None:

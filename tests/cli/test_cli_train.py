@@ -22,12 +22,12 @@ def test_a_folder_becomes_a_capture_and_the_same_command_goes_on(
     folder, output = folder_of(tmp_path / "set"), tmp_path / "out" / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s", "--overwrite"]) == 0
-    assert "the same command without --overwrite goes on" in capsys.readouterr().out
+    assert "the same command without --overwrite continues" in capsys.readouterr().out
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
-    assert "of 30 steps" in (first := capsys.readouterr().out) and "the same command goes on" in first
+    assert "of 30 steps" in (first := capsys.readouterr().out) and "the same command continues" in first
     assert main(["train", str(folder), "-o", str(output), *SHORT]) == 0
     told = capsys.readouterr().out
-    assert "held out" in told and "120 Gaussians, 30 of 30 steps" in told and "goes on" not in told
+    assert "held out" in told and "120 Gaussians, 30 of 30 steps" in told and "continues" not in told
     held = output.read_bytes()
     assert main(["train", str(folder), "-o", str(output), *SHORT]) == 0 and output.read_bytes() == held
     asset = ls.load(output)

@@ -79,7 +79,7 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytes
 def test_a_disk_that_fills_up_loses_nothing(
     file: str, writes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Whichever file finds it full: one line names it, what was there stays, and the same command goes on."""
+    """Whichever file finds it full: one line names it, what was there stays, and the same command continues."""
     folder, output, written = folder_of(tmp_path / "set"), tmp_path / "a.ply", 0
     assert main(["train", str(folder), "-o", str(tmp_path / "whole.ply"), *SHORT]) == 0
     capsys.readouterr()
@@ -109,7 +109,7 @@ def test_a_disk_that_fills_up_loses_nothing(
 def test_a_full_disk_is_one_line(
     disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of a file system that is really full; with room, the same command goes on."""
+    """Of a file system that is really full; with room, the same command continues."""
     folder, output = folder_of(tmp_path / "set"), disk / "a.ply"
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
     command = ["train", str(folder), "-o", str(output), *SHORT]

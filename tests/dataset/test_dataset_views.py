@@ -63,6 +63,17 @@ def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
         assert 0.85 <= share <= 1.15
 
 
+def test_views_of_the_default_dome_contain_the_whole_scene() -> None:
+    """The corners of the scene's box lie in every image, wherever in the scene it aims."""
+    corners = np.array(np.meshgrid(*np.stack(block_scene().bulk_bounds(), axis=1))).reshape(3, -1).T
+    for view in views_of(small_config(poses=ls.DatasetPoses(aim=0.3))):
+        camera = view.camera
+        x, y, z = (camera.camera_from_world[:3] @ np.column_stack([corners, np.ones(8)]).T).astype(float)
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        assert z.min() > 0.0 and 0.0 <= u.min() and u.max() <= camera.width
+        assert 0.0 <= v.min() and v.max() <= camera.height
+
+
 def test_cameras_in_free_space_keep_their_clearance() -> None:
     """Never inside of the block, though most of its inside is farther from its sides than that; nor at the floor."""
     space = Space(block_scene(), "cpu")

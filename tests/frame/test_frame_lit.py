@@ -212,7 +212,7 @@ def test_counted_samples_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixtu
         assert not caplog.records
         replace(ball_frame(), stats=replace(good, nonfinite_count=7)).save(tmp_path / "a.png", ["depth"])
     assert [record.getMessage() for record in caplog.records] == [
-        f"{tmp_path / 'a.png'}: 7 Gaussians or samples were not finite, and left out"
+        f"{tmp_path / 'a.png'}: 7 Gaussians or samples were not finite and left out: values too large for float32"
     ]
 
 

@@ -56,7 +56,7 @@ def test_damage_is_mended(kernel, tmp_path, caplog, suffix, damage) -> None:
         kernel.module.unload()
         load_module(kernel.module, "cpu", 1)
     assert [record.getMessage() for record in caplog.records] == [
-        f"{file.parent}: compiled kernels are damaged, and are made anew"
+        f"{file.parent}: compiled kernels are damaged: they are compiled again, nothing to do"
     ]
     values = wp.array([1.0, 2.0], dtype=float, device="cpu")
     wp.launch(kernel, 2, inputs=[values], device="cpu")

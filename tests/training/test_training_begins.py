@@ -53,7 +53,7 @@ def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFi
         points, colors = enough_points(few, None, seen, config)
         assert points is not None and colors is not None and points.shape == colors.shape == (400, 3)
         assert (points[:19] == 0.0).all() and (colors[:19] == 0.5).all() and np.ptp(points[19:], axis=0).min() > 0.1
-        assert "only 19 points of the scene are known: 381 at random are added" in caplog.text
+        assert "the images come with only 19 3D points: 381 random ones are added" in caplog.text
         caplog.clear()
         assert enough_points(many, None, seen, config) == (many, None)
         assert enough_points(None, None, seen, config) == (None, None)
@@ -63,7 +63,7 @@ def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFi
 @pytest.mark.parametrize(
     ("numbers", "problem"),
     [
-        ([0, 1], "1 photograph to learn from, taken from one place: where surfaces are shows between places only"),
+        ([0, 1], "1 photograph to learn from, taken from one place: depth follows from several positions only"),
         ([0, 1, 1, 1], "3 photographs to learn from, taken from one place: "),
         ([0, 1, 2, 2, 1], "4 photographs to learn from, taken from 2 places: "),
         ([0, 1, 2, 3, 3, 2, 4], "2 of 6 photographs to learn from have the pose of another one: "),

@@ -163,7 +163,11 @@ class _Baker:
                 self.ways.put(self.ways_put, views.ways(shown, instance))
                 self.ways_put += views.gaussians.count
         if nonfinite:
-            _log.warning("%d samples of %s were not finite and are left out", nonfinite, instance.name or "a set")
+            _log.warning(
+                "%d samples of %s were not finite and left out: lights or materials are too bright for float32",
+                nonfinite,
+                instance.name or "a set",
+            )
         joined = np.concatenate(parts)
         if instance.shadow_catcher:
             return replace(scale_light_of(instance, joined), material=None, shadow_catcher=False)

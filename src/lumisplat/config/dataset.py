@@ -57,9 +57,9 @@ class DatasetPoses:
     """Of ``DOME``: degrees about the vertical, counter-clockwise seen from above; 0 is the front."""
     elevation: Range = (5.0, 60.0)
     """Of ``DOME``: degrees above the horizon, -90 to 90."""
-    distance: Range = (0.7, 1.2)
-    """Of ``DOME``: distance from what is looked at, as a factor of that from which all of the scene is seen, above
-    0."""
+    distance: Range = (1.0, 1.5)
+    """Of ``DOME``: distance from the point that is looked at, as a factor of the distance at which the whole scene just
+    fits into the image, above 0. Below 1, images may cut parts of the scene off."""
     height: Range = (0.2, 0.8)
     """Of ``INSIDE``: height of the eye, as a share of the scene's, 0..1."""
     pitch: Range = (-25.0, 10.0)

@@ -121,8 +121,9 @@ class Poser:
             fov_y=fov,
             width=self._config.width,
             height=self._config.height,
+            target=target,
         )
-        distance = float(np.float32(np.linalg.norm(all_of_it.eye - space.middle)))  # as the corners of the space
+        distance = float(np.float32(np.linalg.norm(all_of_it.eye - target)))  # as the corners of the space
         return _looking(target + factor * distance * backward, -backward, space.up)
 
     def _inside(self, draws: Draws, wanted: Placed | None) -> tuple[Doubles, Doubles, Doubles]:

@@ -354,4 +354,8 @@ class Frame(FrameData):
             _log.warning("%s: %d pixels are not finite, %s in the file", os.fspath(path), count, fate)
         if self.stats and self.stats.nonfinite_count:
             count = self.stats.nonfinite_count
-            _log.warning("%s: %d Gaussians or samples were not finite, and left out", os.fspath(path), count)
+            _log.warning(
+                "%s: %d Gaussians or samples were not finite and left out: values too large for float32",
+                os.fspath(path),
+                count,
+            )

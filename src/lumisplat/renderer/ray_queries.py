@@ -114,7 +114,11 @@ class RayQueries:
             parts.append(images)
             nonfinite += count
         if nonfinite:
-            _log.warning("%d samples of %d rays were not finite and are black", nonfinite, len(origins))
+            _log.warning(
+                "%d samples of %d rays were not finite and are black: colours, lights or positions are too large",
+                nonfinite,
+                len(origins),
+            )
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         return RayHits(
             radiance=joined["color"],

@@ -92,5 +92,5 @@ def _is_damaged(file: Path) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    _log.warning("%s: compiled kernels are damaged, and are made anew", folder)
+    _log.warning("%s: compiled kernels are damaged: they are compiled again, nothing to do", folder)
     shutil.rmtree(folder, ignore_errors=True)

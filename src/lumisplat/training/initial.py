@@ -91,7 +91,11 @@ def enough_points(
         return points, colors
     rng = np.random.default_rng([config.seed, 4])
     added = random_points(cameras, Surroundings.of(cameras), wanted - len(points), rng)
-    _log.warning("only %d points of the scene are known: %d at random are added", len(points), len(added))
+    _log.warning(
+        "the images come with only %d 3D points: %d random ones are added, which training moves where they belong",
+        len(points),
+        len(added),
+    )
     known = np.full(points.shape, 0.5) if colors is None else colors
     both = np.concatenate([known, rng.uniform(size=added.shape)])
     return np.concatenate([points, added]).astype(np.float32), both.astype(np.float32)
@@ -102,8 +106,8 @@ def say_if_few(cameras: Sequence[Camera]) -> None:
     count, places, poses = len(cameras), count_places(cameras), count_poses(cameras)
     if places < PLACES_MIN:
         _log.warning(
-            "%s to learn from, taken from %s: where surfaces are shows between places only, and other views will be "
-            "poor: take some twenty or more from all around",
+            "%s to learn from, taken from %s: depth follows from several positions only, so other views will look "
+            "poor: add 20 or more images from all around",
             "1 photograph" if count == 1 else f"{count} photographs",
             "one place" if places == 1 else f"{places} places",
         )

@@ -238,7 +238,7 @@ class _Run:
         shows = weights >= least
         if not shows.any():
             _log.warning(
-                "TrainConfig.prune_below is %g, but no Gaussian shows with a weight above %.2g: all are kept",
+                "TrainConfig.prune_below is %g, but the largest weight of any Gaussian is %.2g: nothing is pruned",
                 least,
                 weights.max(),
             )

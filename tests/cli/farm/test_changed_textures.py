@@ -77,7 +77,7 @@ def test_of_gltf(work, name: str, uri: str) -> None:
     write_texture(texture, 20)
     refused = work.run(*command[1:-2])
     assert refused.status == 2
-    assert f"holds frames from before a change of {uri.replace('%20', ' ')}: " in refused.err
+    assert f"holds frames of other settings or files ({uri.replace('%20', ' ')}): " in refused.err
 
 
 def test_of_binary_usd(work) -> None:
@@ -117,4 +117,4 @@ def test_a_changed_texture_of_usd_is_refused(work) -> None:
     assert work.run(*command).status == 0
     write_texture(work.path(textures[0]), 20)
     refused = work.run(*command)
-    assert refused.status == 2 and f"before a change of {textures[0]}: " in refused.err
+    assert refused.status == 2 and f"settings or files ({textures[0]}): " in refused.err

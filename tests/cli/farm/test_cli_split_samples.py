@@ -78,7 +78,7 @@ def test_blocks_of_tiles_go_when_their_tile_is_there(work, monkeypatch: pytest.M
 
     monkeypatch.setattr(ls, "render_samples", counted)
     stopped = work.run("render", *options)
-    assert stopped.status == 130 and "holds 4 of 6 parts; the same command with --resume goes on" in stopped.err, (
+    assert stopped.status == 130 and "holds 4 of 6 parts; the same command with --resume continues" in stopped.err, (
         stopped.err
     )
     left = {name for name in work.files() if name.startswith("out.")}

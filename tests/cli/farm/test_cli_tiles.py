@@ -61,7 +61,7 @@ def test_parts_make_the_picture(work) -> None:
 
 
 def test_workers_share_the_tiles_of_one_file(work) -> None:
-    """The same command goes on, with workers or without, and is of no other settings."""
+    """The same command continues, with workers or without, and is of no other settings."""
     options = ("@capture.ply", "-o", "@huge.png", *SIZE)
     assert work.run("render", "@capture.ply", "-o", "@whole.png", *SIZE).status == 0
     done = work.run("farm", "render", *options, "--tiles", "2x2", *TWO)
@@ -71,7 +71,7 @@ def test_workers_share_the_tiles_of_one_file(work) -> None:
     again = work.run("render", *options, "--tiles", "4x1", "--resume")
     assert again.status == 0 and again.out.strip() == str(work.path("huge.png"))
     refused = work.run("render", *options, "--tiles", "2x2", "--resume", "--background", "white")
-    assert refused.status == 2 and "from before a change of background" in refused.err
+    assert refused.status == 2 and "other settings or files (background" in refused.err
 
 
 def test_random_light_is_that_of_the_picture(work) -> None:

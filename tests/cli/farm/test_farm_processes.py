@@ -76,14 +76,14 @@ def test_a_frame_that_kills_its_worker_twice_is_reported_and_left(tmp_path: Path
         farm(maker)
     assert str(error.value) == (
         f"frame 3: a worker was lost: it ended with status 7; {tmp_path / 'out'} holds 5 of 6 frames; the same command "
-        "goes on"
+        "continues"
     )
     assert FramesMissingError.status == 3
     assert maker.begun == [0, 1, 2, 3, 3, 4, 5]
 
 
 def test_a_full_disk(tmp_path: Path) -> None:
-    """It ends the job after a few frames, with a line; once there is room, the same command goes on."""
+    """It ends the job after a few frames, with a line; once there is room, the same command continues."""
     full = dict.fromkeys(range(3, 40), "full")
     maker = FakeMaker(tmp_path / "out", count=40, wrong=full, again=True)
     with pytest.raises(FramesMissingError) as error:
@@ -141,7 +141,7 @@ def test_two_farms_in_one_folder(tmp_path: Path) -> None:
     assert maker.contents == expected(20)
     needs = tmp_path / "x.ply"
     needs.write_text("scene")
-    with pytest.raises(ls.ConfigError, match="holds frames from before a change of needs"):
+    with pytest.raises(ls.ConfigError, match=r"holds frames of other settings or files \(needs\)"):
         farm(FakeMaker(tmp_path / "out", count=20, needs=needs))
     assert maker.contents == expected(20)
 
@@ -177,7 +177,7 @@ def test_an_interrupt_says_how_far_it_is(tmp_path: Path) -> None:
     wait_for(lambda: len(maker.contents) >= 2)
     os.killpg(driver.pid, signal.SIGINT)
     out, err = driver.communicate()
-    assert f"{tmp_path / 'out'} holds " in out and "of 12 frames; the same command goes on" in out
+    assert f"{tmp_path / 'out'} holds " in out and "of 12 frames; the same command continues" in out
     assert "Traceback" not in err
 
 

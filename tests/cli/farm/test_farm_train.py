@@ -37,7 +37,7 @@ def test_captures_are_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert (tmp_path / "captures" / name).is_file()
     assert (tmp_path / "captures/two.ply").read_bytes() == (tmp_path / "two.ply").read_bytes()
     assert main([*command, "--seed", "6"]) == 2
-    assert "holds frames from before a change of seed" in capsys.readouterr().err
+    assert "holds frames of other settings or files (seed" in capsys.readouterr().err
 
 
 def test_each_folder_may_have_its_own_settings(tmp_path: Path, capsys, caplog) -> None:
@@ -55,18 +55,18 @@ def test_each_folder_may_have_its_own_settings(tmp_path: Path, capsys, caplog) -
     assert "100 Gaussians" in told and "60 Gaussians" in told and "1 of them was there" in told
     own.write_text("[two]\ncap = 70\nantialiased = true\n")
     assert main([*command, one, two]) == 2
-    assert "holds frames from before a change of settings of two" in capsys.readouterr().err
+    assert "holds frames of other settings or files (settings of two" in capsys.readouterr().err
 
 
 def test_trainings_that_end_before_their_time_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """--stop-after: a capture that is not finished, and says so; the same command goes on, to the same bits."""
+    """--stop-after: a capture that is not finished, and says so; the same command continues, to the same bits."""
     folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "200", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
     command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *long, "--workers", "1"]
     capsys.readouterr()
     assert main([*command, "--stop-after", "0.01s"]) == 0
     told = capsys.readouterr().out
-    assert " of 200 steps" in told and "200 of 200" not in told and told.endswith("the same command goes on\n")
+    assert " of 200 steps" in told and "200 of 200" not in told and told.endswith("the same command continues\n")
     assert (tmp_path / "out/one.unfinished.txt").is_file() and not (tmp_path / "out/one.txt").exists()
     assert main(command) == 0
     assert "200 of 200 steps" in capsys.readouterr().out

@@ -117,4 +117,4 @@ def test_two_farms_that_begin_together(tmp_path: Path) -> None:
         assert sorted(statuses) == [0, 2], told
         assert len(FakeMaker(folder).contents) == 6
         refused = told[statuses.index(2)]
-        assert "another run has begun there, which differs in kind" in refused or "before a change of kind" in refused
+        assert "another run has begun there, which differs in kind" in refused or "settings or files (kind" in refused

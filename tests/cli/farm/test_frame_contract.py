@@ -66,7 +66,7 @@ def test_pictures_are_resumed(work) -> None:
     assert work.path("out/right.png").stat().st_mtime_ns == before
     assert pictures(work, "out") == pictures(work, "whole")
     refused = render(work, "out", "--resume", "--sh-degree", "0")
-    assert refused.status == 2 and "holds frames from before a change of raster.sh_degree" in refused.err
+    assert refused.status == 2 and "holds frames of other settings or files (raster.sh_degree" in refused.err
     assert render(work, "out", "--sh-degree", "0").status == 0
     assert not work.path("out/render.json").exists()  # it spoke of other pictures
     assert "holds frames, but no render.json" in render(work, "out", "--resume").err
@@ -184,7 +184,7 @@ def test_mistakes_and_failed_frames_differ(tmp_path: Path, wrong: dict[int, str]
     if kind is FramesMissingError:
         (index,) = wrong
         assert str(raised.value).startswith(f"frame {index}: ")
-        assert f"holds {index} of 8 frames; the same command goes on" in str(raised.value)
+        assert f"holds {index} of 8 frames; the same command continues" in str(raised.value)
 
 
 def test_a_full_disk_ends_with_status_3(work) -> None:
@@ -198,7 +198,7 @@ def test_a_full_disk_ends_with_status_3(work) -> None:
     done = subprocess.run(command, cwd=work.folder, capture_output=True, text=True, check=False, env=os.environ)
     assert done.returncode == 3, done.stderr
     assert done.stderr.startswith("error: frame 0: out/frame_0000.png: cannot be written: ")
-    assert "out holds 0 of 6 frames; the same command goes on" in done.stderr
+    assert "out holds 0 of 6 frames; the same command continues" in done.stderr
     assert not list(work.path("out").glob("*.png")) and not list(work.path("out").glob(".*"))
 
 

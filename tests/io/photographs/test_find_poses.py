@@ -94,7 +94,7 @@ def test_an_interrupted_call_goes_on(tmp_path, data_dir, caplog):
         ("finding poses", 0.5, "features of 10 of 10 photographs, 45 compared pairs"),
     ):
         caplog.clear()
-        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command goes on"):
+        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command continues"):
             ls.find_poses(tmp_path, ordered=True, progress=until(step, share))
         assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
     assert ls.find_poses(tmp_path, ordered=True).is_dir()

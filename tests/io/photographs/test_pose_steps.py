@@ -51,7 +51,7 @@ def test_what_was_found_before_ctrl_c_is_kept_and_said(colmap: ColmapStub, tmp_p
         ("place", "features of 9 of 9 photographs, 36 compared pairs"),
     ):
         colmap.interrupt_in = step
-        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command goes on"):
+        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command continues"):
             ls.find_poses(tmp_path)
         assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
     assert caplog.text.count("goes on from") == 2

@@ -255,7 +255,7 @@ def test_what_is_clamped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
     assert "a.spz: 2 Gaussians are thinner than 4.5e-05" in thin
     assert "a.spz: 1 Gaussians are wider than 379" in wide
     assert "a.spz: 2 Gaussians have a colour too bright or too dark" in bright
-    assert "a.spz: 1 Gaussians have harmonics beyond -1..1" in sharp
+    assert "a.spz: 1 Gaussians have SH coefficients beyond -1..1" in sharp
 
 
 def test_positions_beyond_the_format(tmp_path: Path) -> None:

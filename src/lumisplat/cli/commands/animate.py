@@ -33,15 +33,19 @@ from lumisplat.cli.output.standard_output import refuse_standard_output
 class Animate(FrameCommand):
     """Render an animated scene, frame by frame: actors cast shadows onto captures, and take on their light.
 
-    After an interruption, the same command goes on: frames that are there stay.
+    After an interruption, the same command continues: frames that are there stay.
     """
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE")]]
     """A scene.toml with [[actors]] or a camera with keyframes, and an [animation] that says how many frames there are;
     or a .usda, .usdc, .usdz or .usd with what moves in it; or a .glb or .gltf, of which the first animation is played,
     25 frames a second unless --fps says otherwise."""
-    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("frames")
-    """Where frames go, as frame_0000.png and so on, with animate.json, which says what they were made of."""
+    output: Annotated[
+        Path | None,
+        arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="(default: named after the video, or frames)"),
+    ] = None
+    """Where frames go, as frame_0000.png and so on, with animate.json, which says what they were made of. Frames of
+    other settings are replaced in the default folder, and refused in yours."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Also make a video of the frames: .mp4 (H.264; pip install 'lumisplat[video]'), .gif, .webp or .apng."""
     frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""
@@ -89,7 +93,8 @@ class Animate(FrameCommand):
         Raises:
             LumisplatError: Something is wrong with the options or a file.
         """
-        refuse_standard_output(self.output)
+        folder = FrameFolder.named_after(self.output, self.video, "frames", self.format, "animate.json")
+        refuse_standard_output(folder.folder)
         suffix = self.scene.suffix.lower()
         if suffix not in WITH_CAMERAS:
             raise ls.FormatError(
@@ -98,15 +103,14 @@ class Animate(FrameCommand):
         if self.video is not None and self.format != "png":
             raise ls.ConfigError(f"--video is made of the PNGs of frames, --format is {self.format}")
         config = self.frame_config(scene_settings(self.scene if suffix == ".toml" else None))
-        check_writable(self.output)
+        check_writable(folder.folder)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
         animation = self._animation(environment, report)
         cameras = self._cameras(animation)
-        folder = FrameFolder(self.output, self.format)
         frames = FrameList(
             folder=folder,
-            origin=self._origin(animation, config, renderer.device),
+            origin=self._origin(animation, config, renderer.device, folder.folder),
             wanted=tuple(frame_numbers("--frames", self.frames, animation.frame_count)),
             fps=animation.fps,
             in_sequence=config.pipeline is ls.Pipeline.REALTIME,
@@ -169,7 +173,7 @@ class Animate(FrameCommand):
             )
         return cameras * count if len(cameras) == 1 else cameras
 
-    def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str) -> dict[str, str]:
+    def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [self.scene, *(path for path in (self.cameras, self.path, self.light.environment) if path is not None)]
         chosen = ("width", "height", "camera", "drop_invalid", "crease_angle")
@@ -180,7 +184,7 @@ class Animate(FrameCommand):
             **{name: f"{getattr(self, name)}" for name in chosen},
             **shared_origin(self, config),
             **dict(flat_settings("actors.", animation.lighting)),
-            **file_marks(files, self.output),
+            **file_marks(files, folder),
         }
 
 

@@ -34,14 +34,18 @@ _log = logging.getLogger("lumisplat")
 class Orbit(ViewsCommand, FrameCommand):
     """Go once round a scene, or along a --path, frame by frame, and make a video of it.
 
-    After an interruption, the same command goes on: frames that are there stay.
+    After an interruption, the same command continues: frames that are there stay.
     First try: lumisplat orbit garden.ply --video orbit.mp4
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """Captures, meshes or a scene.toml, as for render."""
-    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("orbit")
-    """Where frames go, as frame_0000.png and so on, with orbit.json, which says what they were made of."""
+    output: Annotated[
+        Path | None,
+        arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="(default: named after the video, or orbit)"),
+    ] = None
+    """Where frames go, as frame_0000.png and so on, with orbit.json, which says what they were made of. Frames of other
+    settings are replaced in the default folder, and refused in yours."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Also make a video of the frames: .mp4 (H.264; pip install 'lumisplat[video]'), .gif, .webp or .apng."""
     seconds: Annotated[float, arg(metavar="SECONDS")] = 6.0
@@ -75,7 +79,8 @@ class Orbit(ViewsCommand, FrameCommand):
         Raises:
             LumisplatError: Something is wrong with the options or a file.
         """
-        refuse_standard_output(self.output)
+        folder = FrameFolder.named_after(self.output, self.video, "orbit", "png", "orbit.json")
+        refuse_standard_output(folder.folder)
         count = self._frame_count()
         wanted = tuple(frame_numbers("--frames", self.frames, count))
         self.viewpoint.check(None)
@@ -83,7 +88,7 @@ class Orbit(ViewsCommand, FrameCommand):
             self.cameras_along(self.path, [index / self.fps for index in range(count)]) if self.path is not None else []
         )
         config = self.frame_config(scene_settings(scene_file(self.scene)))
-        check_writable(self.output)
+        check_writable(folder.folder)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
         whole = next((f"--{name}" for name in ("lod", "lod_budget") if getattr(self, name) is not None), "")
@@ -95,10 +100,9 @@ class Orbit(ViewsCommand, FrameCommand):
         for line in frame_remarks(config, scene, [], self.rays, self.light):
             _log.warning("%s", line)
         source = self.frame_source(renderer, blocks=blocks)
-        folder = FrameFolder(self.output, "png", "orbit.json")
         frames = FrameList(
             folder=folder,
-            origin=self._origin(config, renderer.device),
+            origin=self._origin(config, renderer.device, folder.folder),
             wanted=wanted,
             fps=self.fps,
             in_sequence=config.pipeline is ls.Pipeline.REALTIME,
@@ -130,7 +134,7 @@ class Orbit(ViewsCommand, FrameCommand):
             raise ls.ConfigError(f"--seconds {self.seconds:g} at --fps {self.fps:g} are more than a million frames")
         return max(1, round(self.seconds * self.fps))
 
-    def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
+    def _origin(self, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [*self.scene, *(path for path in (self.path, self.light.environment) if path is not None)]
         chosen = (
@@ -151,5 +155,5 @@ class Orbit(ViewsCommand, FrameCommand):
             "scene": " ".join(map(str, self.scene)),
             **{name: f"{getattr(self, name)}" for name in chosen},
             **shared_origin(self, config),
-            **file_marks(files, self.output),
+            **file_marks(files, folder),
         }

@@ -50,7 +50,7 @@ class FrameList:
         """How many of the frames are there, and how to go on."""
         count = sum(map(self.folder.is_finished, self.wanted))
         again = f"the same command {self.go_on}" if overwrite else "the same command"
-        return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), self.unit)}; {again} goes on"
+        return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), self.unit)}; {again} continues"
 
     def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> ls.LumisplatError:
         """A `FramesMissingError` that says which frames failed, why, and how to go on."""

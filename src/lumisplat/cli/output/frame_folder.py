@@ -8,21 +8,25 @@ refused instead of continued.
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import lumisplat as ls
+from lumisplat.cli.output.console import counted
 from lumisplat.cli.output.pictures import make_folder
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+
+_log = logging.getLogger("lumisplat")
 
 _FRAME = re.compile(r"frame_\d{4,}\.(png|exr|npz)")
 
@@ -37,6 +41,22 @@ class FrameFolder:
     """The file that says what the frames were made of."""
     names: tuple[str, ...] | None = None
     """File names of the frames; None: ``frame_0000`` and so on."""
+    is_default: bool = field(default=False, kw_only=True)
+    """Whether nobody named the folder: frames of other settings in it are replaced, and a line says so."""
+
+    @staticmethod
+    def named_after(output: Path | None, video: Path | None, otherwise: str, extension: str, stamp: str) -> FrameFolder:
+        """Returns the folder that the user named, else one named after the video, else the default.
+
+        Args:
+            output: As of ``-o``; None: the user named no folder.
+            video: As of ``--video``.
+            otherwise: Name of the folder if there is no video either.
+            extension: Of the frames.
+            stamp: File that says what the frames were made of.
+        """
+        folder = output or (Path(otherwise) if video is None else video.with_suffix(""))
+        return FrameFolder(folder, extension, stamp, is_default=output is None)
 
     def path(self, index: int) -> Path:
         """The file of a frame."""
@@ -52,7 +72,7 @@ class FrameFolder:
         return self.path(index).is_file()
 
     def is_stopped(self, index: int) -> bool:
-        """Whether a frame was made as far as was asked for, though it is not finished; the same command goes on."""
+        """Whether a frame was made as far as was asked for, though it is not finished; the same command continues."""
         return False
 
     def tidy(self, index: int) -> None:
@@ -71,7 +91,7 @@ class FrameFolder:
         """
         stamp = self.folder / self.stamp
         if self._frames() and not overwrite:
-            self._check(stamp, origin)
+            overwrite = self._check(stamp, origin)
         make_folder(self.folder)
         temporary = stamp.with_name(f".{stamp.stem}.{secrets.token_hex(6)}.lumisplat.json")  # as those of frames
         try:
@@ -125,16 +145,22 @@ class FrameFolder:
             return [path for name in self.names if (path := self.folder / name).is_file()]
         return sorted(path for path in self.folder.iterdir() if _FRAME.fullmatch(path.name))
 
-    def _check(self, stamp: Path, origin: Mapping[str, str]) -> None:
-        """Raises ConfigError unless the frames that are there are of this origin."""
+    def _check(self, stamp: Path, origin: Mapping[str, str]) -> bool:
+        """Returns whether the frames that are there are to be replaced; raises ConfigError if they may not be."""
         advice = "give --overwrite to remove them, or another folder"
         stored = stored_origin(stamp)
         if stored is None:
             raise ls.ConfigError(
                 f"{self.folder} holds frames, but no {self.stamp} that says what they are of: {advice}"
             )
-        if changed := self._differing(stored, origin):
-            raise ls.ConfigError(f"{self.folder} holds frames from before a change of {_listed(changed)}: {advice}")
+        if not (changed := self._differing(stored, origin)):
+            return False
+        if not self.is_default:
+            what = f"other settings or files ({_listed(changed)})"
+            raise ls.ConfigError(f"{self.folder} holds frames of {what}: {advice}")
+        old = f"{counted(len(self._frames()), 'frame')} of other settings or files ({_listed(changed)})"
+        _log.warning("%s: %s replaced; -o FOLDER keeps both", self.folder, old)
+        return True
 
     def _begun_by_another(self, stored: Mapping[str, object], origin: Mapping[str, str]) -> ls.ConfigError:
         """What to say of a run of another origin that has begun in the folder, and made no frame yet."""

@@ -15,7 +15,7 @@ import lumisplat as ls
 STANDARD_OUTPUT = Path("-")
 
 
-def refuse_standard_output(output: Path) -> None:
+def refuse_standard_output(output: Path | None) -> None:
     """Refuses ``-o -`` where many files are written.
 
     Raises:

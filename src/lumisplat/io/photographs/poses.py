@@ -104,7 +104,7 @@ def _quiet(pycolmap: Any, mapping: Mapping, folder: Path) -> Generator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"{mapping.work} holds {mapping.found()}; the same command goes on") from None
+        raise KeyboardInterrupt(f"{mapping.work} holds {mapping.found()}; the same command continues") from None
     except FormatError:
         shutil.rmtree(mapping.work, ignore_errors=True)
         raise

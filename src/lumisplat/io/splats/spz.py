@@ -179,7 +179,7 @@ def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
         (columns.log_scales < LOG_SCALE_MIN, f"are thinner than {least}, where SPZ ends: widened"),
         (columns.log_scales > LOG_SCALE_MAX, f"are wider than {most}, where SPZ ends: narrowed"),
         (np.abs(columns.sh[:, :1]) > DC_MAX, f"have a colour too bright or too dark for SPZ: {kept}"),
-        (np.abs(columns.sh[:, 1:]) > 1.0, f"have harmonics beyond -1..1, where SPZ ends: {kept}"),
+        (np.abs(columns.sh[:, 1:]) > 1.0, f"have SH coefficients beyond -1..1, where SPZ ends: {kept}"),
     )
     for beyond, what in clamped:
         count = np.count_nonzero(beyond.reshape(columns.count, -1).any(axis=1))

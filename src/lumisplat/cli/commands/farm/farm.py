@@ -85,7 +85,7 @@ class FarmDataset(Dataset):
 class Farm:
     """Render frames, or train, by workers: on all GPUs of this machine, on its cores, or on a cluster of Ray.
 
-    After an interruption, the same command goes on: frames that are there stay. Workers that die are replaced.
+    After an interruption, the same command continues: frames that are there stay. Workers that die are replaced.
     Exit status: 0: all frames are there. 2: a mistake. 3: some frames could not be made. 130: interrupted.
     """
 

@@ -22,8 +22,8 @@ class FarmCommand(FrameMaker, Protocol):
     """A command whose frames workers make."""
 
     @property
-    def output(self) -> Path:
-        """Where they go."""
+    def output(self) -> Path | None:
+        """As of ``-o``."""
         ...
 
     @property

@@ -42,7 +42,7 @@ class FarmTrain(Train):
     """What is other for single folders: a table for each by its name, [fox], with options of train as keys, cap =
     200000, which come before those of the command."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
-    """End each training after such a time, as 90s, 10m or 1.5h; the same command then goes on."""
+    """End each training after such a time, as 90s, 10m or 1.5h; the same command then continues."""
     overwrite: Flag = False
     """Begin anew, and remove captures of these folders that are there, and what their trainings have left."""
     farm: FarmGroup = field(default_factory=FarmOptions)
@@ -57,7 +57,7 @@ class FarmTrain(Train):
         for index in range(len(self.folder)):
             print(folder.told(index), end="")
         if any(map(folder.is_stopped, range(len(self.folder)))):
-            print(f"{'the same command without --overwrite' if self.overwrite else 'the same command'} goes on")
+            print(f"{'the same command without --overwrite' if self.overwrite else 'the same command'} continues")
 
     def open_frames(self, report: Report) -> FrameJob:
         """Checks all that can be checked.

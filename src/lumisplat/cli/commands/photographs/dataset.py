@@ -39,7 +39,7 @@ class Dataset(FrameCommand):
     """Make training data: views of a scene from random places, in random light, with objects put into it.
 
     With layers such as depth, normals and ids, cameras for nerfstudio, and shards for WebDataset. A view follows from
-    --seed and its number: more --views add to those that are there, and after an interruption the same command goes on.
+    --seed and its number: more --views add to those that are there. After an interruption, the same command continues.
     First try: lumisplat dataset garden.ply --views 20 -o set
     """
 
@@ -151,7 +151,8 @@ class Dataset(FrameCommand):
         )
         if albedo and not (views.are_lit if config.lighting is None else config.lighting):
             raise ls.ConfigError("--layers has albedo, which lit views have: give lights, or --lighting on")
-        for line in frame_remarks(config, views.view(wanted[0]).scene, [], self.rays, self.light):
+        rays = replace(self.rays, seed=None)  # the poses always use it
+        for line in frame_remarks(config, views.view(wanted[0]).scene, [], rays, self.light):
             _log.warning("%s", line)
         maker = _ViewMaker(self, views, self.frame_source(renderer))
         return FrameJob(

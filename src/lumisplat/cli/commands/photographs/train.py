@@ -31,7 +31,7 @@ class Train(DeviceCommand):
     """Make a capture of photographs whose poses are known.
 
     Beside the capture, a folder of its name with .training has a checkpoint each minute, the settings, the curve, and
-    what was held out beside what the capture shows. After an interruption, the same command goes on.
+    what was held out beside what the capture shows. After an interruption, the same command continues.
     First try: lumisplat train fox/ -o fox.ply --stop-after 10m
     """
 
@@ -91,7 +91,7 @@ class Train(DeviceCommand):
     seed: Annotated[int, arg(metavar="N")] = 0
     """Of everything that is random: the same seed gives the same capture."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
-    """End after such a time, as 90s, 10m or 1.5h; the same command then goes on."""
+    """End after such a time, as 90s, 10m or 1.5h; the same command then continues."""
     preview: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
     """Write a picture of the first view that is held out every so many steps."""
     allow_outside: Flag = False
@@ -163,7 +163,7 @@ class Train(DeviceCommand):
                 progress=report,
             )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{self._again} goes on; with --stop-after 1s, it writes the capture") from None
+            raise KeyboardInterrupt(f"{self._again} continues; with --stop-after 1s, it writes the capture") from None
         return result, self._materials(result, photographs, self._materials_config(), report)
 
     def tell(self, result: ls.TrainResult, found: ls.FoundMaterials | None) -> None:
@@ -188,7 +188,7 @@ class Train(DeviceCommand):
                 result.gaussians, photographs, config, output=self.output, device=self.device, progress=report
             )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{self._again} goes on; {self.output} has no materials yet") from None
+            raise KeyboardInterrupt(f"{self._again} continues; {self.output} has no materials yet") from None
         write_materials(self.output.with_suffix(".training") / "materials", found, photographs, self.device)
         return found
 
@@ -263,9 +263,12 @@ class Train(DeviceCommand):
         steps = f"{result.iterations:,} of {self.iterations:,} steps"
         print(f"{self.output}: {counted(result.gaussians.count, 'Gaussian')}, {steps}, {spoken_time(result.seconds)}")
         if result.pruned:
-            print(f"{counted(result.pruned, 'Gaussian')} more showed too little, and were left out")
+            limit = f"a weight of {self.prune_below:g} in any image"
+            print(
+                f"{counted(result.pruned, 'Gaussian')} that never reach {limit} pruned: nothing to do (--prune-below)"
+            )
         if not result.is_finished:
-            print(f"{self._again} goes on")
+            print(f"{self._again} continues the training")
 
     @property
     def _again(self) -> str:
