@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import (
+    Doubles,
     FloatArray,
     box_text,
     float_array,
@@ -20,7 +21,10 @@ from lumisplat.math.arrays import (
     refuse_outside_unit,
     refuse_rows,
 )
-from lumisplat.scene.checks import check_whole
+from lumisplat.math.transforms import transform_points
+from lumisplat.scene.camera import Camera, camera_pose
+from lumisplat.scene.checks import check_kind, check_whole
+from lumisplat.scene.up import Vector, up_vector
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 
@@ -70,6 +74,12 @@ class Gaussians:
     it beside the sky: SH coefficients of linear radiance by the direction that it comes from, shape (N, J, 3), J in 1,
     4, 9, 16; the radiance is max(sum, 0). It is kept for those who asked for it, and lights nothing."""
 
+    up: Vector | None = field(default=None, kw_only=True)
+    """Unit vector that points up in the capture; None: it does not say. Accepted as of `lumisplat.Scene`."""
+    first_view: Camera | None = field(default=None, kw_only=True)
+    """From where the capture is looked at first, such as from where one of its images was taken; what it looks at is
+    at its ``focus_distance``. None: it does not say."""
+
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
         def __init__(  # noqa: PLR0917
@@ -88,6 +98,8 @@ class Gaussians:
             kernel_degree: int = KERNEL_DEGREE,
             comments: tuple[str, ...] = (),
             incident: npt.ArrayLike | None = None,
+            up: str | npt.ArrayLike | None = None,
+            first_view: Camera | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -112,6 +124,10 @@ class Gaussians:
             if values is not None and values.shape[1] not in SH_DEGREE_FROM_COUNT:
                 raise SceneError(f"{name} has {values.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
         check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
+        if self.up is not None:
+            object.__setattr__(self, "up", up_vector(self.up))
+        if self.first_view is not None:
+            check_kind("first_view", self.first_view, Camera, "a Camera")
         refuse_rows("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
             values = getattr(self, name)
@@ -160,7 +176,8 @@ class Gaussians:
 def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
     """Joins sets in the same space into one, in order. Optional arrays are kept if all sets have them.
 
-    Harmonics of lower degree are padded with zeros. The comments are those of the first set.
+    Harmonics of lower degree are padded with zeros. The comments are those of the first set; up and first view are
+    those of the first set that says them.
 
     Raises:
         SceneError: The list is empty, only some sets are antialiased, or their kernel degrees differ.
@@ -180,4 +197,29 @@ def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
         for column in columns:
             column[name] = np.pad(column[name], ((0, 0), (0, most - column[name].shape[1]), (0, 0)))
     joined = {name: read_only_view(np.concatenate([column[name] for column in columns])) for name in shared}
-    return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined))
+    said = {
+        name: next((value for one in sets if (value := getattr(one, name)) is not None), None)
+        for name in ("up", "first_view")
+    }
+    return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined | said))
+
+
+def moved_orientation(gaussians: Gaussians, new_from_old: Doubles) -> dict[str, Any]:
+    """Returns ``up`` and ``first_view`` of a capture that an affine matrix, shape (4, 4), moves, if it has one.
+
+    Directions turn by the rotation that is nearest to the matrix; the eye and what it looks at move with the capture.
+    """
+    if gaussians.up is None and gaussians.first_view is None:
+        return {}
+    left, _, right = np.linalg.svd(new_from_old[:3, :3])
+    turn = left @ right
+    up, view = gaussians.up, gaussians.first_view
+    if view is not None:
+        _, down, forward = view.camera_from_world[:3, :3]
+        eye, target = transform_points(new_from_old, np.stack([view.eye, view.eye + view.focus_distance * forward]))
+        distance = float(np.linalg.norm(target - eye))
+        side = np.cross(turn @ down, target - eye)
+        pose = camera_pose(eye, side / np.linalg.norm(side), (target - eye) / distance)
+        factor = distance / view.focus_distance
+        view = replace(view, camera_from_world=pose, focus_distance=distance, near=factor * view.near)
+    return {"up": None if up is None else up_vector(np.round(turn @ up, 12) + 0.0), "first_view": view}

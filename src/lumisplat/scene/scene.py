@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,13 +16,14 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, box_text
 from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.math.transforms import transform_points
+from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
-from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.placing import PlacedInstance, Placing
-from lumisplat.scene.up import UP_AXES, Vector, front_vector, up_vector
+from lumisplat.scene.up import UP_AXES, Vector, up_vector, y_up_from
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
@@ -176,8 +177,36 @@ class Scene:
 
     @property
     def up_direction(self) -> Vector:
-        """Unit vector that points up: ``up``, else y down for a scene with a capture, y up for one of meshes alone."""
-        return up_vector("y-down" if self.splats else "y-up") if self.up is None else self.up
+        """Unit vector that points up: ``up``, else that of the first capture that says its own, else a guess.
+
+        The guess is y down for a scene with a capture, y up for one of meshes alone. `up_source` says which it is.
+        """
+        if self.up is not None:
+            return self.up
+        stated = self._stated_up()
+        return up_vector("y-down" if self.splats else "y-up") if stated is None else stated
+
+    @property
+    def up_source(self) -> Literal["scene", "capture", "guess"]:
+        """Where `up_direction` comes from: ``up`` of the scene, a capture that says its own, or a guess."""
+        if self.up is not None:
+            return "scene"
+        return "guess" if self._stated_up() is None else "capture"
+
+    @property
+    def first_view(self) -> Camera | None:
+        """World-space view of the first capture that says from where it is looked at first; None: none says it."""
+        for instance in self.splats:
+            if instance.gaussians.first_view is not None:
+                return moved_orientation(instance.gaussians, instance.transform)["first_view"]
+        return None
+
+    def _stated_up(self) -> Vector | None:
+        """Returns up as the first capture has it that says its own, where it is placed."""
+        for instance in self.splats:
+            if instance.gaussians.up is not None:
+                return moved_orientation(instance.gaussians, instance.transform)["up"]
+        return None
 
     @property
     def upright_wxyz(self) -> tuple[float, float, float, float]:
@@ -185,9 +214,7 @@ class Scene:
 
         The side of it that is seen along -z, as glTF has it, becomes the front.
         """
-        up = np.array(self.up_direction)
-        front = front_vector(up)
-        w, x, y, z = quaternions_from_matrices(np.stack([np.cross(up, front), up, front], axis=1)[None])[0]
+        w, x, y, z = quaternions_from_matrices(y_up_from(self.up_direction).T[None])[0]
         return float(w), float(x), float(y), float(z)
 
     def bounds(self) -> Bounds:

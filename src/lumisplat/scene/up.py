@@ -49,6 +49,18 @@ def up_vector(up: str | npt.ArrayLike) -> Vector:
     return x, y, z
 
 
+def y_up_from(up: npt.ArrayLike) -> Doubles:
+    """Returns the rotation after which y is up and the front is z, as in glTF: for y down, half a turn about x.
+
+    Its shape is (3, 3).
+
+    Args:
+        up: Unit vector that points up, shape (3,).
+    """
+    upward, front = np.asarray(up, dtype=np.float64), front_vector(up)
+    return np.stack([np.cross(upward, front), upward, front])
+
+
 def front_vector(up: npt.ArrayLike) -> Doubles:
     """The horizontal unit vector towards the eye that sees a scene from the front, shape (3,).
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.usd.stage import upright
 from lumisplat.scene.primitives import box
+from lumisplat.scene.up import y_up_from
 from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import capture
 from support.files.usd_files import usd_core, validation_messages, write_usda
@@ -50,7 +50,7 @@ def test_round_trip(tmp_path: Path, extension: str, up: str) -> None:
     loaded = ls.load_animation(path)
     assert (loaded.fps, loaded.frame_count) == (10.0, 11)
     turn = np.eye(4)
-    turn[:3, :3] = upright(saved.scene.up_direction)  # it stands with y up
+    turn[:3, :3] = y_up_from(saved.scene.up_direction)  # it stands with y up
     assert [actor.name for actor in loaded.actors] == ["flies", "slides"]
     assert [one.name for one in loaded.scene.splats] == ["still"] and not loaded.scene.meshes
     assert loaded.camera_path is not None and saved.camera_path is not None

@@ -14,9 +14,9 @@ import pytest
 import lumisplat as ls
 from lumisplat.errors import FormatError
 from lumisplat.io.usd.scene import shows_one_capture
-from lumisplat.io.usd.stage import upright
 from lumisplat.math.rotations import quaternions_from_matrices, rotation_matrix
 from lumisplat.scene.lights import Light
+from lumisplat.scene.up import y_up_from
 from support.files.splat_files import capture
 from support.files.usd_files import EXTENSIONS, usd_core, validation_messages
 from support.kinds import expect_kind
@@ -68,7 +68,7 @@ def turned(light: Light, turn: npt.NDArray[np.float64]) -> Light:
 def standing(scene: ls.Scene) -> ls.Scene:
     """The scene, turned so that y is up and its front at +z."""
     turn = np.eye(4)
-    turn[:3, :3] = upright(scene.up_direction)
+    turn[:3, :3] = y_up_from(scene.up_direction)
     return ls.Scene(
         [replace(one, world_from_object=turn @ one.transform) for one in scene.splats],
         [replace(one, world_from_object=turn @ one.transform) for one in scene.meshes],

@@ -14,6 +14,7 @@ import numpy as np
 from lumisplat.errors import FormatError
 from lumisplat.io.files.format import BLOCKS
 from lumisplat.io.files.source import PathLike, read_bytes
+from lumisplat.io.splats.orientation import UNSTATED, Orientation, orientation_of, orientation_values
 from lumisplat.math.arrays import Doubles
 
 INDEX = BLOCKS
@@ -56,11 +57,18 @@ class BlockIndex:
     """Coefficients of harmonics: 1, 4, 9 or 16."""
     antialiased: bool
     blocks: tuple[Block, ...]
+    orientation: Orientation = UNSTATED
+    """Up and first view."""
 
     @property
     def count(self) -> int:
         """Gaussians of the finest level."""
         return sum(block.levels[0].count for block in self.blocks)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What its `Gaussians` have beside their arrays."""
+        return {"antialiased": self.antialiased, **self.orientation._asdict()}
 
     @property
     def row_bytes(self) -> int:
@@ -88,7 +96,7 @@ class BlockIndex:
             for block in self.blocks
         ]
         head = {"version": VERSION, "count": self.count, "sh_count": self.sh_count, "antialiased": self.antialiased}
-        return json.dumps(head | {"blocks": blocks}) + "\n"
+        return json.dumps(head | orientation_values(*self.orientation) | {"blocks": blocks}) + "\n"
 
 
 def open_blocks(folder: PathLike) -> BlockIndex:
@@ -111,6 +119,7 @@ def open_blocks(folder: PathLike) -> BlockIndex:
             _one_of(stored["sh_count"], (1, 4, 9, 16)),
             bool(stored["antialiased"]),
             tuple(_block(one) for one in stored["blocks"]),
+            orientation_of(path, stored),
         )
         if not index.blocks:
             raise ValueError("it has no blocks")

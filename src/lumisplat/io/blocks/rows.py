@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,19 +31,19 @@ def packed(gaussians: Gaussians) -> FloatArray:
     return np.concatenate(columns, axis=1, dtype=np.float32)
 
 
-def unpacked(rows: FloatArray, *, antialiased: bool) -> Gaussians:
-    """The Gaussians of rows."""
-    return joined([rows], len(rows), rows.shape[1], antialiased=antialiased)
+def unpacked(rows: FloatArray, **settings: Any) -> Gaussians:
+    """The Gaussians of rows; ``settings`` as of `joined`."""
+    return joined([rows], len(rows), rows.shape[1], **settings)
 
 
-def joined(pieces: Iterable[FloatArray], count: int, width: int, *, antialiased: bool) -> Gaussians:
+def joined(pieces: Iterable[FloatArray], count: int, width: int, **settings: Any) -> Gaussians:
     """The Gaussians of rows in pieces, in memory once and a piece beside.
 
     Args:
         pieces: Rows, shape (n, width) each.
         count: How many there are of all pieces.
         width: Of a row.
-        antialiased: As of `Gaussians`.
+        **settings: ``antialiased``, ``up`` and ``first_view`` of `Gaussians`.
     """
     columns = [np.empty((count, *shape), np.float32) for shape in ((3,), (4,), (3,), (), ((width - GAUSSIAN_FLOATS),))]
     first = 0
@@ -54,7 +55,7 @@ def joined(pieces: Iterable[FloatArray], count: int, width: int, *, antialiased:
     for column in columns:
         column.flags.writeable = False  # so that none is copied
     means, rotations, scales, opacities, sh = columns
-    return Gaussians(means, rotations, scales, opacities, sh.reshape(count, -1, 3), antialiased=antialiased)
+    return Gaussians(means, rotations, scales, opacities, sh.reshape(count, -1, 3), **settings)
 
 
 def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -> FloatArray:

@@ -78,7 +78,7 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     levels = [index.blocks[part.block].levels[part.level] for part in parts]
     width = index.row_bytes // 4
     rows = (read_rows(index.folder / level.file, width, level.count) for level in levels)
-    return joined(rows, sum(level.count for level in levels), width, antialiased=index.antialiased)
+    return joined(rows, sum(level.count for level in levels), width, **index.settings)
 
 
 def all_blocks(index: BlockIndex, level: int = 0) -> list[BlockPart]:
@@ -129,7 +129,7 @@ def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
         level = block.levels[0]
         rows.append(read_rows(index.folder / level.file, width, level.count, slice(first, None, step)))
         first = (first - level.count) % step  # as of the rows of all blocks, one after the other
-    return unpacked(np.concatenate(rows), antialiased=index.antialiased)
+    return unpacked(np.concatenate(rows), **index.settings)
 
 
 def bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:

@@ -19,6 +19,7 @@ from lumisplat.io.blocks.rows import packed, pieces, read_rows, unpacked
 from lumisplat.io.files.atomic import atomic_write, writers_of
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.columns import warn_lost_materials
+from lumisplat.io.splats.orientation import UNSTATED, Orientation
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
@@ -119,6 +120,7 @@ class _Writer:
     def __init__(self, folder: Path, cell: float, levels: int, block_max: int) -> None:
         self._folder, self._cell, self._levels, self._block_max = folder, cell, levels, block_max
         self._kind: tuple[int, bool] | None = None
+        self._orientation = UNSTATED
         self._count = 0
 
     def write(self, chunks: Iterable[Gaussians], progress: Callable[[float], None]) -> BlockIndex:
@@ -137,13 +139,14 @@ class _Writer:
                 blocks.append(block)
                 done += 4 * self._width * block.levels[0].count
                 progress(done / total)
-        return BlockIndex(self._folder, sh_count, antialiased, tuple(blocks))
+        return BlockIndex(self._folder, sh_count, antialiased, tuple(blocks), self._orientation)
 
     def _check(self, chunk: Gaussians) -> None:
         kind = chunk.sh.shape[1], chunk.antialiased
         if chunk.kernel_degree != KERNEL_DEGREE:
             raise SceneError(f"a capture of kernel degree {chunk.kernel_degree}: blocks are rasterised, as Gaussians")
         if self._kind is None:
+            self._orientation = Orientation(chunk.up, chunk.first_view)
             warn_lost_materials(self._folder, "a capture in blocks", chunk)
         if self._kind not in (None, kind):
             raise SceneError("the parts of a capture differ in the degree of their harmonics, or in antialiasing")

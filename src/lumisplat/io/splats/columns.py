@@ -14,6 +14,7 @@ from lumisplat.constants import KERNEL_DEGREE, LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.material_columns import FIELDS, LINEAR, MaterialColumns
+from lumisplat.io.splats.orientation import UNSTATED, Orientation
 from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.scene.gaussians import Gaussians
 
@@ -49,6 +50,8 @@ class SplatColumns:
     antialiased: bool = False
     kernel_degree: int = KERNEL_DEGREE
     comments: tuple[str, ...] = ()
+    orientation: Orientation = UNSTATED
+    """Up and first view, in the axes of the means."""
 
     @property
     def count(self) -> int:
@@ -149,6 +152,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
             antialiased=columns.antialiased,
             kernel_degree=columns.kernel_degree,
             comments=columns.comments,
+            **columns.orientation._asdict(),
         )
     except SceneError as error:
         raise FormatError(path, str(error)) from None

@@ -22,6 +22,7 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.io.ply.header import PlyHeader, ply_header_bytes
 from lumisplat.io.ply.rows import PlyRows, read_ply_element, read_ply_rows
 from lumisplat.io.splats.columns import Floats, SplatColumns, harmonic_names, warn_lost_materials
+from lumisplat.io.splats.orientation import orientation_of_comments, without_orientation
 from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splats.splat_ply import antialiased_from_comments, comments_with_settings, kernel_degree_from_comments
 from lumisplat.scene.editing.morton import morton_order
@@ -83,7 +84,8 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
         opacities_are_logits=False,
         antialiased=antialiased_from_comments(header.comments),
         kernel_degree=kernel_degree_from_comments(header.comments),
-        comments=header.comments,
+        comments=without_orientation(header.comments),
+        orientation=orientation_of_comments(header.path, header.comments),
     )
 
 

@@ -38,6 +38,11 @@ from lumisplat.io.splats.material_columns import (
     material_columns_of,
     says_linear,
 )
+from lumisplat.io.splats.orientation import (
+    comments_with_orientation,
+    orientation_of_comments,
+    without_orientation,
+)
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians
 
@@ -74,7 +79,7 @@ def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
 
 
 def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
-    """The comments of a capture, changed where needed to state its antialiased flag and its kernel degree.
+    """The comments of a capture, changed where needed to state its antialiased flag, kernel degree, up and first view.
 
     Comments that state another value are removed; usual values need no comment.
     """
@@ -87,7 +92,7 @@ def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
         comments = tuple(comment for comment in comments if not _KERNEL_DEGREE.fullmatch(comment))
         if gaussians.kernel_degree != KERNEL_DEGREE:
             comments += (KERNEL_DEGREE_COMMENT.format(gaussians.kernel_degree),)
-    return comments
+    return comments_with_orientation(gaussians, comments)
 
 
 def is_gaussian_element(vertex: PlyElement) -> bool:
@@ -143,6 +148,7 @@ def columns_of_rows(header: PlyHeader, vertex: PlyElement, coefficients: int, ro
     columns = _allocate(replace(header, comments=()), replace(vertex, count=len(rows), properties=()), coefficients)
     columns.antialiased = antialiased_from_comments(header.comments)
     columns.kernel_degree = kernel_degree_from_comments(header.comments)
+    columns.orientation = orientation_of_comments(header.path, header.comments)
     for start in range(0, len(rows), _CACHED_ROWS):
         _fill(columns, start, rows[start : start + _CACHED_ROWS])
     _flatten_2d(columns, vertex)
@@ -207,7 +213,8 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
         material_columns=materials,
         antialiased=antialiased_from_comments(header.comments),
         kernel_degree=kernel_degree_from_comments(header.comments),
-        comments=header.comments,
+        comments=without_orientation(header.comments),
+        orientation=orientation_of_comments(header.path, header.comments),
     )
 
 

@@ -9,10 +9,12 @@ Layout: https://github.com/nianticlabs/spz.
 from __future__ import annotations
 
 import itertools
+import json
 import logging
 import math
 import os
 import struct
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +27,7 @@ from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike, read_bytes
 from lumisplat.io.splats.axes import mirror_axes
 from lumisplat.io.splats.columns import SplatColumns, columns_from_gaussians, warn_lost_materials
+from lumisplat.io.splats.orientation import UNSTATED, Orientation, orientation_of_text, orientation_values
 from lumisplat.io.splats.spz_header import (
     FLAG_ANTIALIASED,
     FLAG_EXTENSIONS,
@@ -58,6 +61,9 @@ _SIZE_UNKNOWN = -1
 EXTENSION_COORDINATES = 0xADBE0003
 """Extension SPZ_ADOBE_coordinate_system: one u32 that names the axes."""
 
+EXTENSION_ORIENTATION = 0x4C530001
+"""Our own extension: up and first view as JSON (`lumisplat.io.splats.orientation`), in our axes. Others skip it."""
+
 COORDINATES = ("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
 """Axes by that number: right or left, up or down, back or front; 0 is unspecified. Numbers 9 to 16 exchange y and z and
 are not supported."""
@@ -77,8 +83,25 @@ def read_spz(path: PathLike) -> SplatColumns:
         header, columns, extensions = _read_v4(path, data)
     else:
         raise FormatError(path, "is not an SPZ file: neither gzip nor NGSP at its start")
-    axes = _stored_axes(path, extensions) if header.flags & FLAG_EXTENSIONS else "RUB"
-    return replace(mirror_axes(columns, rdf_signs(axes)), antialiased=bool(header.flags & FLAG_ANTIALIASED))
+    records = dict(_records(extensions)) if header.flags & FLAG_EXTENSIONS else {}
+    columns = mirror_axes(columns, rdf_signs(_stored_axes(path, records)))
+    columns.antialiased = bool(header.flags & FLAG_ANTIALIASED)
+    columns.orientation = _stored_orientation(path, records)
+    return columns
+
+
+def read_spz_orientation(path: PathLike) -> Orientation:
+    """Reads up and first view alone; those of versions before 4, which we never write, are not looked for.
+
+    Raises:
+        FormatError: The file is damaged.
+    """
+    data = read_bytes(path)
+    if data[:4] != b"NGSP" or len(data) < HEADER_V4.size:
+        return UNSTATED
+    header = parse_spz_header(path, data, range(4, 5), len(data))
+    records = _records(data[HEADER_V4.size : HEADER_V4.unpack_from(data)[-1]])
+    return _stored_orientation(path, dict(records) if header.flags & FLAG_EXTENSIONS else {})
 
 
 def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
@@ -125,18 +148,29 @@ def rdf_signs(axes: str) -> tuple[int, int, int]:
     return (1 if x == "R" else -1, 1 if y == "D" else -1, 1 if z == "F" else -1)
 
 
-def _stored_axes(path: PathLike, extensions: bytes) -> str:
-    """The axes that an extension record names, RUB if none does."""
+def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
+    """Extension records: their kinds and what they hold; the last may be cut off."""
     start = 0
     while start + 8 <= len(extensions):
         kind, size = struct.unpack_from("<II", extensions, start)
-        if kind == EXTENSION_COORDINATES and size == 4 and start + 12 <= len(extensions):
-            (coordinates,) = struct.unpack_from("<I", extensions, start + 8)
-            if coordinates >= len(COORDINATES):
-                raise FormatError(path, f"its axes (SPZ_ADOBE_coordinate_system {coordinates}) are not supported")
-            return COORDINATES[coordinates]
+        yield kind, extensions[start + 8 : start + 8 + size]
         start += 8 + size
-    return "RUB"
+
+
+def _stored_axes(path: PathLike, records: dict[int, bytes]) -> str:
+    """The axes that an extension record names, RUB if none does."""
+    stored = records.get(EXTENSION_COORDINATES, b"")
+    if len(stored) != 4:
+        return "RUB"
+    (coordinates,) = struct.unpack("<I", stored)
+    if coordinates >= len(COORDINATES):
+        raise FormatError(path, f"its axes (SPZ_ADOBE_coordinate_system {coordinates}) are not supported")
+    return COORDINATES[coordinates]
+
+
+def _stored_orientation(path: PathLike, records: dict[int, bytes]) -> Orientation:
+    """Up and first view, of our own extension record."""
+    return orientation_of_text(path, records.get(EXTENSION_ORIENTATION, b"{}"))
 
 
 def write_spz(path: PathLike, gaussians: Gaussians) -> None:
@@ -166,9 +200,15 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
     toc = [(len(stream), len(section)) for stream, section in zip(streams, sections, strict=True)]
     flags = FLAG_ANTIALIASED if gaussians.antialiased else 0
     degree = gaussians.sh_degree
-    header = HEADER_V4.pack(MAGIC, 4, columns.count, degree, bits, flags, len(streams), HEADER_V4.size)
+    record = b""
+    if stated := orientation_values(gaussians.up, gaussians.first_view):
+        text = json.dumps(stated).encode()
+        record = struct.pack("<II", EXTENSION_ORIENTATION, len(text)) + text
+        flags |= FLAG_EXTENSIONS
+    table = HEADER_V4.size + len(record)
+    header = HEADER_V4.pack(MAGIC, 4, columns.count, degree, bits, flags, len(streams), table)
     with atomic_write(path) as temporary:
-        temporary.write_bytes(b"".join([header, np.array(toc, "<u8").tobytes(), *streams]))
+        temporary.write_bytes(b"".join([header, record, np.array(toc, "<u8").tobytes(), *streams]))
 
 
 def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, KERNEL_DEGREE_MAX, SCALE_MIN, SH_DEGREE_MAX
 from lumisplat.io.splats.columns import SplatColumns
+from lumisplat.io.splats.orientation import orientation_of_text
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.stage import UsdFile
 from lumisplat.io.usd.values import array, hints_of, number
@@ -76,6 +77,7 @@ def read_particles(file: UsdFile, prim: Any) -> SplatColumns | None:
         antialiased=bool(hints.get("antialiased", False)),
         kernel_degree=int(np.clip(hints.get("kernelDegree", KERNEL_DEGREE), 0, KERNEL_DEGREE_MAX)),
         comments=tuple(str(line) for line in hints.get("comments", ())),
+        orientation=orientation_of_text(file.path, hints.get("orientation", "{}")),
     )
 
 

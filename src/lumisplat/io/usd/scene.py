@@ -12,6 +12,7 @@ from lumisplat.config.renamed import with_present_keys
 from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.gltf.gaussians.placed import alone
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.io.splats.columns import gaussians_from_columns
 from lumisplat.io.usd.library import pxr, reading_usd
@@ -24,13 +25,9 @@ from lumisplat.io.usd.values import hints_of
 from lumisplat.io.usd.walk import Placed, placed_prims
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.editing.affine import under_affine
-from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
-
-_Y_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Half a turn about x: captures have y down."""
 
 _NO_SHAPE = ("xformOp:", "visibility", "extent", "velocities", "accelerations", "angularVelocities")
 """How attributes begin that may change with time though the shape stays."""
@@ -161,8 +158,7 @@ class Reading:
         only = self.splats[0]
         if only.material is not None or only.shadow_catcher or only.sh_degree < SH_DEGREE_MAX:
             return None
-        place = _Y_DOWN @ only.transform
-        return only.gaussians if np.array_equal(place, np.eye(4)) else transform(only.gaussians, place)
+        return alone(only)
 
     def at(self, placed: Placed, code: float) -> list[SplatInstance | MeshInstance]:
         """A prim of `deforming` at a time code, in its place."""

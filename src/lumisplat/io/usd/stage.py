@@ -17,7 +17,6 @@ from lumisplat.io.usd.opening.guards import check_layers
 from lumisplat.io.usd.remarks import Remarks
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.rotations import axis_rotation
-from lumisplat.scene.up import Vector, front_vector
 
 HINT = "lumisplat"
 """Dictionary in the custom data of a prim in which we note what the format has no place for."""
@@ -66,14 +65,6 @@ def open_usd(path: Path) -> UsdFile:
     for error in stage.GetCompositionErrors():
         remarks.add("layers that cannot be composed", _first_line(str(error), path))
     return UsdFile(path, stage, _shown_time(stage), _world_from_stage(path, stage, remarks), remarks)
-
-
-def upright(up: Vector) -> Doubles:
-    """The rotation that stands a scene upright in a stage with y up, shape (3, 3): half a turn about x for y down."""
-    upward = np.array(up)
-    front = front_vector(upward)
-    # As for glTF, whose front is seen along -z.
-    return np.stack([np.cross(upward, front), upward, front])
 
 
 def _shown_time(stage: Any) -> Any:

@@ -11,7 +11,7 @@ from lumisplat.math.arrays import Doubles, matrix_4x4, read_only_view
 from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.editing.transform import turned_harmonics
-from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.gaussians import Gaussians, moved_orientation
 
 _BLOCK = 2**16
 """Gaussians whose axes are found at once."""
@@ -54,4 +54,5 @@ def under_affine(gaussians: Gaussians, matrix: Doubles) -> Gaussians:
     if gaussians.normals is not None:
         changed["normals"] = gaussians.normals @ np.linalg.inv(linear)  # rows, so that this is the inverse transpose
     with np.errstate(over="ignore", under="ignore"):  # what is too large is refused
-        return replace(gaussians, **{name: read_only_view(v.astype(np.float32)) for name, v in changed.items()})
+        arrays = {name: read_only_view(v.astype(np.float32)) for name, v in changed.items()}
+        return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old))

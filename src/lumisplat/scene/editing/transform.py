@@ -13,7 +13,7 @@ from lumisplat.math.rotations import multiply_quaternions, quaternions_from_matr
 from lumisplat.math.sh import sh_rotation
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_argument, check_positive
-from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians
+from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians, moved_orientation
 from lumisplat.scene.scene import check_similarity
 
 _Vector = npt.ArrayLike
@@ -40,7 +40,7 @@ def transform(
         translation: then moved by this, scene units.
 
     Returns:
-        The moved Gaussians; opacities and materials are the same arrays.
+        The moved Gaussians, with up and first view moved likewise; opacities and materials are the same arrays.
 
     Raises:
         SceneError: A number is not finite, ``scale`` is not positive, or ``matrix`` mirrors, shears or scales the axes
@@ -63,7 +63,8 @@ def transform(
     if gaussians.normals is not None:
         changed["normals"] = gaussians.normals @ rotation.T
     with np.errstate(over="ignore", under="ignore"):  # too large or too small: refused
-        return replace(gaussians, **{name: read_only_view(v.astype(np.float32)) for name, v in changed.items()})
+        arrays = {name: read_only_view(v.astype(np.float32)) for name, v in changed.items()}
+        return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old))
 
 
 def turned_harmonics(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:

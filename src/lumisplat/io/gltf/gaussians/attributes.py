@@ -16,10 +16,12 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from lumisplat.constants import KERNEL_DEGREE, SH_DEGREE_MAX
+from lumisplat.io.files.source import PathLike
 from lumisplat.io.gltf.extras import own_extras
 from lumisplat.io.gltf.primitive import GltfPrimitive
 from lumisplat.io.splats.axes import mirror_axes
 from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
+from lumisplat.io.splats.orientation import orientation_of
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.display_sh import display_sh
@@ -111,7 +113,7 @@ def read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> G
         scales_are_logarithms=are_logarithms,
         opacities_are_logits=False,
         **_materials(primitive, count, own),
-        **_settings(own),
+        **_settings(primitive.file.path, own),
     )
     if is_linear:
         _log.warning(
@@ -223,11 +225,12 @@ def _materials(primitive: GltfPrimitive, count: int, own: dict[str, Any] | None)
     return found
 
 
-def _settings(own: dict[str, Any] | None) -> dict[str, Any]:
+def _settings(path: PathLike, own: dict[str, Any] | None) -> dict[str, Any]:
     """Settings of a capture that the extension does not have."""
     own = own or {}
     return {
         "antialiased": own.get("antialiased") is True,
         "kernel_degree": own.get("kernel_degree", KERNEL_DEGREE),
         "comments": tuple(comment for comment in own.get("comments", ()) if isinstance(comment, str)),
+        "orientation": orientation_of(path, own),
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,10 @@ from lumisplat.scene.editing.affine import under_affine
 from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import SplatInstance, check_similarity
+from lumisplat.scene.up import y_up_from
+
+_SAME_PLACE = 1e-6
+"""Error of the matrix of a node that is written as a quaternion."""
 
 _DEGENERATE = 1e-9
 """Determinant, with columns of unit length, below which a node has flattened its Gaussians."""
@@ -117,8 +121,17 @@ class GltfCaptures:
 def alone(instance: SplatInstance) -> Gaussians:
     """The Gaussians of a file that has nothing else, where its node has them, in the axes of captures.
 
+    One that says its up, and that stands upright in the file, comes back as it was before it was stood upright.
+
     Raises:
         SceneError: They are too far away or too large.
     """
-    moved = CAPTURE_FROM_FILE @ instance.transform
-    return instance.gaussians if np.array_equal(moved, np.eye(4)) else transform(instance.gaussians, moved)
+    gaussians, place = instance.gaussians, instance.transform
+    if gaussians.up is not None:
+        upright = np.eye(4)
+        upright[:3, :3] = y_up_from(gaussians.up)
+        if np.allclose(place, upright, rtol=0.0, atol=_SAME_PLACE):
+            return gaussians
+    moved = CAPTURE_FROM_FILE @ place
+    gaussians = replace(gaussians, up=np.linalg.inv(place[:3, :3])[:, 1])  # files have y up
+    return gaussians if np.array_equal(moved, np.eye(4)) else transform(gaussians, moved)

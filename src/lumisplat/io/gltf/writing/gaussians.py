@@ -12,6 +12,7 @@ from lumisplat.io.gltf.gaussians.attributes import CAPTURE_SIGNS, EXTENSION, MAT
 from lumisplat.io.gltf.writing.document import GltfDocument
 from lumisplat.io.splats.axes import mirror_axes
 from lumisplat.io.splats.columns import SplatColumns
+from lumisplat.io.splats.orientation import orientation_values
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.gaussians import Gaussians
 
@@ -80,4 +81,5 @@ def _settings(gaussians: Gaussians) -> dict[str, Any]:
     settings: dict[str, Any] = {"antialiased": True} if gaussians.antialiased else {}
     if gaussians.kernel_degree != KERNEL_DEGREE:
         settings["kernel_degree"] = gaussians.kernel_degree
+    settings |= orientation_values(gaussians.up, gaussians.first_view)
     return settings | ({"comments": list(gaussians.comments)} if gaussians.comments else {})

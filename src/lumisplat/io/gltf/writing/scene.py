@@ -23,7 +23,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light, LightEnvironment, LightRect
 from lumisplat.scene.ops.placed_mesh import placed_mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import front_vector
+from lumisplat.scene.up import y_up_from
 
 _log = logging.getLogger("lumisplat")
 
@@ -65,10 +65,8 @@ def write_gltf(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> 
 
 def upright(scene: Scene) -> Matrix:
     """``file_from_world``: the up of the scene becomes y, its front z."""
-    up = np.array(scene.up_direction)
-    front = front_vector(up)
     matrix = np.eye(4)
-    matrix[:3, :3] = np.stack([np.cross(up, front), up, front])
+    matrix[:3, :3] = y_up_from(scene.up_direction)
     return matrix
 
 

@@ -20,7 +20,8 @@ from lumisplat.io.files.format import STREAMED_SOG
 from lumisplat.io.files.references import referenced_file
 from lumisplat.io.files.source import PathLike, parsing, read_bytes
 from lumisplat.io.splats.columns import REQUIRED, SplatColumns, joined_columns
-from lumisplat.io.splats.sog.reader import read_sog
+from lumisplat.io.splats.orientation import orientation_of
+from lumisplat.io.splats.sog.reader import OURS, read_sog
 
 _log = logging.getLogger("lumisplat")
 
@@ -75,7 +76,8 @@ def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None
             raise FormatError(path, f"holds zero Gaussians at level {level}: there is nothing to render")
         if any(part.opacities_are_logits != parts[0].opacities_are_logits for part in parts):
             raise FormatError(path, "names captures of SOG version 1 and of version 2, expected one version")
-        return joined_columns(parts)
+        joined = joined_columns(parts)
+        return replace(joined, orientation=orientation_of(path, meta[OURS])) if OURS in meta else joined
 
 
 def _leaves(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:

@@ -19,6 +19,8 @@ import numpy as np
 from lumisplat.constants.sog import SOG_CHUNK_COUNT, SOG_CHUNK_EXTENT, SOG_LEAF_LEAST, SOG_LEVEL_LEAST
 from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.splats.orientation import orientation_values
+from lumisplat.io.splats.sog.reader import OURS
 from lumisplat.io.splats.sog.writer import remove_file, sog_contents, warn_losses, write_folder
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.rotations import matrices_from_quaternions
@@ -106,6 +108,8 @@ def _write_all(path: Path, gaussians: Gaussians, written: list[Path]) -> None:
         "filenames": units.names,
         "tree": tree,
     }
+    if stated := orientation_values(gaussians.up, gaussians.first_view):
+        meta[OURS] = stated
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(meta, separators=(",", ":")))
 

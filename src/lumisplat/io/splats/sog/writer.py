@@ -25,9 +25,10 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.columns import Floats, warn_lost_materials
+from lumisplat.io.splats.orientation import orientation_values
 from lumisplat.io.splats.smallest_three import pack_smallest_three
 from lumisplat.io.splats.sog.codebook import encode, fit_codebook
-from lumisplat.io.splats.sog.reader import PALETTE_COLUMNS, QUATERNION_TAG
+from lumisplat.io.splats.sog.reader import OURS, PALETTE_COLUMNS, QUATERNION_TAG
 from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
 
@@ -128,6 +129,8 @@ def sog_contents(gaussians: Gaussians) -> Contents:
         "count": gaussians.count,
         "antialias": gaussians.antialiased,
     }
+    if stated := orientation_values(gaussians.up, gaussians.first_view):
+        meta[OURS] = stated
 
     def add(name: str, pixels: Bytes, width: int = side) -> str:
         images[f"{name}.webp"] = _image(pixels, width)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import KERNEL_DEGREE
+from lumisplat.io.splats.orientation import orientation_values
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.particles import COLOR_SPACE, PRIMVARS
 from lumisplat.io.usd.writing.stage import StageWriter
@@ -78,5 +80,7 @@ def _write_hints(writer: StageWriter, prim: Any, gaussians: Gaussians) -> None:
     if gaussians.kernel_degree != KERNEL_DEGREE:
         writer.hint(prim, kernelDegree=gaussians.kernel_degree)
         writer.remarks.add(f"kernel degree {gaussians.kernel_degree}, which only Lumisplat will know")
+    if stated := orientation_values(gaussians.up, gaussians.first_view):
+        writer.hint(prim, orientation=json.dumps(stated))
     if gaussians.comments:
         writer.hint(prim, comments=pxr().Vt.StringArray(list(gaussians.comments)))

@@ -13,10 +13,10 @@ import numpy as np
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.remarks import Remarks
-from lumisplat.io.usd.stage import HINT, upright
+from lumisplat.io.usd.stage import HINT
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.textures import Texture
-from lumisplat.scene.up import Vector, up_vector
+from lumisplat.scene.up import Vector, up_vector, y_up_from
 
 ROOT = "/World"
 """Path of the prim that holds everything."""
@@ -51,7 +51,7 @@ class StageWriter:
         root = px.UsdGeom.Xform.Define(self.stage, ROOT)
         self.stage.SetDefaultPrim(root.GetPrim())
         turn = np.eye(4)
-        turn[:3, :3] = np.eye(3) if is_z_up else upright(self.up)
+        turn[:3, :3] = np.eye(3) if is_z_up else y_up_from(self.up)
         self.place(root.GetPrim(), turn)
 
     def path_of(self, name: str, parent: str = ROOT) -> str:

@@ -1,0 +1,159 @@
+"""Up and first view of a capture, as files state them: plain values of JSON, and comments of PLY headers.
+
+A file of any format has ``{"up": [x, y, z], "first_view": {"eye", "target", "up", "fov_y", "width", "height"}}``, in
+the axes in which its Gaussians are loaded. PLY headers have a comment for each, ``lumisplat up 0 0 1`` and
+``lumisplat first_view {...}``; of other programs they understand nerfstudio's ``Vertical Axis: z``.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from lumisplat.errors import SceneError
+from lumisplat.io.files.source import PathLike
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.up import Vector, up_vector
+
+_log = logging.getLogger("lumisplat")
+
+_UP = re.compile(r"\s*lumisplat\s+up\s+(?P<numbers>.*)", re.I)
+_FIRST_VIEW = re.compile(r"\s*lumisplat\s+first_view\s+(?P<values>\{.*)", re.I)
+_VERTICAL_AXIS = re.compile(r"\s*(?:vertical|up)[ _-]*axis\s*[:=]?\s*(?P<sign>[+-]?)(?P<axis>[xyz])\b.*", re.I)
+"""The comment of nerfstudio's ``ns-export gaussian-splat``, and its like."""
+
+_DIGITS = 9
+"""Significant digits of numbers in files: those of float32, as Gaussians have."""
+
+
+class Orientation(NamedTuple):
+    """What a file states."""
+
+    up: Vector | None = None
+    first_view: Camera | None = None
+
+
+UNSTATED = Orientation()
+"""What files state that say nothing of it."""
+
+
+def orientation_values(up: Vector | None, view: Camera | None) -> dict[str, Any]:
+    """Returns up and first view as values of JSON, those that are not None."""
+    values: dict[str, Any] = {}
+    if up is not None:
+        values["up"] = _rounded(up)
+    if view is not None:
+        down, forward = view.camera_from_world[1:3, :3]
+        values["first_view"] = {
+            "eye": _rounded(view.eye),
+            "target": _rounded(view.eye + view.focus_distance * forward),
+            "up": _rounded(-down),
+            "fov_y": _rounded([view.fov_y])[0],
+            "width": max(1, round(view.width * view.fy / view.fx)),  # of square pixels
+            "height": view.height,
+        }
+    return values
+
+
+def orientation_of(path: PathLike, values: object) -> Orientation:
+    """Returns what values of JSON state; what is wrong in them is left out, with a log line.
+
+    Args:
+        path: The file that has them, named in log lines.
+        values: As of `orientation_values`, from anybody.
+    """
+    stated: Mapping[str, Any] = cast("Mapping[str, Any]", values) if isinstance(values, Mapping) else {}
+    up = view = None
+    if "up" in stated:
+        try:
+            up = up_vector(stated["up"])
+        except SceneError as error:
+            _log.warning("%s: %s: not used", os.fspath(path), error)
+    if "first_view" in stated:
+        try:
+            with np.errstate(all="ignore"):  # numbers beyond measure are refused
+                view = _view_of(stated["first_view"])
+        except (SceneError, KeyError, TypeError, ValueError, OverflowError) as error:
+            _log.warning("%s: its first view is not used: %s", os.fspath(path), _reason(error))
+    return Orientation(up, view)
+
+
+def orientation_of_text(path: PathLike, text: str | bytes) -> Orientation:
+    """Returns what a JSON text states; arguments and log lines as of `orientation_of`."""
+    try:
+        return orientation_of(path, json.loads(text))
+    except (ValueError, TypeError, RecursionError):
+        _log.warning("%s: its up and first view are damaged: not used", os.fspath(path))
+        return UNSTATED
+
+
+def orientation_of_comments(path: PathLike, comments: tuple[str, ...]) -> Orientation:
+    """Returns what comments of a PLY header state; the last one of a kind counts, our own before those of others."""
+    axes = [match for match in map(_VERTICAL_AXIS.fullmatch, comments) if match]
+    ups = [match["numbers"] for match in map(_UP.fullmatch, comments) if match]
+    views = [match["values"] for match in map(_FIRST_VIEW.fullmatch, comments) if match]
+    stated: dict[str, Any] = {}
+    if axes:
+        stated["up"] = f"{axes[-1]['axis'].lower()}-{'down' if axes[-1]['sign'] == '-' else 'up'}"
+    if ups:
+        stated["up"] = ups[-1].split()
+        try:
+            stated["up"] = [float(number) for number in stated["up"]]
+        except ValueError:
+            pass  # said by `orientation_of`
+    if views:
+        try:
+            stated["first_view"] = json.loads(views[-1])
+        except (ValueError, RecursionError):
+            stated["first_view"] = views[-1]
+    return orientation_of(path, stated)
+
+
+def without_orientation(comments: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the comments without our own of up and first view, which fields of a capture hold."""
+    return tuple(line for line in comments if not (_UP.fullmatch(line) or _FIRST_VIEW.fullmatch(line)))
+
+
+def comments_with_orientation(gaussians: Gaussians, comments: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns comments that state up and first view of a capture; those of others that state another up are removed."""
+    comments = without_orientation(comments)
+    if orientation_of_comments("", comments).up != gaussians.up:
+        comments = tuple(line for line in comments if not _VERTICAL_AXIS.fullmatch(line))
+        if gaussians.up is not None:
+            comments += (f"lumisplat up {' '.join(f'{value:.{_DIGITS}g}' for value in gaussians.up)}",)
+    if gaussians.first_view is not None:
+        view = orientation_values(None, gaussians.first_view)
+        comments += (f"lumisplat first_view {json.dumps(view['first_view'])}",)
+    return comments
+
+
+def _view_of(values: Any) -> Camera:
+    """Returns a first view.
+
+    Raises:
+        SceneError: A value is out of range.
+        KeyError: One is missing.
+    """
+    return Camera.look_at(
+        values["eye"],
+        values["target"],
+        values["up"],
+        fov_y=values["fov_y"],
+        width=values["width"],
+        height=values["height"],
+    )
+
+
+def _reason(error: Exception) -> str:
+    return f"it has no {error}" if isinstance(error, KeyError) else str(error)[:120] or "it is no view"
+
+
+def _rounded(values: Any) -> list[float]:
+    return [float(f"{value:.{_DIGITS}g}") + 0.0 for value in np.asarray(values, np.float64)]

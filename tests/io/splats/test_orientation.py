@@ -1,0 +1,199 @@
+"""Up and first view of a capture: every format that we write states them, and what is wrong in them is left out."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.scene_toml.stated_up import stated_up
+from lumisplat.io.splats.orientation import orientation_of
+from support.files.splat_files import capture, load_gaussians
+from support.kinds import present
+
+UP = (0.1, 0.2, 0.97)
+UNIT = np.array(UP) / np.linalg.norm(UP)
+VIEW = ls.Camera.look_at((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), UP, width=270, height=480, fov_y=1.2)
+FORMATS = ["a.ply", "a.compressed.ply", "a.spz", "a.sog", "meta.json", "lod-meta.json", "a.glb", "a.gltf"]
+
+
+def stated(count: int = 40) -> ls.Gaussians:
+    """A capture that says both."""
+    return replace(capture(count), up=UP, first_view=VIEW)
+
+
+def assert_states(found: ls.Gaussians) -> None:
+    """Whether up and first view are those of `stated`, and the first view looks where it looked."""
+    np.testing.assert_allclose(present(found.up), UNIT, atol=1e-8)
+    view = present(found.first_view)
+    np.testing.assert_allclose(view.camera_from_world, VIEW.camera_from_world, atol=1e-8)
+    np.testing.assert_allclose(
+        [view.fov_y, view.focus_distance, view.width, view.height], [1.2, VIEW.focus_distance, 270, 480], rtol=1e-8
+    )
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_states_up_and_first_view(tmp_path: Path, name: str) -> None:
+    """In the coordinates in which the capture is loaded, which are those in which it was saved."""
+    ls.save(tmp_path / name, stated())
+    assert_states(load_gaussians(tmp_path / name))
+    np.testing.assert_allclose(present(stated_up(tmp_path / name)), UNIT, atol=1e-8)
+
+
+def test_openusd_states_up_and_first_view(tmp_path: Path) -> None:
+    """As custom data of the field of particles."""
+    pytest.importorskip("pxr")
+    ls.save(tmp_path / "a.usda", stated())
+    assert_states(load_gaussians(tmp_path / "a.usda"))
+    np.testing.assert_allclose(present(stated_up(tmp_path / "a.usda")), UNIT, atol=1e-8)
+
+
+def test_blocks_state_up_and_first_view(tmp_path: Path) -> None:
+    """In their index, from which all ways to load blocks take it."""
+    index = ls.write_blocks(tmp_path / "blocks", [stated()], 10.0)
+    assert_states(load_gaussians(tmp_path / "blocks"))
+    assert_states(ls.thin_blocks(index))
+    assert stated_up(tmp_path / "blocks") is not None
+
+
+@pytest.mark.parametrize("name", FORMATS[:-2])
+def test_nothing_is_stated_by_a_capture_that_says_nothing(tmp_path: Path, name: str) -> None:
+    """No file says up for it, so that its users know that it is a guess."""
+    ls.save(tmp_path / name, capture(40))
+    found = load_gaussians(tmp_path / name)
+    assert found.up is None
+    assert found.first_view is None
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
+def test_a_gltf_without_more_has_y_up(tmp_path: Path, name: str) -> None:
+    """The format defines up: a capture of somebody else's file is turned to y down, and states it."""
+    ls.save(tmp_path / name, capture(40))
+    assert load_gaussians(tmp_path / name).up == (0.0, -1.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.usda"])
+def test_a_tilted_capture_stands_upright_in_gltf_and_openusd(tmp_path: Path, name: str) -> None:
+    """Its up is y there; a scene that takes the same file as part of a scene sees it stand."""
+    if name.endswith("usda"):
+        pytest.importorskip("pxr")
+    tall = replace(capture(40), means=np.linspace(0, 3, 40)[:, None] * np.array(UP), up=UP)
+    ls.save(tmp_path / name, ls.Scene([tall, capture(3)], up=tall.up))
+    scene = ls.load(tmp_path / name)
+    assert isinstance(scene, ls.Scene)
+    low, high = scene.splats[0].world_means[[0, -1]]
+    np.testing.assert_allclose(high - low, 3.0 * np.linalg.norm(UP) * np.array([0.0, 1.0, 0.0]), atol=1e-5)
+    np.testing.assert_allclose(scene.up_direction, (0.0, 1.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("comment", "up"),
+    [
+        ("Vertical Axis: z", (0.0, 0.0, 1.0)),
+        ("vertical axis: Y", (0.0, 1.0, 0.0)),
+        ("Vertical Axis: -y", (0.0, -1.0, 0.0)),
+        ("up_axis X", (1.0, 0.0, 0.0)),
+        ("lumisplat up 0 -3 0", (0.0, -1.0, 0.0)),
+        ("a vertical axis: z is nice", None),
+        ("Vertical Axis: zenith", None),
+    ],
+)
+def test_comments_of_ply_headers_say_which_way_is_up(
+    tmp_path: Path, comment: str, up: tuple[float, float, float] | None
+) -> None:
+    """nerfstudio's, and our own; the comment stays as it was on conversion as long as it is true."""
+    plain, named = tmp_path / "plain.ply", tmp_path / "named.ply"
+    ls.save(plain, capture(5))
+    named.write_bytes(plain.read_bytes().replace(b"element", f"comment {comment}\nelement".encode(), 1))
+    found = load_gaussians(named)
+    assert found.up == up
+    ls.save(named, found)
+    assert load_gaussians(named).up == up
+    assert b"Vertical Axis: z\n" in named.read_bytes() or comment != "Vertical Axis: z"
+
+
+def test_our_comment_counts_before_those_of_others(tmp_path: Path) -> None:
+    """A file that was turned says so; what is no longer true is removed."""
+    path = tmp_path / "a.ply"
+    axis = replace(capture(5), comments=("Vertical Axis: z", "a comment"), up="z-up")
+    ls.save(path, ls.transform(axis, rotation_degrees=(90.0, 0.0, 0.0)))
+    found = load_gaussians(path)
+    assert found.up == (0.0, -1.0, 0.0)
+    assert found.comments == ("a comment",)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"up": [0, 0, 0]},
+        {"up": "sideways"},
+        {"up": [1, 2]},
+        {"up": {"x": 1}},
+        {"first_view": 3},
+        {"first_view": {"eye": [0, 0, 0]}},
+        {"first_view": {"eye": [0, 0, 0], "target": [0, 0, 0], "up": UP, "fov_y": 1, "width": 9, "height": 9}},
+        {"first_view": {"eye": [0, 0, 1], "target": [0, 0, 0], "up": UP, "fov_y": 9, "width": 9, "height": 9}},
+        {"first_view": {"eye": "abc", "target": [0, 0, 0], "up": UP, "fov_y": 1, "width": 10**400, "height": 9}},
+        {"first_view": {"eye": [1e308, 0, 0], "target": [-1e308, 0, 0], "up": UP, "fov_y": 1, "width": 9, "height": 9}},
+    ],
+)
+def test_what_is_wrong_is_left_out_with_a_line(values: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """A capture is worth more than its first view."""
+    with caplog.at_level(logging.WARNING):
+        assert orientation_of("x.ply", values) == (None, None)
+    assert "x.ply" in caplog.text
+
+
+@pytest.mark.parametrize("text", ["{", "[1]", "{" * 5000, '{"eye": NaN}', "0"])
+def test_damaged_comments_are_left_out(tmp_path: Path, text: str) -> None:
+    """Whatever stands behind our words, the capture is read."""
+    plain, path = tmp_path / "plain.ply", tmp_path / "a.ply"
+    ls.save(plain, capture(5))
+    line = f"comment lumisplat first_view {text}\ncomment lumisplat up {text}\nelement"
+    path.write_bytes(plain.read_bytes().replace(b"element", line.encode(), 1))
+    assert (load_gaussians(path).up, load_gaussians(path).first_view) == (None, None)
+
+
+def test_edits_carry_up_and_first_view() -> None:
+    """What cuts, thins and sorts keeps them; what joins takes them from the first set that has them."""
+    one = stated()
+    box = ls.crop(one, ((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
+    for edited in (box, ls.decimate(one, 20), ls.sort_morton(one), ls.limit_sh_degree(one, 0)):
+        assert_states(edited)
+    assert_states(ls.merge([capture(10), one]))
+
+
+def test_a_turned_capture_is_looked_at_as_before() -> None:
+    """Up turns with it, and the first view shows the same: its camera sees each mean where it saw it."""
+    one = stated()
+    moved = ls.transform(one, scale=3.0, rotation_degrees=(20.0, 130.0, 70.0), translation=(1.0, -2.0, 5.0))
+    view = present(moved.first_view)
+
+    def seen(camera: ls.Camera, means: np.ndarray) -> np.ndarray:
+        return (np.c_[means, np.ones(len(means))] @ camera.camera_from_world.T)[:, :3]
+
+    np.testing.assert_allclose(seen(view, moved.means), 3.0 * seen(VIEW, one.means), atol=1e-5)
+    assert view.focus_distance == pytest.approx(3.0 * VIEW.focus_distance)
+    turned = ls.transform(one, rotation_degrees=(20.0, 130.0, 70.0))
+    np.testing.assert_allclose(present(moved.up), present(turned.up))
+    assert np.dot(present(turned.up), present(one.up)) < 0.9
+
+
+def test_values_of_json_are_plain(tmp_path: Path) -> None:
+    """Other programs may read them: numbers, not matrices of ours."""
+    ls.save(tmp_path / "meta.json", stated())
+    held = json.loads((tmp_path / "meta.json").read_text())["lumisplat"]
+    assert held["first_view"] == {
+        "eye": [1.0, 2.0, 3.0],
+        "target": [0.1, 0.2, 0.3],
+        "up": pytest.approx((-VIEW.camera_from_world[1, :3]).tolist()),
+        "fov_y": 1.2,
+        "width": 270,
+        "height": 480,
+    }
