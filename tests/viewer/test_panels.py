@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from lumisplat.viewer.panels.markdown import plain
 from lumisplat.viewer.panels.viewpoints import selected_ball
 from lumisplat.viewer.state.boxes import Boxes, pose_of, world_corners
 from lumisplat.viewer.state.extent import Extent
-from lumisplat.viewer.state.session import Options, Session, State
+from lumisplat.viewer.state.session import Options, Session, State, within_memory
 from lumisplat.viewer.things import adding
 from lumisplat.viewer.things.adding import free_name, light_tables, standing, with_sky
 from lumisplat.viewer.things.crop import crop_ends, crop_reach, crop_table, cropped
@@ -472,3 +472,22 @@ def test_the_command_line_is_of_a_frame_that_there_is(tmp_path: Path) -> None:
     )
     session.apply(lambda document: document.changed(0, hidden=True))
     assert command_line(Path("a.toml"), pose, session).startswith("lumisplat render")
+
+
+def test_undo_keeps_as_many_captures_as_memory_has_room_for() -> None:
+    """Each crop makes a capture of its own; edits that share captures with what is shown cost nothing."""
+    capture = ls.gaussians_from_mesh(ls.box(1.0), 1000, seed=0)
+    states = [State(ls.SceneDocument.of(capture))]
+    for number in range(1, 6):
+        high = (0.4 - 0.1 * number, 9.0, 9.0)
+        states.append(State(states[0].document.changed(0, crop_low=(-9.0, -9.0, -9.0), crop_high=high)))
+        states.append(replace(states[-1], exposure=1.0))
+    captures = [state.document.entry(0).splats[0].gaussians for state in states]
+    most = sum(array.nbytes for capture in (captures[5], captures[7]) for array in arrays_of(capture))
+    assert within_memory(states[:-1], states[-1], most) == states[-6:-1]
+    assert within_memory(states[:-1], states[-1]) == states[:-1]
+
+
+def arrays_of(gaussians: ls.Gaussians) -> list[np.ndarray]:
+    """All arrays of a capture."""
+    return [value for one in fields(gaussians) if isinstance(value := getattr(gaussians, one.name), np.ndarray)]

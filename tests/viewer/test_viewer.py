@@ -572,3 +572,29 @@ def test_what_was_left_out_is_not_lost_in_silence(viewer: ls.Viewer, tmp_path: P
         page.press("save the scene")
         eventually(lambda: any("without 1 thing" in note for note in page.notes()), "nobody was told")
         assert (tmp_path / "other.toml").exists()
+
+
+def test_settings_that_change_leave_no_renderers_behind(viewer: ls.Viewer) -> None:
+    """There are those of the present settings alone, and they keep the scene that was uploaded."""
+    held, session = viewer._loop._renderers._held, viewer._session
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        settled(viewer, page)
+        (shown,) = viewer._pages.values()
+        before = dict(held)
+        assets = {use: [asset.data for asset in renderer._scene.assets] for use, renderer in before.items()}
+        session.configure(lambda config: replace(config, tone_map=ls.ToneMap.AGX))
+        settled(viewer, page)
+        assert held == before
+        for use, renderer in held.items():
+            assert all(a.data is b for a, b in zip(renderer._scene.assets, assets[use], strict=True))
+        session.configure(lambda config: replace(config, pipeline=ls.Pipeline.REALTIME))
+        settled(viewer, page)
+        assert held.keys() == {shown}
+        session.configure(lambda config: replace(config, pipeline=ls.Pipeline.RASTER))
+        session.set_options(split=0.5)
+        settled(viewer, page)
+        assert held.keys() == {"moving", "at rest", ("before", True), ("before", False)}
+        session.set_options(split=None)
+        settled(viewer, page)
+        assert held.keys() == {"moving", "at rest"}

@@ -75,7 +75,7 @@ class Renderer:
 
     def __init__(self, config: RenderConfig, launcher: Launcher, progress: Progress | None = None) -> None:
         self.config = config
-        self._launcher = launcher
+        self._launcher, self._progress = launcher, progress
         self._buffers = buffers = Buffers(launcher.device)
         self._scene = DeviceScene(launcher, buffers, config)
         self._binning = binning = binning_of(launcher, buffers)
@@ -96,7 +96,7 @@ class Renderer:
         self._frame_number = 0
         """Of the next frame, where each adds to what those before it have found."""
         self._loaded: set[int] = set()
-        self._load(frame_modules(FramePlan.of(config, Scene()), launcher, config), progress)
+        self._load(frame_modules(FramePlan.of(config, Scene()), launcher, config))
 
     @property
     def device(self) -> str:
@@ -192,6 +192,25 @@ class Renderer:
             images["light_names"] = self._scene.lights.names
         counts = replace(counts, nonfinite=self._film.nonfinite_count)
         return self._frame(scene, camera, images, counts, samples=part.count)
+
+    def reconfigure(self, config: RenderConfig) -> None:
+        """Changes the settings: the next frames are those of a new renderer, to the bit.
+
+        The assets and their hierarchies stay on the device, which a new renderer would upload and build again. Buffers
+        of the old settings are freed, and a sequence of ``Pipeline.REALTIME`` starts anew, as after ``reset``.
+
+        Args:
+            config: The new settings.
+
+        Raises:
+            ConfigError: ``config`` is no RenderConfig; the renderer is as before.
+            DeviceError: The device is out of memory; the renderer is as before.
+        """
+        other = Renderer(checked_config(config), self._launcher, self._progress)
+        other._scene.take_assets(self._scene)
+        other._warnings, other._grain, other._media = self._warnings, self._grain, self._media  # each warns once
+        self._launcher.drop_graphs()
+        vars(self).update(vars(other))
 
     def reset(self) -> None:
         """Forgets what frames of ``Pipeline.REALTIME`` have found: the next one is as the first of a new renderer."""
@@ -340,7 +359,7 @@ class Renderer:
     def _load(self, modules: list[KernelModule], progress: Progress | None = None) -> None:
         missing = [module for module in modules if id(module) not in self._loaded]
         if missing:
-            self._launcher.load(missing, progress)
+            self._launcher.load(missing, self._progress or progress)
             self._loaded |= {id(module) for module in missing}
 
     def _frame(
@@ -389,7 +408,8 @@ def create_renderer(
         device: ``auto`` (CUDA if there is one), ``cpu``, ``cuda`` or ``cuda:N``.
         threads: CPU threads; None: as many as this process may use.
         profile: Time every stage on CUDA too.
-        progress: Called with a label and a fraction 0..1 while kernels compile, which takes seconds once a machine.
+        progress: Called with a label and a fraction 0..1 while kernels compile, which takes seconds once a machine,
+            also where a later frame needs further ones.
 
     Raises:
         ConfigError: ``threads`` is not positive, or ``config`` is no RenderConfig.

@@ -69,6 +69,9 @@ QUALITY_AT_REST = 95
 UNDO_MAX = 200
 """Edits that can be undone: what they have replaced is kept in memory."""
 
+UNDO_BYTES_MAX = 2**30
+"""Memory of assets that undoing edits alone would need, bytes: beyond it, the oldest edits cannot be undone."""
+
 DRAG_ENDS_S = 1.0
 """A drag that has not moved for so long, seconds, has ended: its page may be gone."""
 

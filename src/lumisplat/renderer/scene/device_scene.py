@@ -169,6 +169,19 @@ class DeviceScene:
             self._launcher.drop_graphs()
             self._synced = self.graph_key
 
+    def take_assets(self, other: DeviceScene) -> None:
+        """Takes over the assets that another one has on the device, and their hierarchies where its settings fit.
+
+        Args:
+            other: One of the same launcher, which is not used any more.
+        """
+        self._structure, self._layout, self.version = other._structure, other._layout, other.version
+        self._meshes, self._mesh_bvh, self.assets = other._meshes, other._mesh_bvh, other.assets
+        if other._layout is not None:
+            self.gaussians = other.gaussians
+        if other._config.response == self._config.response:  # else Gaussians have other bounds
+            self.bvh = other.bvh
+
     def release(self) -> None:
         """Drops all assets; the next ``sync`` uploads its own."""
         self.sync(Scene(), _ANYWHERE, FramePlan.of(self._config, Scene()))

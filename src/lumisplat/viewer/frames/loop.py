@@ -8,7 +8,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Hashable
 from dataclasses import dataclass, replace
 
 import lumisplat as ls
@@ -32,6 +32,8 @@ from lumisplat.viewer.thresholds import (
 
 _log = logging.getLogger("lumisplat")
 
+_MOVING, _AT_REST, _BEFORE = "moving", "at rest", "before"
+"""Uses of renderers; frames in real time have one of each page."""
 _FOLLOWING = (ls.Pipeline.REALTIME, ls.Pipeline.PATH)
 """Pipelines whose time goes with the pixels, or whose frames follow from those before them."""
 
@@ -159,6 +161,7 @@ class RenderLoop:
                 self._step(errand)
                 continue
             assert job is not None
+            self._renderers.keep(self._uses(job))
             try:
                 if job.moves:
                     self._draw_moving(job)
@@ -229,6 +232,12 @@ class RenderLoop:
         session = self._session
         return _Job(page, key, page.pose, session.state, session.opened, session.options, moves)
 
+    def _uses(self, job: _Job) -> list[Hashable]:
+        """The uses that may have a renderer while the state of a job is shown."""
+        in_sequence = job.state.config.pipeline is ls.Pipeline.REALTIME
+        uses: list[Hashable] = [*self._pages] if in_sequence else [_MOVING, _AT_REST]
+        return uses if job.options.split is None else [*uses, (_BEFORE, True), (_BEFORE, False)]
+
     def _take_turn(self, page: Page) -> None:
         """Puts a page behind the others."""
         self._pages.remove(page)
@@ -254,8 +263,8 @@ class RenderLoop:
         step, started = page.pace.step, time.perf_counter()
         config = frame_config(state.config, options.view)
         in_sequence = config.pipeline is ls.Pipeline.REALTIME
-        is_warm = self._renderers.has(page if in_sequence else "moving", config)
-        renderer = self._renderers.of(page if in_sequence else "moving", config)
+        is_warm = self._renderers.has(page if in_sequence else _MOVING, config)
+        renderer = self._renderers.of(page if in_sequence else _MOVING, config)
         scene = self.scenes.of(state.document, config, options.time, step.level, waits=False)
         camera = job.pose.camera(max(2, round(options.height * step.scale)), state.exposure)
         frame = renderer.render(scene, camera, encode=options.view == "color")
@@ -275,7 +284,7 @@ class RenderLoop:
         started = time.perf_counter()
         config = frame_config(state.config, options.view)
         in_sequence = config.pipeline is ls.Pipeline.REALTIME
-        renderer = self._renderers.of(page if in_sequence else "at rest", config)
+        renderer = self._renderers.of(page if in_sequence else _AT_REST, config)
         camera = job.pose.camera(options.height, state.exposure)
         resume = page.frame if page.frames_at_rest and not in_sequence else None
         frame = renderer.render(
@@ -316,7 +325,7 @@ class RenderLoop:
         camera = replace(camera, exposure=job.before.exposure)
         key = job.key, job.moves, level, camera.width, camera.height
         if page.before is None or page.before_key != key:
-            renderer = self._renderers.of(("before", job.moves), config)
+            renderer = self._renderers.of((_BEFORE, job.moves), config)
             scene = self._scenes_before.of(job.before.document, config, options.time, level, waits=not job.moves)
             stop = None if job.moves else self.is_wanted
             frame = renderer.render(scene, camera, encode=options.view == "color", stop=stop)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import logging
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Collection, Hashable
 from dataclasses import replace
 
 import lumisplat as ls
@@ -43,16 +45,17 @@ class Renderers:
         _grain_log.addFilter(self._is_news)
 
     def of(self, use: Hashable, config: ls.RenderConfig) -> ls.Renderer:
-        """The renderer of a use, with settings; another one than before if these have changed.
+        """Returns the renderer of a use, with these settings; the scene stays on its device when they change.
 
         Raises:
             DeviceError: There is no such device, or it is out of memory.
         """
         held = self._held.get(use)
-        if held is None or held.config != config:
-            self._held.pop(use, None)  # its memory is free before another one takes as much
-            held = ls.create_renderer(config, self._device, progress=self._progress)
-            self._held[use] = held
+        if held is None:
+            held = self._held[use] = ls.create_renderer(config, self._device, progress=self._progress)
+        elif held.config != config:
+            held.reconfigure(config)
+            _return_freed_memory()
         return held
 
     def has(self, use: Hashable, config: ls.RenderConfig) -> bool:
@@ -65,10 +68,23 @@ class Renderers:
         self._held.clear()
         _grain_log.removeFilter(self._is_news)
 
+    def keep(self, uses: Collection[Hashable]) -> None:
+        """Frees the renderers of all other uses."""
+        if gone := self._held.keys() - set(uses):
+            for use in gone:
+                self.drop(use)
+            _return_freed_memory()
+
     def drop(self, use: Hashable) -> None:
-        """Forgets the renderer of a use."""
+        """Frees the renderer of a use."""
         self._held.pop(use, None)
 
     def _is_news(self, record: logging.LogRecord) -> bool:
         """Whether a line about grain is worth a log: that the first of many samples is grainy is not."""
         return record.threadName != THREAD
+
+
+def _return_freed_memory() -> None:
+    """Returns to the system what renderers have freed: glibc keeps blocks of up to 32 MiB, of other sizes each time."""
+    with contextlib.suppress(OSError, AttributeError):  # only glibc has this
+        ctypes.CDLL(None).malloc_trim(0)

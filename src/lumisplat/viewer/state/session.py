@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.state.boxes import Boxes
 from lumisplat.viewer.state.extent import Extent
-from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, MERGE_S, UNDO_MAX
+from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, MERGE_S, UNDO_BYTES_MAX, UNDO_MAX
 
 
 @dataclass(frozen=True)
@@ -110,7 +114,7 @@ class Session:
         """Goes on to a state; the lock is held."""
         now = time.monotonic()
         if merge is None or merge != self._merging or now - self._edited_at > within:
-            self._past = [*self._past[-UNDO_MAX:], self.state]
+            self._past = within_memory([*self._past[-UNDO_MAX:], self.state], state)
         self._merging, self._edited_at = merge, now
         self._future.clear()
         self._show(state)
@@ -237,3 +241,36 @@ class Session:
     def _tell(self) -> None:
         for listener in self._listeners:
             listener()
+
+
+def within_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX) -> list[State]:
+    """Returns the newest of the states that can be undone whose assets fit into memory.
+
+    Args:
+        past: The states, the oldest first.
+        now: The state that follows them; what it shows is not counted.
+        most: Bytes that assets of ``past`` may take that ``now`` does not have.
+    """
+    entries = {id(entry) for entry in now.document.entries}
+    arrays = {id(array) for entry in now.document.entries for array in _arrays_of(entry)}
+    held = 0
+    for number in reversed(range(len(past))):
+        for entry in past[number].document.entries:
+            if id(entry) in entries:
+                continue
+            entries.add(id(entry))
+            for array in _arrays_of(entry):
+                held += 0 if id(array) in arrays else array.nbytes
+                arrays.add(id(array))
+        if held > most:
+            return past[number + 1 :]
+    return past
+
+
+def _arrays_of(entry: ls.SceneEntry) -> Iterator[npt.NDArray[Any]]:
+    """The arrays of the captures and meshes of an entry, textures included."""
+    for asset in [*(i.gaussians for i in entry.splats), *(i.mesh for i in entry.meshes)]:
+        for part in [asset, asset.material] if isinstance(asset, ls.Mesh) else [asset]:
+            for one in fields(part):
+                if isinstance(array := getattr(part, one.name), np.ndarray):
+                    yield array

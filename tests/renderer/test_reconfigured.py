@@ -1,0 +1,105 @@
+"""Renderers whose settings change: frames as from a new renderer, on assets that stay where they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+LIT = ls.Scene(
+    [ls.SplatInstance(random_gaussians(1, count=200), material=ls.MaterialPbr())],
+    [
+        ls.MeshInstance(ls.box(0.5), position=(0.3, 0.0, 4.0)),
+        ls.MeshInstance(replace(ls.box(0.3), material=ls.MaterialPbr(emissive=(3, 2, 1))), position=(-0.6, 0, 3.5)),
+    ],
+    [ls.LightPoint((0.0, -2.0, 1.0), intensity=9.0, radius=0.2), ls.LightEnvironment(intensity=0.3)],
+)
+CAMERA = front_camera(width=96, height=64)
+BASE = ls.RenderConfig(samples=2)
+IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    "raster": {},
+    "tone map": {"tone_map": ls.ToneMap.NEUTRAL},
+    "hybrid": {"pipeline": ls.Pipeline.HYBRID, "shadows": ls.Shadows.SOFT},
+    "another seed": {"pipeline": ls.Pipeline.HYBRID, "shadows": ls.Shadows.SOFT, "seed": 5},
+    "smaller bounds": {"pipeline": ls.Pipeline.TRACE, "response": ls.ResponseConfig(min_response=0.3)},
+    "trace": {"pipeline": ls.Pipeline.TRACE},
+    "linear kernels": {"pipeline": ls.Pipeline.TRACE, "response": ls.ResponseConfig(kernel_degree=0)},
+    "paths": {"pipeline": ls.Pipeline.PATH},
+    "transparent": {"pipeline": ls.Pipeline.PATH, "background": None, "jitter": False},
+    "real time": {"pipeline": ls.Pipeline.REALTIME, "samples": None},
+    "real time, finer": {
+        "pipeline": ls.Pipeline.REALTIME,
+        "samples": None,
+        "realtime": ls.RealtimeConfig(quality=ls.RealtimeQuality.HIGH),
+    },
+    "unlit": {"lighting": False, "samples": None},
+    "unscented": {"raster": ls.RasterConfig(projection=ls.Projection.UNSCENTED)},
+}
+
+
+def images_of(renderer: ls.Renderer) -> list[np.ndarray]:
+    """All images of the second frame, which in real time follows from the first one."""
+    renderer.render(LIT, CAMERA)
+    frame = renderer.render(LIT, CAMERA)
+    return [np.array(getattr(frame, name)) for name in IMAGES]
+
+
+def test_frames_after_a_change_of_settings_are_those_of_a_new_renderer() -> None:
+    """To the bit, there and back through settings of all pipelines."""
+    renderer = ls.create_renderer(BASE, "cpu")
+    expected: dict[str, list[np.ndarray]] = {}
+    for name in [*SETTINGS, *reversed(SETTINGS)]:
+        config = replace(BASE, **SETTINGS[name])
+        renderer.reconfigure(config)
+        assert renderer.config == config
+        if name not in expected:
+            expected[name] = images_of(ls.create_renderer(config, "cpu"))
+        for image, of_new, what in zip(images_of(renderer), expected[name], IMAGES, strict=True):
+            np.testing.assert_array_equal(image, of_new, f"{name}: {what}")
+
+
+def test_a_change_of_settings_uploads_and_builds_nothing_again() -> None:
+    """Gaussians, meshes and the hierarchies over both stay, but for hierarchies whose bounds have changed."""
+    renderer = ls.create_renderer(replace(BASE, pipeline=ls.Pipeline.HYBRID), "cpu")
+    renderer.render(LIT, CAMERA)
+    scene = renderer._scene
+    assets, tree, faces, triangles = scene.assets[0].data, scene.bvh.held[0].bvh, scene._meshes.data, scene._mesh_bvh
+    renderer.reconfigure(replace(BASE, pipeline=ls.Pipeline.PATH, seed=3))
+    renderer.render(LIT, CAMERA)
+    scene = renderer._scene
+    assert scene.assets[0].data is assets and scene.bvh.held[0].bvh is tree
+    assert scene._meshes.data is faces and scene._mesh_bvh is triangles
+    renderer.reconfigure(replace(BASE, pipeline=ls.Pipeline.PATH, response=ls.ResponseConfig(min_response=0.3)))
+    renderer.render(LIT, CAMERA)
+    assert renderer._scene.bvh.held[0].bvh is not tree
+
+
+def test_buffers_of_other_settings_are_freed() -> None:
+    """Those of a sequence in real time are many times those of a rasterised frame."""
+    renderer = ls.create_renderer(BASE, "cpu")
+    renderer.render(LIT, CAMERA)
+    small = renderer._buffers.bytes
+    renderer.reconfigure(replace(BASE, pipeline=ls.Pipeline.REALTIME, samples=None))
+    renderer.render(LIT, CAMERA)
+    assert renderer._buffers.bytes > 5 * small
+    renderer.reconfigure(BASE)
+    renderer.render(LIT, CAMERA)
+    assert renderer._buffers.bytes == small
+
+
+def test_settings_that_are_refused_leave_the_renderer_as_it_is() -> None:
+    """No half of them is taken."""
+    renderer = ls.create_renderer(BASE, "cpu")
+    before = images_of(renderer)
+    with pytest.raises(ls.ConfigError):
+        renderer.reconfigure("hybrid")  # pyright: ignore[reportArgumentType]
+    assert renderer.config == BASE
+    for image, same in zip(images_of(renderer), before, strict=True):
+        np.testing.assert_array_equal(image, same)
