@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,8 +26,8 @@ def poisoned() -> SplatColumns:
     """Four bad rows of ten: 1 has two bad values, 3, 5 and 8 one each."""
     columns = stored()
     columns.means[1, 0] = np.nan
-    columns.opacities[1] = np.inf
-    columns.log_scales[3, 2] = -np.inf
+    columns.opacities[1] = np.nan
+    columns.log_scales[3, 2] = np.inf
     columns.sh[5, 2, 1] = np.nan
     columns.rotations_wxyz[8] = 0.0
     return columns
@@ -65,6 +66,30 @@ def test_drop_invalid_keeps_the_rest(caplog: pytest.LogCaptureFixture) -> None:
         kept = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
     np.testing.assert_array_equal(kept.means, stored().means[[0, 2, 4, 6, 7, 9]])
     assert "dropped 4 Gaussians" in caplog.text
+
+
+def test_infinite_logits_are_opaque_and_invisible(caplog: pytest.LogCaptureFixture) -> None:
+    """Limits of the logit and of the logarithm are values: opacities 1 and 0, and the least scale."""
+    columns = stored()
+    columns.opacities[:2] = np.inf, -np.inf
+    columns.log_scales[2, 1] = -np.inf
+    for drop in (False, True):
+        gaussians = gaussians_from_columns("a.ply", columns, drop_invalid=drop)
+        assert gaussians.count == 10
+        np.testing.assert_array_equal(gaussians.opacities[:2], (1.0, 0.0))
+        assert gaussians.scales[2, 1] == np.float32(SCALE_MIN)
+    assert not caplog.records
+
+
+def test_infinite_values_that_are_no_limits_are_invalid() -> None:
+    """A scale that grows without end, and an opacity of a format without logits, are no values."""
+    columns = stored()
+    columns.log_scales[2, 1] = np.inf
+    with pytest.raises(FormatError, match="1 NaN or infinite values in scale_1"):
+        gaussians_from_columns("a.ply", columns)
+    columns = replace(stored(), opacities_are_logits=False, opacities=np.full(10, np.inf, np.float32))
+    with pytest.raises(FormatError, match="10 NaN or infinite values in opacity"):
+        gaussians_from_columns("a.ply", columns)
 
 
 def test_nothing_left_is_an_error() -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.splats.splat_ply import antialiased_from_comments
-from support.files.splat_files import capture, load_gaussians, parse_ply, ply_header
+from support.files.splat_files import capture, load_gaussians, parse_ply, ply_header, reencoded
 from support.kinds import present
 
 NAMES = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
@@ -154,3 +155,138 @@ def test_progress_reaches_one(tmp_path: Path) -> None:
     assert seen == sorted(seen)
     assert len(seen) > 2
     assert seen[-1] == 1.0
+
+
+def _columns(gaussians: ls.Gaussians, folder: Path) -> tuple[list[str], np.ndarray]:
+    """Property names and rows of a capture's file."""
+    ls.save(folder / "plain.ply", gaussians)
+    names, values = parse_ply((folder / "plain.ply").read_bytes())
+    return names, np.array(values)
+
+
+@pytest.mark.parametrize("prefix", ["scalar_", "scal_", "scalar_scalar_"])
+@pytest.mark.parametrize("ascii", [False, True])
+def test_prefixes_of_cloudcompare_are_taken_off(tmp_path: Path, prefix: str, ascii: bool) -> None:
+    """CloudCompare writes a prefix before the name of each field but positions and normals, degree 2 included."""
+    names, values = _columns(capture(40, degree=2), tmp_path)
+    written = [name if name in "xyz" or name[0] == "n" else prefix + name for name in names]
+    path = write(tmp_path / "cloud.ply", written, values.tolist())
+    if ascii:
+        path.write_bytes(reencoded(path.read_bytes(), ascii=True))
+    read, plain = load_gaussians(path), load_gaussians(tmp_path / "plain.ply")
+    for name, array in plain.arrays().items():
+        np.testing.assert_array_equal(array, read.arrays()[name])
+    if not ascii:
+        (piece,) = ls.stream_ply(path)
+        np.testing.assert_array_equal(piece.sh, plain.sh)
+
+
+def test_a_prefix_stays_where_the_name_is_taken(tmp_path: Path) -> None:
+    """A file may have both, of which the one without a prefix counts."""
+    read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "scalar_opacity", "scal_x"], [[*ROW, 9.0, 9.0]]))
+    assert read.opacities[0] == 0.5
+    np.testing.assert_array_equal(read.means, [[1, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("kind", "dtype", "scale"), [("uchar", "<u1", 255), ("ushort", "<u2", 65535), ("float", "<f4", 1)]
+)
+def test_colours_are_red_green_and_blue_without_f_dc(tmp_path: Path, kind: str, dtype: str, scale: int) -> None:
+    """Colours of nerfstudio's mode rgb are display-referred, in place of SH; other columns count from 0 as ever."""
+    whole = capture(40, degree=0)
+    names, values = _columns(whole, tmp_path)
+    kept = [k for k, name in enumerate(names) if not name.startswith("f_dc")]
+    shares = np.random.default_rng(3).uniform(0.0, 1.0, (40, 3))
+    colors = (np.round(scale * shares) if scale > 1 else shares).astype(dtype)
+    rows = np.empty(40, [(names[k], "<f4") for k in kept] + [(name, dtype) for name in ("red", "green", "blue")])
+    for k in kept:
+        rows[names[k]] = values[:, k]
+    for k, name in enumerate(("red", "green", "blue")):
+        rows[name] = colors[:, k]
+    header = ply_header(40, [names[k] for k in kept]).replace(
+        b"end_header",
+        "\n".join(f"property {kind} {name}" for name in ("red", "green", "blue")).encode() + b"\nend_header",
+    )
+    (tmp_path / "rgb.ply").write_bytes(header + rows.tobytes())
+    read = load_gaussians(tmp_path / "rgb.ply")
+    shown = 0.5 + SH_C0 * read.sh[:, 0].astype(np.float64)
+    np.testing.assert_allclose(shown, colors / float(scale), atol=1e-6)
+    np.testing.assert_array_equal(read.scales, load_gaussians(tmp_path / "plain.ply").scales)
+    (piece,) = ls.stream_ply(tmp_path / "rgb.ply")
+    np.testing.assert_array_equal(piece.sh, read.sh)
+
+
+def test_f_dc_counts_beside_red_green_and_blue(tmp_path: Path) -> None:
+    """Programs add colours for viewers of points; SH say more."""
+    read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "red", "green", "blue"], [[*ROW, 1.0, 1.0, 1.0]]))
+    np.testing.assert_allclose(read.sh, [[[0.1, 0.2, 0.3]]], rtol=1e-6)
+
+
+def _activated(folder: Path, whole: ls.Gaussians, *, scales: bool, opacities: bool, comment: str = "") -> Path:
+    """A file with scales or opacities in place of logarithms or logits."""
+    names, values = _columns(whole, folder)
+    if scales:
+        values[:, [names.index(f"scale_{k}") for k in range(3)]] = whole.scales
+    if opacities:
+        values[:, names.index("opacity")] = whole.opacities
+    return write(folder / "activated.ply", names, values.tolist(), comment)
+
+
+@pytest.mark.parametrize(("scales", "opacities"), [(True, True), (False, True), (True, False)])
+@pytest.mark.parametrize("opaque", [False, True])
+def test_values_after_their_activation_are_recognised(
+    tmp_path: Path, scales: bool, opacities: bool, opaque: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As logits, opacities would all be 0.5 to 0.73; as logarithms, all Gaussians would be larger than a unit."""
+    opacity = np.random.default_rng(2).uniform(0.004, 0.996, 100)
+    if opaque and scales and opacities:
+        opacity[:] = 1.0
+    whole = capture(100, degree=0, opacities=opacity)
+    path = _activated(tmp_path, whole, scales=scales, opacities=opacities)
+    read = load_gaussians(path)
+    np.testing.assert_allclose(read.scales, whole.scales, rtol=1e-5)
+    np.testing.assert_allclose(read.opacities, whole.opacities, atol=1e-6)
+    (line,) = caplog.messages
+    assert ("positive scales, not logarithms" in line, "opacities of 0..1, not logits" in line) == (scales, opacities)
+    (piece,) = ls.stream_ply(path)
+    np.testing.assert_array_equal(piece.opacities, read.opacities)
+    np.testing.assert_array_equal(piece.scales, read.scales)
+
+
+def test_a_comment_says_that_values_are_logits(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """What the line proposes; no line then."""
+    whole = capture(100, degree=0)
+    path = _activated(tmp_path, whole, scales=True, opacities=True, comment="comment lumisplat logits\n")
+    np.testing.assert_allclose(load_gaussians(path).scales, np.exp(whole.scales), rtol=1e-6)
+    assert not caplog.records
+
+
+def test_captures_that_look_activated_come_back_as_they_were(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Large Gaussians of opacities that are logits of 0..1: our own file says what it holds."""
+    rng = np.random.default_rng(4)
+    whole = capture(100, degree=0, opacities=rng.uniform(0.55, 0.7, 100), scales=rng.uniform(1.5, 3.0, (100, 3)))
+    for name in ("a.ply", "b.ply"):
+        ls.save(tmp_path / name, whole)
+        whole = load_gaussians(tmp_path / name)
+    assert whole.scales.max() < 3.01 and 0.54 < whole.opacities.min() < whole.opacities.max() < 0.71
+    assert whole.comments == ("lumisplat logits",) and not caplog.records
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_trained_captures_are_never_taken_for_activated(
+    tmp_path: Path, seed: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In units from millimetres to kilometres, dense or faint."""
+    rng = np.random.default_rng(seed)
+    count, unit = 200, 10.0 ** rng.uniform(-3, 4)
+    whole = ls.Gaussians(
+        unit * rng.normal(size=(count, 3)),
+        rng.normal(size=(count, 4)),
+        unit * np.exp(rng.normal(-4.0, 1.0, (count, 3))),
+        1.0 / (1.0 + np.exp(-rng.normal(rng.uniform(-2, 3), 2.0, count))),
+        np.zeros((count, 1, 3)),
+    )
+    ls.save(tmp_path / "a.ply", whole)
+    np.testing.assert_allclose(load_gaussians(tmp_path / "a.ply").scales, whole.scales, rtol=1e-5)
+    assert b"logits" not in (tmp_path / "a.ply").read_bytes()[:200]
+    assert not caplog.records

@@ -155,6 +155,20 @@ def test_what_is_missing_or_too_short_has_its_default(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.opacities, (0.25, 0.5))
 
 
+def test_logarithms_and_logits_are_recognised(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Copied from a capture as it stores them; a scale that is mirrored in one axis is none."""
+    logs = {"float3[] scales": "[(-3, -4, 0.1), (-1, -2, -0.5)]", "float[] opacities": "[2, 2]"}
+    loaded = load_gaussians(write_usda(tmp_path / "a.usda", field(logs)))
+    np.testing.assert_allclose(loaded.scales, np.exp([(-3, -4, 0.1), (-1, -2, -0.5)]), rtol=1e-6)
+    np.testing.assert_allclose(loaded.opacities, 0.880797, rtol=1e-6)
+    assert "negative scales, read as logarithms" in caplog.text and "read as logits" in caplog.text
+    caplog.clear()
+    mirrored = {"float3[] scales": "[(-0.5, 1, 2), (1, 1, 1)]"}
+    loaded = load_gaussians(write_usda(tmp_path / "b.usda", field(mirrored)))
+    np.testing.assert_array_equal(loaded.scales[0], (0.5, 1.0, 2.0))
+    assert "logarithms" not in caplog.text
+
+
 def test_degrees_above_three_are_cut(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Of 25 coefficients of degree 4, the first 16 stay."""
     values = "[" + ", ".join(f"({k}, 0, 0)" for k in range(50)) + "]"

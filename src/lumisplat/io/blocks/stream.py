@@ -15,12 +15,17 @@ from lumisplat.constants.blocks import BLOCK_CELLS, BLOCK_GAUSSIANS_MAX, BLOCK_P
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.source import PathLike, check_regular, parsing
 from lumisplat.io.ply.header import PlyElement, PlyHeader, read_ply_header
-from lumisplat.io.ply.rows import read_ply_rows
-from lumisplat.io.splats.columns import REQUIRED, SplatColumns, gaussians_from_columns, invalid_rows
+from lumisplat.io.ply.rows import PlyRows, read_ply_rows
+from lumisplat.io.splats.columns import (
+    REQUIRED,
+    SplatColumns,
+    gaussians_from_columns,
+    invalid_rows,
+    recognise_activated,
+)
 from lumisplat.io.splats.compressed_ply import is_compressed_header
 from lumisplat.io.splats.material_columns import FIELDS, material_columns_of
-from lumisplat.io.splats.splat_ply import columns_of_rows, splat_element
-from lumisplat.math.arrays import Doubles
+from lumisplat.io.splats.splat_ply import columns_of_rows, scale_columns, splat_element
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
@@ -42,6 +47,8 @@ class PlyStream:
     progress: Callable[[float], None] | None
     _header: PlyHeader
     _vertex: PlyElement
+    _activated: tuple[bool, bool]
+    """As of `stored_activated`, of a sample."""
 
     def __iter__(self) -> Iterator[Gaussians]:
         """Reads the file.
@@ -53,7 +60,7 @@ class PlyStream:
         why = ""
         with parsing(self.path, "a PLY file"):
             for rows in read_ply_rows(self._header, self._vertex, BLOCK_PIECE):
-                columns = columns_of_rows(self._header, self._vertex, self.sh_count, rows)
+                columns = columns_of_rows(self._header, self._vertex, self.sh_count, rows, self._activated)
                 invalid, problems = invalid_rows(columns)
                 if problems:
                     dropped, why = dropped + int(np.count_nonzero(invalid)), why or problems
@@ -84,7 +91,8 @@ class PlyStream:
         Raises:
             FormatError: The file cannot be read, or no mean of the sample is finite.
         """
-        means = self._sample()
+        rows = _sample(self._header, self._vertex)
+        means = np.stack([rows[name].astype(np.float64) for name in ("x", "y", "z")], axis=1)
         means = means[np.isfinite(means).all(axis=1)]
         if not len(means):
             raise FormatError(self.path, "has no finite position in a sample of its Gaussians")
@@ -94,14 +102,6 @@ class PlyStream:
         while len(np.unique(np.floor(means / (0.5 * edge)), axis=0)) <= most and edge > 1e-6:
             edge *= 0.5
         return edge
-
-    def _sample(self) -> Doubles:
-        """Means from all over the file, shape (M, 3)."""
-        start, _ = self._header.start(self._vertex)
-        with parsing(self.path, "a PLY file"):
-            rows = np.memmap(self.path, self._header.dtype(self._vertex), "r", start, self.count)
-            chosen = rows[:: max(1, self.count // BLOCK_SAMPLE)]
-            return np.stack([chosen[name].astype(np.float64) for name in ("x", "y", "z")], axis=1)
 
 
 def stream_ply(
@@ -126,7 +126,11 @@ def stream_ply(
     left_out = _materials(header, vertex)
     if left_out:
         _log.warning("%s: %s left out: blocks have no place for them", os.fspath(path), ", ".join(left_out))
-    return PlyStream(path, vertex.count, coefficients, drop_invalid, progress, header, vertex)
+    sampled = columns_of_rows(header, vertex, coefficients, _sample(header, vertex), (False, False))
+    sampled.comments = header.comments
+    recognise_activated(path, sampled, scale_columns(vertex))
+    activated = (not sampled.scales_are_logarithms, not sampled.opacities_are_logits)
+    return PlyStream(path, vertex.count, coefficients, drop_invalid, progress, header, vertex, activated)
 
 
 def can_stream(path: PathLike) -> bool:
@@ -161,6 +165,14 @@ def _opened(path: Path) -> tuple[PlyHeader, PlyElement, int]:
             f"{header.file_size:,}",
         )
     return header, vertex, coefficients
+
+
+def _sample(header: PlyHeader, vertex: PlyElement) -> PlyRows:
+    """Returns rows from all over a file, at most about `BLOCK_SAMPLE`."""
+    start, _ = header.start(vertex)
+    with parsing(header.path, "a PLY file"):
+        rows = np.memmap(header.path, header.dtype(vertex), "r", start, vertex.count)
+        return np.array(rows[:: max(1, vertex.count // BLOCK_SAMPLE)])
 
 
 def _materials(header: PlyHeader, vertex: PlyElement) -> list[str]:

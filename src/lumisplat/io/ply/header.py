@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -25,6 +25,10 @@ SCALAR_TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+
+
+_PREFIXES = re.compile(r"(?:scalar_|scal_)+")
+"""Before the names of scalar fields in files of CloudCompare, once for each time that it wrote them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,9 +148,20 @@ def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...]
     if not encoding:
         raise FormatError(path, "the PLY header has no 'format' line")
     for name, _, properties in elements:
+        properties[:] = _without_prefixes(properties)
         if len({prop.name for prop in properties}) < len(properties):
             raise FormatError(path, f"the PLY header lists a property of {name} twice")
     return encoding, tuple(comments), tuple(PlyElement(name, n, tuple(props)) for name, n, props in elements)
+
+
+def _without_prefixes(properties: list[PlyProperty]) -> list[PlyProperty]:
+    """The properties by the names that they had before CloudCompare wrote them; two never get the same name."""
+    names = [prop.name for prop in properties]
+    plain = [_PREFIXES.sub("", name, count=1) if _PREFIXES.match(name) else name for name in names]
+    return [
+        replace(prop, name=name) if name and name not in names and plain.count(name) == 1 else prop
+        for prop, name in zip(properties, plain, strict=True)
+    ]
 
 
 def refuse_truncated(header: PlyHeader, element: PlyElement, found: str) -> NoReturn:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -84,6 +85,12 @@ OPTIONAL = (*FIELDS, "incident")
 _STEPS = 4
 """Neighbours of a logarithm or a logit that are tried, on each side."""
 
+_ACTIVATED_MIN = 32
+"""Fewest Gaussians by whose values it is decided whether these are logarithms and logits."""
+
+LOGITS_COMMENT = "lumisplat logits"
+"""Our comment in the header of a PLY: scales are logarithms and opacities logits, even if they look otherwise."""
+
 PROBLEMS_LISTED = 6
 """Largest number of properties that an error about invalid values lists, before "and more"."""
 
@@ -112,6 +119,67 @@ def joined_columns(parts: Sequence[SplatColumns]) -> SplatColumns:
     return replace(parts[0], **joined, antialiased=any(part.antialiased for part in parts))
 
 
+@np.errstate(all="ignore")
+def stored_activated(columns: SplatColumns, scale_columns: int = 3) -> tuple[bool, bool]:
+    """Returns whether the scales, and whether the opacities, are stored as they are, not as logarithms and logits.
+
+    Of a trained capture some logits lie outside 0..1, and some logarithms are negative. Opacities of 0..1 are thus
+    opacities where they come with positive scales, or span nearly all of 0..1: as logits, all would be 0.5 to 0.73.
+    Scales beside logits are scales where they are positive and, as logarithms, would be of nearly one size or far
+    larger than the capture.
+
+    Args:
+        columns: Scales and opacities as the file has them; invalid Gaussians are passed over.
+        scale_columns: The number of scales that the file has, 2 for 2D Gaussians.
+    """
+    if columns.count < _ACTIVATED_MIN or LOGITS_COMMENT in columns.comments:
+        return False, False
+    valid = ~np.isnan(columns.opacities) & ~np.isnan(columns.log_scales[:, :scale_columns]).any(axis=1)
+    valid &= np.isfinite(columns.means).all(axis=1)
+    if not valid.any():
+        return False, False
+    opacities, scales = columns.opacities[valid], columns.log_scales[valid, :scale_columns]
+    positive = float(scales.min()) >= 0.0 and float(scales.max()) > 0.0
+    least, most = float(opacities.min()), float(opacities.max())
+    if 0.0 <= least and most <= 1.0:
+        return positive, positive or (least < 0.1 and most > 0.9)
+    return positive and _cannot_be_logarithms(scales, columns.means[valid]), False
+
+
+def _cannot_be_logarithms(scales: Floats, means: Floats) -> bool:
+    """Returns whether positive values are scales rather than logarithms of them, by their range beside the means'."""
+    small, median, large = (float(size) for size in np.quantile(scales, (0.05, 0.5, 0.95)))
+    low, high = np.quantile(means, (0.05, 0.95), axis=0)
+    extent = 0.5 * float(np.linalg.norm(high - low))
+    one_size, too_large = large - small < 1.0, math.exp(min(large, 80.0)) > 10.0 * extent
+    return bool(large < extent < 100.0 * math.exp(min(median, 80.0)) and (one_size or too_large))
+
+
+def look_like_logits(opacities: Floats, *, with_logarithms: bool) -> bool:
+    """Returns whether values in place of opacities are logits: a tenth of them, at least, lies outside 0..1.
+
+    Args:
+        opacities: The values.
+        with_logarithms: The scales beside them are logarithms; without these, one logit must be negative.
+    """
+    outside = np.count_nonzero((opacities < 0.0) | (opacities > 1.0))
+    return 10 * outside >= max(len(opacities), 1) and (with_logarithms or bool((opacities < 0.0).any()))
+
+
+def recognise_activated(path: PathLike, columns: SplatColumns, scale_columns: int = 3) -> None:
+    """Sets how scales and opacities are stored, as `stored_activated` finds, and logs what is assumed."""
+    scales, opacities = stored_activated(columns, scale_columns)
+    columns.scales_are_logarithms, columns.opacities_are_logits = not scales, not opacities
+    found = ["opacities of 0..1, not logits"] * opacities + ["positive scales, not logarithms"] * scales
+    if found:
+        _log.warning(
+            "%s: seems to store %s, and is read so; if that is wrong, add the line 'comment %s' to its header",
+            os.fspath(path),
+            " and ".join(found),
+            LOGITS_COMMENT,
+        )
+
+
 @np.errstate(all="ignore")  # what overflows, and NaN that signals, is refused by name or dropped
 def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invalid: bool = False) -> Gaussians:
     """Applies exp and sigmoids, and refuses or drops Gaussians that cannot be rendered.
@@ -120,7 +188,8 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
         path: Named in errors.
         columns: Columns as read from the file.
         drop_invalid: Leave out Gaussians with NaN or infinite values, or a rotation or normal of zero length, and log
-            a warning with their number.
+            a warning with their number. Infinite logits are valid, they are opacities of 0 and 1, as are logarithms
+            of -inf, which are the least scale.
 
     Raises:
         FormatError: There are invalid values and ``drop_invalid`` is False, no Gaussian is left, or a value is out of
@@ -128,7 +197,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     """
     if columns.count == 0:
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")
-    scales = _scales(columns.log_scales) if columns.scales_are_logarithms else _limited(columns.log_scales)
+    scales = _linear_scales(columns)
     opacities = _opacities(columns.opacities) if columns.opacities_are_logits else columns.opacities
     if columns.normals is not None and not columns.normals.any():
         columns = replace(columns, normals=None)  # INRIA writes zeros in place of normals
@@ -177,8 +246,8 @@ def _rows_to_keep(
 
 @np.errstate(all="ignore")  # as of `gaussians_from_columns`
 def invalid_rows(columns: SplatColumns) -> tuple[npt.NDArray[np.bool_], str]:
-    """Which Gaussians cannot be used, shape (N,), and why, in words; of logarithms and logits, without materials."""
-    invalid, problems = _invalid_rows(columns, _scales(columns.log_scales))
+    """Returns which Gaussians cannot be used, shape (N,), and why, in words."""
+    invalid, problems = _invalid_rows(columns, _linear_scales(columns))
     return invalid, _listed(problems)
 
 
@@ -194,15 +263,18 @@ def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np
         values: Floats | None = getattr(columns, field)
         if values is None:
             continue
-        finite = np.isfinite(values)
+        what = "NaN or infinite values"
+        valid = np.isfinite(values)
         if field == "log_scales":
-            finite &= np.isfinite(scales)  # the exponential may overflow
-        if not finite.all():
+            valid = np.isfinite(scales)  # the exponential may overflow; that of -inf is the least scale
+        elif field == "opacities" and columns.opacities_are_logits:
+            what, valid = "NaN values", ~np.isnan(values)  # infinite logits are of opacities 0 and 1
+        if not valid.all():
             names = columns.property_names(field)
-            bad = ~finite.reshape(columns.count, -1)
+            bad = ~valid.reshape(columns.count, -1)
             invalid |= bad.any(axis=1)
             counts = np.count_nonzero(bad, axis=0)
-            problems += [f"{n:,} NaN or infinite values in {name}" for n, name in zip(counts, names, strict=True) if n]
+            problems += [f"{n:,} {what} in {name}" for n, name in zip(counts, names, strict=True) if n]
     for name, values in (("rotations", columns.rotations_wxyz), ("normals", columns.normals)):
         if values is not None and not (is_set := values.any(axis=1)).all():
             invalid |= ~is_set
@@ -231,6 +303,10 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
         kernel_degree=gaussians.kernel_degree,
         comments=gaussians.comments,
     )
+
+
+def _linear_scales(columns: SplatColumns) -> Floats:
+    return _scales(columns.log_scales) if columns.scales_are_logarithms else _limited(columns.log_scales)
 
 
 def _scales(logarithms: Floats) -> Floats:

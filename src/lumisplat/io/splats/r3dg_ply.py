@@ -19,7 +19,7 @@ from lumisplat.io.splats.columns import Floats, columns_from_gaussians
 from lumisplat.io.splats.material_columns import R3DG, says_linear
 from lumisplat.io.splats.splat_ply import (
     column_views,
-    comments_with_settings,
+    comments_as_stored,
     harmonics_in_order,
     inria_names,
     write_columns,
@@ -66,7 +66,7 @@ def write_r3dg_ply(path: PathLike, gaussians: Gaussians) -> None:
     columns.metallic = None
     names = [*inria_names(COEFFICIENTS), *R3DG.properties["albedo"], *R3DG.properties["roughness"]]
     names += [*harmonics_in_order("incidents", COEFFICIENTS), *harmonics_in_order("visibility", COEFFICIENTS, 1)]
-    comments = tuple(comment for comment in comments_with_settings(gaussians) if not says_linear((comment,)))
+    comments = tuple(comment for comment in comments_as_stored(gaussians, columns) if not says_linear((comment,)))
     write_columns(path, comments, names, dict(column_views(columns)), columns.count)
 
 

@@ -1,7 +1,8 @@
 """Gaussian PLY as INRIA's trainer writes it, with or without further properties.
 
 Properties may have any order and any number type: x y z, f_dc_0..2, f_rest_* (0, 9, 24 or 45 of them, channel-major),
-opacity (logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz, any length). Relightable captures also have materials
+opacity (logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz, any length). Without f_dc, colours are red, green and
+blue, as nerfstudio writes them with --ply-color-mode rgb. Relightable captures also have materials
 (`lumisplat.io.splats.material_columns`), and use nx, ny, nz, which INRIA fills with zeros. 2D Gaussians (Huang et al.
 2024) have no scale_2: they become flat 3D ones. Axes are not changed.
 """
@@ -14,22 +15,27 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, SH_DEGREE_MAX
+from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, SH_C0, SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.ply.header import PlyElement, PlyHeader, ply_header_bytes
 from lumisplat.io.ply.rows import PlyRows, read_ply_rows
 from lumisplat.io.splats.columns import (
+    LOGITS_COMMENT,
     OPTIONAL,
     PROPERTY_NAMES,
     Floats,
     SplatColumns,
     columns_from_gaussians,
     harmonic_names,
+    recognise_activated,
+    stored_activated,
 )
 from lumisplat.io.splats.material_columns import (
     FIELDS,
@@ -55,6 +61,9 @@ ANTIALIASED_COMMENT = "SplatRenderMode: mip"
 
 KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
 """Our own comment: no trainer writes the degree to its files."""
+
+_COLOR_OF_DC = {"f_dc_0": "red", "f_dc_1": "green", "f_dc_2": "blue"}
+"""Properties that give the colour of a capture without f_dc."""
 
 _CACHED_ROWS = 4096
 """Rows whose columns are separated at once."""
@@ -95,6 +104,12 @@ def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
     return comments_with_orientation(gaussians, comments)
 
 
+def comments_as_stored(gaussians: Gaussians, columns: SplatColumns) -> tuple[str, ...]:
+    """Returns `comments_with_settings`, and that of logits where readers would take the columns for other values."""
+    unsure = any(stored_activated(columns))
+    return (*comments_with_settings(gaussians), *([LOGITS_COMMENT] if unsure else []))
+
+
 def is_gaussian_element(vertex: PlyElement) -> bool:
     """Whether a vertex element has properties of a Gaussian capture, complete or not."""
     return bool({"opacity", "scale_0", "rot_0"}.intersection(vertex.names))
@@ -125,6 +140,7 @@ def read_splat_ply(
             progress(start / vertex.count)
     if columns is None:
         raise FormatError(header.path, "holds zero Gaussians: there is nothing to render")
+    recognise_activated(header.path, columns, scale_columns(vertex))
     _flatten_2d(columns, vertex)
     _tell_incomplete_materials(header, vertex, columns)
     _leave_out_unknown_materials(header, vertex, columns)
@@ -143,14 +159,25 @@ def splat_element(header: PlyHeader) -> tuple[PlyElement, int]:
     return vertex, _check_properties(header.path, vertex)
 
 
-def columns_of_rows(header: PlyHeader, vertex: PlyElement, coefficients: int, rows: PlyRows) -> SplatColumns:
-    """Some rows of an uncompressed PLY, without materials; arguments as of `splat_element`."""
+def columns_of_rows(
+    header: PlyHeader, vertex: PlyElement, coefficients: int, rows: PlyRows, activated: tuple[bool, bool]
+) -> SplatColumns:
+    """Returns some rows of an uncompressed PLY, without materials.
+
+    Args:
+        header: Header of the file.
+        vertex: As of `splat_element`.
+        coefficients: Likewise.
+        rows: The rows.
+        activated: As of `stored_activated`.
+    """
     columns = _allocate(replace(header, comments=()), replace(vertex, count=len(rows), properties=()), coefficients)
     columns.antialiased = antialiased_from_comments(header.comments)
     columns.kernel_degree = kernel_degree_from_comments(header.comments)
     columns.orientation = orientation_of_comments(header.path, header.comments)
     for start in range(0, len(rows), _CACHED_ROWS):
         _fill(columns, start, rows[start : start + _CACHED_ROWS])
+    columns.scales_are_logarithms, columns.opacities_are_logits = not activated[0], not activated[1]
     _flatten_2d(columns, vertex)
     return columns
 
@@ -162,12 +189,27 @@ def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
         for name, target in column_views(columns):
             if name in rows.dtype.names:  # but for the third scale of 2D Gaussians
                 target[start : start + len(rows)] = rows[name]
+            elif name in _COLOR_OF_DC:
+                target[start : start + len(rows)] = (_unit(rows[_COLOR_OF_DC[name]]) - 0.5) / SH_C0
+
+
+def _unit(color: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """A display-referred colour channel as 0..1, whether it is stored as an integer or as a float of that range."""
+    largest = np.iinfo(color.dtype).max if color.dtype.kind in "iu" else 1
+    return color.astype(np.float32) / np.float32(largest)
+
+
+def scale_columns(vertex: PlyElement) -> int:
+    """Returns the number of scales: 2D Gaussians have two."""
+    return 3 if "scale_2" in vertex.names else 2
 
 
 def _flatten_2d(columns: SplatColumns, vertex: PlyElement) -> None:
     """Gives 2D Gaussians their third scale."""
-    if "scale_2" not in vertex.names:
-        columns.log_scales[:, 2] = columns.log_scales[:, :2].min(axis=1) + math.log(FLAT_THICKNESS)
+    if scale_columns(vertex) == 2:
+        smaller = columns.log_scales[:, :2].min(axis=1)
+        is_logarithm = columns.scales_are_logarithms
+        columns.log_scales[:, 2] = smaller + math.log(FLAT_THICKNESS) if is_logarithm else smaller * FLAT_THICKNESS
 
 
 def _check_properties(path: PathLike, vertex: PlyElement) -> int:
@@ -180,7 +222,7 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
         raise FormatError(path, f"has SH degree {degree}, at most {SH_DEGREE_MAX} is supported")
     coefficients = (degree + 1) ** 2
     required = [name for field in REQUIRED for name in PROPERTY_NAMES[field]] + harmonic_names("f", coefficients)
-    missing = [name for name in required if name not in vertex.names]
+    missing = [name for name in required if name not in vertex.names and _COLOR_OF_DC.get(name) not in vertex.names]
     if missing and missing != ["scale_2"]:
         raise FormatError(path, f"is not a complete Gaussian capture: no {', '.join(missing[:6])}")
     return coefficients
@@ -275,8 +317,8 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
     """
     columns = columns_from_gaussians(gaussians)
     values = dict(column_views(columns))
+    comments = comments_as_stored(gaussians, columns)
     materials = [name for field in FIELDS[1:] for name in LINEAR.properties[field] if name in values]
-    comments = comments_with_settings(gaussians)
     if materials and not says_linear(comments):
         comments += (LINEAR_COMMENT,)
     light = [] if columns.incident is None else harmonics_in_order("incidents", columns.incident.shape[1])

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, KERNEL_DEGREE_MAX, SCALE_MIN, SH_DEGREE_MAX
-from lumisplat.io.splats.columns import SplatColumns
+from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, KERNEL_DEGREE_MAX, SH_DEGREE_MAX
+from lumisplat.io.splats.columns import SplatColumns, look_like_logits
 from lumisplat.io.splats.orientation import orientation_of_text
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.stage import UsdFile
@@ -60,25 +60,43 @@ def read_particles(file: UsdFile, prim: Any) -> SplatColumns | None:
         return None
     count = len(means)
     rotations = _sized(_either(file, prim, "orientations", 4), count, (0.0, 0.0, 0.0, 1.0))[:, [3, 0, 1, 2]]
-    scales = np.abs(_sized(_either(file, prim, "scales", 3), count, (1.0, 1.0, 1.0)))
+    scales, are_logarithms = _scales(file, prim, count)
     if flat:
         file.remarks.add("surflets, which become flat Gaussians", str(prim.GetPath()))
-        scales[:, 2] = FLAT_THICKNESS * scales[:, :2].min(axis=1)
+        smaller = scales[:, :2].min(axis=1)
+        scales[:, 2] = smaller + np.log(FLAT_THICKNESS) if are_logarithms else FLAT_THICKNESS * smaller
+    opacities = _sized(_either(file, prim, "opacities", 1), count, 1.0)
+    are_logits = look_like_logits(opacities, with_logarithms=are_logarithms)
+    if are_logits:
+        file.remarks.add("opacities outside 0..1, read as logits", str(prim.GetPath()))
     hints = hints_of(prim)
     return SplatColumns(
         means=means,
         rotations_wxyz=rotations,
-        log_scales=np.maximum(scales, np.float32(SCALE_MIN)),
-        opacities=_sized(_either(file, prim, "opacities", 1), count, 1.0),
+        log_scales=scales,
+        opacities=opacities,
         sh=_harmonics(file, prim, count),
         **_materials(file, prim, count),
-        scales_are_logarithms=False,
-        opacities_are_logits=False,
+        scales_are_logarithms=are_logarithms,
+        opacities_are_logits=are_logits,
         antialiased=bool(hints.get("antialiased", False)),
         kernel_degree=int(np.clip(hints.get("kernelDegree", KERNEL_DEGREE), 0, KERNEL_DEGREE_MAX)),
         comments=tuple(str(line) for line in hints.get("comments", ())),
         orientation=orientation_of_text(file.path, hints.get("orientation", "{}")),
     )
+
+
+def _scales(file: UsdFile, prim: Any, count: int) -> tuple[Floats, bool]:
+    """Returns the scales, shape (N, 3), and whether they are logarithms.
+
+    A scale is never negative; where most are, they are logarithms, of a writer who copied them from a capture. A few
+    negative ones are mirrored.
+    """
+    scales = _sized(_either(file, prim, "scales", 3), count, (1.0, 1.0, 1.0))
+    if 2 * np.count_nonzero(scales < 0.0) <= scales.size:
+        return np.abs(scales), False
+    file.remarks.add("negative scales, read as logarithms", str(prim.GetPath()))
+    return scales, True
 
 
 def _either(file: UsdFile, prim: Any, name: str, columns: int) -> Floats | None:

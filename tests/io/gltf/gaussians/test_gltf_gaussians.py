@@ -126,6 +126,18 @@ def test_logarithms_of_the_draft(tmp_path: Path, caplog: pytest.LogCaptureFixtur
     assert "has 3 negative values of SCALE: they are read as logarithms" in caplog.text
 
 
+def test_opacities_outside_their_range_are_logits(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Where some are negative, or the scales are logarithms; a line says so."""
+    logits = np.array([-3.0, 0.0, 0.5, 2.0, 4.0], np.float32)
+    read = loaded_gaussians(tmp_path, splat_gltf(stored_values() | {"OPACITY": logits}))
+    np.testing.assert_allclose(read.opacities, 1.0 / (1.0 + np.exp(-logits)), rtol=1e-6)
+    assert "has values of OPACITY outside 0..1: they are read as logits" in caplog.text
+    values = stored_values()
+    opaque = {"SCALE": np.log(values["SCALE"]) - 5.0, "OPACITY": np.full(5, 2.0, np.float32)}
+    read = loaded_gaussians(tmp_path, splat_gltf(values | opaque))
+    np.testing.assert_allclose(read.opacities, 0.880797, rtol=1e-6)
+
+
 @pytest.mark.parametrize("space", ["srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb"])
 def test_display_colours_keep_their_coefficients(tmp_path: Path, space: str) -> None:
     """Colours of a display are ours, under all names that they have had."""

@@ -20,7 +20,7 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.io.gltf.extras import own_extras
 from lumisplat.io.gltf.primitive import GltfPrimitive
 from lumisplat.io.splats.axes import mirror_axes
-from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
+from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns, look_like_logits
 from lumisplat.io.splats.orientation import orientation_of
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.gaussians import Gaussians
@@ -102,16 +102,17 @@ def read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> G
         raise primitive.error("has no POSITION")
     count = len(means)
     scales, are_logarithms = _scales(primitive, count)
+    opacities, are_logits = _opacities(primitive, count, are_logarithms)
     sh = _harmonics(primitive, count)
     own = own_extras(primitive.item)
     columns = SplatColumns(
         means,
         _attribute(primitive, _ROTATION, count)[:, [3, 0, 1, 2]],  # the file has the scalar last
         scales,
-        _attribute(primitive, _OPACITY, count)[:, 0],
+        opacities,
         sh,
         scales_are_logarithms=are_logarithms,
-        opacities_are_logits=False,
+        opacities_are_logits=are_logits,
         **_materials(primitive, count, own),
         **_settings(primitive.file.path, own),
     )
@@ -168,6 +169,17 @@ def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
             f"{negative:,}",
         )
     return scales, negative > 0
+
+
+def _opacities(primitive: GltfPrimitive, count: int, with_logarithms: bool) -> tuple[FloatArray, bool]:
+    """Returns the opacities of a primitive as stored, shape (N,), and whether they are logits."""
+    opacities = _attribute(primitive, _OPACITY, count)[:, 0]
+    are_logits = look_like_logits(opacities, with_logarithms=with_logarithms)
+    if are_logits:
+        _log.warning(
+            "%s: %s has values of OPACITY outside 0..1: they are read as logits", primitive.file.path, primitive.where
+        )
+    return opacities, are_logits
 
 
 def _harmonics(primitive: GltfPrimitive, count: int) -> FloatArray:
