@@ -82,11 +82,12 @@ def test_it_says_what_became_of_it(work: Workplace) -> None:
 
 
 def test_harmonics_are_left_out(work: Workplace) -> None:
-    """--sh-degree, also where there are no more."""
+    """--sh-degree leaves out what is above, and pads with zeros: 62 columns, for importers that want them."""
     capture = work.capture("capture.ply")
     ls.save(work.path("sh2.ply"), replace(capture, sh=np.ones((60, 9, 3))))
     assert "SH degree 1" in work.run("convert", "@sh2.ply", "@out.ply", "--sh-degree", "1").out
-    assert "SH degree 0" in work.run("convert", "@capture.ply", "@out.ply", "--sh-degree", "3").out
+    assert "SH degree 3" in work.run("convert", "@capture.ply", "@out.ply", "--sh-degree", "3").out
+    assert (work.folder / "out.ply").read_bytes().partition(b"end_header")[0].count(b"property float") == 62
 
 
 def test_invalid_gaussians_are_counted(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +99,34 @@ def test_any_number(tmp_path: Path, count: int) -> None:
     assert after.count == count
     np.testing.assert_array_equal(after.means[:, 2], 0.0)
     np.testing.assert_allclose(after.means, before.means, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["a.sog", "levels/lod-meta.json"])
+def test_far_captures_keep_their_positions(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+    """At the coordinates of a map, positions are exact here; engines that decode floats round them, as a line says."""
+    base = capture(400, 0)
+    far = replace(base, means=base.means + np.array((5e5, 5.4e6, 0.0)), scales=np.full((400, 3), 0.05))
+    ls.save(tmp_path / name, far)
+    read = load_gaussians(tmp_path / name)
+    gaps = np.abs(read.means[:, None].astype(np.float64) - far.means[None]).max(axis=2).min(axis=1)
+    assert read.count == 400 and gaps.max() < 1e-3
+    assert "the positions of 400 Gaussians are stored in steps larger than they are, up to 5.1, because" in caplog.text
+
+
+def test_strays_are_counted_by_their_steps(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A stray does not spoil what is near the origin, but is stored coarsely itself; without it, no line."""
+    base = capture(100, 0)
+    means = base.means.copy()
+    means[7] = (40_000.0, 0.0, 0.0)
+    ls.save(tmp_path / "a.sog", replace(base, means=means, scales=np.full((100, 3), 0.05)))
+    assert "the positions of 1 Gaussian are stored in steps larger than they are, up to 7.5" in caplog.text
+    read = load_gaussians(tmp_path / "a.sog")
+    near = read.means[read.means[:, 0] < 1e3]
+    gaps = np.abs(near[:, None] - means[None]).max(axis=2).min(axis=1)
+    assert len(near) == 99 and gaps.max() < 2e-3
+    caplog.clear()
+    ls.save(tmp_path / "b.sog", replace(base, scales=np.full((100, 3), 0.05)))
+    assert not caplog.records
 
 
 def test_written_once_more(tmp_path: Path) -> None:

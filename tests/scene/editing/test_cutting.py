@@ -57,6 +57,10 @@ def test_nothing_to_do_is_the_same_capture(capture: ls.Gaussians) -> None:
     assert ls.crop(capture, sphere=((0, 0, 4), 100.0)) is capture
     assert ls.select(capture, opacity=(0.0, 1.0)) is capture
     assert ls.limit_sh_degree(capture, 2) is capture
+    padded = ls.limit_sh_degree(capture, 3, pad=True)
+    assert padded.sh.shape[1] == 16 and not padded.sh[:, capture.sh.shape[1] :].any()
+    np.testing.assert_array_equal(padded.sh[:, : capture.sh.shape[1]], capture.sh)
+    assert ls.limit_sh_degree(capture, capture.sh_degree, pad=True) is capture
     assert ls.decimate(capture, 100) is capture
 
 

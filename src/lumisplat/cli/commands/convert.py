@@ -57,7 +57,7 @@ class Convert(LevelsCommand):
     floaters: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
     """Remove Gaussians with fewer than so many others within three of their scales; 4 suits most captures."""
     sh_degree: Annotated[int | None, arg(metavar="0..3", help_behavior_hint="")] = None
-    """Leave out harmonics above this degree; 0 is one colour for all directions."""
+    """Write SH of this degree: higher ones are left out, missing ones are zeros, as some importers want 3."""
     decimate: Annotated[str | None, arg(metavar="COUNT|N%", help_behavior_hint="")] = None
     """Merge neighbours until so many are left: for previews, and for what is far away."""
     scale: Annotated[float, arg(metavar="FACTOR")] = 1.0
@@ -154,7 +154,7 @@ class Convert(LevelsCommand):
             bar = partial(report, "looking for floaters")
             yield "--floaters", lambda g: ls.remove_floaters(g, neighbours, progress=bar)
         if (degree := self.sh_degree) is not None:
-            yield "--sh-degree", lambda g: ls.limit_sh_degree(g, degree)
+            yield "--sh-degree", lambda g: ls.limit_sh_degree(g, degree, pad=True)
         if (share := self.decimate) is not None:
             merging = partial(report, "merging neighbours")
             yield "--decimate", lambda g: ls.decimate(g, count_of(share, g.count), progress=merging)

@@ -151,8 +151,9 @@ def _cannot_be_logarithms(scales: Floats, means: Floats) -> bool:
     small, median, large = (float(size) for size in np.quantile(scales, (0.05, 0.5, 0.95)))
     low, high = np.quantile(means, (0.05, 0.95), axis=0)
     extent = 0.5 * float(np.linalg.norm(high - low))
-    one_size, too_large = large - small < 1.0, math.exp(min(large, 80.0)) > 10.0 * extent
-    return bool(large < extent < 100.0 * math.exp(min(median, 80.0)) and (one_size or too_large))
+    if not large < extent < 100.0 * math.exp(min(median, 80.0)):
+        return False
+    return large - small < 1.0 or math.exp(min(large, 80.0)) > 10.0 * extent
 
 
 def look_like_logits(opacities: Floats, *, with_logarithms: bool) -> bool:
@@ -163,7 +164,7 @@ def look_like_logits(opacities: Floats, *, with_logarithms: bool) -> bool:
         with_logarithms: The scales beside them are logarithms; without these, one logit must be negative.
     """
     outside = np.count_nonzero((opacities < 0.0) | (opacities > 1.0))
-    return 10 * outside >= max(len(opacities), 1) and (with_logarithms or bool((opacities < 0.0).any()))
+    return int(10 * outside) >= max(len(opacities), 1) and (with_logarithms or bool((opacities < 0.0).any()))
 
 
 def recognise_activated(path: PathLike, columns: SplatColumns, scale_columns: int = 3) -> None:

@@ -155,7 +155,9 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
         return pixels[:count]
 
     low, high = (rows(name)[:, :3] for name in meta["means"]["files"])
-    log_means = _scale_to_range((low | high.astype(np.uint16) << 8) / np.float32(65535.0), meta["means"])
+    least, most = (np.asarray(meta["means"][name], np.float64) for name in ("mins", "maxs"))
+    # In double precision: far from the origin, the exponential enlarges what float32 rounds.
+    log_means = least + (low | high.astype(np.uint16) << 8) / 65535.0 * (most - least)
     sh0 = rows(meta["sh0"]["files"][0])
     dc = _values(sh0 if logits else sh0[:, :3], meta["sh0"])
     sh = dc[:, None, :3]
@@ -163,7 +165,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
         sh = np.concatenate([sh, _palette_sh(path, meta["shN"], images, rows)], axis=1)
     generator = meta.get("asset", {}).get("generator")
     with np.errstate(over="ignore"):  # damaged ranges are refused later, as infinite values
-        means = np.sign(log_means) * np.expm1(np.abs(log_means))
+        means = (np.sign(log_means) * np.expm1(np.abs(log_means))).astype(np.float32)
     return SplatColumns(
         means=means,
         rotations_wxyz=_rotations(rows(meta["quats"]["files"][0])),

@@ -21,7 +21,14 @@ from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.orientation import orientation_values
 from lumisplat.io.splats.sog.reader import OURS
-from lumisplat.io.splats.sog.writer import remove_file, sog_contents, warn_losses, write_folder
+from lumisplat.io.splats.sog.writer import (
+    coarse_steps,
+    remove_file,
+    sog_contents,
+    warn_coarse_positions,
+    warn_losses,
+    write_folder,
+)
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.scene.editing.decimate import decimate
@@ -49,6 +56,8 @@ class _Units:
         """As leaves refer to them."""
         self.counts = [0] * levels
         """Gaussians of each level."""
+        self.coarse: tuple[int, float] = (0, 0.0)
+        """As of `warn_coarse_positions`, of the finest level."""
 
     def add(self, level: int, part: Gaussians) -> dict[str, int]:
         """Rows for a level of a leaf; where they are, as the tree says it."""
@@ -73,7 +82,11 @@ class _Units:
     def _write(self, level: int) -> None:
         unit = self._open[level]
         meta = self._folder / unit.name / "meta.json"
-        write_folder(meta, sog_contents(merge_gaussians(unit.parts)), self._written)
+        capture = merge_gaussians(unit.parts)
+        if level == 0:
+            steps = coarse_steps(capture)
+            self.coarse = (self.coarse[0] + len(steps), max(self.coarse[1], float(steps.max(initial=0.0))))
+        write_folder(meta, sog_contents(capture), self._written)
         self._number[level] += 1
         self._open[level] = _Unit(f"{level}_{self._number[level]}")
 
@@ -99,6 +112,7 @@ def _write_all(path: Path, gaussians: Gaussians, written: list[Path]) -> None:
     units = _Units(path.parent, levels, written)
     tree = _node(units, gaussians, levels)
     units.close()
+    warn_coarse_positions(path, *units.coarse)
     meta: dict[str, Any] = {
         "version": 1,
         "asset": {"generator": "Lumisplat"},

@@ -65,6 +65,8 @@ def write_sog(path: PathLike, gaussians: Gaussians) -> None:
     warn_losses(path, gaussians)
     if gaussians.count > IMAGE_SIDE_MAX**2:
         raise FormatError(path, f"{gaussians.count:,} Gaussians are more than a SOG holds, {IMAGE_SIDE_MAX**2:,}")
+    steps = coarse_steps(gaussians)
+    warn_coarse_positions(path, len(steps), float(steps.max(initial=0.0)))
     contents = sog_contents(gaussians.subset(morton_order(gaussians.means)))
     if Path(path).name.lower() == "meta.json":
         with written_together(Path(path).parent) as written:
@@ -151,6 +153,39 @@ def sog_contents(gaussians: Gaussians) -> Contents:
     with ThreadPoolExecutor(THREADS) as threads:
         packed = dict(zip(images, threads.map(_webp, images.values()), strict=True))
     return {"meta.json": json.dumps(meta, separators=(",", ":")).encode()} | packed
+
+
+def coarse_steps(gaussians: Gaussians) -> Floats:
+    """Returns the steps in which positions are stored, scene units, of the Gaussians that are smaller than them.
+
+    A step is 1 / 65535 of the range of the logarithms, or the rounding of these in single precision, in which engines
+    decode them, whichever is larger, times the derivative 1 + abs(x).
+    """
+    means = gaussians.means.astype(np.float64)
+    logs = np.log1p(np.abs(means))
+    extent = np.ptp(np.sign(means) * logs, axis=0)
+    steps = (1.0 + np.abs(means)) * np.maximum(extent / 65535.0, np.spacing(logs.astype(np.float32)))
+    largest = steps.max(axis=1)
+    return largest[largest > gaussians.scales.max(axis=1)]
+
+
+def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
+    """Logs that some Gaussians are smaller than the steps of their positions, if any are.
+
+    Args:
+        path: The file.
+        count: Number of these.
+        step: The largest step, scene units.
+    """
+    if count:
+        _log.warning(
+            "%s: the positions of %s are stored in steps larger than they are, up to %.2g, because they lie "
+            "far from the origin, or others do: move the capture there (--translate), remove strays (--floaters), or "
+            "save as .ply",
+            os.fspath(path),
+            f"{count:,} Gaussian{'s' * (count > 1)}",
+            step,
+        )
 
 
 def _means(means: Floats, add: Callable[[str, Bytes], str]) -> dict[str, Any]:
