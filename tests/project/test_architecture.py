@@ -84,6 +84,7 @@ LAYERS = (
     "public",
     "viewer.thresholds",
     "viewer.colors",
+    "viewer.words",
     "viewer.server",
     "viewer.state",
     "viewer.frames",

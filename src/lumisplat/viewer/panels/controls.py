@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
@@ -43,23 +44,64 @@ class Control:
     ) -> None:
         self.field = field
         self.handle: Any = _handle(gui, field, value)
+        self._none: Any = None
+        """Whether an optional colour is None, which no colour shows."""
         self._shown = value
+        self._put, self._report = put, report
+        read = partial(from_shown, field)
+        typed = _has_keys(field, value)
+        self.handle.on_update(chosen(lambda shown: (shown,), lambda given: self._take(read, given[0]), is_typed=typed))
+        if field.kind == "color" and field.is_optional:
+            self._none = gui.add_checkbox(f"no {field.label}", value is None, hint="Transparent.")
+            self._none.on_update(chosen(lambda is_none: (is_none,), lambda given: self._take(self._color, given[0])))
 
-        def take(shown: tuple[Any]) -> None:
-            try:
-                value = from_shown(field, shown[0])
-                if value != self._shown:
-                    put(value)
-            except ls.LumisplatError as error:
-                report(" ".join(str(error).split()))
-                self.show(self._shown)
-
-        self.handle.on_update(chosen(lambda value: (value,), take, is_typed=_has_keys(field, value)))
+    @property
+    def handles(self) -> list[Any]:
+        """What is on the page of it."""
+        return [self.handle] if self._none is None else [self.handle, self._none]
 
     def show(self, value: Any) -> None:
         """Shows another value."""
         self._shown = value
-        self.handle.value = to_shown(self.field, value)
+        if self._none is not None:
+            self._none.value = value is None
+        if self._none is None or value is not None:
+            self.handle.value = to_shown(self.field, value)
+
+    def set_unused(self, reason: str | None) -> None:
+        """Disables the control, and says what would give it an effect; None: it has one."""
+        for handle in self.handles:
+            set_unused(handle, self.field.help or None, reason)
+
+    def _take(self, read: Callable[[Any], Any], shown: Any) -> None:
+        try:
+            value = read(shown)
+            if value != self._shown:
+                self._put(value)
+        except ls.LumisplatError as error:
+            self._report(" ".join(str(error).split()))
+            self.show(self._shown)
+
+    def _color(self, is_none: bool) -> Any:
+        return None if is_none else from_shown(self.field, self.handle.value)
+
+
+def set_unused(handle: Any, hint: str | None, reason: str | None) -> None:
+    """Disables a control that has no effect, and says in its hint what would give it one.
+
+    Args:
+        handle: The control.
+        hint: What it says where it has one.
+        reason: What would give it an effect; None: it has one.
+    """
+    set_if_changed(handle, "disabled", reason is not None)
+    set_if_changed(handle, "hint", hint if reason is None else f"{reason} {hint or ''}".strip())
+
+
+def set_if_changed(handle: Any, name: str, value: object) -> None:
+    """Sets a property of a control: each time it is set, all pages are told."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
 
 
 def to_shown(field: Described, value: Any) -> Any:
@@ -181,10 +223,10 @@ def _number_handle(gui: viser.GuiApi, field: Described, shown: Any, hint: str | 
     whole, low, high = field.kind == "whole", field.low, field.high
     if low is not None and high is not None and _is_slider(field, shown):
         ends = (int(low), int(high)) if whole else (low, high)
-        step = 1 if whole else _step(high - low)
+        step = field.step if whole else _step(high - low)
         return gui.add_slider(field.label, ends[0], ends[1], step, shown, hint=hint)
     least = None if low is None else type(shown)(low)
-    return gui.add_number(field.label, shown, min=least, step=1 if whole else 1e-4, hint=hint)
+    return gui.add_number(field.label, shown, min=least, step=field.step if whole else 1e-4, hint=hint)
 
 
 def _step(span: float) -> float:

@@ -12,11 +12,14 @@ from enum import Enum
 from functools import cache
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from lumisplat.viewer.words import label
+
 Kind = Literal["flag", "choice", "whole", "number", "color", "vector", "text", "group"]
 
 _NUMBER = r"(-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?)"
 _RANGE = re.compile(rf"{_NUMBER}(?: \([^)]*\))?\s*(?:\.\.|\bto\b)\s*{_NUMBER}(?![\w^])")
 """``0..1``, ``1 to 256``."""
+_MULTIPLE = re.compile(r"\ba multiple of (\d+)")
 _AT_LEAST = re.compile(r"\b(?:at least|>=|above|>) (\d+(?:\.\d+)?)")
 
 
@@ -35,6 +38,8 @@ class Described:
     high: float | None = None
     """Largest value."""
     choices: tuple[Enum, ...] = ()
+    step: int = 1
+    """A whole number is a multiple of it."""
     group: type | None = None
     """The class of a group of fields."""
     default: Any = None
@@ -47,7 +52,7 @@ class Described:
     @property
     def label(self) -> str:
         """The name in words."""
-        return self.name.rpartition(".")[2].replace("_", " ")
+        return label(self.name)
 
 
 @cache
@@ -78,7 +83,9 @@ def _described(name: str, hint: Any, text: str, default: Any) -> Described | Non
     if choices:
         help_text = " ".join([help_text, *_choice_help(rest[0])])
     group = rest[0] if kind == "group" else None
-    return Described(name, kind, help_text, len(rest) < len(options), low, high, choices, group, default)
+    multiple = _MULTIPLE.search(text) if kind == "whole" else None
+    step = int(multiple[1]) if multiple else 1
+    return Described(name, kind, help_text, len(rest) < len(options), low, high, choices, step, group, default)
 
 
 def _kind(name: str, hint: Any) -> Kind | None:  # noqa: PLR0911

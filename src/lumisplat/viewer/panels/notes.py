@@ -8,6 +8,8 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING
 
+from lumisplat.viewer.words import page_words
+
 if TYPE_CHECKING:
     import viser
 
@@ -66,7 +68,7 @@ class Notes:
     def _tell_warning(self, record: logging.LogRecord) -> bool:
         """Tells pages what is logged of scenes and frames, such as odd colours; errors are told where they happen."""
         if record.levelno == logging.WARNING:
-            self.tell("mind", record.getMessage())
+            self.tell("mind", page_words(record.getMessage()))
         return True
 
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
+from lumisplat.viewer.panels.controls import set_unused
 from lumisplat.viewer.panels.settings import SettingsPanel
 from lumisplat.viewer.server.turns import chosen
+from lumisplat.viewer.state.applicable import unused_settings
 from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 _FIRST = ("pipeline", "shadows", "tone_map", "samples", "noise", "background")
 _QUALITY = ("quality",)
 _EXPOSURE_STOPS = 8.0
+_EXPOSURE_HINT = "Stops by which lit pictures are brightened."
 
 
 class RenderingPanel:
@@ -32,9 +35,8 @@ class RenderingPanel:
         config = session.state.config
         self._first = SettingsPanel(gui, config, self._put, session.report, only=_FIRST)
         self._quality = SettingsPanel(gui, config.realtime, self._put_realtime, session.report, only=_QUALITY)
-        self._exposure = gui.add_slider(
-            "exposure", -_EXPOSURE_STOPS, _EXPOSURE_STOPS, 0.1, 0.0, hint="Stops by which lit pictures are brightened."
-        )
+        stops = _EXPOSURE_STOPS
+        self._exposure = gui.add_slider("exposure", -stops, stops, 0.1, 0.0, hint=_EXPOSURE_HINT)
         self._exposure.on_update(chosen(float, self._put_exposure))
         with gui.add_folder("all settings", expand_by_default=False):
             self._rest = SettingsPanel(gui, config, self._put, session.report, without=(*_FIRST, "aovs"))
@@ -65,7 +67,11 @@ class RenderingPanel:
         self._rest.show(state.config)
         self._quality.show(state.config.realtime)
         self._exposure.value = state.exposure
-        self._quality.set_visible(state.config.pipeline is ls.Pipeline.REALTIME)
+        unused = unused_settings(state.config, lit=self._session.is_lit)
+        self._first.set_unused(unused)
+        self._rest.set_unused(unused)
+        self._quality.set_unused(dict.fromkeys(_QUALITY, unused["realtime"]) if "realtime" in unused else {})
+        set_unused(self._exposure, _EXPOSURE_HINT, unused.get("exposure"))
         self._actors.visible = any(entry.actor is not None for entry in state.document.entries)
         if self._actors.visible and self._top is not state.document.top:
             self._top = state.document.top

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from enum import Enum
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from lumisplat.viewer.panels.controls import Control
+import lumisplat as ls
+from lumisplat.viewer.panels.controls import Control, set_if_changed
 from lumisplat.viewer.panels.described import Described, described
 
 if TYPE_CHECKING:
@@ -46,15 +48,19 @@ class SettingsPanel(Generic[Settings]):
         self._put = put
         self._controls: dict[str, Control] = {}
         self._groups: dict[str, SettingsPanel[Any]] = {}
+        self._folders: dict[str, Any] = {}
+        """Of the groups."""
         for field in described(type(settings)):
             if field.name in without or (only is not None and field.name not in only):
                 continue
             value = getattr(settings, field.name)
             if field.kind == "group":
-                with gui.add_folder(field.label, expand_by_default=False):
+                self._folders[field.name] = gui.add_folder(field.label, expand_by_default=False)
+                with self._folders[field.name]:
                     self._groups[field.name] = SettingsPanel(gui, value, self._group_changed(field.name), report)
             else:
-                self._controls[field.name] = Control(gui, field, value, self._field_changed(field), report)
+                offered = replace(field, choices=tuple(c for c in field.choices if _is_taken(settings, field, c)))
+                self._controls[field.name] = Control(gui, offered, value, self._field_changed(field), report)
 
     def show(self, settings: Settings) -> None:
         """Shows other settings."""
@@ -63,10 +69,16 @@ class SettingsPanel(Generic[Settings]):
         for name, group in self._groups.items():
             group.show(getattr(settings, name))
 
-    def set_visible(self, visible: bool) -> None:
-        """Shows or hides its own fields; groups have folders of their own."""
-        for control in self._controls.values():
-            control.handle.visible = visible
+    def set_unused(self, unused: Mapping[str, str]) -> None:
+        """Disables controls that have no effect, and hides such groups.
+
+        Args:
+            unused: Names of fields, each with what would give it an effect.
+        """
+        for name, control in self._controls.items():
+            control.set_unused(unused.get(name))
+        for name, folder in self._folders.items():
+            set_if_changed(folder, "visible", name not in unused)
 
     def _field_changed(self, field: Described) -> Callable[[Any], None]:
         name = field.name
@@ -83,3 +95,12 @@ class SettingsPanel(Generic[Settings]):
             self._put(lambda settings: replace(settings, **{name: change(getattr(settings, name))}), merge)
 
         return put
+
+
+def _is_taken(settings: Any, field: Described, choice: Enum) -> bool:
+    """Whether settings may have a choice of a field."""
+    try:
+        replace(settings, **{field.name: choice})
+    except ls.ConfigError:
+        return False
+    return True

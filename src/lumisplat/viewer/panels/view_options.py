@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
 from lumisplat.viewer.server.turns import chosen, pressed
-from lumisplat.viewer.state.session import VIEWS, Session
+from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ class ViewPanel:
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
         self._session = session
         options = session.options
-        self._view = gui.add_dropdown("view", VIEWS, initial_value=options.view)
+        self._view = gui.add_dropdown("view", session.views, initial_value=options.view)
         self._height = gui.add_slider("rows", *HEIGHTS, 10, options.height, hint="Of pictures at rest.")
         self._budget = gui.add_slider(
             "budget",
@@ -53,6 +53,15 @@ class ViewPanel:
             (self._insets, "insets"),
         ):
             handle.on_update(chosen(lambda value: (value,), self._putter(handle, name)))
+        session.on_change(self._show)
+
+    def _show(self) -> None:
+        """Lists the views that there are, and shows the present one."""
+        views = self._session.views
+        if tuple(self._view.options) != views:
+            self._view.options = views
+        if self._view.value != self._session.options.view:
+            self._view.value = self._session.options.view
 
     def _split(self) -> None:
         splits = bool(self._splits.value)

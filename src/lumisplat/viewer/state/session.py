@@ -12,9 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
+from lumisplat.viewer.state.applicable import is_lit, shown_views
 from lumisplat.viewer.state.boxes import Boxes
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, MERGE_S, UNDO_BYTES_MAX, UNDO_MAX
+from lumisplat.viewer.words import page_words
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,16 @@ class Session:
         return self.state.document.scene(self.options.time)
 
     @property
+    def is_lit(self) -> bool:
+        """Whether frames are lit."""
+        return is_lit(self.state.config, self.scene)
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """What pages may show of the frames of the present state."""
+        return shown_views(self.state.config, lit=self.is_lit)
+
+    @property
     def selected_entry(self) -> ls.SceneEntry | None:
         """The entry that people edit."""
         return next((entry for entry in self.state.document.entries if entry.id == self.selected), None)
@@ -214,9 +226,9 @@ class Session:
         self._listeners.append(listener)
 
     def report(self, problem: str) -> None:
-        """Tells people what went wrong."""
+        """Tells people what went wrong, in the words of the page."""
         for tell in self.errors:
-            tell(problem)
+            tell(page_words(problem))
 
     def _step(self, source: list[State], target: list[State]) -> bool:
         with self.changed:
@@ -234,6 +246,8 @@ class Session:
         if state.document is not self.state.document:
             self.boxes.keep(state.document)
         self.state = state
+        if self.options.view != "color" and self.options.view not in self.views:
+            self.options = replace(self.options, view="color")  # such frames have no image of it
         self.revision += 1
         self.changed.notify_all()
         self._tell()

@@ -148,7 +148,7 @@ class Inspector:
         for field, value in fields:
             control = Control(self._gui, field, value, self._putter(entry, field), self._session.report)
             self._controls[field.name] = control
-            handles.append(control.handle)
+            handles += control.handles
         return handles
 
     def _fields(self, entry: ls.SceneEntry) -> list[tuple[Described, Any]]:

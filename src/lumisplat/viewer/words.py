@@ -1,0 +1,72 @@
+"""Messages of the library in the words of the page: labels of controls in place of the names that Python has."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import cache
+from typing import Any, get_args, get_type_hints
+
+import lumisplat as ls
+
+_FLAGS = {"=True": " on", "=False": " off"}
+_CONFIG_FIELD = re.compile(r"\b[A-Z]\w*Config\.((?:\w+\.)*[a-z]\w*)(=True|=False)?\b")
+_MEMBER = re.compile(r"\b([A-Z]\w*)\.([A-Z][A-Z0-9_]*)\b")
+_OTHERS = {"aovs": "layers"}
+"""Settings that the page calls otherwise."""
+
+
+def label(name: str) -> str:
+    """Returns the label of a control by the name of its setting, without the groups that it is in."""
+    last = name.rpartition(".")[2]
+    return _OTHERS.get(last, last.replace("_", " "))
+
+
+def page_words(message: str) -> str:
+    """Returns a message in the words of the page.
+
+    ``Pipeline.HYBRID`` becomes *pipeline hybrid*, ``RenderConfig.lighting=True`` *lighting on*, ``time_limit`` *time
+    limit*: what people read beside the controls that they would change.
+
+    Args:
+        message: One line.
+    """
+    labels, names = _choices(), _names()
+
+    def choice(found: re.Match[str]) -> str:
+        kind = labels.get(found[1])
+        if kind is None or found[2] not in kind[1].__members__:
+            return found[0]
+        return f"{kind[0]} {kind[1][found[2]].value}"
+
+    message = _CONFIG_FIELD.sub(lambda found: label(found[1]) + _FLAGS.get(found[2] or "", ""), message)
+    message = _MEMBER.sub(choice, message)
+    return re.sub(r"(?<![\w.'\"])[a-z]+(?:_[a-z]+)*(?![\w'\"])", lambda word: names.get(word[0], word[0]), message)
+
+
+@cache
+def _choices() -> dict[str, tuple[str, type[Enum]]]:
+    """Enums of settings by name, each with the label of its control."""
+    kinds: dict[str, tuple[str, type[Enum]]] = {}
+    for name, kind in _settings(ls.RenderConfig):
+        if isinstance(kind, type) and issubclass(kind, Enum):
+            kinds.setdefault(kind.__name__, (label(name), kind))
+    return kinds
+
+
+@cache
+def _names() -> dict[str, str]:
+    """Names of settings that are more than one word, or called otherwise, with their labels."""
+    return {name: label(name) for name, _ in _settings(ls.RenderConfig) if "_" in name or name in _OTHERS}
+
+
+def _settings(cls: type[Any]) -> Iterator[tuple[str, object]]:
+    """Names and types of the settings of a class and of its groups."""
+    hints = get_type_hints(cls)
+    for field in fields(cls):
+        options = [one for one in get_args(hints[field.name]) or (hints[field.name],) if one is not type(None)]
+        yield field.name, options[0]
+        if isinstance(options[0], type) and is_dataclass(options[0]):
+            yield from _settings(options[0])
