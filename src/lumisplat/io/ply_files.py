@@ -52,6 +52,6 @@ def holds_mesh(path: Path) -> bool:
 
 
 def _has_faces(header: PlyHeader) -> bool:
-    """Whether there are faces, and no Gaussians."""
-    vertex, face = header.element("vertex"), header.element("face")
-    return face is not None and bool(face.count) and not (vertex and is_gaussian_element(vertex))
+    """Whether there are faces or triangle strips, and no Gaussians."""
+    vertex, surfaces = header.element("vertex"), map(header.element, ("face", "tristrips"))
+    return any(one and one.count for one in surfaces) and not (vertex and is_gaussian_element(vertex))

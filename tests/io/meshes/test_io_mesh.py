@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,6 +62,37 @@ def test_obj_index_of_refraction(tmp_path: Path) -> None:
         assert pbr_of(read_one(path)).ior == ior
 
 
+@pytest.mark.parametrize(
+    ("color", "expected", "lines"),
+    [("", 1.0, 0), ("Kd 0 0 0\n", 1.0, 1), ("Kd 0.5 0.5 0.5\n", 0.5, 0), ("Kd 0 0 0.1\n", None, 0)],
+)
+@pytest.mark.parametrize("texture_first", [False, True])
+def test_textures_of_obj_without_a_colour_are_shown_as_they_are(
+    tmp_path: Path,
+    color: str,
+    expected: float | None,
+    lines: int,
+    texture_first: bool,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Exporters leave Kd out, or write black, for what a texture colours; any other Kd multiplies it."""
+    path = write_obj(tmp_path)
+    parts = ["map_Kd quad texture.png\n", color][:: 1 if texture_first else -1]
+    (tmp_path / "quad.mtl").write_text("newmtl painted\n" + "".join(parts))
+    mesh = read_one(path)
+    assert mesh.material.base_color == ((0.0, 0.0, 0.1) if expected is None else (expected,) * 3)
+    assert mesh.material.base_color_texture is not None
+    assert [record for record in caplog.messages if "Kd 0 0 0" in record] == caplog.messages
+    assert len(caplog.messages) == lines
+
+
+def test_obj_that_is_black_without_a_texture_stays_black(tmp_path: Path) -> None:
+    """A colour of 0 is one."""
+    path = write_obj(tmp_path)
+    (tmp_path / "quad.mtl").write_text("newmtl painted\nKd 0 0 0\n")
+    assert read_one(path).material.base_color == (0.0, 0.0, 0.0)
+
+
 def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
     """Each material becomes a mesh instance with only the vertices that it uses."""
     write_obj(tmp_path)
@@ -116,6 +148,24 @@ def test_obj_texture_trouble_names_the_texture(tmp_path: Path, damage: str) -> N
         ls.load(path)
 
 
+@pytest.mark.parametrize("space", [b"end solid", b"END  SOLID", b"end\tsolid"])
+def test_stl_ends_may_have_spaces(tmp_path: Path, space: bytes) -> None:
+    """Also those of facets and loops."""
+    text = stl_text(QUAD[QUAD_TRIANGLES])
+    for name in (b"facet", b"loop"):
+        text = text.replace(b"end" + name, space.replace(b"solid", name).replace(b"SOLID", name))
+    (tmp_path / "quad.stl").write_bytes(text.replace(b"endsolid", space))
+    np.testing.assert_array_equal(read_one(tmp_path / "quad.stl").positions.reshape(-1, 3, 3), QUAD[QUAD_TRIANGLES])
+
+
+@pytest.mark.parametrize("extra", [1, 2, 50, 1000])
+def test_bytes_after_a_binary_stl_are_left_out(tmp_path: Path, extra: int, caplog: pytest.LogCaptureFixture) -> None:
+    """Padding of a writer, or of a download; a line counts it."""
+    (tmp_path / "quad.stl").write_bytes(stl_bytes(QUAD[QUAD_TRIANGLES]) + b"\0" * extra)
+    assert read_one(tmp_path / "quad.stl").face_count == 2
+    assert f"{extra:,} bytes after its last triangle are left out" in caplog.text
+
+
 @pytest.mark.parametrize("extension", ["obj", "ply"])
 def test_texture_without_coordinates_is_left_out(
     tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture
@@ -145,6 +195,60 @@ def test_ply_polygons_and_linear_colors(tmp_path: Path, order: str, quad_first: 
     np.testing.assert_array_equal(mesh.indices, triangles)
     np.testing.assert_allclose(present(mesh.colors), [(1.0, float(decode_srgb(188 / 255)), 0.0)] * 4, atol=1e-6)
     assert mesh.material.base_color == (1.0, 1.0, 1.0)
+
+
+STRIP = [(0, 1, 3, 2), (0, 1, 2, 2, 2, 3, 0)]
+"""The quad as a strip, and with repeated corners that end one piece of it and begin another."""
+
+
+@pytest.mark.parametrize("corners", STRIP)
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("kind", ["int", "uint"])
+def test_ply_triangle_strips(tmp_path: Path, corners: tuple[int, ...], order: str, kind: str) -> None:
+    """Several in a list with -1 between them, and in several lists; all triangles face the same way."""
+    first, second = (*corners, -1, 0, 1, 2), (1, 2, 3)
+    header = f"ply\nformat {order} 1.0\nelement vertex 4\n" + "".join(f"property float {n}\n" for n in "xyz")
+    header += f"element tristrips 2\nproperty list int {kind} vertex_indices\nend_header\n"
+    if order == "ascii":
+        stored = [[value % 2**32 if kind == "uint" else value for value in row] for row in (first, second)]
+        rows = [*QUAD.tolist(), [len(first), *stored[0]], [len(second), *stored[1]]]
+        body = "\n".join(" ".join(map(str, row)) for row in rows).encode()
+    else:
+        sign = "<" if "little" in order else ">"
+        body = QUAD.astype(f"{sign}f4").tobytes()
+        body += b"".join(np.array([len(row), *row], f"{sign}i4").tobytes() for row in (first, second))
+    (tmp_path / "strips.ply").write_bytes(header.encode() + body)
+    mesh = read_one(tmp_path / "strips.ply")
+    assert mesh.face_count == 4
+    a, b, c = (mesh.positions[mesh.indices[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] > 0.0).all()
+    assert {tuple(sorted(row)) for row in mesh.indices.tolist()[-2:]} == {(0, 1, 2), (1, 2, 3)}
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("triangles", [False, True])
+def test_ply_colours_of_faces(tmp_path: Path, order: str, triangles: bool) -> None:
+    """Each face has its colour, sRGB, whatever comes before and after it; polygons give theirs to all triangles."""
+    faces = [(0, 1, 2), (2, 3, 0)] if triangles else [(0, 1, 2, 3), (0, 1, 2)]
+    colors = [(255, 0, 0), (0, 188, 0)]
+    header = f"ply\nformat {order} 1.0\nelement vertex 4\n" + "".join(f"property float {n}\n" for n in "xyz")
+    header += "element face 2\nproperty uchar red\nproperty list uchar int vertex_indices\n"
+    header += "property uchar green\nproperty uchar blue\nproperty uchar alpha\nend_header\n"
+    rows = [(red, len(face), *face, green, blue, 255) for face, (red, green, blue) in zip(faces, colors, strict=True)]
+    if order == "ascii":
+        body = "\n".join(" ".join(map(str, row)) for row in [*QUAD.tolist(), *rows]).encode()
+    else:
+        sign = "<" if "little" in order else ">"
+        body = QUAD.astype(f"{sign}f4").tobytes()
+        body += b"".join(struct.pack(f"{sign}BB{row[1]}i3B", *row) for row in rows)
+    (tmp_path / "faces.ply").write_bytes(header.encode() + body)
+    mesh = read_one(tmp_path / "faces.ply")
+    fans = [[0, 1]] if triangles else [[0, 0, 1]]
+    expected = decode_srgb(np.array(colors)[fans[0]] / 255.0)
+    np.testing.assert_allclose(present(mesh.colors)[mesh.indices].mean(axis=1), expected, atol=1e-6)
+    np.testing.assert_allclose(np.ptp(present(mesh.colors)[mesh.indices], axis=1), 0.0)
+    assert mesh.material.base_color == (1.0, 1.0, 1.0)
+    np.testing.assert_array_equal(mesh.positions[mesh.indices][0], QUAD[[0, 1, 2]])
 
 
 def test_ply_texture_and_corner_uvs(tmp_path: Path) -> None:

@@ -29,6 +29,15 @@ ambient = 0.05
 """
 
 
+def test_a_texture_without_a_colour_is_shown_as_it_is(tmp_path: Path) -> None:
+    """Not times the grey of surfaces without a material; a colour that is given multiplies it."""
+    (tmp_path / "t.png").write_bytes(png_bytes())
+    texture = 'base_color_texture = "t.png"'
+    for extra, expected in (("", 1.0), ("base_color = [0.8, 0.8, 0.8]\n", 0.8)):
+        scene = load_scene(tmp_path, f'[[meshes]]\nshape = "plane"\nmaterial = "m"\n[materials.m]\n{texture}\n{extra}')
+        assert scene.meshes[0].mesh.material.base_color == (expected,) * 3
+
+
 def test_named_materials(tmp_path: Path) -> None:
     """Any number of entries use a material by its name, which becomes the material's."""
     write_obj(tmp_path)

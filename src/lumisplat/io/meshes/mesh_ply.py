@@ -1,4 +1,4 @@
-"""PLY meshes: polygons with normals, texture coordinates, colours and a texture.
+"""PLY meshes: polygons or triangle strips with normals, texture coordinates, colours and a texture.
 
 Texture coordinates and colours may be doubles, as those are that `write_ply_mesh` writes: they are turned upside down
 and encoded as sRGB, and shall come back as they were.
@@ -7,6 +7,7 @@ and encoded as sRGB, and shall come back as they were.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
 from lumisplat.io.ply.header import PlyHeader
-from lumisplat.io.ply.lists import read_ply_lists
+from lumisplat.io.ply.lists import PlyList, read_ply_lists
 from lumisplat.io.ply.rows import PlyRows, read_ply_element
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
@@ -27,17 +28,21 @@ from lumisplat.scene.mesh import Mesh
 
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _POLYGON_NAMES = ("vertex_indices", "vertex_index")
+_RGB = ("red", "green", "blue")
+_STRIPS = "tristrips"
+"""Element of triangle strips, as Stanford's scans have them."""
 _TEXTURE_COMMENT = "TextureFile "
 """Beginning of the comment with which MeshLab names a texture."""
 
 
 def read_ply_mesh(header: PlyHeader) -> Mesh:
-    """Reads polygons (fanned into triangles), normals, uvs (of vertices or of corners), colours and the texture.
+    """Reads polygons (fanned into triangles), triangle strips, normals, uvs, colours and the texture.
 
-    Vertex colours are sRGB and become linear. Texture coordinates have v up, as MeshLab and Blender write them.
+    Texture coordinates may be those of vertices or of corners, colours those of vertices or of faces. Colours are sRGB
+    and become linear. Texture coordinates have v up, as MeshLab and Blender write them.
 
     Args:
-        header: Header of a file with vertices and faces, the vertices first.
+        header: Header of a file with vertices and faces or strips, the vertices first.
 
     Raises:
         FormatError: The file is malformed, truncated or has no faces, or its texture is missing or corrupt.
@@ -48,31 +53,39 @@ def read_ply_mesh(header: PlyHeader) -> Mesh:
 
 def _read(header: PlyHeader) -> Mesh:
     vertices = read_ply_element(header, header.required("vertex"))
-    faces = read_ply_lists(header, header.required("face"))
+    face, strip = header.element("face"), header.element(_STRIPS)
+    faces = read_ply_lists(header, face, _RGB) if face is not None and face.count else {}
+    strips = read_ply_lists(header, strip) if strip is not None and strip.count else {}
     stored = _columns(vertices, "x", "y", "z")
     if stored is None:
         raise FormatError(header.path, "has no vertex element with x, y, z")
     positions = stored.astype(np.float32)
-    polygons = next((faces[name] for name in _POLYGON_NAMES if name in faces), None)
-    if polygons is None or not (polygons.counts >= 3).any():
+    polygons = _polygons(faces) or PlyList(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    corners = fan_triangles(polygons.counts)
+    indices = np.concatenate([polygons.items.astype(np.int64)[corners], _strip_triangles(_polygons(strips))])
+    if not len(indices):
         raise FormatError(header.path, f"a point cloud of {len(positions):,} points, not a mesh: no polygons")
     normals = _columns(vertices, "nx", "ny", "nz")
     colors = _colors(vertices)
     uvs = next((uv for uv in (_columns(vertices, *names) for names in _UV_NAMES) if uv is not None), None)
-    corners = fan_triangles(polygons.counts)
-    indices = polygons.items.astype(np.int64)[corners]
     sieve = TriangleSieve(header.path)
     usable = sieve.usable(positions, indices)
     sieve.report(anything_left=bool(usable.any()))
-    corners, indices = corners[usable], indices[usable].astype(np.int32)
+    indices = indices[usable].astype(np.int32)
     if normals is not None:
         normals = unit_normals(normals, positions, indices)
-    if "texcoord" in faces and len(faces["texcoord"].items) == 2 * len(polygons.items):
-        # Each corner of a polygon has its own texture coordinates: each corner becomes a vertex.
+    by_corner = "texcoord" in faces and len(faces["texcoord"].items) == 2 * len(polygons.items)
+    by_face = colors is None and set(_RGB) <= faces.keys()
+    if (by_corner or by_face) and not strips:
+        # Each corner of a polygon has its own texture coordinates or colour: each corner becomes a vertex.
         unwelded = indices.reshape(-1)
         positions = positions[unwelded]
-        normals, colors = (None if a is None else a[unwelded] for a in (normals, colors))
-        uvs = faces["texcoord"].items.reshape(-1, 2)[corners.reshape(-1)]
+        normals, colors, uvs = (None if a is None else a[unwelded] for a in (normals, colors, uvs))
+        if by_corner:
+            uvs = faces["texcoord"].items.reshape(-1, 2)[corners[usable].reshape(-1)]
+        if by_face:
+            face_of = np.repeat(np.arange(len(polygons.counts)), np.maximum(polygons.counts.astype(np.int64) - 2, 0))
+            colors = _linear(*(faces[name].items for name in _RGB))[np.repeat(face_of[usable], 3)]
         indices = np.arange(len(unwelded), dtype=np.int32).reshape(-1, 3)
     mesh = Mesh(
         positions,
@@ -104,12 +117,40 @@ def _columns(table: PlyRows, *names: str) -> Doubles | None:
 
 def _colors(vertices: PlyRows) -> FloatArray | None:
     """Linear vertex colours, shape (V, 3)."""
-    stored = _columns(vertices, "red", "green", "blue")
-    if stored is None:
+    if not set(_RGB) <= set(vertices.dtype.names or ()):
         return None
-    kind = vertices["red"].dtype
-    encoded = stored / (np.iinfo(kind).max if kind.kind in "iu" else 1.0)
+    return _linear(*(vertices[name] for name in _RGB))
+
+
+def _linear(*channels: npt.NDArray[Any]) -> FloatArray:
+    """Returns sRGB colours, whole numbers or floats of 0..1, as linear ones, shape (N, 3)."""
+    kind = channels[0].dtype
+    encoded = np.stack([channel.astype(np.float64) for channel in channels], axis=1)
+    encoded /= np.iinfo(kind).max if kind.kind in "iu" else 1.0
     return decode_srgb(np.clip(encoded, 0.0, 1.0)).astype(np.float32)
+
+
+def _polygons(lists: dict[str, PlyList]) -> PlyList | None:
+    """Returns the lists of vertices, None without any."""
+    return next((lists[name] for name in _POLYGON_NAMES if name in lists), None)
+
+
+def _strip_triangles(strips: PlyList | None) -> npt.NDArray[np.int64]:
+    """Returns the triangles of strips, shape (F, 3): each list is one, or several with -1 between them."""
+    if strips is None:
+        return np.zeros((0, 3), np.int64)
+    items = strips.items.astype(np.int64)
+    if strips.items.dtype.kind == "u":
+        items[strips.items == np.iinfo(strips.items.dtype).max] = -1
+    items = np.insert(items, np.cumsum(strips.counts.astype(np.int64)), -1)
+    place = np.arange(len(items))
+    begin = np.maximum.accumulate(np.where(items < 0, place + 1, 0))
+    first = place[: max(len(items) - 2, 0)]
+    odd = (first - begin[: len(first)]) % 2  # every second triangle of a strip is wound the other way
+    triangles = items[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
+    inside = (items[np.stack([first, first + 1, first + 2], axis=1)] >= 0).all(axis=1)
+    # Repeated corners turn a strip; they are neither triangles nor errors.
+    return triangles[inside & (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
 
 
 def write_ply_mesh(path: PathLike, mesh: Mesh) -> None:

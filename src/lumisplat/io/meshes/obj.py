@@ -61,7 +61,8 @@ def read_obj(path: Path, crease_angle: float = CREASE_ANGLE) -> Mesh | Scene:
     """Reads polygons (fanned into triangles), uvs, normals, vertex colours and materials.
 
     Meshes without normals get smooth ones, broken at edges sharper than ``crease_angle``, radians; 0: they stay flat.
-    `Kd` is linear, `map_Kd` and vertex colours are sRGB, as in Blender; `Pr` and `Pm` are roughness and metallic, `Ni`
+    `Kd` is linear, `map_Kd` and vertex colours are sRGB, as in Blender; without a `Kd`, or with one of 0, a `map_Kd` is
+    shown as it is. `Pr` and `Pm` are roughness and metallic, `Ni`
     is the index of refraction. Transparency is not read. If a material library is missing, the default material is
     used and a line is logged.
 
@@ -238,6 +239,11 @@ def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, Materi
             raise
         except ValueError as error:
             raise FormatError(path, f"line {number}: {error} in {line.strip()[:60]!r}") from None
+    for name, values in settings.items():
+        if "base_color_texture" in values and not any(values.get("base_color", (0.0,))):
+            if "base_color" in values:
+                _log.warning("%s: %s has Kd 0 0 0 and a map_Kd, which is shown as it is, not black", path, name)
+            values["base_color"] = (1.0, 1.0, 1.0)
     return {name: MaterialPbr(**values) for name, values in settings.items()}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 
@@ -13,12 +14,16 @@ from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.mesh import Mesh
 
+_log = logging.getLogger("lumisplat")
+
 _HEADER_BYTES = 84
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _NUMBER = rb"\s+([^\s]+)"
 _VERTEX = re.compile(rb"\bvertex" + 3 * _NUMBER, re.IGNORECASE)
 _LOOP = re.compile(rb"\bfacet\b", re.IGNORECASE)
 _END = re.compile(rb"\bendfacet\b", re.IGNORECASE)
+_SPACED_END = re.compile(rb"\bend\s+(?=(?:solid|facet|loop)\b)", re.IGNORECASE)
+"""Some writers put a space into ``endsolid`` and its like."""
 
 
 def read_stl(path: Path) -> Mesh:
@@ -46,10 +51,14 @@ def _corners(path: Path, data: bytes) -> FloatArray:
     text = decode_text(data, "replace").encode()
     if text.lstrip()[:5].lower() == b"solid" and _LOOP.search(text):
         return _ascii_corners(path, text)
+    if count and len(data) > expected:
+        _log.warning("%s: %s bytes after its last triangle are left out", path, f"{len(data) - expected:,}")
+        return np.frombuffer(data, _TRIANGLE, count, _HEADER_BYTES)["corners"].reshape(-1, 3)
     raise FormatError(path, f"{len(data):,} bytes, expected {expected:,} for an STL of {count:,} triangles")
 
 
 def _ascii_corners(path: Path, data: bytes) -> FloatArray:
+    data = _SPACED_END.sub(b"end", data)
     facets, closed = len(_LOOP.findall(data)), len(_END.findall(data))
     corners = np.array(_VERTEX.findall(data)).astype(np.float32).reshape(-1, 3)
     if len(corners) != 3 * facets or closed != facets or b"endsolid" not in data.lower():

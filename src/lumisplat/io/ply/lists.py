@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -35,12 +36,13 @@ class _Span(NamedTuple):
     """Number of items."""
 
 
-def read_ply_lists(header: PlyHeader, element: PlyElement) -> dict[str, PlyList]:
+def read_ply_lists(header: PlyHeader, element: PlyElement, scalars: Collection[str] = ()) -> dict[str, PlyList]:
     """Reads the list properties of an element.
 
     Args:
         header: Header of the file.
         element: One of its elements; no element before it may have list properties.
+        scalars: Plain numbers of each row that are read, too, as lists of one item.
 
     Returns:
         The lists by name. Other properties are skipped.
@@ -57,10 +59,10 @@ def read_ply_lists(header: PlyHeader, element: PlyElement) -> dict[str, PlyList]
     else:
         stored = _with_types(element, ENCODINGS[header.encoding])
         data = data[start:]
-    lists = _equal_rows(stored, data, _walk(header, stored, data, min(1, element.count)))
+    lists = _equal_rows(stored, data, _walk(header, stored, data, min(1, element.count), scalars))
     if lists is None:
-        spans = _walk(header, stored, data, element.count)
-        lists = {p.name: _gather(p, data, spans[p.name]) for p in stored.properties if p.count_code}
+        spans = _walk(header, stored, data, element.count, scalars)
+        lists = {p.name: _gather(p, data, spans[p.name]) for p in stored.properties if p.name in spans}
     codes = {p.name: p.code for p in element.properties}
     return {name: PlyList(counts, items.astype(codes[name])) for name, (counts, items) in lists.items()}
 
@@ -83,15 +85,17 @@ def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_
     return np.array(b" ".join(rows).split(), dtype="<f8").tobytes()
 
 
-def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> dict[str, list[_Span]]:
-    """Finds the lists of the first ``count`` rows, all of which must be complete."""
+def _walk(
+    header: PlyHeader, element: PlyElement, data: bytes, count: int, scalars: Collection[str]
+) -> dict[str, list[_Span]]:
+    """Finds the lists and the scalars of the first ``count`` rows, all of which must be complete."""
     counters = [
         struct.Struct(p.count_code[0] + np.dtype(p.count_code).char) if p.count_code else None
         for p in element.properties
     ]
     sizes = [np.dtype(p.code).itemsize for p in element.properties]
     fields = list(zip(element.names, counters, sizes, strict=True))
-    spans: dict[str, list[_Span]] = {name: [] for name, counter, _ in fields if counter}
+    spans: dict[str, list[_Span]] = {name: [] for name, counter, _ in fields if counter or name in scalars}
     position, row = 0, 0
     empty_row = b"\0" * sum(counter.size for _, counter, _ in fields if counter)
     has_lists_only = bool(fields) and all(counter for _, counter, _ in fields)
@@ -113,6 +117,7 @@ def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> di
                 if length < 0:
                     raise FormatError(header.path, f"row {row:,} of {element.name} has {length} {name}")
                 position += counter.size
+            if name in spans:
                 spans[name].append(_Span(position, length))
             position += length * size
         if position > len(data):
@@ -132,7 +137,8 @@ def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]])
     if element.count * dtype.itemsize > len(data):
         return None
     rows = np.frombuffer(data, dtype, element.count)
-    lists = {name: PlyList(rows[f"{name} count"], rows[name].reshape(-1)) for name in first}
+    counts = {p.name: rows[f"{p.name} count"] if p.count_code else np.ones(len(rows)) for p in element.properties}
+    lists = {name: PlyList(counts[name], rows[name].reshape(-1)) for name in first}
     equal = all((lists[name].counts == span.length).all() for name, spans in first.items() for span in spans)
     return lists if equal else None
 

@@ -38,10 +38,13 @@ class MaterialTable:
         """The material of a surface whose file gives it the material ``own``.
 
         Values that are not set stay as in ``own`` if it is of the same kind; of a material of the other kind, only
-        colour, texture and name stay.
+        colour, texture and name stay. A texture is shown as it is on a surface that has no colour of its own, not times
+        the grey of such surfaces.
         """
         if isinstance(own, self.kind):
-            return replace(own, **self.values)
+            is_grey = isinstance(own, MaterialPbr) and own.base_color == MaterialPbr().base_color
+            white = {"base_color": (1.0, 1.0, 1.0)} if is_grey and "base_color_texture" in self.values else {}
+            return replace(own, **(white | self.values))
         kept = {} if own is None else {name: getattr(own, name) for name in _SHARED}
         return self.kind(**(kept | self.values))
 
