@@ -133,7 +133,7 @@ def test_what_is_kept_stays_as_it_is() -> None:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
 def test_a_shadow_falls_on_a_shadow_only_capture(pipeline: ls.Pipeline) -> None:
     """Where a mesh blocks the sun its colours are darker; where it does not, they are the same to the bit."""
-    capture = replace(floor(1200), material=None, shadow_catcher=True)
+    capture = replace(floor(1200), material=ls.MaterialSimple(ambient=0.0), shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((0.8, 0.02, 0.8), material=diffuse(0.0)), position=(-0.5, 0.5, 0.0))
     down = ls.LightDirectional((0.0, -1.0, 0.0), intensity=2.0)
     config = ls.RenderConfig(pipeline=pipeline, samples=2, max_bounces=0)
@@ -154,7 +154,7 @@ def test_a_dim_sun_takes_no_more_than_it_gave_a_white_surface() -> None:
 
     Less of Gaussians that are seen from below, too, where the sun does not shine.
     """
-    capture = replace(floor(), material=None, shadow_catcher=True)
+    capture = replace(floor(), material=ls.MaterialSimple(ambient=0.0), shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((9.0, 0.02, 9.0), material=diffuse(0.0)), position=(0.0, 0.5, 0.0))
     dim = ls.LightDirectional((0.0, -1.0, 0.0), intensity=0.5)
     (shown,) = baked(ls.Scene([capture], [roof], [dim]), replace(PATH, samples=2, max_bounces=0), directions=8).splats

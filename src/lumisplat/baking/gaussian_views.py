@@ -14,6 +14,7 @@ from lumisplat.constants.baking import VIEW_SPREAD
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, MeshHits, RayData
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
+from lumisplat.math.shadow_catcher import CatcherLight
 from lumisplat.progress import Progress
 from lumisplat.renderer.given_rays import whole_packets
 from lumisplat.renderer.kernel_modules import frame_modules
@@ -127,13 +128,21 @@ class GaussianViewer(Renderer):
         change: Doubles = np.zeros_like(captured)
         received: Doubles = change
         if self._plan.has_receivers:
-            sent, arrived = (read(array) * (scale / samples) for array in (sums.sent, sums.arrived))
-            change = arrived - sent
-            # No surface reflects more than it receives (docs/method/paths.md#shadow-catchers).
-            received = np.maximum(sent, np.pi * decode_srgb(captured).astype(np.float64))
+            names = ("sent", "arrived", "own_sent", "own_arrived", "ambient", "open")
+            light_sums = {name: read(getattr(sums, name)) * (scale / samples) for name in names}
+            light = CatcherLight(
+                sent=light_sums["sent"],
+                change=light_sums["arrived"] - light_sums["sent"],
+                own_sent=light_sums["own_sent"],
+                own_change=light_sums["own_arrived"] - light_sums["own_sent"],
+                ambient=light_sums["ambient"],
+                blocked=light_sums["ambient"] - light_sums["open"],
+                least=np.pi * decode_srgb(captured).astype(np.float64),
+            )
+            change, received = light.change_and_received()
         elif self._plan.has_shadow_only:
             change = read(sums.factor) * scale / samples - 1.0  # exactly 0 where nothing is shadowed
-            received = np.ones_like(captured)
+            received = np.broadcast_to(weight[:, None], captured.shape)
         return ShownLight(
             even=read(sums.even) * (scale / halves[0]),
             odd=read(sums.odd) * (scale / halves[1]),

@@ -53,9 +53,12 @@ class ViewSums:
     factor: wp.array[wp.vec3]
     """Share of captured colours that shadows leave, of frames without paths."""
     sent: wp.array[wp.vec3]
-    """Irradiance of shadow-only surfaces as they were captured, of paths."""
+    """Irradiance of shadow catchers by lights, as they were captured, of paths; the next five as of `RayRadiance`."""
     arrived: wp.array[wp.vec3]
-    """The same with all that was added."""
+    own_sent: wp.array[wp.vec3]
+    own_arrived: wp.array[wp.vec3]
+    ambient: wp.array[wp.vec3]
+    open: wp.array[wp.vec3]
     distance: wp.array[float]
     """From the Gaussian to what hides it from eyes farther away, scene units."""
 
@@ -225,6 +228,10 @@ def add_views(
         sums_inout.factor[i] = wp.vec3(0.0)
         sums_inout.sent[i] = wp.vec3(0.0)
         sums_inout.arrived[i] = wp.vec3(0.0)
+        sums_inout.own_sent[i] = wp.vec3(0.0)
+        sums_inout.own_arrived[i] = wp.vec3(0.0)
+        sums_inout.ambient[i] = wp.vec3(0.0)
+        sums_inout.open[i] = wp.vec3(0.0)
         sums_inout.distance[i] = 0.0
     if not wave[0].rays.is_active[i]:
         return
@@ -232,10 +239,14 @@ def add_views(
     light = wave[0].radiance.light[i]
     sent = wp.vec3(0.0)
     arrived = wp.vec3(0.0)
+    own_sent = wp.vec3(0.0)
+    own_arrived = wp.vec3(0.0)
     if wave[0].radiance.sent:
         sent = wave[0].radiance.sent[i]
         arrived = wave[0].radiance.arrived[i]
-    if not (is_finite(light) and is_finite(sent) and is_finite(arrived)):
+        own_sent = wave[0].radiance.own_sent[i]
+        own_arrived = wave[0].radiance.own_arrived[i]
+    if not (is_finite(light) and is_finite(sent + own_sent) and is_finite(arrived + own_arrived)):
         return
     sums_inout.count[i] += 1
     if sample % 2 == 0:
@@ -246,5 +257,10 @@ def add_views(
     sums_inout.captured_weight[i] = wave[0].radiance.captured_weight[i]
     sums_inout.sent[i] += sent
     sums_inout.arrived[i] += arrived
+    sums_inout.own_sent[i] += own_sent
+    sums_inout.own_arrived[i] += own_arrived
+    if wave[0].radiance.ambient:
+        sums_inout.ambient[i] += wave[0].radiance.ambient[i]
+        sums_inout.open[i] += wave[0].radiance.open[i]
     if wave[0].radiance.capture_factor:
         sums_inout.factor[i] += wave[0].radiance.capture_factor[i]

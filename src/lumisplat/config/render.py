@@ -77,7 +77,7 @@ REALTIME_AOVS = ("motion", "history", "probes", "cache", "cache_cells")
 """Images that only frames in real time have: how surfaces have moved, and what frames keep for the next one."""
 
 AOVS = (
-    *("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count"),
+    *("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count", "shadow_ratio"),
     *PATH_AOVS,
     *REALTIME_AOVS,
 )
@@ -138,10 +138,10 @@ class RenderConfig:
     """How lit frames become pictures; pixels that show only a capture stay as captured."""
     aovs: tuple[str, ...] = ()
     """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
-    ``variance``, ``sample_count``; the last three of an unlit one, too. Paths have no ``reflection``, but also
-    ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``, ``indirect_glossy`` and ``bounces``. Frames in real
-    time have these but ``bounces``, and ``motion``, ``history``, ``probes``, ``cache`` and ``cache_cells``. A single
-    name, or several with commas, becomes a tuple."""
+    ``variance``, ``sample_count``, ``shadow_ratio``; ``hits``, ``variance`` and ``sample_count`` of an unlit one, too.
+    Paths have no ``reflection``, but also ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``,
+    ``indirect_glossy`` and ``bounces``. Frames in real time have these but ``bounces``, and ``motion``, ``history``,
+    ``probes``, ``cache`` and ``cache_cells``. A single name, or several with commas, becomes a tuple."""
     samples: int | None = None
     """Samples a pixel, averaged, at least 1. None: 64 paths; else as many as random light needs, 16 for an environment
     and for soft shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted

@@ -199,7 +199,11 @@ EDGE_WEIGHT_MAX = 1e-5
 """Barycentric weight above which a ray through glass is certainly not on a triangle's edge: above all rounding."""
 
 CATCHER_AMBIENT = 0.5
-"""Ambient light, as radiance over albedo, of a shadow catcher without a material."""
+"""Ambient light, as radiance over albedo, on a shadow catcher that does not say it, in scenes with lights and without
+an environment: half of what makes white paper white."""
+
+AMBIENT_RAYS_OF_FRAMES = 2
+"""Shadow rays a frame in real time from each pixel that shows a shadow catcher: frames are averaged."""
 
 LIT_WEIGHT_MIN = 1.0 / 512.0
 """Transmittance of the Gaussians before a mesh below which the mesh is not lit: half a step of an 8-bit image. Opaque

@@ -18,14 +18,18 @@ from lumisplat.math.arrays import FloatArray
 Image = npt.NDArray[Any]
 """Pixels of any dtype, shape (H, W, ...)."""
 
-LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS)
-"""Names of layers. A frame has those of `AOVS` if ``RenderConfig.aovs`` asked for them, the others always."""
+_MATTE = "shadow_matte"
+
+LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS, _MATTE)
+"""Names of layers. A frame has those of `AOVS` if ``RenderConfig.aovs`` asked for them, ``shadow_matte`` if it asked
+for ``shadow_ratio``, the others always."""
 
 RADIANCE = (
     "albedo",
     "emission",
     "reflection",
     "hits",
+    "shadow_ratio",
     "light_direct",
     "light_shadow",
     "light_total",
@@ -61,7 +65,8 @@ class LightLayers(NamedTuple):
 
 def present_layers(frame: FrameData) -> tuple[str, ...]:
     """The layers that ``frame`` has, in the order of `LAYERS`."""
-    return tuple(layer for layer in LAYERS if layer not in AOVS or frame.has(_field(layer)))
+    asked = (*AOVS, _MATTE)
+    return tuple(layer for layer in LAYERS if layer not in asked or frame.has(_field(layer)))
 
 
 def layer_names(layers: object) -> tuple[str, ...]:
@@ -81,8 +86,10 @@ def check_layer(frame: FrameData, layer: str) -> None:
     if layer not in LAYERS:
         raise ConfigError(f"unknown layer '{layer}', expected some of {', '.join(LAYERS)}")
     if layer not in present_layers(frame):
-        asked = frame.config is not None and layer in frame.config.aovs
-        why = "only lit frames have it (RenderConfig.lighting=True)" if asked else "RenderConfig.aovs asks for it"
+        wanted = _field(layer) if layer == _MATTE else layer
+        asked = frame.config is not None and wanted in frame.config.aovs
+        name = "it" if wanted == layer else wanted
+        why = "only lit frames have it (RenderConfig.lighting=True)" if asked else f"RenderConfig.aovs asks for {name}"
         raise ConfigError(f"the frame has no '{layer}': {why}")
 
 
@@ -110,6 +117,8 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
         elif layer == "motion":
             assert frame.motion is not None and frame.motion_known is not None
             channels |= _planes(layer, frame.motion, "XYZ") | {"motion.known": frame.motion_known}
+        elif layer == _MATTE:
+            channels |= _planes(layer, _finite(getattr(frame, layer)), "RGBA")
         elif layer in COUNTS:
             channels[f"{layer}.Y"] = getattr(frame, layer)
         elif layer in ("hits", "history"):
@@ -157,7 +166,7 @@ def light_labels(names: Sequence[str]) -> list[str]:
 
 
 def _field(layer: str) -> str:
-    return "light_direct" if layer == "lights" else layer
+    return {"lights": "light_direct", _MATTE: "shadow_ratio"}.get(layer, layer)
 
 
 def _planes(layer: str, values: Image, axes: str) -> dict[str, Image]:

@@ -47,7 +47,10 @@ class Frame(FrameData):
     """Images that can be saved beside the colour."""
     VIEWS: ClassVar[tuple[str, ...]] = VIEWS
     """Pictures that explain the frame, see `view`."""
-    NEEDS: ClassVar[Mapping[str, str]] = {name: name for name in AOVS} | {"shadow": "lights"}
+    NEEDS: ClassVar[Mapping[str, str]] = {name: name for name in AOVS} | {
+        "shadow": "lights",
+        "shadow_matte": "shadow_ratio",
+    }
     """What ``RenderConfig.aovs`` has to hold for a layer or a view; those that are not listed are always there."""
 
     @classmethod

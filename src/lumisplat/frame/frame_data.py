@@ -96,6 +96,9 @@ class FrameData:
     """Linear radiance that arrived by mirrors and glass, and what rough surfaces reflect of others, (H, W, 3)."""
     hits: FloatArray | None = None
     """Gaussians that a ray, or the pixel of a raster, blends, the mean over samples, (H, W)."""
+    shadow_ratio: FloatArray | None = None
+    """Ratio of the captured part of the pixel with what was added to it without, linear, (H, W, 3): below 1 where a
+    shadow catcher lies in shadow, above 1 where it receives light that bounces, and 1 elsewhere."""
     light_direct: FloatArray | None = None
     """Linear radiance reflected from each light if nothing blocked it, (L, H, W, 3); of sets that only receive shadows,
     the irradiance instead."""
@@ -177,6 +180,24 @@ class FrameData:
         hit = np.isfinite(self.depth)[..., None]
         distance = np.where(hit, self.depth[..., None], 0.0)
         return np.where(hit, origins + distance * directions, 0.0).astype(np.float32)
+
+    @property
+    def shadow_matte(self) -> FloatArray | None:
+        """What was added and the shadows it casts, linear and premultiplied, to be put over a plate, (H, W, 4).
+
+        ``matte[..., :3] + (1 - matte[..., 3:]) * plate`` is ``color`` where the plate is the captured part of the
+        pixel. Alpha is what was added covers, and the darkest channel of the shadow; the colour that a shadow leaves,
+        and light that bounces onto the catcher, are in the other three. None: the frame has no ``shadow_ratio``.
+        """
+        parts = self._lit_parts()
+        if parts is None or self.shadow_ratio is None:
+            return None
+        # Of a frame without a background, a plate is also behind what is transparent.
+        clear = 1.0 - self.alpha if self.background is None else np.zeros_like(self.alpha)
+        least = np.minimum(self.shadow_ratio.min(axis=2, keepdims=True), 1.0)
+        shown = np.clip(parts.captured_weight + clear, 0.0, 1.0) * least[..., 0]
+        added = parts.light + (1.0 - least) * captured_radiance(parts.captured, parts.captured_weight)
+        return np.concatenate([np.maximum(added, 0.0), 1.0 - shown[..., None]], axis=2).astype(np.float32)
 
     def premultiplied(self) -> FloatArray:
         """Radiance without the background, (H, W, 3), in ``color_space``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,14 @@ _UNLIT = (0.09, 0.13, 0.32)
 """Colour of pixels that no light would reach without shadows either: a blue, as shadows are shades of grey."""
 
 
+_SHOWN_AS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "albedo": encode_srgb,
+    "shadow_ratio": lambda ratio: ratio,
+    "shadow_matte": lambda matte: matte[..., 3:].repeat(3, axis=2),
+}
+"""How layers that are no radiance become pictures."""
+
+
 def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
     """Display-referred colours of one layer, by the names of the pictures, each of shape (H, W, 3), 0..1.
 
@@ -72,7 +81,7 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
     ``variance`` its root is. ``sample_count`` runs from violet (none) to yellow (the most). Pixels without a surface
     are black. A layer has one picture of its own name, but ``lights`` has two for each light, ``light.NAME.direct`` and
     ``light.NAME.shadow``, and in frames of paths ``light.NAME.total`` and ``light_other`` too, and ``bounces`` has
-    ``bounce.0`` and so on.
+    ``bounce.0`` and so on. ``shadow_matte`` shows its alpha.
 
     Args:
         frame: The rendered frame.
@@ -102,8 +111,8 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
         pictures = {layer: _radiance_picture(frame, np.sqrt(getattr(frame, layer)))}
     elif layer == "sample_count":
         pictures = {layer: _sample_count_picture(frame)}
-    elif layer == "albedo":
-        pictures = {layer: encode_srgb(getattr(frame, layer))}
+    elif layer in _SHOWN_AS:
+        pictures = {layer: _SHOWN_AS[layer](getattr(frame, layer))}
     elif layer in ("gaussian_index", "instance_index"):
         indices: Image = getattr(frame, layer)
         pictures = {layer: _index_picture(indices, indices >= 0)}

@@ -198,7 +198,7 @@ def test_a_mirror_shows_indirect_light() -> None:
 def test_shadow_only_captures_are_darkened_as_in_hybrid_frames() -> None:
     """Nothing but shadows falls on them."""
     floor = with_gaussians(PathRoom(ROOM, VIEW), 3000).scene.splats[0]
-    receiver = replace(floor, shadow_catcher=True, material=None)
+    receiver = replace(floor, shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
     ball, lamp = ROOM.meshes[-2], ls.LightPoint((2.0, 1.5, 4.5), intensity=10.0)
     scene = ls.Scene([receiver], [ball], [lamp])
     _, frame = sequence(scene, 2, realtime=ls.RealtimeConfig(antialiasing=False))  # in the middles of pixels

@@ -7,9 +7,11 @@ are in docs/method/samples.md.
 import warp as wp
 
 from lumisplat.constants import LUMINANCE
+from lumisplat.device.light.shadow_catcher import catcher_change, straight_factor
 from lumisplat.device.math.color import captured_color, decode_srgb_color
 from lumisplat.device.math.directions import PI
 from lumisplat.device.structs.film import FilmData, PixelSample
+from lumisplat.device.structs.light import CatcherLight
 from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import WaveData
 
@@ -32,27 +34,8 @@ def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData])
         finite = is_finite(wave[0].radiance.light[i]) and wp.isfinite(wave[0].radiance.captured_weight[i])
     if finite and film[0].captured_sent:
         finite = is_finite(wave[0].radiance.sent[i]) and is_finite(wave[0].radiance.arrived[i])
+        finite = finite and is_finite(wave[0].radiance.own_sent[i]) and is_finite(wave[0].radiance.own_arrived[i])
     return finite
-
-
-@wp.func
-def captured_factor(part: wp.vec3, whole: wp.vec3, change: wp.vec3, sent: wp.vec3, least: wp.vec3) -> wp.vec3:
-    """What is left of a captured colour, or more than that, by what its surface receives, per channel.
-
-    Args:
-        part: Of the colour, linear, what is the surface's.
-        whole: All of it.
-        change: Of the irradiance, by all that was added.
-        sent: Irradiance as it was captured, as far as it was found.
-        least: What it is at least.
-    """
-    factor = wp.vec3(1.0)
-    for channel in range(3):
-        received = wp.max(sent[channel], least[channel])
-        if change[channel] != 0.0 and received > 0.0 and whole[channel] > 0.0:
-            share = wp.clamp(part[channel] / whole[channel], 0.0, 1.0)
-            factor[channel] = wp.max(1.0 + share * change[channel] / received, 0.0)
-    return factor
 
 
 @wp.func
@@ -61,6 +44,45 @@ def straight_radiance(color: wp.vec3, weight: float) -> wp.vec3:
     if weight <= 0.0:
         return wp.vec3(0.0)
     return decode_srgb_color(color / weight)
+
+
+@wp.func
+def captured_factor(
+    pixel: int,
+    radiance: wp.vec3,
+    part: wp.vec3,
+    whole: wp.vec3,
+    change: wp.vec3,
+    own_change: wp.vec3,
+    blocked: wp.vec3,
+    film: wp.array[FilmData],
+) -> wp.vec3:
+    """What is left of a captured colour, or more than that, by what its surface receives, per channel.
+
+    Args:
+        pixel: Whose means say what was sent.
+        radiance: The straight captured colour, linear.
+        part: Of that of the pixel, what is the surface's.
+        whole: All of it.
+        change: Of the irradiance by lights, by all that was added.
+        own_change: Of that by the captures around.
+        blocked: Ambient irradiance that was taken.
+        film: The film.
+    """
+    factor = wp.vec3(1.0)
+    for channel in range(3):
+        if whole[channel] > 0.0:
+            light = CatcherLight()
+            light.sent = film[0].captured_sent[pixel][channel]
+            light.own_sent = film[0].captured_own_sent[pixel][channel]
+            light.ambient = film[0].captured_ambient[pixel][channel]
+            light.change = change[channel]
+            light.own_change = own_change[channel]
+            light.blocked = blocked[channel]
+            light.least = PI * film[0].captured_received[pixel][channel] * radiance[channel]
+            share = wp.clamp(part[channel] / whole[channel], 0.0, 1.0)
+            factor[channel] = wp.max(1.0 + share * catcher_change(light), 0.0)
+    return factor
 
 
 @wp.func
@@ -74,15 +96,17 @@ def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[W
         sample.captured_weight = wave[0].radiance.captured_weight[i]
         sample.light = wave[0].radiance.light[i]
         if film[0].capture_factor:
-            sample.capture_factor = wave[0].radiance.capture_factor[i]
+            sample.capture_factor = straight_factor(wave[0].radiance.capture_factor[i], sample.captured_weight)
         if film[0].captured_sent:
-            radiance = straight_radiance(sample.color, sample.captured_weight)
             sample.capture_factor = captured_factor(
+                pixel,
+                straight_radiance(sample.color, sample.captured_weight),
                 wave[0].radiance.captured_part[i],
                 wave[0].radiance.captured_all[i],
                 wave[0].radiance.arrived[i] - wave[0].radiance.sent[i],
-                film[0].captured_sent[pixel],
-                PI * wp.cw_mul(film[0].captured_received[pixel], radiance),
+                wave[0].radiance.own_arrived[i] - wave[0].radiance.own_sent[i],
+                wave[0].radiance.ambient[i] - wave[0].radiance.open[i],
+                film,
             )
     return sample
 
@@ -163,6 +187,26 @@ def mean_sample(pixel: int, film: wp.array[FilmData]) -> PixelSample:
 
 
 @wp.func
+def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
+    """What shadows leave of the captured part of a pixel, or light makes of it: 1 where nothing changes it."""
+    weight = film[0].lit.captured_weight[pixel]
+    if film[0].capture_factor:
+        return straight_factor(film[0].capture_factor[pixel], weight)
+    if film[0].captured_sent:
+        return captured_factor(
+            pixel,
+            straight_radiance(film[0].pixels.color[pixel], weight),
+            film[0].captured_part[pixel],
+            film[0].captured_all[pixel],
+            film[0].captured_arrived[pixel] - film[0].captured_sent[pixel],
+            film[0].captured_own_arrived[pixel] - film[0].captured_own_sent[pixel],
+            film[0].captured_ambient[pixel] - film[0].captured_open[pixel],
+            film,
+        )
+    return wp.vec3(1.0)
+
+
+@wp.func
 def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
     """What shadows take from the captured part of a pixel, or light adds to it, linear.
 
@@ -170,20 +214,7 @@ def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
     subtract.
     """
     captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
-    if film[0].capture_factor:
-        return wp.cw_mul(captured, film[0].capture_factor[pixel] - wp.vec3(1.0))
-    if film[0].captured_sent:
-        sent = film[0].captured_sent[pixel]
-        radiance = straight_radiance(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
-        factor = captured_factor(
-            film[0].captured_part[pixel],
-            film[0].captured_all[pixel],
-            film[0].captured_arrived[pixel] - sent,
-            sent,
-            PI * wp.cw_mul(film[0].captured_received[pixel], radiance),
-        )
-        return wp.cw_mul(captured, factor - wp.vec3(1.0))
-    return wp.vec3(0.0)
+    return wp.cw_mul(captured, captured_ratio(pixel, film) - wp.vec3(1.0))
 
 
 @wp.func

@@ -42,7 +42,14 @@ def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, imag
 
 @wp.func
 def add_light(
-    root: int, receives: bool, value: wp.vec3, bounces: int, light: int, diffuse: wp.vec3, images: wp.array[PathImages]
+    root: int,
+    receives: bool,
+    value: wp.vec3,
+    bounces: int,
+    light: int,
+    light_count: int,
+    diffuse: wp.vec3,
+    images: wp.array[PathImages],
 ):
     """Adds what a path brings of a light.
 
@@ -52,11 +59,15 @@ def add_light(
         value: Linear radiance, times the throughput.
         bounces: How often surfaces have scattered it.
         light: Number of the light; one more than that of the last one: it is none, but shines.
+        light_count: How many lights there are.
         diffuse: Share that the first surface has scattered diffusely.
         images: Where it is added.
     """
     if receives:
-        images[0].arrived[root] += value
+        if light < light_count:
+            images[0].arrived[root] += value
+        else:
+            images[0].own_arrived[root] += value
         return
     images[0].light[root] += value
     count = images[0].light.shape[0]
@@ -89,5 +100,11 @@ def add_first_light(root: int, sent: wp.vec3, arrived: wp.vec3, light: int, imag
 
 @wp.func
 def add_sent_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
-    """Adds irradiance of a shadow-only surface as it was captured."""
+    """Adds irradiance of a shadow catcher by lights, as it was captured."""
     images[0].sent[root] += value
+
+
+@wp.func
+def add_own_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
+    """Adds irradiance of a shadow catcher by the captures around it, as it was captured."""
+    images[0].own_sent[root] += value

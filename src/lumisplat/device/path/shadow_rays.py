@@ -99,7 +99,14 @@ def add_shown_lights(
                 start_shown_ray(i, light, crossing.t, value, wave, shadows)
         elif crossing.t < end:
             add_light(
-                paths[0].root[i], paths[0].receives[i], value, number, light, diffuse_of(i, number, paths), images
+                paths[0].root[i],
+                paths[0].receives[i],
+                value,
+                number,
+                light,
+                scene[0].settings[0].light_count,
+                diffuse_of(i, number, paths),
+                images,
             )
     if met > 1:
         j = wave[0].rays.is_active.shape[0] + i

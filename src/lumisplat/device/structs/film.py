@@ -83,18 +83,26 @@ class FilmData:
     pixels: PixelData
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]
-    """Share of the captured colour that shadows leave; without elements if no splat set is shadow-only."""
+    """Mean over samples of the share of the captured colour that shadows leave, as of `RayRadiance.capture_factor`;
+    without elements if no splat set is shadow-only."""
     captured_all: wp.array[wp.vec3]
-    """It, linear, the mean over samples; like the next four without elements unless paths find what shadow-only
+    """It, linear, the mean over samples; like the next eight without elements unless paths find what shadow-only
     surfaces receive."""
     captured_part: wp.array[wp.vec3]
     """The part of it that is a shadow-only surface's."""
     captured_received: wp.array[wp.vec3]
     """Share of the samples that found the next two."""
     captured_sent: wp.array[wp.vec3]
-    """Irradiance of the surface as it was captured, a mean in which the other samples count as 0."""
+    """Irradiance of the surface by lights, as it was captured, a mean in which the other samples count as 0."""
     captured_arrived: wp.array[wp.vec3]
     """The same with all that was added."""
+    captured_own_sent: wp.array[wp.vec3]
+    """Irradiance by the captures around it, as of `RayRadiance.own_sent`."""
+    captured_own_arrived: wp.array[wp.vec3]
+    captured_ambient: wp.array[wp.vec3]
+    """Ambient irradiance."""
+    captured_open: wp.array[wp.vec3]
+    """The part of it that nothing added blocks."""
     count: wp.array[int]
     """Samples of each pixel that were finite, which alone count."""
     sums: PixelSums

@@ -180,3 +180,16 @@ class BsdfSample:
     """BSDF times cosine over density; zero: no direction was found."""
     density: float
     """Per steradian."""
+
+
+@struct
+class CatcherLight:
+    """Irradiance of a shadow catcher in one channel, as `lumisplat.math.shadow_catcher.CatcherLight`."""
+
+    sent: float
+    change: float
+    own_sent: float
+    own_change: float
+    ambient: float
+    blocked: float
+    least: float

@@ -117,9 +117,17 @@ class PathImages:
     received: wp.array[wp.vec3]
     """1 where a path finds the next two, else 0."""
     sent: wp.array[wp.vec3]
-    """Irradiance of shadow-only surfaces as they were captured; without elements in frames without such sets."""
+    """Irradiance of shadow catchers by lights, as captured; without elements in frames without such sets."""
     arrived: wp.array[wp.vec3]
     """The same with all that was added."""
+    own_sent: wp.array[wp.vec3]
+    """Irradiance of shadow catchers by the captures around them, as captured."""
+    own_arrived: wp.array[wp.vec3]
+    """The same with all that was added, and what added surfaces emit."""
+    ambient: wp.array[wp.vec3]
+    """Ambient irradiance of shadow catchers."""
+    open: wp.array[wp.vec3]
+    """The part of it that nothing added blocks."""
 
 
 @struct

@@ -227,16 +227,24 @@ class RayRadiance:
     capture_factor: wp.array[wp.vec3]
     """Share of captured colours that shadows leave; without elements if no splat set is shadow-only."""
     captured_all: wp.array[wp.vec3]
-    """The captured colour, linear; like the next four without elements unless paths find what shadow-only surfaces
-    receive."""
+    """The captured colour, linear; like the next eight without elements unless paths find what shadow-only
+    surfaces receive."""
     captured_part: wp.array[wp.vec3]
     """The part of it that is a shadow-only surface's."""
     received: wp.array[wp.vec3]
     """1 where the next two were found, else 0."""
     sent: wp.array[wp.vec3]
-    """Irradiance of the shadow-only surface as it was captured."""
+    """Irradiance of the shadow catcher by lights, as it was captured."""
     arrived: wp.array[wp.vec3]
     """The same with all that was added."""
+    own_sent: wp.array[wp.vec3]
+    """Irradiance of the shadow catcher by the captures around it, as it was captured."""
+    own_arrived: wp.array[wp.vec3]
+    """The same with all that was added, and what added surfaces emit."""
+    ambient: wp.array[wp.vec3]
+    """Ambient irradiance of the shadow catcher, see `catcher_change`."""
+    open: wp.array[wp.vec3]
+    """The part of it that nothing added blocks."""
     reflection: wp.array[wp.vec3]
     """The part of ``light`` from specular bounces; like the next two without elements if the frame lacks this image."""
     albedo: wp.array[wp.vec3]
@@ -291,3 +299,5 @@ class Arrivals:
     """Unshadowed."""
     arrived: wp.array[wp.vec3]
     """Shadowed."""
+    open: wp.array[wp.vec3]
+    """Sum over ambient rays of the share that nothing blocks."""

@@ -32,8 +32,18 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, rows_o
 from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import Launcher
 
-RECEIVED = ("captured_all", "captured_part", "captured_received", "captured_sent", "captured_arrived")
-"""What shadow-only surfaces receive: fields of the film, and images."""
+RECEIVED = {
+    "captured_all": "captured_all",
+    "captured_part": "captured_part",
+    "captured_received": "received",
+    "captured_sent": "sent",
+    "captured_arrived": "arrived",
+    "captured_own_sent": "own_sent",
+    "captured_own_arrived": "own_arrived",
+    "captured_ambient": "ambient",
+    "captured_open": "open",
+}
+"""What shadow catchers receive: fields of the film, and fields of the radiance of rays that they are means of."""
 
 
 class Film:
@@ -139,6 +149,8 @@ class Film:
             if "variance" in self._plan.aovs:
                 variance = self._image("variance")
                 self._launcher.run_banded(film_kernels.estimate_variance, self._pixel_count, self._data, variance)
+            if "shadow_ratio" in self._plan.aovs:
+                self._launcher.run_banded(film_kernels.store_ratios, self._pixel_count, self._data, self._ratio)
             if self._shows_captured:
                 inputs = self._data, self._image("emission"), self._image("emission_shown")
                 self._launcher.run_banded(film_kernels.add_captured, self._pixel_count, *inputs)
@@ -171,6 +183,8 @@ class Film:
         accumulated = [*arrays]
         if "variance" in self._plan.aovs:
             arrays["variance"] = self._image("variance")
+        if "shadow_ratio" in self._plan.aovs:
+            arrays["shadow_ratio"] = self._ratio
         if self._shows_captured:
             arrays["emission_shown"] = self._image("emission_shown")
         if self._plan.is_lit:
@@ -190,7 +204,7 @@ class Film:
         """The layers that the frame asks for."""
         images: dict[str, Any] = {}
         size, light_count = self._size, self._light_count
-        for name in ("albedo", "reflection", "variance", *PATH_PARTS, "cache"):
+        for name in ("albedo", "reflection", "variance", "shadow_ratio", *PATH_PARTS, "cache"):
             if name in self._plan.aovs:
                 shown = "emission_shown" if name == "emission" and self._shows_captured else name
                 images[name] = copies.give(partial(self._layer, size, copies, shown))
@@ -231,8 +245,7 @@ class Film:
         }
         if self._plan.has_receivers:
             radiance = wave.row.radiance
-            received = radiance.captured_all, radiance.captured_part, radiance.received, radiance.sent, radiance.arrived
-            images |= dict(zip(RECEIVED, map(device_array, received), strict=True))
+            images |= {name: device_array(getattr(radiance, field)) for name, field in RECEIVED.items()}
         if self._plan.has_shadow_only:
             images["capture_factor"] = device_array(wave.row.radiance.capture_factor)
         if "hits" in self._plan.aovs:
@@ -333,6 +346,10 @@ class Film:
 
     def _image(self, name: str) -> DeviceArray:
         return self._buffers.get(f"film.{name}", wp.vec3, self._pixel_count)
+
+    @property
+    def _ratio(self) -> DeviceArray:
+        return self._image("shadow_ratio")
 
     @property
     def _pixel_count(self) -> int:

@@ -15,6 +15,7 @@ from lumisplat.device.film.first_surface import first_surface
 from lumisplat.device.film.sample_sums import is_finite
 from lumisplat.device.gi.motion import has_left, mesh_before, motion_of, splat_before
 from lumisplat.device.gi.reprojection import snapped
+from lumisplat.device.light.shadow_catcher import straight_factor
 from lumisplat.device.math.color import captured_color, luminance
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import InstanceMotion, ShownHistory, ShownPixels
@@ -66,7 +67,7 @@ def show(
     shares_out[i] = wp.vec3(share, wave[0].radiance.alpha[i], 0.0)
     captured = captured_color(wave[0].radiance.captured[i], share)
     if wave[0].radiance.capture_factor:
-        captured = wp.cw_mul(captured, wave[0].radiance.capture_factor[i])
+        captured = wp.cw_mul(captured, straight_factor(wave[0].radiance.capture_factor[i], share))
     shown_out.color[pixel] = captured + wave[0].radiance.light[i]
     direction = wave[0].rays.direction[i]
     position = camera[0].eye + FAR * direction

@@ -10,10 +10,12 @@ import warp as wp
 from lumisplat.device.light.environment import environment_radiance
 from lumisplat.device.light.interaction import SHADE_OPTIONS
 from lumisplat.device.light.light_choice import vertex_at
+from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.material.media import passed_by_ray
 from lumisplat.device.math.color import captured_color, is_black
+from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.path.images import add_light, add_sent_light
+from lumisplat.device.path.images import add_light, add_own_light, add_sent_light
 from lumisplat.device.path.seen_light import environment_number, far_light, leaves_receiver, own_light
 from lumisplat.device.path.shadow_rays import (
     add_sent,
@@ -51,6 +53,8 @@ DIRECTION_BRANCH = wp.constant(6)
 WAY_BRANCH = wp.constant(7)
 """By which surface, and by which part of its BSDF."""
 ROULETTE_BRANCH = wp.constant(8)
+OPEN_BRANCH = wp.constant(9)
+"""How Gaussians hide ambient light from a shadow catcher."""
 
 
 @wp.kernel
@@ -76,6 +80,54 @@ def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathDa
     ends_out[i] = -1.0
     if wave[0].rays.is_active[i] and leaves_receiver(i, paths):
         ends_out[i] = wp.inf
+
+
+@wp.func
+def catcher_ambient(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
+    """Ambient irradiance of the shadow catcher that ray ``i`` of the first wave sees."""
+    surface = splat_surface(i, is_over_light(i, scene, wave), scene, wave)
+    return PI * scene[0].materials[surface.instance].ambient
+
+
+@wp.kernel
+def start_ambient_rays(
+    start: int,
+    wave: wp.array[WaveData],
+    paths: wp.array[PathData],
+    images: wp.array[PathImages],
+    rays_out: RayData,
+    skips_out: wp.array[wp.bool],
+):
+    """Item = ray: a shadow ray along it, if it leaves a shadow catcher on which ambient light is given."""
+    i = start + wp.tid()
+    skips_out[i] = True
+    rays_out.is_active[i] = False
+    if wave[0].rays.is_active[i] and leaves_receiver(i, paths):
+        rays_out.is_active[i] = not is_black(images[0].ambient[paths[0].root[i]])
+        rays_out.origin[i] = wave[0].rays.origin[i]
+        rays_out.direction[i] = wave[0].rays.direction[i]
+        rays_out.t_min[i] = wave[0].rays.t_min[i]
+        rays_out.t_max[i] = wp.inf
+        rays_out.path_length[i] = 0.0
+        rays_out.spread[i] = 0.0
+        rays_out.pixel_key[i] = branch_key(wave[0].rays.pixel_key[i], OPEN_BRANCH)
+        rays_out.sample_key[i] = branch_key(wave[0].rays.sample_key[i], OPEN_BRANCH)
+        rays_out.sample[i] = wave[0].rays.sample[i]
+
+
+@wp.kernel
+def add_open(
+    start: int,
+    rays: RayData,
+    visibility: wp.array[wp.vec3],
+    paths: wp.array[PathData],
+    images_inout: wp.array[PathImages],
+):
+    """Item = ray: adds the ambient irradiance that nothing added blocks."""
+    i = start + wp.tid()
+    if rays.is_active[i]:
+        root = paths[0].root[i]
+        images_inout[0].open[root] = wp.cw_mul(visibility[i], images_inout[0].ambient[root])
 
 
 @wp.kernel
@@ -105,8 +157,8 @@ def add_captured_light(
     throughput = paths[0].throughput[i]
     own = captured_color(captured.color[i], 1.0 - captured.transmittance[i])
     far = captured.transmittance[i] * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
-    # One after the other, as ``add_seen_light`` does: where both are the same light, they are the same number.
-    add_sent_light(paths[0].root[i], wp.cw_mul(throughput, own), images_inout)
+    # As ``add_seen_light`` does: where both are the same light, they are the same number.
+    add_own_light(paths[0].root[i], wp.cw_mul(throughput, own), images_inout)
     add_sent_light(paths[0].root[i], wp.cw_mul(throughput, far), images_inout)
 
 
@@ -174,10 +226,9 @@ def add_seen_light(
         own = own_light(i, no_shadows, paths, scene, wave_inout)
     throughput = wp.cw_mul(paths[0].throughput[i], passed_by_ray(i, scene, wave_inout))
     diffuse = diffuse_of(i, number, paths)
-    add_light(paths[0].root[i], paths[0].receives[i], wp.cw_mul(throughput, own), number, lights, diffuse, images_inout)
-    add_light(
-        paths[0].root[i], paths[0].receives[i], wp.cw_mul(throughput, far), number, far_number, diffuse, images_inout
-    )
+    root, receives = paths[0].root[i], paths[0].receives[i]
+    add_light(root, receives, wp.cw_mul(throughput, own), number, lights, lights, diffuse, images_inout)
+    add_light(root, receives, wp.cw_mul(throughput, far), number, far_number, lights, diffuse, images_inout)
     add_shown_lights(i, number, no_shadows, scene, wave_inout, paths, shadows_out, images_inout)
 
 
@@ -250,6 +301,7 @@ def continue_paths(
             receives = True
             factor = wp.vec3(1.0)
             images_inout[0].received[paths[0].root[i]] = wp.vec3(1.0)
+            images_inout[0].ambient[paths[0].root[i]] = catcher_ambient(i, scene, wave)
         vertex = vertex_at(interaction, scene)
         light_surface(i, branch.kind, factor, no_shadows, interaction, vertex, scene, wave, shadows_inout)
         u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)
@@ -301,9 +353,10 @@ def add_sampled_light(
                 if number == 0 and shadows[0].diffuse:
                     diffuse = shadows[0].diffuse[i]
             arrived = wp.cw_mul(arrived, visible)
-            add_light(
-                paths[0].root[i], receives, arrived, number + 1 - slot, shadows[0].lights[j], diffuse, images_inout
-            )
+            lights = scene[0].settings[0].light_count
+            bounces = number + 1 - slot
+            root = paths[0].root[i]
+            add_light(root, receives, arrived, bounces, shadows[0].lights[j], lights, diffuse, images_inout)
 
 
 @wp.kernel

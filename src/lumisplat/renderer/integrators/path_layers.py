@@ -43,8 +43,8 @@ class PathLayers:
             images.lights_arrived = self._rows("lights_arrived", lights, count)
             images.lights_total = self._rows("lights_total", lights + 1, count)
         if plan.has_receivers:
-            radiance = first.row.radiance
-            images.received, images.sent, images.arrived = radiance.received, radiance.sent, radiance.arrived
+            for name in ("received", "sent", "arrived", "own_sent", "own_arrived", "ambient", "open"):
+                setattr(images, name, getattr(first.row.radiance, name))
         return images
 
     def images(self, plan: FramePlan) -> LightImages:

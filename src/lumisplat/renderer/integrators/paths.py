@@ -97,6 +97,16 @@ class PathIntegrator:
         run(kernels.leave_receivers, count, wave.data, rows[0], ends)
         captured = self._tracer.find_captured(scene, wave.row.rays, ends, "path.captured")
         run(kernels.add_captured_light, count, no_shadows, scene.shading, wave.data, rows[0], captured, rows[1])
+        if plan.ambient_rays == 0:
+            return
+        ambient = self._buffers.struct("path.ambient_rays", RayData, count)
+        skips = self._buffers.get("path.ambient_skips", wp.bool, count)
+        run(kernels.start_ambient_rays, count, wave.data, *rows, ambient, skips)
+        with self._launcher.stage("shadow"):
+            visibility = self._shadows.trace(
+                scene, ambient, skips, "path.open", of_splats=plan.splat_shadows, part=True
+            )
+        run(kernels.add_open, count, ambient, visibility, *rows)
 
     def _extend(
         self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, images: PathImages

@@ -91,6 +91,7 @@ class DirectLight:
             arrivals = self._buffers.struct("light.arrivals", Arrivals, wave.count)
             arrivals.sent.zero_()
             arrivals.arrived.zero_()
+            arrivals.open.zero_()
         for number in range(len(scene.lights.names)):
             light = scene.lights.lights[number] if scene.lights.lights else None
             shadowed = plan.casts_shadows and light is not None and light.casts_shadow
@@ -110,7 +111,18 @@ class DirectLight:
                             *(shadowed, contributions, visibility, wave.data, arrivals, direct, arrived),
                         )
         if plan.has_shadow_only:
-            self._launcher.run_banded(kernels.darken_captured, wave.count, scene.shading, arrivals, wave.data)
+            self._add_ambient(scene, plan, wave, arrivals)
+            inputs = plan.ambient_rays, scene.shading, arrivals, wave.data
+            self._launcher.run_banded(kernels.darken_captured, wave.count, *inputs)
+
+    def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: Arrivals) -> None:
+        """Finds how much of the ambient light around shadow catchers is open."""
+        rays, media = self._shadow_rays(wave), self._media(plan, wave)
+        for number in range(plan.ambient_rays):
+            inputs = number, scene.shading, wave.data, rays, media
+            self._launcher.run_banded(kernels.spawn_ambient_rays, wave.count, *inputs)
+            visibility = self._visibility(scene, plan, wave)
+            self._launcher.run_banded(kernels.add_open, wave.count, rays, visibility, arrivals)
 
     def _contributions(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, number: int, samples_bsdf: bool

@@ -8,14 +8,21 @@ import warp as wp
 
 from lumisplat.device.light.direct_light import light_contribution, shadow_ray_key
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
+from lumisplat.device.light.shadow_catcher import catcher_change, weighted_factor
 from lumisplat.device.light.shadow_ray import start_shadow_ray
 from lumisplat.device.light.splat_surface import is_over_light, shown_share, splat_surface
 from lumisplat.device.material.media import scattered_media
 from lumisplat.device.math.color import is_black
+from lumisplat.device.math.directions import around
+from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.structs.light import CatcherLight
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals, Contribution, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
+
+AMBIENT_BRANCH = wp.constant(1 << 20)
+"""First branch of a ray's key for its ambient rays: beyond those of lights."""
 
 
 @wp.kernel
@@ -90,24 +97,81 @@ def add_light(
 
 
 @wp.kernel
+def spawn_ambient_rays(
+    start: int,
+    number: int,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    rays_out: RayData,
+    media_out: wp.array[wp.vec4i],
+):
+    """Item = ray: shadow ray ``number`` of its sample in a random direction, by cosine, if it sees a shadow catcher.
+
+    ``media_out`` is without elements where no medium absorbs.
+    """
+    i = start + wp.tid()
+    stride = wave[0].interactions.exists.shape[0] // 2
+    rays_out.is_active[stride + i] = False
+    rays_out.is_active[i] = wave[0].interactions.exists[i] and wave[0].interactions.shadow_only[i]
+    if rays_out.is_active[i]:
+        key = branch_key(wave[0].rays.pixel_key[i], AMBIENT_BRANCH + number)
+        u = sobol_2d(key, wave[0].rays.sample[i])
+        ray = Contribution()
+        ray.direction = around(wave[0].interactions.normal[i], wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
+        ray.distance = wp.inf
+        start_shadow_ray(i, i, scene[0].settings[0].light_count, ray, scene, wave, rays_out)
+        rays_out.pixel_key[i] = branch_key(key, 0)
+        rays_out.sample_key[i] = branch_key(wave[0].rays.sample_key[i], AMBIENT_BRANCH + number)
+        rays_out.sample[i] = wave[0].rays.sample[i]
+        if media_out:
+            normal = wave[0].interactions.normal[i]
+            media_out[i] = scattered_media(i, False, ray.direction, normal, scene, wave)
+
+
+@wp.kernel
+def add_open(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: Arrivals):
+    """Item = ray: adds what an ambient ray found to be open."""
+    i = start + wp.tid()
+    if rays.is_active[i]:
+        arrivals_inout.open[i] += visibility[i]
+
+
+@wp.kernel
 def darken_captured(
     start: int,
+    ambient_rays: int,
     scene: wp.array[ShadingScene],
     arrivals: Arrivals,
     wave_inout: wp.array[WaveData],
 ):
-    """The share of captured colours that shadows leave (differential rendering, Debevec 1998)."""
+    """The share of captured colours that shadows leave (differential rendering, Debevec 1998).
+
+    Args:
+        start: First item: a ray.
+        ambient_rays: How many of each have found what is open; 0: ambient light is not blocked.
+        scene: The scene.
+        arrivals: Light that was sent, and what of it arrived.
+        wave_inout: The wave.
+    """
     i = start + wp.tid()
     sent = arrivals.sent[i]
-    if is_black(sent) or not wave_inout[0].rays.is_active[i]:
+    if not wave_inout[0].rays.is_active[i] or not wave_inout[0].interactions.exists[i]:
+        return
+    if not wave_inout[0].interactions.shadow_only[i]:
         return
     over_light = is_over_light(i, scene, wave_inout)
     surface = splat_surface(i, over_light, scene, wave_inout)
-    ambient = wp.PI * scene[0].materials[surface.instance].ambient
-    blocked = sent - arrivals.arrived[i]
     share = shown_share(surface, over_light, scene)
+    weight = wave_inout[0].radiance.captured_weight[i]
     factor = wp.vec3(1.0)
     for k in range(3):
-        if blocked[k] > 0.0 and share[k] > 0.0:
-            factor[k] = 1.0 - share[k] * blocked[k] / (ambient[k] + sent[k])
+        light = CatcherLight()
+        light.sent = sent[k]
+        light.change = arrivals.arrived[i][k] - sent[k]
+        light.ambient = wp.PI * scene[0].materials[surface.instance].ambient[k]
+        light.least = wp.PI * surface.albedo[k]
+        if ambient_rays > 0:
+            light.blocked = light.ambient * (1.0 - arrivals.open[i][k] / float(ambient_rays))
+        if share[k] > 0.0:
+            factor[k] = weighted_factor(wp.max(1.0 + share[k] * catcher_change(light), 0.0), weight)
     wave_inout[0].radiance.capture_factor[i] = factor

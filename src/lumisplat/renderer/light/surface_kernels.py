@@ -267,6 +267,10 @@ def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[Wav
         wave[0].radiance.received[i] = wp.vec3(0.0)
         wave[0].radiance.sent[i] = wp.vec3(0.0)
         wave[0].radiance.arrived[i] = wp.vec3(0.0)
+        wave[0].radiance.own_sent[i] = wp.vec3(0.0)
+        wave[0].radiance.own_arrived[i] = wp.vec3(0.0)
+        wave[0].radiance.ambient[i] = wp.vec3(0.0)
+        wave[0].radiance.open[i] = wp.vec3(0.0)
     if wave[0].radiance.albedo:
         wave[0].radiance.albedo[i] = wp.vec3(0.0)
         wave[0].radiance.emission[i] = wp.vec3(0.0)

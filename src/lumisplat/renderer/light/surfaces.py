@@ -26,6 +26,12 @@ LAYER_FIELDS = {"rescattered", "coat", "coat_alpha", "sheen", "sheen_alpha", "sh
 """Fields of interactions that only layers need, and what is scattered more than once."""
 
 
+RECEIVED_FIELDS = frozenset(
+    {"captured_all", "captured_part", "received", "sent", "arrived", "own_sent", "own_arrived", "ambient", "open"}
+)
+"""Of the radiance of rays: what paths find of the light on shadow catchers."""
+
+
 class Surfaces:
     """Makes a wave of rays from their hits.
 
@@ -115,7 +121,7 @@ class Surfaces:
         """The arrays that the frame needs: layers in the primary wave only."""
         without: set[str] = set() if plan.has_shadow_only else {"capture_factor"}
         if number > 0 or not plan.has_receivers:
-            without |= {"captured_all", "captured_part", "received", "sent", "arrived"}
+            without |= RECEIVED_FIELDS
         if number > 0 or "reflection" not in plan.aovs:
             without |= {"reflection"}
         if number > 0 or not {"albedo", "emission"} & plan.aovs:

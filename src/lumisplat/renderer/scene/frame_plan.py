@@ -17,6 +17,7 @@ from lumisplat.config import (
     Shadows,
 )
 from lumisplat.constants import (
+    AMBIENT_RAYS_OF_FRAMES,
     PATH_BOUNCES,
     SAMPLES_OF_PATHS,
     SAMPLES_OF_RANDOM_LIGHT,
@@ -26,6 +27,7 @@ from lumisplat.constants import (
 )
 from lumisplat.renderer.scene.materials import (
     absorbs,
+    catcher_ambient,
     emits_capture_only,
     has_layers,
     is_medium,
@@ -132,6 +134,8 @@ class FramePlan:
     behind such surfaces by the share that these leave. Media are met either way: who enters one leaves it, too."""
     has_shadow_only: bool
     """Some splat set is a shadow catcher, and not seen by paths: lights darken it."""
+    ambient_rays: int
+    """Shadow rays a sample, in random directions, from what shows a shadow catcher on which ambient light is given."""
     keeps_captures: bool
     """Some splat sets keep their captured colours."""
     relights: bool
@@ -218,6 +222,7 @@ class FramePlan:
             has_coatings=is_lit and (config.energy_compensation or any(map(has_layers, materials_of(scene)))),
             has_rough_glass=traces_paths and any(map(is_rough_glass, scene.meshes)),
             draws_alpha=draws_alpha,
+            ambient_rays=ambient_rays_of(config, scene, samples_wanted) * casts_shadows,
             keeps_captures=keeps,
             relights=relights,
             mixes_sets=is_lit and keeps and relights and blends_first(config),
@@ -288,6 +293,19 @@ def adds_to_captures(scene: Scene) -> bool:
     """Whether there are shadow catchers, and something else that may take light from them or add some."""
     captured = [instance.shadow_catcher for instance in scene.splats]
     return any(captured) and (bool(scene.meshes) or not all(captured))
+
+
+def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> int:
+    """Shadow rays a sample that find how much of the ambient light around shadow catchers is open.
+
+    Frames of one sample that nobody asked for have as many as their ambient light needs.
+    """
+    catchers = [instance for instance in scene.splats if instance.shadow_catcher]
+    if not (adds_to_captures(scene) and any(any(catcher_ambient(one, scene)) for one in catchers)):
+        return 0
+    if config.pipeline is Pipeline.REALTIME:
+        return AMBIENT_RAYS_OF_FRAMES
+    return SAMPLES_OF_RANDOM_LIGHT if config.samples is None and samples_wanted == 1 else 1
 
 
 def is_visible(light: Light) -> bool:

@@ -15,7 +15,8 @@ from lumisplat.device.structs.shading import MaterialData
 from lumisplat.math.fresnel import mean_fresnel
 from lumisplat.math.sheen import albedo_curve
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple, wraps_of
+from lumisplat.scene.lights import LightEnvironment
+from lumisplat.scene.materials import Color, Material, MaterialPbr, MaterialSimple, wraps_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.textures import TextureWrap, WrapPair
@@ -34,12 +35,29 @@ _VARIED = {
 _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
 
 
+_GUESSED = (CATCHER_AMBIENT, CATCHER_AMBIENT, CATCHER_AMBIENT)
+
+
 def emits_capture_only(instance: SplatInstance) -> bool:
     """Whether a splat set only emits its captured colours, whatever the lights."""
     material = material_of(instance)
     if instance.shadow_catcher or isinstance(material, MaterialPbr):
         return False
     return material.emissive == (1.0, 1.0, 1.0) and not any(material.ambient + material.diffuse + material.specular)
+
+
+def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
+    """Ambient light on a shadow catcher, as radiance over albedo: what its material says.
+
+    Without a material it is guessed for scenes with lights, unless an environment is among them: that is the light
+    from all around then. Nothing is guessed for scenes without lights, which paths light by captures alone.
+    """
+    if instance.material is not None:
+        return instance.material.ambient if isinstance(instance.material, MaterialSimple) else _GUESSED
+    lights = [light for light in scene.lights if light.enabled]
+    if not lights or any(isinstance(light, LightEnvironment) for light in lights):
+        return (0.0, 0.0, 0.0)
+    return _GUESSED
 
 
 def is_relit(instance: SplatInstance) -> bool:
@@ -101,14 +119,13 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, c
     rows: list[Any] = list(table)
     for row, splats in zip(rows, scene.splats, strict=False):
         material = material_of(splats)
-        ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
         _fill(row, material)
         row["emits_capture_only"] = not is_lit or emits_capture_only(splats)
         row["keeps_capture"] = not is_lit or not is_relit(splats)
         if splats.shadow_catcher:
             row["shadow_only"] = 1
             row["emissive"] = 1.0
-            row["ambient"] = ambient if isinstance(splats.material, MaterialSimple) else CATCHER_AMBIENT
+            row["ambient"] = catcher_ambient(splats, scene)
     for row, meshes in zip(rows[len(scene.splats) :], scene.meshes, strict=True):
         _fill(row, meshes.mesh.material)
         _fill_textures(row, meshes.mesh, texture_first)

@@ -9,6 +9,7 @@ those within highlights, each in the order of the wave before: neighbours stay n
 import warp as wp
 
 from lumisplat.device.light.glossy_lobe import LOBE_BRANCH, lobe_ray
+from lumisplat.device.light.shadow_catcher import straight_factor
 from lumisplat.device.light.splat_surface import sees_far
 from lumisplat.device.material.fresnel import reflect, refract
 from lumisplat.device.material.media import media_of_ray
@@ -145,7 +146,8 @@ def gather_branches(
             if is_lit:
                 light = captured_color(far[0].radiance.captured[child], far[0].radiance.captured_weight[child])
                 if far[0].radiance.capture_factor:
-                    light = wp.cw_mul(light, far[0].radiance.capture_factor[child])
+                    weight = far[0].radiance.captured_weight[child]
+                    light = wp.cw_mul(light, straight_factor(far[0].radiance.capture_factor[child], weight))
                 color += wp.cw_mul(far[0].weights[child], light + far[0].radiance.light[child])
             else:
                 color += wp.cw_mul(far[0].weights[child], far[0].radiance.captured[child])

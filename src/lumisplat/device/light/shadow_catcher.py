@@ -1,0 +1,45 @@
+"""What light that was added or blocked changes of a shadow catcher (docs/method/lighting.md#shadow-catchers)."""
+
+import warp as wp
+
+from lumisplat.device.structs.light import CatcherLight
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def catcher_change(light: CatcherLight) -> float:
+    """Relative change of the light on a shadow catcher by all that was added to its place, in one channel.
+
+    `lumisplat.math.shadow_catcher` is the same in NumPy.
+    """
+    change = light.change
+    received = light.sent
+    rest = light.least - light.sent
+    if light.ambient > 0.0:
+        ambient = wp.max(light.ambient, rest)
+        received += ambient
+        if light.own_sent > ambient:
+            change += light.own_change * ambient / light.own_sent
+        else:
+            change += light.own_change - (ambient - light.own_sent) * light.blocked / light.ambient
+    else:
+        received += wp.max(light.own_sent, rest)
+        change += light.own_change
+    if change == 0.0 or received <= 0.0:
+        return 0.0
+    return change / received
+
+
+@wp.func
+def weighted_factor(factor: float, weight: float) -> float:
+    """The factor of a captured colour, as one of a pixel of which it has the share ``weight``."""
+    return 1.0 + weight * (factor - 1.0)
+
+
+@wp.func
+def straight_factor(factor: wp.vec3, weight: float) -> wp.vec3:
+    """The inverse of ``weighted_factor``, of three channels; 1 where nothing was captured."""
+    if weight <= 0.0:
+        return wp.vec3(1.0)
+    return wp.max(wp.vec3(1.0) + (factor - wp.vec3(1.0)) / weight, wp.vec3(0.0))

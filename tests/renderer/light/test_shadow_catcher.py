@@ -1,0 +1,183 @@
+"""Shadow catchers: one meaning in all pipelines, and layers with which other programs composite them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import OpenEXR
+import pytest
+
+import lumisplat as ls
+from lumisplat.demo.shapes import sphere
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.shadow_catcher import CatcherLight
+
+RADIUS, HEIGHT = 0.5, 0.4
+SHARE = RADIUS**2 / (RADIUS**2 + HEIGHT**2)
+"""Of a cosine-weighted hemisphere that the disc hides from the point below it."""
+SUN = ls.LightDirectional((0, -1, 0), color=(1.0, 0.8, 0.5), intensity=2.0)
+PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda one: one.value)
+
+
+def floor(color: float = 0.5, ambient: float | None = None) -> ls.SplatInstance:
+    """A level sheet at y = 0, 8 units wide, that shows a grey as captured."""
+    plane = ls.Mesh([[-4, 0, 4], [4, 0, 4], [4, 0, -4], [-4, 0, -4]], [[0, 1, 2], [0, 2, 3]])
+    sheet = ls.gaussians_from_mesh(plane, 6000)
+    sh = np.full((6000, 1, 3), (color - 0.5) / 0.28209479177387814, np.float32)
+    sheet = replace(sheet, sh=sh, albedo=None, roughness=None, metallic=None)
+    material = None if ambient is None else ls.MaterialSimple(ambient=(ambient,) * 3)
+    return ls.SplatInstance(sheet, material=material, shadow_catcher=True)
+
+
+def disc(albedo: float = 0.0) -> ls.Mesh:
+    """A level disc above the origin, of many corners."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 129)[:-1]
+    rim = np.stack([RADIUS * np.cos(angles), np.full(128, HEIGHT), RADIUS * np.sin(angles)], axis=1)
+    faces = [[0, 1 + k, 1 + (k + 1) % 128] for k in range(128)]
+    material = ls.MaterialPbr(base_color=(albedo,) * 3, specular=0.0, roughness=1.0)
+    return ls.Mesh(np.concatenate([[[0.0, HEIGHT, 0.0]], rim]), np.array(faces), material=material)
+
+
+def below() -> ls.Camera:
+    """Sees the floor under the disc, where the same share of all its directions is hidden."""
+    return ls.Camera.look_at((0.0, 0.3, 0.0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.02)
+
+
+def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settings: object) -> ls.Frame:
+    """A frame with its ratio; in real time the last of several, which are averaged."""
+    config = ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",), background=None)
+    renderer = ls.create_renderer(replace(config, **settings), "cpu", threads=2)
+    for _ in range(31 if pipeline is ls.Pipeline.REALTIME else 0):
+        renderer.render(scene, camera)
+    return renderer.render(scene, camera)
+
+
+@PIPELINES
+@pytest.mark.parametrize("ambient", [None, 0.2])
+def test_the_sun_leaves_ambient_light_alike_in_all_pipelines(pipeline: ls.Pipeline, ambient: float | None) -> None:
+    """Under the disc, what is left is the open share of the ambient light, over that and the sun's."""
+    scene = ls.Scene([floor(0.3, ambient)], [disc()], [SUN])
+    frame = rendered(scene, below(), pipeline)
+    given = np.pi * (0.5 if ambient is None else ambient)
+    expected = given * (1.0 - SHARE) / (given + SUN.intensity * np.array(SUN.color))
+    assert frame.shadow_ratio is not None
+    np.testing.assert_allclose(frame.shadow_ratio.mean(axis=(0, 1)), expected, rtol=0.04)
+
+
+@PIPELINES
+def test_an_environment_is_the_ambient_light(pipeline: ls.Pipeline) -> None:
+    """Nothing is guessed beside it: what is left is its open share, over it and the sun."""
+    sky = ls.LightEnvironment(color=(0.5, 0.6, 0.8), visible=False)
+    frame = rendered(ls.Scene([floor(0.3)], [disc()], [SUN, sky]), below(), pipeline)
+    given = np.pi * np.array(sky.color)
+    expected = given * (1.0 - SHARE) / (given + SUN.intensity * np.array(SUN.color))
+    assert frame.shadow_ratio is not None
+    np.testing.assert_allclose(frame.shadow_ratio.mean(axis=(0, 1)), expected, rtol=0.05)
+
+
+@PIPELINES
+def test_a_bright_capture_was_lit_by_more_than_a_dim_sun(pipeline: ls.Pipeline) -> None:
+    """No surface reflects more than it receives: light that the scene does not list is there, and stays."""
+    dim = replace(SUN, color=(1, 1, 1), intensity=0.2)
+    frame = rendered(ls.Scene([floor(0.9, ambient=0.0)], [disc()], [dim]), below(), pipeline)
+    received = np.pi * decode_srgb(np.float32(0.9))
+    assert frame.shadow_ratio is not None
+    np.testing.assert_allclose(frame.shadow_ratio.mean(), 1.0 - 0.2 / received, rtol=0.02)
+
+
+def view() -> ls.Camera:
+    """Sees a ball on the floor, and its shadow."""
+    return ls.Camera.look_at((1.2, 1.4, 2.2), (0.3, 0.1, 0), (0, 1, 0), width=96, height=72, fov_y=0.7)
+
+
+def ball() -> ls.MeshInstance:
+    """A red ball on the floor."""
+    material = ls.MaterialPbr(base_color=(0.7, 0.1, 0.1), roughness=0.6)
+    return ls.MeshInstance(replace(sphere(0.4), material=material), position=(0.0, 0.4, 0.0))
+
+
+def channels(path: Path, name: str, letters: str) -> npt.NDArray[np.float64]:
+    """Some channels of a layer, as the reference library of OpenEXR reads them."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        found = file.channels()
+        return np.stack([found[f"{name}{letter}"].pixels for letter in letters], axis=-1).astype(np.float64)
+
+
+@PIPELINES
+def test_exr_layers_composite_over_the_plate(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+    """``matte`` over the plate is the picture, and so is the plate times ``ratio`` where only the capture is seen."""
+    sun = replace(SUN, direction=(0.7, -1.0, -0.3))
+    captured = replace(floor(0.6), gaussians=replace(floor().gaussians, sh=_checkered(floor().gaussians)))
+    scene = ls.Scene([captured], [ball()], [sun])
+    samples = {"jitter": False} | ({} if pipeline is ls.Pipeline.REALTIME else {"samples": 16})
+    frame = rendered(scene, view(), pipeline, **samples)
+    frame.save(tmp_path / "lit.exr")
+    unlit = ls.Pipeline.RASTER if pipeline in (ls.Pipeline.HYBRID, ls.Pipeline.REALTIME) else pipeline
+    config = ls.RenderConfig(pipeline=unlit, lighting=False, background=None)
+    ls.render(ls.Scene(scene.splats), view(), config, device="cpu").save(tmp_path / "plate.exr")
+    plate = channels(tmp_path / "plate.exr", "", "RGB")
+    picture, alpha = channels(tmp_path / "lit.exr", "", "RGB"), channels(tmp_path / "plate.exr", "", "A")
+    ratio, matte = (
+        channels(tmp_path / "lit.exr", "shadow_ratio.", "RGB"),
+        channels(tmp_path / "lit.exr", "shadow_matte.", "RGBA"),
+    )
+    whole = alpha[..., 0] > 0.999
+    beside = whole & (frame.instance_index == 0) & _far_from(frame.instance_index == 1)
+    assert beside.sum() > 1000 and (ratio[beside] < 0.7).sum() > 100
+    np.testing.assert_allclose((plate * ratio)[beside], picture[beside], rtol=2e-3, atol=1e-4)
+    over = matte[..., :3] + (1.0 - matte[..., 3:]) * plate
+    away = whole & (beside | _far_from(frame.instance_index != 1))
+    assert (away & ~beside).sum() > 300
+    np.testing.assert_allclose(over[away], picture[away], rtol=2e-3, atol=1e-3)
+    assert np.abs(over - picture)[whole].mean() < 4e-3  # edges, too
+    untouched = beside & (ratio == 1.0).all(axis=2)
+    np.testing.assert_array_equal(matte[untouched], 0.0)
+
+
+def _checkered(gaussians: ls.Gaussians) -> npt.NDArray[np.float32]:
+    """SH of a floor of two greys, in squares one unit wide."""
+    places = np.floor(gaussians.means[:, [0, 2]]).astype(int).sum(axis=1) % 2
+    return np.where(places[:, None, None] == 0, -0.6, 0.8).repeat(3, axis=2).astype(np.float32)
+
+
+def _far_from(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Where no pixel of the mask is within two pixels."""
+    padded = np.pad(mask, 2)
+    return np.logical_not(np.lib.stride_tricks.sliding_window_view(padded, (5, 5)).any(axis=(2, 3)))
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=["hybrid", "trace"])
+def test_the_shadow_at_the_edge_of_an_object_is_as_dark_as_beside_it(pipeline: ls.Pipeline) -> None:
+    """Samples that hit the object do not lighten what the others see of the catcher."""
+    sun = replace(SUN, color=(1, 1, 1))
+    below_all = replace(disc(), positions=disc().positions * np.array([4.0, 1.0, 4.0]))
+    edge = replace(disc(), positions=disc().positions * np.array([0.2, 0.5, 0.2]) + np.array([0.1, 0.0, 0.0]))
+    camera = ls.Camera.look_at((0.0, 0.35, 0.0), (0, 0, 0), (0, 0, 1), width=24, height=24, fov_y=0.5)
+    scene = ls.Scene([floor(0.5, ambient=0.4)], [below_all, edge], [sun])
+    frame = rendered(scene, camera, pipeline, samples=32, shadow_rays=ls.ShadowConfig())
+    assert frame.shadow_ratio is not None and frame.captured_weight is not None
+    mixed = (frame.captured_weight > 0.3) & (frame.captured_weight < 0.7)
+    clear = frame.captured_weight > 0.99
+    assert mixed.sum() > 5 and clear.sum() > 100
+    assert frame.shadow_ratio[mixed].mean() < frame.shadow_ratio[clear].max()
+
+
+def test_light_that_blocks_and_bounces_adds_up() -> None:
+    """Given ambient light bounds what was found of it; without any, all of it was found, or the least is missing."""
+    one = dict.fromkeys(("sent", "change", "own_sent", "own_change", "ambient", "blocked", "least"), np.zeros(1))
+
+    def change(**values: float) -> float:
+        light = CatcherLight(**(one | {name: np.array([value]) for name, value in values.items()}))
+        changed, received = light.change_and_received()
+        return float(changed[0] / received[0])
+
+    assert change(sent=2.0, change=-2.0, ambient=1.0, blocked=0.5) == pytest.approx(-2.5 / 3.0)
+    assert change(own_sent=4.0, own_change=-1.0) == pytest.approx(-0.25)
+    assert change(own_sent=4.0, own_change=-1.0, least=8.0) == pytest.approx(-0.125)
+    # More was found of the captures than is given: it counts as much as is given.
+    assert change(sent=1.0, own_sent=4.0, own_change=-2.0, ambient=1.0, blocked=0.7) == pytest.approx(-0.25)
+    # Less was found: the rest of what is given comes from everywhere.
+    assert change(sent=1.0, own_sent=1.0, own_change=-1.0, ambient=2.0, blocked=1.0) == pytest.approx(-1.5 / 3.0)
