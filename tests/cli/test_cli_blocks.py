@@ -179,7 +179,7 @@ def test_what_workers_hold(work: Workplace) -> None:
         (["blocks", "@town", "--plan"], "--plan needs --cameras FILE"),
         (["blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "0"], "workers is 0"),
         (["blocks", "@town", "--plan", "--cameras", "@views.json", "--memory", "0"], "--memory is 0"),
-        (["blocks", "@town.ply", "-o", "@town"], "holds a capture in blocks already"),
+        (["blocks", "@town.ply", "-o", "@town"], "holds a complete capture in blocks: give another folder"),
         (["render", "@town.ply", "--lod-pixels", "1", "-o", "@a.png"], "--lod-pixels is of captures in blocks"),
         (["render", "@town", "--lod-pixels", "-1", "-o", "@a.png"], "--lod-pixels is -1, expected 0 or more"),
         (["render", "@town", "--lod-pixels", "1", "--deep", "-o", "@a.exr"], "--lod-pixels and --deep do not go"),

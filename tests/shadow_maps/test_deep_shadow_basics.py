@@ -294,7 +294,7 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "foreign.npz", a=np.zeros(3))
     np.savez(tmp_path / "pickled.npz", header=np.array([{}], dtype=object))
     for name in ("text", "cut", "foreign", "pickled"):
-        with pytest.raises(ls.FormatError, match=f"{name}.npz: is no deep shadow map, or a damaged one$"):
+        with pytest.raises(ls.FormatError, match=f"{name}.npz: is damaged, or not a deep shadow map$"):
             ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
     with np.load(good) as file:
         arrays: dict[str, Any] = dict(file)
@@ -317,7 +317,7 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
     endless = header["atlas"] | {"size": float("inf")}
     arrays["header"] = _tampered(header, atlas=endless)
     np.savez(tmp_path / "endless.npz", **arrays)
-    with pytest.raises(ls.FormatError, match=r"is no deep shadow map, or a damaged one$"):
+    with pytest.raises(ls.FormatError, match=r"is damaged, or not a deep shadow map$"):
         ls.DeepShadowMap.load(tmp_path / "endless.npz")
 
 

@@ -121,6 +121,15 @@ def test_what_is_of_something_else_begins_anew(
     whose = {"another capture": path.read_bytes()}
     ls.find_materials(capture, folder, ls.MaterialsConfig(directions=32, iterations=2), output=output, device="cpu")
     whose |= {"other settings": path.read_bytes(), "half of it": path.read_bytes()[:300], "nothing": b""}
+    with np.load(path) as held:
+        good = dict(held)
+    for why, change in {
+        "half": {"start.albedo": good["start.albedo"][:75]},
+        "no moments": {"fit.albedo.first": np.zeros(3)},
+        "not finite": {"start.sky": np.full_like(good["start.sky"], np.nan)},
+    }.items():
+        np.savez(tmp_path / "changed.npz", **(good | change))
+        whose[why] = (tmp_path / "changed.npz").read_bytes()
     for why, data in whose.items():
         path.write_bytes(data)
         caplog.clear()

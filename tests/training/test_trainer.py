@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
 from dataclasses import replace
@@ -169,13 +170,56 @@ def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
         try:
             ls.train(folder, config, output=output, device="cpu")
         except ls.FormatError as error:
-            told = f"{file}: is damaged, or no checkpoint of a training: remove it, or overwrite it (--overwrite, "
+            told = f"{file}: is damaged, or not a checkpoint of a training: remove it, or overwrite it (--overwrite, "
             assert str(error) == told + "overwrite=True), to begin anew"
         else:
             assert len(damaged) == len(held), "bytes that say nothing: a date, say"
             file.write_bytes(held)
     again = ls.train(folder, config, output=output, overwrite=True, device="cpu")
     assert again.iterations == 20 and file.read_bytes() == held
+
+
+def test_altered_checkpoints_are_one_line(tmp_path: Path) -> None:
+    """Whole archives with other arrays: half of the Gaussians, doubled records, wrong ranks, steps below 0, a bomb."""
+    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    config = replace(CONFIG, iterations=20, exposures=True)
+    ls.train(folder, config, output=output, device="cpu")
+    file = tmp_path / "a.training" / "checkpoint.npz"
+    with np.load(file) as held:
+        good = dict(held)
+    about = json.loads(str(good["about"]))
+    half = len(good["values.means"]) // 2
+    changes: dict[str, dict[str, Any]] = {
+        "half": {"values.means": good["values.means"][:half]},
+        "all of half": {name: good[name][:half] for name in good if "." in name and "photographs" not in name},
+        "doubled": {"record.motion": np.tile(good["record.motion"], 2)},
+        "rank": {"values.logits": good["values.logits"][:, None]},
+        "moments": {"second.sh": good["second.sh"][:, :1]},
+        "none": {name: good[name][:0] for name in good if "." in name and "photographs" not in name},
+        "infinite": {"values.log_scales": np.full_like(good["values.log_scales"], np.inf)},
+        "text": {"values.means": np.array(["a", "b"])},
+        "steps": {"about": np.array(json.dumps(about | {"iteration": -3}))},
+        "endless steps": {"about": np.array(json.dumps(about).replace('"iteration": 20', '"iteration": 1e999'))},
+        "curve": {"about": np.array(json.dumps(about | {"curve": about["curve"] | {"steps": [0]}}))},
+        "no settings": {"about": np.array(json.dumps(about | {"settings": 3}))},
+        "nested": {"about": np.array("[" * 100_000)},
+        "images": {"photographs.exposures": good["photographs.exposures"][:-1]},
+    }
+    del changes["all of half"]["values.sh"]
+    for name, change in changes.items():
+        np.savez(file, **(good | change))
+        with pytest.raises(ls.FormatError, match=r"checkpoint\.npz: is damaged, or not a checkpoint of a training: "):
+            ls.train(folder, config, output=output, device="cpu")
+            pytest.fail(name)
+    bomb: dict[str, Any] = good | {"values.means": np.zeros((20_000_000, 3), np.float32)}
+    np.savez_compressed(file, **bomb)
+    with pytest.raises(ls.FormatError, match="is damaged"):
+        ls.train(folder, config, output=output, device="cpu")
+    if hasattr(os, "mkfifo"):
+        file.unlink()
+        os.mkfifo(file)
+        with pytest.raises(ls.FormatError, match="is a device, a pipe or a socket"):
+            ls.train(folder, config, output=output, device="cpu")
 
 
 def test_parameters_that_are_not_finite_end_training_before_anything_is_written() -> None:

@@ -63,7 +63,7 @@ def _tile(path: Path, layer: str) -> Image.Image:
     try:
         if layer == "depth":
             return Image.fromarray(_gray(np.load(path, allow_pickle=False)))
-        with Image.open(path) as image:
+        with Image.open(path, formats=("PNG",)) as image:
             if layer in ("instance", "category"):
                 return Image.fromarray(_colors(np.asarray(image)))
             if image.mode == "RGBA":

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import ConfigError, FormatError
+from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.source import PathLike, read_bytes
+from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import Doubles, FloatArray
 
 SUMS = ("color", "alpha", "radiance", "squares", "captured_weight", "light")
@@ -61,20 +62,34 @@ class SamplePart:
         Raises:
             FormatError: The file is missing, damaged, or none of a part.
         """
-        content = io.BytesIO(read_bytes(path))
+        kind = "a part of a frame's samples"
+        arrays = read_arrays(path, kind)
         try:
-            with np.load(content, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            first, count, width, height = (int(number) for number in arrays["block"])
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise FormatError(path, f"is no part of a frame's samples: {error}") from None
-        except Exception as error:  # zipfile raises errors of its own
-            raise FormatError(path, f"damaged, or no part of a frame's samples: {error}") from None
-        parts = {
-            kind: {name.removeprefix(kind): array for name, array in arrays.items() if name.startswith(kind)}
-            for kind in ("sum.", "seen.")
-        }
-        return SamplePart(first, count, (width, height), parts["sum."], parts["seen."])
+            first, count, width, height = checked_array(arrays, "block", (4,), np.int64).tolist()
+        except ValueError:
+            raise FormatError(path, f"is damaged, or not {kind}") from None
+        summed, seen = (
+            {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+            for prefix in ("sum.", "seen.")
+        )
+        part = SamplePart(first, count, (width, height), summed, seen)
+        if not part._is_consistent:
+            raise FormatError(path, f"is damaged, or not {kind}")
+        return part
+
+    @property
+    def _is_consistent(self) -> bool:
+        """Whether every array has a value for each pixel, in the words that samples are added up in."""
+        pixels, words = self.size[0] * self.size[1], self.accumulated
+        if self.first < 0 or min(self.count, *self.size) < 1 or not {"count", "sums"} <= words.keys():
+            return False
+        if any(array.ndim != 1 or array.dtype != np.float32 for array in words.values()):
+            return False
+        sums = accumulate(2 * pixels * channels for channels in _CHANNELS.values())
+        lengths = {"count": (pixels,), "sums": tuple(sums)}
+        return all(array.size in lengths.get(name, (3 * pixels,)) for name, array in words.items()) and all(
+            array.shape[:2] == self.size[::-1] for array in self.surfaces.values()
+        )
 
 
 def merged(parts: Iterable[SamplePart]) -> SamplePart:

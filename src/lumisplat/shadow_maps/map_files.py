@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import zipfile
-import zlib
 from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
@@ -17,9 +15,9 @@ import warp as wp
 from lumisplat.config import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 from lumisplat.constants import SHADOW_TILE
 from lumisplat.device.structs.shadow_map import Atlas
-from lumisplat.errors import FormatError, LumisplatError, MissingFileError
+from lumisplat.errors import FormatError, LumisplatError
+from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.source import check_regular
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.shadow_maps.atlas import Source
@@ -30,8 +28,8 @@ _ENUMS: dict[str, type[Enum]] = {"layout": AtlasLayout, "absorption": Absorption
 _SCALARS = ("layout", "size", "texel_length", "bins", "bin_length")
 """Fields of Atlas that are numbers."""
 _FOREIGN_FILE_ERRORS = (
-    *(ArithmeticError, EOFError, LookupError, RuntimeError, TypeError, ValueError),
-    *(LumisplatError, zipfile.BadZipFile, zlib.error),
+    *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError),
+    LumisplatError,
 )
 """Raised when a file that is foreign or damaged is read as a map."""
 
@@ -87,25 +85,21 @@ def read_map(path: str | os.PathLike[str]) -> StoredMap:
         FormatError: The file is not a deep shadow map, or cannot be read.
         MissingFileError: There is no such file.
     """
+    kind = "a deep shadow map"
+    arrays = read_arrays(path, kind, compressed=True)
     try:
-        check_regular(path, os.stat(path))
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            header = json.loads(file["header"].tobytes())
-            if header["version"] != _VERSION:
-                raise FormatError(path, f"is a deep shadow map of version {header['version']}, expected {_VERSION}")
-            region = Region(*(file[name].astype(np.int32) for name in ("texels", "first", "count")))
-            values = file["table"].astype(np.float32)
+        header = json.loads(checked_array(arrays, "header", (None,), np.uint8).tobytes())
+        if header["version"] != _VERSION:
+            raise FormatError(path, f"is a deep shadow map of version {header['version']}, expected {_VERSION}")
+        region = Region(*(checked_array(arrays, name, (None,), np.int32) for name in ("texels", "first", "count")))
+        values = checked_array(arrays, "table", (None,), np.float32)
         stored = StoredMap(
             _config(header["config"]), _source(header), _atlas(header), region, values, bool(header["follows"])
         )
     except FormatError:
         raise
-    except FileNotFoundError:
-        raise MissingFileError(path, "no such file") from None
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     except _FOREIGN_FILE_ERRORS:
-        raise FormatError(path, "is no deep shadow map, or a damaged one") from None
+        raise FormatError(path, f"is damaged, or not {kind}") from None
     if not _is_consistent(stored):
         raise FormatError(path, "is a damaged deep shadow map: what it tabulates does not fit its settings")
     return stored

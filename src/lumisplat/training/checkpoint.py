@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import logging
 from dataclasses import asdict, dataclass, field
@@ -14,6 +13,7 @@ import numpy as np
 
 from lumisplat.config import TrainConfig
 from lumisplat.errors import FormatError
+from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.training.curve import Curve
@@ -29,6 +29,7 @@ _OF_PHOTOGRAPHS = "photographs."
 _MAY_CHANGE = ("iterations", "prune_below")
 """Settings with others of which training goes on: what is done stays, and what comes goes by the new ones."""
 BEGIN_ANEW = "remove it, or overwrite it (--overwrite, overwrite=True), to begin anew"
+_KIND = f"a checkpoint of a training: {BEGIN_ANEW}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,25 +81,41 @@ def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[
         FormatError: It cannot be read, or is of others; names the first setting that differs.
     """
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_arrays(path, _KIND)
         told = json.loads(str(arrays.pop("about")))
         check_same(path, told, config, photographs)
-        parts = ({name: np.asarray(arrays[f"{part}.{name}"], np.float32) for name in NAMES} for part in _PARTS)
-        record = {name: np.asarray(arrays[f"record.{name}"], np.float32) for name in RECORD}
+        count = len(arrays["values.means"])
+        coefficients = (config.sh_degree + 1) ** 2
+        shapes = {"means": (3,), "rotations": (4,), "log_scales": (3,), "logits": (), "sh": (coefficients, 3)}
+        parts = (
+            {name: checked_array(arrays, f"{part}.{name}", (count, *shapes[name]), np.float32) for name in NAMES}
+            for part in _PARTS
+        )
+        record = {name: checked_array(arrays, f"record.{name}", (count,), np.float32) for name in RECORD}
         of_photographs = {
-            name.removeprefix(_OF_PHOTOGRAPHS): np.asarray(values, np.float64)
-            for name, values in arrays.items()
+            name.removeprefix(_OF_PHOTOGRAPHS): checked_array(arrays, name, array.shape, np.float64)
+            for name, array in arrays.items()
             if name.startswith(_OF_PHOTOGRAPHS)
         }
         state = Checkpoint(int(told["iteration"]), Learnt(*parts), record, of_photographs)
+        if state.iteration < 0 or count == 0:
+            raise ValueError("no state of a training")
         return state, Curve.of(told["curve"])
-    except FormatError:  # of others
+    except FormatError:  # of others, or unreadable
         raise
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
-    except Exception:  # bytes that are any may fail in any way in zipfile, NumPy or json
-        raise FormatError(path, f"is damaged, or no checkpoint of a training: {BEGIN_ANEW}") from None
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError):
+        raise _damaged(path) from None
+
+
+def check_images(path: Path, checkpoint: Checkpoint, now: Checkpoint) -> None:
+    """Raises a FormatError unless a checkpoint has what a training learns of each image, in the same shapes."""
+    shapes = [{name: array.shape for name, array in state.of_photographs.items()} for state in (checkpoint, now)]
+    if shapes[0] != shapes[1]:
+        raise _damaged(path)
+
+
+def _damaged(path: Path) -> FormatError:
+    return FormatError(path, f"is damaged, or not {_KIND}")
 
 
 def check_same(path: Path, told: dict[str, Any], config: TrainConfig, photographs: str) -> None:

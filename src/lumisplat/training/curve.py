@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from PIL import Image, ImageDraw
@@ -35,10 +36,20 @@ class Curve:
 
     @classmethod
     def of(cls, told: dict[str, Any]) -> Curve:
-        """That of which ``told`` was kept."""
+        """Returns the curve that `told` has kept.
+
+        Raises:
+            ValueError: Steps or errors are none that a training can have.
+        """
         measured = [(int(step), float(value)) for step, value in told["measured"]]
         steps, squared = [int(step) for step in told["steps"]], [float(value) for value in told["squared"]]
-        return cls(steps, squared, measured, float(told["sum"]), int(told["count"]))
+        curve = cls(steps, squared, measured, float(told["sum"]), int(told["count"]))
+        ascending = all(a < b for a, b in pairwise([0, *steps]))
+        sound = all(0.0 <= error < math.inf for error in (*squared, curve._sum))
+        sound &= all(step > 0 and not math.isnan(value) for step, value in measured)
+        if len(steps) != len(squared) or not ascending or curve._count < 0 or not sound:
+            raise ValueError("no curve of a training")
+        return curve
 
     @property
     def told(self) -> dict[str, Any]:

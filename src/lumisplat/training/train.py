@@ -23,7 +23,7 @@ from lumisplat.progress import Progress, say_nothing
 from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.training.checkpoint import read_checkpoint, write_checkpoint
+from lumisplat.training.checkpoint import check_images, read_checkpoint, write_checkpoint
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore
 from lumisplat.training.initial import enough_points, say_if_few
@@ -179,6 +179,7 @@ class _Run:
         mark = self._mark  # of the photographs as they are now, not after the first minute
         if self._folder.checkpoint.exists():
             checkpoint, self._curve = read_checkpoint(self._folder.checkpoint, self._config, mark)
+            check_images(self._folder.checkpoint, checkpoint, self._trainer.checkpoint)
             self._trainer.restore(checkpoint)
         self._folder.write_settings(
             self._config, self._photographs.read_from

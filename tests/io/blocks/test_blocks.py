@@ -22,6 +22,44 @@ def street(count: int = 3000, degree: int = 1) -> ls.Gaussians:
     return ls.merge([small, large])
 
 
+def test_an_index_of_a_stranger_is_one_line(tmp_path: Path) -> None:
+    """Deep JSON, integers beyond floats, NUL in names: the index is named."""
+    folder = tmp_path / "city"
+    index = ls.write_blocks(folder, chunks(street(200)), 40.0)
+    good = json.loads((folder / "blocks.json").read_text())
+    file, count, largest, mean = good["blocks"][0]["levels"][0]
+    bad = [
+        "[" * 200_000,
+        json.dumps(good).replace(f"{mean}", "1" + "0" * 4000, 1),
+        json.dumps(good | {"blocks": [good["blocks"][0] | {"low": [10**400, 0, 0]}]}),
+        *(
+            json.dumps(good | {"blocks": [good["blocks"][0] | {"levels": [[name, count, largest, mean]]}]})
+            for name in ("a\0b", "\ud800", "../city", "/dev/zero", "", 3)
+        ),
+        json.dumps(good | {"blocks": [good["blocks"][0] | {"levels": [[file, count, -1.0, mean]]}]}),
+        json.dumps(good | {"sh_count": [1]}),
+        "3",
+    ]
+    for text in bad:
+        (folder / "blocks.json").write_text(text)
+        with pytest.raises(ls.FormatError, match=r"blocks\.json: damaged, or not an index of blocks"):
+            ls.load(folder)
+    assert index.count == 240
+
+
+def test_damaged_blocks_are_named(tmp_path: Path) -> None:
+    """Rows that are no Gaussians: the message has the file that holds them."""
+    folder = tmp_path / "city"
+    index = ls.write_blocks(folder, chunks(street(2000)), 8.0)
+    assert len(index.blocks) > 1
+    path = folder / index.blocks[1].levels[0].file
+    rows = np.fromfile(path, "<f4").reshape(-1, index.row_bytes // 4)
+    rows[0, 7] = -1.0
+    rows.tofile(path)
+    with pytest.raises(ls.FormatError, match=path.name):
+        ls.load(folder)
+
+
 def chunks(gaussians: ls.Gaussians, size: int = 700) -> list[ls.Gaussians]:
     """A capture as a stream."""
     return [
@@ -180,7 +218,7 @@ def test_mistakes(tmp_path: Path) -> None:
     (tmp_path / "a" / "cell0_0_0.part").write_bytes(b"left by a run that was killed")
     index = ls.write_blocks(tmp_path / "a", [capture], 1.0)
     np.testing.assert_array_equal(sorted_rows(all_of(index)), sorted_rows(capture))
-    with pytest.raises(ls.FormatError, match="holds a capture in blocks already"):
+    with pytest.raises(ls.FormatError, match="holds a complete capture in blocks"):
         ls.write_blocks(tmp_path / "a", [capture], 1.0)
     away = ls.Camera.look_at((0, -900, 0), (0, -1000, 0), (0, 0, 1))
     assert ls.visible_blocks(index, away) == []
@@ -194,11 +232,11 @@ def test_mistakes(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"version": 2}, "has version 2, expected 1"),
-        ({"sh_count": 3}, "no index of blocks"),
+        ({"sh_count": 3}, "not an index of blocks"),
         ({"blocks": [{"low": [0, 0, 0], "high": [1, 1, 1], "levels": [["../x", 3, 1.0, 1.0]]}]}, "no name of a file"),
-        ({"blocks": [{"low": [0, 0], "high": [1, 1, 1], "levels": [["x", 3, 1.0, 1.0]]}]}, "no index of blocks"),
+        ({"blocks": [{"low": [0, 0], "high": [1, 1, 1], "levels": [["x", 3, 1.0, 1.0]]}]}, "not an index of blocks"),
         ({"blocks": [{"low": [0, 0, 0], "high": [1, 1, 1], "levels": [["x", 3, 1.0, 1.0]]}]}, "cannot be read"),
-        ({"blocks": 3}, "no index of blocks"),
+        ({"blocks": 3}, "not an index of blocks"),
     ],
 )
 def test_damaged_indices(tmp_path: Path, change: dict[str, object], message: str) -> None:

@@ -180,3 +180,16 @@ def test_decompression_bomb_is_refused() -> None:
     claimed[29:33] = zlib.crc32(bytes(claimed[12:29])).to_bytes(4, "big")
     with pytest.raises(FormatError, match="too large"):
         decode_texture(bytes(claimed), "a.glb", "images[0]")
+
+
+def test_formats_that_start_other_programs_are_no_textures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """EPS named as a PNG: Pillow would run Ghostscript on a stranger's program."""
+    from PIL import EpsImagePlugin
+
+    def never(*arguments: object, **options: object) -> None:
+        raise AssertionError("Ghostscript was started")
+
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", never)
+    eps = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\n{ } loop\nshowpage\n%%EOF\n"
+    with pytest.raises(FormatError, match=r"t\.png: is corrupt, or no image"):
+        decode_texture(eps, "t.png")

@@ -133,6 +133,8 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
         ("[[splats]]\npath = 3", "line 2, splats[0]: path is 3, expected a string"),
         (SPLAT + "name = 3", "line 3, splats[0]: name is 3, expected a string"),
         ("\n\n[[splats]]\npath = 'lost.ply'", "line 4, splats[0]: path is 'lost.ply', no such file"),
+        ("\n[[splats]]\npath = '/dev/null'", "line 3, splats[0]: path is '/dev/null': a device, a pipe or a socket"),
+        ("width = " + "9" * 5000, "is not a scene file: it holds an integer of thousands of digits"),
         (
             "[[splats]]\npath = 'mesh.obj'",
             "line 2, splats[0]: path is 'mesh.obj', which is a mesh: list it under [[meshes]]",

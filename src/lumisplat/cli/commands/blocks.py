@@ -93,7 +93,9 @@ class Blocks(LoadingCommand):
         if not 0 <= self.coarser <= 16:
             raise ls.ConfigError(f"--coarser is {self.coarser}, expected 0 to 16")
         if block_folder(self.output) is not None:
-            raise ls.FormatError(self.output, "holds a capture in blocks already: give a new folder")
+            raise ls.FormatError(
+                self.output, "holds a complete capture in blocks: give another folder, or delete this one"
+            )
         return self.output
 
     def _part(self, path: Path, report: Report) -> ls.PlyStream | ls.Gaussians:

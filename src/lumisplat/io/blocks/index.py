@@ -13,7 +13,7 @@ import numpy as np
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.format import BLOCKS
-from lumisplat.io.files.source import PathLike, read_bytes
+from lumisplat.io.files.source import PathLike, parsing, read_bytes
 from lumisplat.io.splats.orientation import UNSTATED, Orientation, orientation_of, orientation_values
 from lumisplat.math.arrays import Doubles
 
@@ -110,7 +110,7 @@ def open_blocks(folder: PathLike) -> BlockIndex:
     """
     folder = Path(folder).parent if Path(folder).name == INDEX else Path(folder)
     path = folder / INDEX
-    try:
+    with parsing(path, "an index of blocks"):
         stored: Any = json.loads(read_bytes(path))
         if stored["version"] != VERSION:
             raise FormatError(path, f"has version {stored['version']}, expected {VERSION}")
@@ -123,13 +123,9 @@ def open_blocks(folder: PathLike) -> BlockIndex:
         )
         if not index.blocks:
             raise ValueError("it has no blocks")
-    except FormatError:
-        raise
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FormatError(path, f"damaged, or no index of blocks: {error}") from None
-    for block in index.blocks:
-        for level in block.levels:
-            _check_file(folder / level.file, level.count * index.row_bytes)
+        for block in index.blocks:
+            for level in block.levels:
+                _check_file(folder / level.file, level.count * index.row_bytes)
     return index
 
 
@@ -147,11 +143,13 @@ def _block(stored: Any) -> Block:
     low, high = ([float(value) for value in stored[name]] for name in ("low", "high"))
     if not levels or len(low) != 3 or len(high) != 3 or not all(map(math.isfinite, (*low, *high))):
         raise ValueError("a block without levels or bounds")
+    if not all(0.0 <= scale < math.inf for level in levels for scale in (level.scale_max, level.scale_mean)):
+        raise ValueError("a block whose scales are no lengths")
     return Block((low[0], low[1], low[2]), (high[0], high[1], high[2]), levels)
 
 
 def _file_name(value: object) -> str:
-    if not isinstance(value, str) or not value or Path(value).name != value:
+    if not isinstance(value, str) or not value or not value.isprintable() or Path(value).name != value:
         raise ValueError(f"{value!r} is no name of a file in the folder")
     return value
 

@@ -21,7 +21,7 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.blocks.index import Block, BlockIndex, open_blocks
 from lumisplat.io.blocks.rows import joined, read_rows, unpacked
 from lumisplat.io.files.limits import check_memory
-from lumisplat.io.files.source import PathLike
+from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
@@ -78,7 +78,15 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     levels = [index.blocks[part.block].levels[part.level] for part in parts]
     width = index.row_bytes // 4
     rows = (read_rows(index.folder / level.file, width, level.count) for level in levels)
-    return joined(rows, sum(level.count for level in levels), width, **index.settings)
+    try:
+        return joined(rows, sum(level.count for level in levels), width, **index.settings)
+    except FormatError:
+        raise
+    except SceneError:
+        for level in levels:  # to name the file
+            with parsing(index.folder / level.file, "a block of a capture"):
+                unpacked(read_rows(index.folder / level.file, width, level.count), **index.settings)
+        raise
 
 
 def all_blocks(index: BlockIndex, level: int = 0) -> list[BlockPart]:
@@ -129,7 +137,8 @@ def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
         level = block.levels[0]
         rows.append(read_rows(index.folder / level.file, width, level.count, slice(first, None, step)))
         first = (first - level.count) % step  # as of the rows of all blocks, one after the other
-    return unpacked(np.concatenate(rows), **index.settings)
+    with parsing(index.folder, "a capture in blocks"):
+        return unpacked(np.concatenate(rows), **index.settings)
 
 
 def bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:

@@ -87,7 +87,7 @@ def _made(place: Path) -> bool:
         OSError: It cannot be made.
     """
     if (place / INDEX).exists():
-        raise FormatError(place, "holds a capture in blocks already: give a new folder")
+        raise FormatError(place, "holds a complete capture in blocks: give another folder, or delete this one")
     if place.is_dir() and writers_of(place / INDEX):
         raise FormatError(place, "another process is writing blocks there: give a new folder")
     if place.exists() and not place.is_dir():

@@ -9,6 +9,7 @@ import stat
 import struct
 from collections.abc import Generator
 from contextlib import contextmanager
+from typing import BinaryIO
 
 import numpy as np
 
@@ -31,24 +32,43 @@ def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
     """
     because = f" (needed by {os.fspath(wanted_by)})" if wanted_by is not None else ""
     try:
-        # Opening a pipe would wait for its writer, opening a device may have effects.
-        status = os.stat(path)
-        check_regular(path, status, because)
-        if status.st_size > FILE_BYTES_MAX:
-            raise FormatError(path, f"has {status.st_size:,} bytes, expected at most {FILE_BYTES_MAX:,}{because}")
-        with open(path, "rb") as file:
-            data = file.read(status.st_size)
+        with opened(path, because) as file:
+            data = file.read(os.fstat(file.fileno()).st_size)
     except FormatError:
         raise
     except MemoryError:
         raise FormatError(path, f"does not fit into memory{because}") from None
+    except OSError as error:
+        raise FormatError(path, f"cannot be read{because}: {error.strerror or error}") from None
+    if not data:
+        raise FormatError(path, f"is empty: zero bytes{because}")
+    return data
+
+
+def opened(path: PathLike, because: str = "", largest: float | None = None) -> BinaryIO:
+    """Opens a file to read, after checking that reading it ends.
+
+    Args:
+        path: The file.
+        because: The end of messages.
+        largest: Size in bytes above which it is refused; None: `FILE_BYTES_MAX`.
+
+    Raises:
+        FormatError: The file is a folder, a device, a pipe, too large or not readable.
+        MissingFileError: There is no such file.
+    """
+    largest = FILE_BYTES_MAX if largest is None else largest
+    try:
+        # Opening a pipe would wait for its writer, opening a device may have effects.
+        status = os.stat(path)
+        check_regular(path, status, because)
+        if status.st_size > largest:
+            raise FormatError(path, f"has {status.st_size:,} bytes, expected at most {largest:,}{because}")
+        return open(path, "rb")
     except FileNotFoundError:
         raise MissingFileError(path, f"no such file{because}") from None
     except (OSError, ValueError) as error:
         raise FormatError(path, f"cannot be read{because}: {getattr(error, 'strerror', None) or error}") from None
-    if not data:
-        raise FormatError(path, f"is empty: zero bytes{because}")
-    return data
 
 
 def read_text(path: PathLike, *, wanted_by: PathLike | None = None, errors: str = "strict") -> str:

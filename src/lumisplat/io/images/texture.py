@@ -1,4 +1,4 @@
-"""Textures: PNG, JPEG, WebP and other image files that Pillow reads, as sRGB texels."""
+"""Textures: PNG, JPEG, WebP and some more formats, as sRGB texels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.limits import TextureBytes
-from lumisplat.io.files.source import PathLike, read_bytes
+from lumisplat.io.files.source import PathLike, opened, read_bytes
+
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TGA", "TIFF")
+"""Formats that Pillow decodes by itself: for others it starts programs, such as Ghostscript for EPS."""
 
 
 def read_texture(path: PathLike, total: TextureBytes | None = None) -> npt.NDArray[np.uint8]:
@@ -34,8 +37,10 @@ def image_size(path: PathLike) -> tuple[int, int]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(path) as image:
+            with opened(path) as file, Image.open(file, formats=_FORMATS) as image:
                 return image.size
+    except FormatError:
+        raise
     except Exception as error:  # Pillow's decoders raise many kinds of errors
         raise FormatError(path, "cannot be read for its size: expected PNG, JPEG or WebP") from error
 
@@ -43,7 +48,7 @@ def image_size(path: PathLike) -> tuple[int, int]:
 def decode_texture(
     data: bytes, path: PathLike, label: str | None = None, total: TextureBytes | None = None
 ) -> npt.NDArray[np.uint8]:
-    """Decodes an image in any format that Pillow reads.
+    """Decodes a PNG, JPEG, WebP, BMP, GIF, TGA or TIFF image.
 
     Args:
         data: The encoded image.
@@ -64,7 +69,7 @@ def decode_texture(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(data)) as image:
+            with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
                 if total is not None:
                     total.add(label or os.fspath(path), 3 * image.width * image.height, len(data))
                 if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clamp at 255

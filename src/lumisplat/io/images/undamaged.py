@@ -41,7 +41,7 @@ def _is_whole_png(data: bytes) -> bool:
     if not data.startswith(_PNG):
         return False
     try:
-        with Image.open(io.BytesIO(data)) as image:
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
             image.verify()
     except Exception:  # Pillow's decoders raise many kinds of errors
         return False

@@ -128,6 +128,10 @@ class TomlTable:
             raise FormatError(path, f"is not valid TOML: {error}") from None
         except (UnicodeDecodeError, RecursionError):
             raise FormatError(path, f"is not {kind}: expected TOML text") from None
+        except FormatError:
+            raise
+        except ValueError:  # of Python itself, for which an integer has at most 4,300 digits
+            raise FormatError(path, f"is not {kind}: it holds an integer of thousands of digits") from None
 
     @classmethod
     def of(cls, path: Path, values: dict[str, Any], *where: str) -> TomlTable:
@@ -226,11 +230,13 @@ class TomlTable:
         """The path of the file that a key names, relative to this file.
 
         Raises:
-            FormatError: There is no such file.
+            FormatError: There is no such file, or it is a device, a pipe or a socket.
         """
         path = named_path(self.path.parent, self.values[key])
         if not path.exists():
             raise self.error(f"{key} is {self.values[key]!r}, no such file", key)
+        if not (path.is_file() or path.is_dir()):
+            raise self.error(f"{key} is {self.values[key]!r}: a device, a pipe or a socket, expected a file", key)
         return path
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import logging
 from dataclasses import asdict, dataclass, field
@@ -13,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from lumisplat.config import MaterialsConfig
-from lumisplat.errors import FormatError
+from lumisplat.errors import FormatError, MissingFileError
+from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.gaussians import Gaussians
@@ -52,6 +52,10 @@ class MaterialFiles:
     folder: Path
     mark: str
     """What tells the search from others."""
+    count: int
+    """Gaussians of the capture."""
+    directions: int
+    """Directions in which light is traced."""
 
     @classmethod
     def of(cls, folder: Path, gaussians: Gaussians, photographs: str, config: MaterialsConfig) -> MaterialFiles:
@@ -59,7 +63,7 @@ class MaterialFiles:
         told = hashlib.sha256(json.dumps([VERSION, photographs, asdict(config), gaussians.antialiased]).encode())
         for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
             told.update(getattr(gaussians, name).tobytes())
-        return cls(folder, told.hexdigest())
+        return cls(folder, told.hexdigest(), gaussians.count, config.directions)
 
     @property
     def _found(self) -> Path:
@@ -86,14 +90,23 @@ class MaterialFiles:
         if held is None:
             return None
         told, arrays = held
+        moved = {"albedo": (self.count, 3), "roughness": (self.count,), "sky": (self.directions, 3)}
+        shapes = moved | {"normals": (self.count, 3)}
         try:
-            start = Materials(*(np.asarray(arrays[f"{_OF_START}{name}"], np.float64) for name in Materials.__slots__))
-            fit = {
-                n.removeprefix(_OF_FIT): np.asarray(v, np.float64) for n, v in arrays.items() if n.startswith(_OF_FIT)
-            }
-            errors = tuple(float(error) for error in arrays["errors"])
-            return FoundSoFar(start, float(told["too_light"]), int(told["iteration"]), fit, errors)
-        except (KeyError, TypeError, ValueError):
+            start = Materials(
+                *(checked_array(arrays, f"{_OF_START}{name}", shapes[name], np.float64) for name in Materials.__slots__)
+            )
+            names = {name.removeprefix(_OF_FIT) for name in arrays if name.startswith(_OF_FIT)}
+            expected = {f"{name}{part}": shape for name, shape in moved.items() for part in ("", ".first", ".second")}
+            if names and names != expected.keys():
+                raise ValueError("no state of a fit")
+            fit = {name: checked_array(arrays, f"{_OF_FIT}{name}", expected[name], np.float64) for name in names}
+            errors = tuple(checked_array(arrays, "errors", (None,), np.float64).tolist())
+            iteration = int(told["iteration"])
+            if iteration < 0 or (iteration > 0) != bool(names):
+                raise ValueError("steps that do not fit the state")
+            return FoundSoFar(start, float(told["too_light"]), iteration, fit, errors)
+        except (KeyError, TypeError, ValueError, OverflowError):
             self._tell_anew(self._found)
             return None
 
@@ -108,9 +121,18 @@ class MaterialFiles:
     def read_light(self) -> IncidentRadiance | None:
         """What was traced, if it is still there."""
         held = self._read(self._light)
-        if held is None or not set(IncidentRadiance.__slots__) <= held[1].keys():
+        if held is None:
             return None
-        return IncidentRadiance(**{name: held[1][name] for name in IncidentRadiance.__slots__})
+        pairs = self.count, self.directions
+        try:
+            return IncidentRadiance(
+                directions=checked_array(held[1], "directions", (self.directions, 3), np.float64),
+                open=checked_array(held[1], "open", pairs, np.float32),
+                seen=checked_array(held[1], "seen", (*pairs, 3), np.float32),
+            )
+        except ValueError:
+            self._tell_anew(self._light)
+            return None
 
     def forget_light(self) -> None:
         """Removes what was traced."""
@@ -124,16 +146,16 @@ class MaterialFiles:
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """What a file tells and holds; None: it is not there, or not of this search."""
         try:
-            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
+            arrays = read_arrays(path, "what was found so far")
             told: dict[str, Any] = json.loads(str(arrays.pop("about")))
             if told["mark"] == self.mark:
                 return told, arrays
-        except FileNotFoundError:
+        except MissingFileError:
             return None
-        except OSError as error:
-            raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
-        except Exception:  # bytes that are any may fail in any way in zipfile, NumPy or json
+        except FormatError as error:
+            if "is damaged" not in error.problem:
+                raise
+        except (ValueError, LookupError, TypeError, RecursionError):
             pass
         self._tell_anew(path)
         return None

@@ -83,7 +83,7 @@ def _png_pixels(path: PathLike, window: Window, channels: int | None) -> npt.NDA
     try:
         Image.MAX_IMAGE_PIXELS, limit = None, Image.MAX_IMAGE_PIXELS  # the size is checked against the window's
         try:
-            with Image.open(path) as image:
+            with Image.open(path, formats=("PNG",)) as image:
                 if image.size != window[2:] or image.mode not in ("RGB", "RGBA"):
                     raise FormatError(path, f"is {image.size} {image.mode}, expected {window[2:]} in RGB or RGBA")
                 pixels = np.asarray(image)

@@ -1,0 +1,106 @@
+"""NumPy archives (``.npz``) of unknown origin: names, types and sizes are checked before anything is allocated."""
+
+from __future__ import annotations
+
+import math
+import os
+import zipfile
+import zlib
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.limits import check_expansion, check_memory
+from lumisplat.io.files.source import PathLike, opened
+
+_UNREADABLE = (ValueError, LookupError, TypeError, ArithmeticError, RuntimeError, EOFError, SyntaxError)
+"""Raised by zipfile and NumPy for bytes that are no archive of arrays, besides errors of their own."""
+
+
+def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[str, npt.NDArray[Any]]:
+    """Reads all arrays of an archive.
+
+    Args:
+        path: The file.
+        kind: The expected kind of file, such as ``"a checkpoint of a training"``, for messages.
+        compressed: Whether arrays may be stored compressed, as by `numpy.savez_compressed`. Otherwise they take no
+            more memory than the file has bytes.
+
+    Raises:
+        FormatError: The file is a folder, a device or a pipe, cannot be read, is no archive of plain arrays, or its
+            arrays take far more memory than its size can hold.
+        MissingFileError: There is no such file.
+    """
+    try:
+        with opened(path, largest=math.inf) as file, zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            sizes = [_array_bytes(archive, member, compressed) for member in members]
+            if len({member.filename for member in members}) < len(members):
+                raise ValueError("two arrays of one name")
+            stored = os.fstat(file.fileno()).st_size
+            check_expansion(path, "its arrays", sum(sizes), stored)
+            check_memory(path, "its arrays", sum(sizes), "it needs a machine with more")
+            if not compressed and sum(sizes) > stored:
+                raise ValueError("arrays that overlap")
+            return {member.filename.removesuffix(".npy"): _read(archive, member) for member in members}
+    except FormatError:
+        raise
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise FormatError(path, "does not fit into memory") from None
+    except (*_UNREADABLE, zipfile.BadZipFile, zlib.error):
+        raise FormatError(path, f"is damaged, or not {kind}") from None
+
+
+def checked_array(
+    arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int | None, ...], dtype: npt.DTypeLike
+) -> npt.NDArray[Any]:
+    """Returns an array of an archive if it has the expected shape and only finite numbers.
+
+    Args:
+        arrays: As `read_arrays` returns them.
+        name: Name of the array.
+        shape: Expected shape; None stands for any length.
+        dtype: Type of the result.
+
+    Raises:
+        ValueError: There is no such array, or it is not of that kind.
+    """
+    array = arrays.get(name)
+    if array is None or array.dtype.kind not in "fiub" or array.ndim != len(shape):
+        raise ValueError(f"no array {name} of {len(shape)} axes")
+    if any(wanted not in (None, length) for wanted, length in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"{name} has the shape {array.shape}, expected {shape}")
+    with np.errstate(all="ignore"):
+        values = array.astype(dtype)
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} holds values that are not finite")
+    return values
+
+
+def _array_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: bool) -> int:
+    """Returns the bytes that a member takes as an array, as its header says and the archive confirms."""
+    methods = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) if compressed else (zipfile.ZIP_STORED,)
+    if member.compress_type not in methods or not member.filename.endswith(".npy"):
+        raise ValueError("not what NumPy writes")
+    with archive.open(member) as stream:
+        shape, dtype, header = _header(stream)
+    size = math.prod(shape) * dtype.itemsize
+    if dtype.hasobject or min(shape, default=0) < 0 or header + size != member.file_size:
+        raise ValueError("objects, or a size that is not that of the array")
+    return size
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], int]:
+    """Returns shape, type and length in bytes of the header of an array."""
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    shape, _, dtype = readers[np.lib.format.read_magic(stream)](stream)
+    return shape, dtype, stream.tell()
+
+
+def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
+    with archive.open(member) as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False)
