@@ -92,6 +92,30 @@ def test_lights_beside_meshes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("inner", "outer"),
+    [(0.5, 0.5), (0.5000004, 0.5), (math.pi / 2, math.pi / 2), (0.4, None), (0.0, 0.0), (1.5709, 1.5709)],
+)
+def test_cones_on_the_border_get_an_edge(tmp_path: Path, inner: float, outer: float | None, caplog) -> None:
+    """Equal angles are a hard edge in other programs: ours is a thousandth wide; rounding is no error either."""
+    cone = {"innerConeAngle": inner} | ({"outerConeAngle": outer} if outer is not None else {})
+    scene = read(tmp_path, lamp({"type": "spot", "name": "bulb", "spot": cone}))
+    spot = expect_kind(ls.LightSpot, scene.lights[0])
+    wanted = math.pi / 4 if outer is None else outer
+    assert abs(spot.outer_angle - wanted) < 2.1e-3
+    assert 0.0 <= spot.inner_angle < spot.outer_angle and abs(spot.inner_angle - inner) < 2.1e-3
+    assert ("lights[0] 'bulb': its cone from" in caplog.text) == (outer is not None)
+
+
+@pytest.mark.parametrize("kind", ["point", "spot"])
+@pytest.mark.parametrize("reach", [0.0, -0.0, -1.0])
+def test_a_range_of_nothing_is_none(tmp_path: Path, kind: str, reach: float, caplog) -> None:
+    """Programs whose 0 means that a light reaches everywhere write it; a line says how it is read."""
+    (light,) = read(tmp_path, lamp({"type": kind, "name": "bulb", "range": reach})).lights
+    assert isinstance(light, ls.LightPoint | ls.LightSpot) and light.range == math.inf
+    assert f"lights[0] 'bulb': range {reach:g} is read as none, infinite" in caplog.text
+
+
+@pytest.mark.parametrize(
     ("light", "message"),
     [
         ({"type": "point", "intensity": -3.0}, r"lights\[0\] 'bulb': intensity is -3.0, expected a number at least 0"),
@@ -99,7 +123,7 @@ def test_lights_beside_meshes(tmp_path: Path) -> None:
         ({"type": "point", "intensity": math.nan}, r"lights\[0\] 'bulb': intensity is nan"),
         ({"type": "point", "color": [1, -1, 0]}, r"lights\[0\] 'bulb': color is .* expected no negative"),
         ({"type": "point", "color": [1, 1]}, r"lights\[0\] 'bulb': color has shape \(2,\), expected three numbers"),
-        ({"type": "point", "range": 0.0}, r"lights\[0\] 'bulb': range is 0.0, expected a number above 0"),
+        ({"type": "point", "range": "far"}, r"lights\[0\] 'bulb': range is far, expected a number above 0"),
         ({"type": "area"}, r"lights\[0\] 'bulb': type is 'area', expected point, spot or directional"),
         ({}, r"lights\[0\] 'bulb': type is None"),
         (

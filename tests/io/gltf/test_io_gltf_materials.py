@@ -207,5 +207,5 @@ def test_textures_without_use_are_told_of(
     with caplog.at_level(logging.WARNING, "lumisplat"):
         read(tmp_path, gltf)
     (record,) = caplog.records
-    assert f"{texture} of 1 materials is not used, " in record.message
+    assert f"{texture} of 1 material is not used, " in record.message
     assert "(first materials[0] 'painted')" in record.message

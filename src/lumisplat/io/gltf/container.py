@@ -11,7 +11,7 @@ import json
 import warnings
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard, cast
 from urllib.parse import unquote
 
 import numpy as np
@@ -50,6 +50,8 @@ class GltfFile:
         text, self._binary_chunk = _split_glb(path, data) if data[:4] == b"glTF" else (data, None)
         try:
             document: dict[str, Any] = json.loads(decode_text(text))
+            self.extensions = _extensions(document)
+            """Names of the extensions that something in the file has."""
             nodes: list[dict[str, Any]] | None = document.pop("nodes", None)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)  # about values that are missing: they are checked here
@@ -218,6 +220,21 @@ class GltfFile:
                 self.path, f"{name} wants {count:,} rows of {stride} bytes from {offset}, its view has {len(data):,}"
             )
         return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
+
+
+def _extensions(item: object) -> set[str]:
+    """Returns the names of all extensions in a part of the JSON."""
+    found: set[str] = set()
+    pending: list[object] = [item]
+    while pending:
+        part = pending.pop()
+        if isinstance(part, dict):
+            values = cast("dict[str, object]", part)
+            found |= set(cast("dict[str, object]", own)) if isinstance(own := values.get("extensions"), dict) else set()
+            pending += values.values()
+        elif isinstance(part, list):
+            pending += cast("list[object]", part)
+    return found
 
 
 def _is_count(value: object) -> TypeGuard[int]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import math
+import os
 from collections.abc import Iterable
 from typing import Any
 
+from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.extras import light_settings, own_extras
@@ -13,6 +16,11 @@ from lumisplat.io.gltf.nodes import Matrix
 from lumisplat.scene.lights import LightDirectional, LightPoint, LightSpot
 
 EXTENSION = "KHR_lights_punctual"
+
+_CONE_EDGE = 1e-3
+"""Width of the edge of a cone that begins where it ends, radians."""
+
+_log = logging.getLogger("lumisplat")
 
 PunctualLight = LightPoint | LightSpot | LightDirectional
 
@@ -36,13 +44,36 @@ def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matr
         which = reference.get("light")
         if not isinstance(which, int) or not 0 <= which < len(definitions):
             raise FormatError(file.path, f"nodes[{index}] refers to lights[{which}], but there are {len(definitions)}")
-        definition = definitions[which]
+        label = f"lights[{which}]" + (f" {definitions[which]['name']!r}" if definitions[which].get("name") else "")
+        definition = _within_limits(file, definitions[which], label)
         try:
             lights.append(_light(definition, world_from_node[index], node.name or definition.get("name") or ""))
         except SceneError as error:
-            label = f"lights[{which}]" + (f" {definition['name']!r}" if definition.get("name") else "")
             raise FormatError(file.path, f"{label}: {error}") from None
     return lights
+
+
+def _within_limits(file: GltfFile, definition: dict[str, Any], label: str) -> dict[str, Any]:
+    """Returns a light whose values are moved off the ends of their ranges, where other programs write them.
+
+    A range of 0, as in three.js, is none; a cone that begins where it ends gets a narrow edge. Log lines say so.
+    """
+    changes: list[str] = []
+    definition = dict(definition)
+    reach: object = definition.get("range")
+    if is_number(reach) and reach <= 0.0:
+        del definition["range"]
+        changes.append(f"range {reach:g} is read as none, infinite")
+    cone: dict[str, Any] = definition.get("spot", {}) if definition.get("type") == "spot" else {}
+    inner, outer = cone.get("innerConeAngle", 0.0), cone.get("outerConeAngle", 0.25 * math.pi)
+    at_border = is_number(inner) and is_number(outer) and outer - _CONE_EDGE < inner < outer + _CONE_EDGE
+    if at_border and 0.0 <= outer < 0.5 * math.pi + _CONE_EDGE:
+        wide = min(max(outer, 2.0 * _CONE_EDGE), 0.5 * math.pi)
+        definition["spot"] = cone | {"innerConeAngle": wide - _CONE_EDGE, "outerConeAngle": wide}
+        changes.append(f"its cone from {inner:g} to {outer:g} is read as from {wide - _CONE_EDGE:g} to {wide:g}")
+    if changes:
+        _log.warning("%s: %s: %s", os.fspath(file.path), label, "; ".join(changes))
+    return definition
 
 
 def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> PunctualLight:

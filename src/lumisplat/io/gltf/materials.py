@@ -12,7 +12,15 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.primitive import GltfPrimitive
-from lumisplat.io.gltf.textures import GltfTexels, Placement, Textures, material_textures
+from lumisplat.io.gltf.textures import (
+    GltfTexels,
+    Placement,
+    Textures,
+    material_textures,
+    specular_glossiness,
+    texture_extension,
+)
+from lumisplat.math.arrays import Doubles
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.textures import WrapPair
 
@@ -21,16 +29,60 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("lumisplat")
 
+_DIELECTRIC = 0.04
+"""What a dielectric of index 1.5 mirrors at normal incidence."""
+
 _LISTED_MAX = 4
 """Largest number of materials that one log line names."""
 
 
-def warn_unread(file: GltfFile) -> None:
-    """Logs the features of the file's materials that are not read, one line per feature.
+_READ = {
+    "KHR_gaussian_splatting",
+    "KHR_lights_punctual",
+    "KHR_mesh_quantization",
+    "KHR_node_visibility",
+    "KHR_texture_transform",
+    "EXT_mesh_gpu_instancing",
+    *("EXT_texture_webp", "EXT_texture_avif", "KHR_texture_basisu", "MSFT_texture_dds"),
+    *(f"KHR_materials_{name}" for name in ("unlit", "emissive_strength", "ior", "specular", "transmission", "volume")),
+    *(f"KHR_materials_{name}" for name in ("clearcoat", "sheen", "pbrSpecularGlossiness")),
+}
+"""Extensions that are read, or of which another line speaks."""
+_WITHOUT_EFFECT = (
+    "KHR_xmp",
+    "KHR_materials_variants",  # the default is shown
+    "KHR_animation_pointer",
+    "KHR_audio",
+    "KHR_draco_mesh_compression",  # a file that does not require it has the mesh without it, too
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "KHR_interactivity",
+    "KHR_node_hoverability",
+    "KHR_node_selectability",
+    "KHR_physics",
+    "KHR_implicit_shapes",
+    "EXT_structural_metadata",
+    "EXT_mesh_features",
+    "EXT_instance_features",
+    "MSFT_lod",  # the finest level is shown
+    "VRM",
+)
+"""Beginnings of the names of extensions that change no picture."""
 
-    These are normals of the clearcoat, thickness, and textures with other coordinates than the base colour.
+
+def warn_unread(file: GltfFile) -> None:
+    """Logs what is not read of a file, and may change its picture, one line per feature.
+
+    These are extensions, among them those that hold textures, normals of the clearcoat, thickness, colours of
+    highlights, and textures with other coordinates than the base colour.
     """
     materials = file.model.materials or []
+    if others := sorted(name for name in file.extensions - _READ if not name.startswith(_WITHOUT_EFFECT)):
+        _log.warning("%s: not read, though the picture may depend on it: %s", file.path, ", ".join(others))
+    held = [name for texture in file.model.textures or () if (name := texture_extension(texture))]
+    if held:
+        count = f"{len(held):,} texture{'s' * (len(held) > 1)}"
+        _log.warning("%s: %s left out: %s is not read", file.path, count, ", ".join(sorted(set(held))))
     misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
     named = [f"{', '.join(textures)} of {label}" for label, textures in misplaced.items() if textures]
     if named:
@@ -43,17 +95,30 @@ def warn_unread(file: GltfFile) -> None:
         )
     labelled = [(_label(index, material), material) for index, material in enumerate(materials)]
     lines = {
-        f"{texture} of %d materials is not used{why} (first %s)": [
+        f"{texture} of %d material%s is not used{why} (first %s)": [
             label for label, material in labelled if texture in _extension(material, extension)
         ]
         for texture, extension, why in (
             ("clearcoatNormalTexture", "clearcoat", ", the coat has the normals of what is below"),
             ("thicknessTexture", "volume", ", rays go through the mesh itself"),
+            ("specularTexture", "specular", ""),
+            ("specularColorTexture", "specular", ""),
+            ("specularColorFactor", "specular", ""),
         )
     }
     for line, labels in lines.items():
         if labels:
-            _log.warning("%s: " + line, file.path, len(labels), labels[0])
+            _log.warning("%s: " + line, file.path, len(labels), "s" * (len(labels) > 1), labels[0])
+    glossy = [label for label, one in labelled if "specularGlossinessTexture" in (specular_glossiness(one) or {})]
+    if glossy:
+        _log.warning(
+            "%s: specular colours in textures are not read: %d material%s of specular-glossiness become dielectrics "
+            "(first %s)",
+            file.path,
+            len(glossy),
+            "s" * (len(glossy) > 1),
+            glossy[0],
+        )
 
 
 def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]:
@@ -76,6 +141,56 @@ def _layers(material: pygltflib.Material) -> dict[str, Any]:
         "sheen_color": tuple(sheen.get("sheenColorFactor", (0.0, 0.0, 0.0))),
         "sheen_roughness": sheen.get("sheenRoughnessFactor", 0.0),
     }
+
+
+def _metallic_roughness(material: pygltflib.Material) -> dict[str, Any]:
+    """Returns the factors of metallic-roughness, also of a material of specular-glossiness.
+
+    Without textures, the metalness is that of the two colours: what they reflect is explained by a base colour that
+    dielectrics scatter and metals mirror, of which dielectrics mirror 4 %. Textures of specular colours are not read,
+    and neither is a specular colour that is left out, which would be white: then it is no metal.
+    """
+    glossiness = specular_glossiness(material)
+    if glossiness is None:
+        pbr = material.pbrMetallicRoughness
+        return {} if pbr is None else vars(pbr)
+    diffuse = [float(value) for value in glossiness.get("diffuseFactor", (1.0, 1.0, 1.0, 1.0))]
+    specular = [float(value) for value in glossiness.get("specularFactor", ())]
+    textured = "specularGlossinessTexture" in glossiness
+    color, metallic = np.array(diffuse[:3]), 0.0
+    if len(specular) == 3 and not textured and "diffuseTexture" not in glossiness:
+        color, metallic = _metal_of(color, np.array(specular))
+    rough = 1.0 if textured else 1.0 - float(glossiness.get("glossinessFactor", 1.0))
+    return {
+        "baseColorFactor": [*color.tolist(), *diffuse[3:]],
+        "metallicFactor": metallic,
+        "roughnessFactor": rough,
+    }
+
+
+def _metal_of(diffuse: Doubles, specular: Doubles) -> tuple[Doubles, float]:
+    """Returns the base colour and the metalness that reflect a diffuse and a specular colour, shape (3,) each.
+
+    With brightest channels d and s, of which d (1 - s) is scattered and s mirrored, a base colour b of metalness m has
+    d (1 - s) = b (1 - m) (1 - F) and s = F (1 - m) + b m, F = 0.04. Without b, this is a quadratic equation of m.
+    """
+    scattered, mirrored = float(diffuse.max()), float(specular.max())
+    if mirrored <= _DIELECTRIC:
+        return diffuse, 0.0
+    # F m^2 + (d (1 - s) / (1 - F) + s - 2 F) m + F - s = 0
+    linear = scattered * (1.0 - mirrored) / (1.0 - _DIELECTRIC) + mirrored - 2.0 * _DIELECTRIC
+    root = math.sqrt(linear * linear - 4.0 * _DIELECTRIC * (_DIELECTRIC - mirrored))
+    metallic = min(max((root - linear) / (2.0 * _DIELECTRIC), 0.0), 1.0)
+    by_diffuse = diffuse * (1.0 - mirrored) / ((1.0 - _DIELECTRIC) * max(1.0 - metallic, 1e-6))
+    by_specular = (specular - _DIELECTRIC * (1.0 - metallic)) / max(metallic, 1e-6)
+    return np.clip(by_diffuse + (by_specular - by_diffuse) * metallic * metallic, 0.0, 1.0), metallic
+
+
+def _roughness_texels(texels: npt.NDArray[np.uint8], glossiness: dict[str, Any]) -> npt.NDArray[np.uint8]:
+    """Returns the roughness of a specularGlossinessTexture, whose alpha is its glossiness, in the green channel."""
+    alpha = texels[..., 3] if texels.shape[2] == 4 else np.full(texels.shape[:2], 255, np.uint8)
+    roughness = 255.0 - float(glossiness.get("glossinessFactor", 1.0)) * alpha
+    return np.stack([np.zeros_like(alpha), np.clip(roughness + 0.5, 0, 255).astype(np.uint8), 0 * alpha], axis=2)
 
 
 def _is_unlit(material: pygltflib.Material) -> bool:
@@ -122,8 +237,8 @@ class GltfMaterials:
         return self._materials[index]
 
     def _decode(self, material: pygltflib.Material, label: str) -> Material:
-        pbr = material.pbrMetallicRoughness
-        factors = tuple(_or(getattr(pbr, "baseColorFactor", None), (1.0, 1.0, 1.0, 1.0)))
+        pbr = _metallic_roughness(material)
+        factors = tuple(_or(pbr.get("baseColorFactor"), (1.0, 1.0, 1.0, 1.0)))
         color, shared = factors[:3], self._textures_and_alpha(material, factors, label)
         if _is_unlit(material):
             return MaterialSimple(base_color=color, name=material.name or "", **shared)
@@ -131,8 +246,8 @@ class GltfMaterials:
         strength = _extension(material, "emissive_strength").get("emissiveStrength", 1.0)
         return MaterialPbr(
             base_color=color,
-            metallic=_or(getattr(pbr, "metallicFactor", None), 1.0),
-            roughness=_or(getattr(pbr, "roughnessFactor", None), 1.0),
+            metallic=_or(pbr.get("metallicFactor"), 1.0),
+            roughness=_or(pbr.get("roughnessFactor"), 1.0),
             specular=_extension(material, "specular").get("specularFactor", 1.0),
             # The extension allows 0 for compatibility with older materials; below 1 it has no physical meaning.
             ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
@@ -151,13 +266,18 @@ class GltfMaterials:
     ) -> dict[str, Any]:
         """What all kinds of materials have: texels, how they wrap, and alpha."""
         textures = _textures(material)
-        values: dict[str, Any] = {name: self._texels.get(index, label) for name, index in textures.indices.items()}
+        read = {name: self._texels.get(index, label) for name, index in textures.indices.items()}
+        values: dict[str, Any] = {name: texels for name, texels in read.items() if texels is not None}
+        glossiness = specular_glossiness(material)
+        if glossiness is not None and "metallic_roughness_texture" in values:
+            values["metallic_roughness_texture"] = _roughness_texels(values["metallic_roughness_texture"], glossiness)
         with_alpha = {"sheen_roughness_texture"}
         if material.alphaMode not in {None, "OPAQUE"}:
             with_alpha.add("base_color_texture")
         for name in values.keys() - with_alpha:
             values[name] = values[name][:, :, :3]
-        values |= _wrap_values(textures.wraps(self._file, label))
+        wraps = textures.wraps(self._file, label)
+        values |= _wrap_values({name: wrap for name, wrap in wraps.items() if name in values})
         values["alpha_mode"] = str(_or(material.alphaMode, "OPAQUE")).lower()
         values["alpha_cutoff"] = _or(material.alphaCutoff, 0.5)
         values["alpha"] = factors[3] if len(factors) > 3 else 1.0

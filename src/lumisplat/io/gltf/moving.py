@@ -19,6 +19,7 @@ from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.gaussians.placed import GltfCaptures
 from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
 from lumisplat.io.gltf.lights import read_lights
+from lumisplat.io.gltf.materials import warn_unread
 from lumisplat.io.gltf.nodes import hierarchy, node_label, scene_nodes
 from lumisplat.io.gltf.rigs import read_skeleton, rig_of
 from lumisplat.io.gltf.scene import check_extensions, placed_in
@@ -61,6 +62,7 @@ def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation
     with parsing(path, "a glTF file"):
         file = GltfFile(path)
         check_extensions(file)
+        warn_unread(file)
         clips = read_clips(file)
         if not clips:
             raise FormatError(path, "has no animation: lumisplat render shows it, a scene.toml can move it")

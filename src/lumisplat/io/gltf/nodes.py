@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,13 +12,19 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError
 from lumisplat.io.cameras.json_values import is_list
+from lumisplat.io.files.limits import check_expansion
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.math.arrays import finite_numbers
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.rotations import matrices_from_quaternions, rotation_matrix
 
 Matrix = npt.NDArray[np.float64]
 
 _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
+
+
+INSTANCING = "EXT_mesh_gpu_instancing"
+_INSTANCE_BYTES = 1024
+"""About what an instance takes in memory."""
 
 
 def node_label(file: GltfFile, index: int) -> str:
@@ -40,8 +47,11 @@ def scene_nodes(file: GltfFile) -> Iterator[int]:
         index = pending.pop()
         node = file.item("nodes", index, "the scene")
         if index not in seen:
-            yield index
             seen.add(index)
+            extensions: dict[str, Any] = node.extensions or {}
+            if extensions.get("KHR_node_visibility", {}).get("visible") is False:
+                continue  # with all below it
+            yield index
             pending.extend(reversed(node.children or []))
 
 
@@ -120,6 +130,39 @@ def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
             "expected a unit quaternion",
         )
     return translation, rotation[[3, 0, 1, 2]] / length, scale
+
+
+def instance_places(file: GltfFile, index: int) -> list[Matrix]:
+    """Returns ``node_from_instance`` of each instance of a node's mesh, shape (4, 4) each; the identity without any.
+
+    Instances that are scaled to nothing, which hides them, are left out (EXT_mesh_gpu_instancing).
+
+    Raises:
+        FormatError: An attribute is malformed, or they differ in length.
+    """
+    extensions: dict[str, Any] = file.model.nodes[index].extensions or {}
+    if INSTANCING not in extensions:
+        return [np.eye(4)]
+    label = f"{node_label(file, index)} {INSTANCING}"
+    given: dict[str, Any] = extensions[INSTANCING].get("attributes", {})
+    kinds = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
+    values = {name: file.floats(given[name], kind, label) for name, kind in kinds.items() if name in given}
+    counts = sorted({len(rows) for rows in values.values()})
+    if len(counts) > 1:
+        raise FormatError(file.path, f"{label} has attributes of {counts[0]:,} and {counts[-1]:,} rows")
+    count = counts[0] if counts else 1
+    check_expansion(file.path, f"{label}: its instances", count * _INSTANCE_BYTES, file.stored_bytes)
+    places = np.tile(np.eye(4), (count, 1, 1))
+    if "ROTATION" in values:
+        rotations = values["ROTATION"].astype(np.float64)[:, [3, 0, 1, 2]]
+        if not rotations.any(axis=1).all():
+            raise FormatError(file.path, f"{label} has a rotation of zero length, expected unit quaternions")
+        places[:, :3, :3] = matrices_from_quaternions(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
+    if "SCALE" in values:
+        places[:, :3, :3] *= values["SCALE"][:, None, :]
+    if "TRANSLATION" in values:
+        places[:, :3, 3] = values["TRANSLATION"]
+    return [place for place in places if place[:3, :3].any()]
 
 
 def _local_transform(file: GltfFile, index: int) -> Matrix:

@@ -15,7 +15,7 @@ from lumisplat.io.gltf.animations import read_clips
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.materials import GltfMaterials, warn_unread
 from lumisplat.io.gltf.meshes import RawPrimitive, read_raw
-from lumisplat.io.gltf.nodes import hierarchy, node_columns, node_matrix, scene_nodes
+from lumisplat.io.gltf.nodes import hierarchy, instance_places, node_columns, node_matrix, scene_nodes
 from lumisplat.io.gltf.scene import check_extensions
 from lumisplat.io.gltf.skins import Influences, Skin, read_skin
 from lumisplat.io.gltf.vertex_colors import warn_black
@@ -116,17 +116,21 @@ def _pieces(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> It
         weights = np.array(getattr(node, "weights", None) or mesh.weights or (), dtype=np.float64)
         if not np.isfinite(weights).all():
             raise FormatError(file.path, f"meshes[{node.mesh}] has morph weights that are not finite")
-        # Without a skin, the node itself is the only joint.
-        skin = read_skin(file, node.skin) if node.skin is not None else Skin((index,), np.eye(4)[None])
+        # Without a skin, the node itself is the only joint, of each of its instances.
+        if node.skin is None:
+            skins = [Skin((index,), place[None]) for place in instance_places(file, index)]
+        else:
+            skins = [read_skin(file, node.skin)]
         raws = read_raw(
             file,
             node.mesh,
             materials,
-            joint_count=None if node.skin is None else len(skin.joints),
+            joint_count=None if node.skin is None else len(skins[0].joints),
             targets=None if index in morphed else set(np.flatnonzero(weights).tolist()),
         )
         for raw in raws:
-            yield _Piece(raw, _part(raw, skin, index, weights))
+            for skin in skins:
+                yield _Piece(raw, _part(raw, skin, index, weights))
 
 
 def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart:

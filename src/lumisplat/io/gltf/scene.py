@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
 from lumisplat.io.gltf.lights import read_lights
 from lumisplat.io.gltf.materials import GltfMaterials, warn_unread
 from lumisplat.io.gltf.meshes import TRIANGLE_MODES, read_meshes
-from lumisplat.io.gltf.nodes import Matrix, node_label, scene_nodes, world_transforms
+from lumisplat.io.gltf.nodes import INSTANCING, Matrix, instance_places, node_label, scene_nodes, world_transforms
 from lumisplat.io.gltf.skins import read_skin
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.scene.gaussians import Gaussians
@@ -32,6 +33,8 @@ _READABLE = (
     "KHR_lights_punctual",
     "KHR_gaussian_splatting",
     "EXT_texture_webp",
+    "KHR_node_visibility",
+    INSTANCING,
 )
 """Extensions that a file may require, besides those of materials, which only change the appearance of surfaces."""
 
@@ -97,7 +100,9 @@ def shows_one_capture(path: PathLike) -> bool:
             nodes = [file.model.nodes[index] for index in scene_nodes(file)]
             shown = [primitive for node in nodes if node.mesh is not None for primitive in _primitives(file, node.mesh)]
             lit = any(LIGHTS in (node.extensions or {}) or node.camera is not None for node in nodes)
-            more = lit or _has_settings(file, scene_nodes(file))
+            more = (
+                lit or _has_settings(file, scene_nodes(file)) or any(INSTANCING in (n.extensions or {}) for n in nodes)
+            )
             return len(shown) == 1 and holds_gaussians(shown[0]) and not more
     except LumisplatError:
         return False
@@ -122,7 +127,6 @@ def check_extensions(file: GltfFile) -> None:
     """
     required = file.model.extensionsRequired or []
     unknown = [name for name in required if name not in _READABLE and not str(name).startswith("KHR_materials_")]
-    unknown += [name for name in required if name == "KHR_materials_pbrSpecularGlossiness"]
     if unknown:
         raise FormatError(
             file.path, f"needs {', '.join(map(str, unknown))}, which is not supported: export the file without it"
@@ -149,8 +153,9 @@ def _placed_meshes(
             if node.mesh not in unskinned:
                 unskinned[node.mesh] = read_meshes(file, node.mesh, materials, sieve)
             meshes = unskinned[node.mesh]
-        for mesh in meshes:
+        places = [np.eye(4)] if node.skin is not None else instance_places(file, index)
+        for place, mesh in itertools.product(places, meshes):
             try:
-                yield MeshInstance(mesh, world_from_object, name=node.name or mesh.name)
+                yield MeshInstance(mesh, world_from_object @ place, name=node.name or mesh.name)
             except SceneError as error:
                 raise FormatError(file.path, f"{node_label(file, index)}: {error}") from None

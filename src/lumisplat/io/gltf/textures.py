@@ -32,6 +32,9 @@ _NAMES = {
 """Names of a material's textures, ours and glTF's. A mesh gets the coordinates of the first one that it has."""
 
 
+_OF_GLOSSINESS = {"baseColorTexture": "diffuseTexture", "metallicRoughnessTexture": "specularGlossinessTexture"}
+"""Names of textures in KHR_materials_pbrSpecularGlossiness, by those that take their place."""
+
 _WRAPS = {10497: TextureWrap.REPEAT, 33071: TextureWrap.CLAMP, 33648: TextureWrap.MIRROR}
 """By the numbers of glTF, which are OpenGL's."""
 WRAP_NUMBERS = {wrap: number for number, wrap in _WRAPS.items()}
@@ -106,6 +109,9 @@ class _Info(NamedTuple):
 
 def _info(material: pygltflib.Material, name: str) -> _Info | None:
     """The texture of glTF's ``name``, of the material itself or of one of its extensions."""
+    if name in _OF_GLOSSINESS and (replaced := specular_glossiness(material)) is not None:
+        found = replaced.get(_OF_GLOSSINESS[name])
+        return None if found is None else _Info(found.get("index"), found.get("texCoord"), found.get("extensions", {}))
     pbr = material.pbrMetallicRoughness
     info = getattr(pbr if hasattr(pbr, name) else material, name, None)
     if info is not None:
@@ -116,6 +122,18 @@ def _info(material: pygltflib.Material, name: str) -> _Info | None:
         if found is not None:
             return _Info(found.get("index"), found.get("texCoord"), found.get("extensions", {}))
     return None
+
+
+def specular_glossiness(material: pygltflib.Material) -> dict[str, Any] | None:
+    """Returns KHR_materials_pbrSpecularGlossiness of a material; None if it lacks that, or has metallic-roughness, too.
+
+    A writer that gives both means the second for programs like this one.
+    """
+    found: dict[str, Any] | None = (material.extensions or {}).get("KHR_materials_pbrSpecularGlossiness")
+    pbr = material.pbrMetallicRoughness
+    textured = any(getattr(pbr, name, None) is not None for name in _OF_GLOSSINESS)
+    colored = any(value != 1.0 for value in getattr(pbr, "baseColorFactor", None) or ())
+    return None if textured or colored else found
 
 
 def _placement(info: _Info) -> Placement:
@@ -141,6 +159,14 @@ def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
     return _WRAPS[modes[0]], _WRAPS[modes[1]]
 
 
+def texture_extension(texture: pygltflib.Texture) -> str | None:
+    """Returns the extension that alone has the image of a texture, in a format that is not read; None for others."""
+    extensions: dict[str, Any] = texture.extensions or {}
+    if texture.source is not None or "EXT_texture_webp" in extensions:
+        return None
+    return next(iter(extensions), None)
+
+
 class GltfTexels:
     """The texels of a file's textures; each image is decoded once."""
 
@@ -149,8 +175,8 @@ class GltfTexels:
         self._images: dict[int, npt.NDArray[np.uint8]] = {}
         self._total = TextureBytes(file.path)
 
-    def get(self, index: int, referrer: str) -> npt.NDArray[np.uint8]:
-        """Texels as stored, shape (H, W, 3), or (H, W, 4) with alpha.
+    def get(self, index: int, referrer: str) -> npt.NDArray[np.uint8] | None:
+        """Texels as stored, shape (H, W, 3), or (H, W, 4) with alpha; None: an extension has them that is not read.
 
         Raises:
             FormatError: The index is invalid, or an image is missing or corrupt.
@@ -158,6 +184,8 @@ class GltfTexels:
         file = self._file
         texture = file.item("textures", index, referrer)
         extensions: dict[str, Any] = texture.extensions or {}
+        if texture_extension(texture) is not None:
+            return None
         source = extensions.get("EXT_texture_webp", {}).get("source", texture.source)
         image = file.item("images", source, f"textures[{index}]")
         if source not in self._images:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -13,7 +14,7 @@ from lumisplat.io.files.limits import check_expansion
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.extras import instance_settings, own_extras
 from lumisplat.io.gltf.gaussians.attributes import CAPTURE_FROM_FILE, holds_gaussians, read_gaussians
-from lumisplat.io.gltf.nodes import Matrix, node_label
+from lumisplat.io.gltf.nodes import Matrix, instance_places, node_label
 from lumisplat.io.gltf.primitive import GltfPrimitive
 from lumisplat.scene.editing.affine import under_affine
 from lumisplat.scene.editing.transform import transform
@@ -54,9 +55,10 @@ class GltfCaptures:
             if node.mesh is None or not world_from_node[index][:3, :3].any():
                 continue  # scaled to nothing, which hides the node
             name = node.name or self.file.item("meshes", node.mesh, f"nodes[{index}]").name or ""
-            for gaussians in self._captures(node.mesh):
+            captures = self._captures(node.mesh)
+            for place, gaussians in itertools.product(instance_places(self.file, index) if captures else (), captures):
                 try:
-                    yield self._instance(gaussians, index, world_from_node[index], name)
+                    yield self._instance(gaussians, index, world_from_node[index] @ place, name)
                 except FormatError:
                     raise
                 except SceneError as error:
