@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import warnings
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
@@ -25,6 +26,8 @@ def main() -> int:
     """
     _open_standard_streams()
     gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
+    if "--debug" not in sys.argv:
+        warnings.simplefilter("ignore")  # of Python and NumPy: what a user must know is said in lines of our own
     status = 0
     try:
         from lumisplat.cli import main as run_command  # takes a while, and may be interrupted

@@ -428,3 +428,16 @@ def test_console_script_is_silent_on_success(work):
     command = [sys.executable, "-m", "lumisplat", "render", "capture.ply", "-o", "a.png", "--width", "32"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=True)
     assert (done.stdout, done.stderr) == (f"{Path('a.png')} (32 x 18)\n", "")
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_warnings_of_libraries_are_for_debugging(debug: bool) -> None:
+    """A user sees no warning of Python or NumPy; with --debug all are there."""
+    program = (
+        "import warnings, lumisplat.cli as cli, lumisplat.__main__ as process\n"
+        "cli.main = lambda: warnings.warn('overflow', RuntimeWarning) or 0\n"
+        "process.main()"
+    )
+    options = ["--debug"] if debug else []
+    done = subprocess.run([sys.executable, "-c", program, *options], capture_output=True, text=True, check=True)
+    assert ("RuntimeWarning" in done.stderr) is debug

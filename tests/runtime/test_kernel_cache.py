@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +15,7 @@ import pytest
 import warp as wp
 
 from lumisplat.errors import DeviceError
-from lumisplat.runtime.kernel_cache import load_module
+from lumisplat.runtime.kernel_cache import load_module, remove_abandoned_headers
 
 
 @pytest.fixture
@@ -84,3 +87,28 @@ def test_a_cache_that_cannot_be_made(kernel, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / "file" / "kernels"))
     with pytest.raises(DeviceError, match=r"file.*cannot be kept here \(Not a directory\).*WARP_CACHE_PATH"):
         load_module(kernel.module, "cpu", 1)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
+def test_headers_of_killed_compilations_are_removed(tmp_path, monkeypatch) -> None:
+    """Folders of processes that are gone, and old ones of nobody; those of living processes and of others stay."""
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    monkeypatch.setattr(tempfile, "tempdir", os.fspath(tmp_path))
+    owners = {"wp_pch_dead": gone.pid, "wp_pch_mine": os.getpid(), "wp_pch_old": None, "wp_pch_new": None}
+    owners |= {f"__nvrtc_auto_pch_{gone.pid}_0": None, f"__nvrtc_auto_pch_{os.getpid()}_0": None, "my_pch_file": None}
+    for name, owner in owners.items():
+        (tmp_path / name).mkdir()
+        if owner is not None:
+            (tmp_path / name / "lumisplat.pid").write_text(f"{owner}")
+    os.utime(tmp_path / "wp_pch_old", (0, 0))
+    remove_abandoned_headers()
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"wp_pch_mine", "wp_pch_new", f"__nvrtc_auto_pch_{os.getpid()}_0", "my_pch_file"}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
+def test_a_compilation_claims_its_headers(kernel) -> None:
+    """The folder that Warp compiles with has the number of this process."""
+    folder = wp._src.context.runtime.get_clang_pch_dir()  # pyright: ignore[reportPrivateUsage, reportAttributeAccessIssue]
+    assert Path(cast(str, folder), "lumisplat.pid").read_text() == f"{os.getpid()}"

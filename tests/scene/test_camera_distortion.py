@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -117,3 +119,12 @@ def test_a_smaller_picture_has_the_same_lens():
     corner = 0.25 * (large.ray_directions()[0, 0] + large.ray_directions()[1, 1])
     corner += 0.25 * (large.ray_directions()[0, 1] + large.ray_directions()[1, 0])
     np.testing.assert_allclose(small.ray_directions()[0, 0], corner / np.linalg.norm(corner), atol=2e-3)
+
+
+def test_a_lens_says_nothing_of_points_that_float64_cannot_hold() -> None:
+    """Points nearly in the camera's plane: no warning of NumPy, and what is lost is not finite."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        shown = distort(np.array([[1e160, 1e160], [0.1, 0.2]]), (0.1, -0.3, 0.0, 1e8, 0.1, 0.0))
+        camera_reach = distortion_reach((1e9, -1e9, 1e-29, 1e-29, 0.0, 0.0))
+    assert not np.isfinite(shown[0]).any() and np.isfinite(shown[1]).all() and camera_reach > 0.0

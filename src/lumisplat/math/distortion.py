@@ -15,8 +15,9 @@ Coefficients = tuple[float, float, float, float, float, float]
 """k1, k2, k3, k4, p1, p2."""
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def distort(points: Doubles, coefficients: Coefficients) -> Doubles:
-    """Where a lens shows points, shape (..., 2)."""
+    """Returns where a lens shows points, shape (..., 2); not finite where they are too far out for float64."""
     *_, p1, p2 = coefficients
     u, v, s, radial = _radial(points, coefficients)
     return np.stack(
@@ -50,6 +51,7 @@ def undistort(points: Doubles, coefficients: Coefficients) -> Doubles:
     return found
 
 
+@np.errstate(all="ignore")
 def distortion_reach(coefficients: Coefficients) -> float:
     """Radius up to which the radial polynomial rises, before distortion; inf if it always does."""
     k1, k2, k3, k4, _, _ = (k if abs(k) >= DISTORTION_MIN else 0.0 for k in coefficients)

@@ -7,7 +7,7 @@ from functools import cache
 
 import warp as wp
 
-from lumisplat.runtime.kernel_cache import cache_error
+from lumisplat.runtime.kernel_cache import cache_error, remove_abandoned_headers
 
 
 @cache
@@ -20,6 +20,7 @@ def start_warp() -> None:
     Raises:
         DeviceError: The folder of compiled kernels cannot be made. The next call tries again.
     """
+    remove_abandoned_headers()
     saved = os.dup(2)
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), 2)
