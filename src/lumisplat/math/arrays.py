@@ -16,6 +16,9 @@ Doubles = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
+_DLPACK_CPU = 1
+"""kDLCPU of dlpack.h."""
+
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 _Float = TypeVar("_Float", bound=np.floating[Any])
 
@@ -61,10 +64,31 @@ def finite_array(name: str, values: npt.ArrayLike, dtype: type[_Float]) -> npt.N
     return array
 
 
+def host_array(values: Any) -> Any:
+    """Returns an array of another package as NumPy's view of it, by DLPack; all else is returned as it is.
+
+    What NumPy reads by itself, such as PyTorch's tensors on the CPU, is left to it. Arrays on GPUs are copied, if their
+    package can.
+
+    Raises:
+        SceneError: Neither NumPy nor the package can.
+    """
+    if not hasattr(values, "__dlpack__") or hasattr(values, "__array__") or hasattr(values, "__array_interface__"):
+        return values  # an array of NumPy, too
+    is_on_host = int(values.__dlpack_device__()[0]) == _DLPACK_CPU
+    try:
+        read: npt.NDArray[Any] = np.from_dlpack(values) if is_on_host else np.from_dlpack(values, device="cpu")
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        problem = str(error).partition("\n")[0].rstrip(".")
+        kind = type(values).__name__
+        raise SceneError(f"an array of type {kind} cannot be read ({problem}): copy it to the CPU") from None
+    return read
+
+
 def finite_numbers(values: object, shape: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
     """Returns ``values`` as a float64 array of that shape, None if they are not as many finite numbers."""
     try:
-        numbers = np.array(values, dtype=np.float64)
+        numbers = np.array(host_array(values), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         return None
     return numbers if numbers.shape == shape and np.isfinite(numbers).all() else None
@@ -90,7 +114,7 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
             those of its inverse are too large for float32.
     """
     try:
-        matrix = np.array(np.eye(4) if values is None else values, dtype=np.float64)
+        matrix = np.array(np.eye(4) if values is None else host_array(values), dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise SceneError(f"{name} is not a matrix of numbers: {error}") from None
     if matrix.shape != (4, 4):
@@ -154,7 +178,9 @@ def unit_vector(vector: Doubles) -> Doubles:
 
 def read_only_array(values: npt.ArrayLike, dtype: type[_Scalar]) -> npt.NDArray[_Scalar]:
     """Returns ``values`` as a read-only, C-contiguous array: the same array if it is that already, else a copy."""
+    # A view of another package's memory is copied, even where NumPy cannot write to it: that package can.
     is_fixed = isinstance(values, np.ndarray) and not values.flags.writeable
+    values = host_array(values)
     array = np.ascontiguousarray(values, dtype=dtype) if is_fixed else np.array(values, dtype=dtype, order="C")
     array.flags.writeable = False
     return array

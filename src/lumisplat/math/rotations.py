@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Doubles
+from lumisplat.math.arrays import Doubles, host_array
 
 _Floats = npt.NDArray[np.floating]
 
@@ -17,7 +17,7 @@ def rotation_matrix(wxyz: npt.ArrayLike) -> Doubles:
     Raises:
         SceneError: The quaternion has zero length, or is not finite.
     """
-    quaternion = np.asarray(wxyz, dtype=np.float64)
+    quaternion = np.asarray(host_array(wxyz), dtype=np.float64)
     if not 0.0 < quaternion @ quaternion < np.inf:
         raise SceneError("a rotation of zero length or not finite, expected a unit quaternion")
     return matrices_from_quaternions(quaternion[None])[0]

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lumisplat.constants.metrics import SSIM_WINDOW_PX
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Flags
+from lumisplat.math.arrays import Flags, host_array
 
 Image = npt.NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def region_means(values: Image, inside: Flags) -> Image:
 
 
 def _checked_region(region: npt.ArrayLike, shape: tuple[int, ...]) -> Flags:
-    inside = np.asarray(region)
+    inside = np.asarray(host_array(region))
     if inside.dtype != np.bool_ or inside.shape != shape:
         raise SceneError(f"region is {inside.dtype} of shape {inside.shape}, expected booleans of {shape}")
     return inside
@@ -100,7 +100,7 @@ def _checked_region(region: npt.ArrayLike, shape: tuple[int, ...]) -> Flags:
 def _unit_range(name: str, values: npt.ArrayLike) -> Image:
     """Values as float64, refused outside 0..1."""
     try:
-        array = np.asarray(values)
+        array = np.asarray(host_array(values))
     except ValueError:  # rows of different lengths
         raise SceneError(f"{name} is not an array of numbers") from None
     if array.dtype.kind not in "fiub":

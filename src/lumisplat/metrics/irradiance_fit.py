@@ -23,6 +23,7 @@ from lumisplat.constants.metrics import (
     TRIMMED_SHARE,
 )
 from lumisplat.errors import SceneError
+from lumisplat.math.arrays import host_array
 from lumisplat.math.sh import sh_basis
 
 Values = npt.NDArray[np.float64]
@@ -64,7 +65,7 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
     Raises:
         SceneError: There are fewer points than coefficients, or all are black.
     """
-    values = np.asarray(luminance, np.float64)
+    values = np.asarray(host_array(luminance), np.float64)
     if values.size < COEFFICIENTS:
         raise SceneError(f"{values.size} {name}: irradiance of {COEFFICIENTS} coefficients needs as many at least")
     # The mean without the brightest points, as a few of those could dominate it.

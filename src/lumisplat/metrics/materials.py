@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants.materials_measured import BLACK, ENVIRONMENT_ROWS, LIT_SHARE
-from lumisplat.math.arrays import Doubles
+from lumisplat.math.arrays import Doubles, host_array
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.panorama import panorama_directions, panorama_lookup, panorama_solid_angles
 
@@ -28,8 +28,8 @@ def channel_scale(found: npt.ArrayLike, truth: npt.ArrayLike, weights: npt.Array
     Returns:
         1 for a channel that is black, but for less than a fiftieth of what counts.
     """
-    given, wanted = np.asarray(found, np.float64), np.asarray(truth, np.float64)
-    shares = np.ones(len(given)) if weights is None else np.asarray(weights, np.float64)
+    given, wanted = np.asarray(host_array(found), np.float64), np.asarray(host_array(truth), np.float64)
+    shares = np.ones(len(given)) if weights is None else np.asarray(host_array(weights), np.float64)
     counted = shares[:, None] * (np.minimum(given, wanted) >= BLACK)
     counted *= counted.sum(axis=0) >= LIT_SHARE * shares.sum()
     ratios = np.divide(wanted, given, out=np.ones_like(given), where=given >= BLACK)
@@ -44,7 +44,7 @@ def normal_errors(found: npt.ArrayLike, truth: npt.ArrayLike) -> Doubles:
         found: Shape (N, 3), of any length; zero: none was found.
         truth: Unit normals, shape (N, 3).
     """
-    normals, wanted = np.asarray(found, np.float64), np.asarray(truth, np.float64)
+    normals, wanted = np.asarray(host_array(found), np.float64), np.asarray(host_array(truth), np.float64)
     # Of the half angle, as rounding makes arc cosines of nearly equal directions as large as 0.02 degrees.
     lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
     unit = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
@@ -63,7 +63,7 @@ def environment_psnr(found: npt.ArrayLike, truth: npt.ArrayLike) -> float:
         truth: The same of any size, as exposed as photographs in its light.
     """
     weights = np.repeat(panorama_solid_angles(ENVIRONMENT_ROWS, 2 * ENVIRONMENT_ROWS), 2 * ENVIRONMENT_ROWS)
-    tested, wanted = (_coarse(np.asarray(image, np.float64)).reshape(-1, 3) for image in (found, truth))
+    tested, wanted = (_coarse(np.asarray(host_array(image), np.float64)).reshape(-1, 3) for image in (found, truth))
     tested = tested * channel_scale(tested, wanted, weights)
     errors = (encode_srgb(np.clip(tested, 0.0, 1.0)) - encode_srgb(np.clip(wanted, 0.0, 1.0))) ** 2
     error = float(np.average(errors.mean(axis=1), weights=weights))

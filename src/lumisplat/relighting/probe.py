@@ -18,6 +18,7 @@ from lumisplat.math.arrays import (
     Doubles,
     FloatArray,
     float_array,
+    host_array,
     normalise_rows,
     read_only_view,
     refuse_rows,
@@ -49,7 +50,7 @@ class EnvironmentProbe:
 
     def __post_init__(self) -> None:
         float_array("coefficients", self.coefficients)
-        array = np.array(self.coefficients, np.float64)
+        array = np.array(host_array(self.coefficients), np.float64)
         sizes = [(degree + 1) ** 2 for degree in range(PROBE_DEGREE_MAX + 1)]
         if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] not in sizes:
             listed = ", ".join(map(str, sizes))

@@ -11,7 +11,7 @@ import warp as wp
 from lumisplat.constants import PACKET_RAYS
 from lumisplat.device.structs.rays import RayData
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import FloatArray, host_array
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
@@ -117,8 +117,9 @@ def _rows(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 def _numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     try:
-        if np.iscomplexobj(values):
+        read = host_array(values)
+        if np.iscomplexobj(read):
             raise TypeError
-        return np.asarray(values, dtype=np.float64)
+        return np.asarray(read, dtype=np.float64)
     except (TypeError, ValueError):
         raise SceneError(f"{name} are not numbers: {type(values).__name__}") from None

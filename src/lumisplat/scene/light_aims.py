@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import finite_numbers, float_array, unit_vector
+from lumisplat.math.arrays import finite_numbers, float_array, host_array, unit_vector
 
 Vector = tuple[float, float, float]
 
@@ -33,7 +33,7 @@ def vector(name: str, values: npt.ArrayLike) -> Vector:
     array = float_array(name, values)
     if array.shape != (3,):
         raise SceneError(f"{name} has shape {array.shape}, expected three numbers")
-    x, y, z = (float(v) for v in np.asarray(values, dtype=np.float64))
+    x, y, z = (float(v) for v in np.asarray(host_array(values), dtype=np.float64))
     return x, y, z
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FLOAT32_MAX, FloatArray, float_array, unit_vector
+from lumisplat.math.arrays import FLOAT32_MAX, FloatArray, float_array, host_array, unit_vector
 from lumisplat.scene.checks import check_flag
 from lumisplat.scene.light_aims import Vector, facing_edges, towards, vector
 
@@ -332,8 +332,9 @@ class LightEnvironment:
     def __post_init__(self) -> None:
         _check_shared(self)
         if self.image is not None:
-            if np.asarray(self.image).dtype.kind in "bui":
-                raise SceneError(f"environment image is {np.asarray(self.image).dtype}, expected linear float radiance")
+            given = np.asarray(host_array(self.image))
+            if given.dtype.kind in "bui":
+                raise SceneError(f"environment image is {given.dtype}, expected linear float radiance")
             image = float_array("environment image", self.image)
             if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
                 raise SceneError(f"environment image has shape {image.shape}, expected (H, W, 3)")
@@ -342,7 +343,7 @@ class LightEnvironment:
                 raise SceneError(f"environment image has {negative:,} negative values")
             object.__setattr__(self, "image", image)
         float_array("rotation_wxyz", self.rotation_wxyz)
-        wxyz = np.asarray(self.rotation_wxyz, dtype=np.float64)
+        wxyz = np.asarray(host_array(self.rotation_wxyz), dtype=np.float64)
         if wxyz.shape != (4,) or np.linalg.norm(wxyz) == 0.0:
             raise SceneError(f"rotation_wxyz is {self.rotation_wxyz}, expected four numbers that are not all 0")
         object.__setattr__(self, "rotation_wxyz", tuple(float(x) for x in unit_vector(wxyz)))

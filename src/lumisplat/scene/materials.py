@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_flag, is_number, is_whole, take_enum
 from lumisplat.errors import ConfigError, SceneError
-from lumisplat.math.arrays import FLOAT32_MAX
+from lumisplat.math.arrays import FLOAT32_MAX, host_array
 from lumisplat.scene.textures import Texture, TextureWrap, WrapPair, Wraps, checked_texture, checked_wraps
 
 Color = tuple[float, float, float]
@@ -320,7 +320,7 @@ def _color(name: str, value: object, high: float) -> Color:
     Raises:
         SceneError: The value is neither.
     """
-    values = (value,) * 3 if is_number(value) else value
+    values: object = (value,) * 3 if is_number(value) else host_array(value)
     color = [float(one) for one in values if is_number(one)] if _is_vector(values) and len(values) == 3 else []
     if len(color) != 3 or not all(0.0 <= one <= min(high, FLOAT32_MAX) for one in color):
         bound = f"in 0..{high:g}" if math.isfinite(high) else "of at least 0"

@@ -15,6 +15,7 @@ from lumisplat.math.arrays import (
     IntArray,
     box_text,
     float_array,
+    host_array,
     normalise_rows,
     read_only_array,
     read_only_view,
@@ -77,7 +78,7 @@ class Mesh:
         )
         if self.colors is not None:
             refuse_outside_unit("colors", self.colors)
-        object.__setattr__(self, "indices", self._usable_triangles(np.asarray(self.indices)))
+        object.__setattr__(self, "indices", self._usable_triangles(np.asarray(host_array(self.indices))))
         if self.normals is not None:
             object.__setattr__(self, "normals", normalise_rows("normals", self._fill_normals(self.normals)))
 

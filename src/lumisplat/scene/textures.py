@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import read_only_array
+from lumisplat.math.arrays import host_array, read_only_array
 
 Texture = npt.NDArray[np.uint8]
 
@@ -41,7 +41,7 @@ def checked_texture(name: str, value: npt.ArrayLike | None) -> Texture | None:
     """
     if value is None:
         return None
-    texture = np.asarray(value)
+    texture = np.asarray(host_array(value))
     if texture.dtype != np.uint8 or texture.ndim != 3 or texture.shape[2] not in (3, 4) or texture.size == 0:
         raise SceneError(f"{name} is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)")
     return read_only_array(texture, np.uint8)

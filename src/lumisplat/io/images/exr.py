@@ -14,6 +14,7 @@ from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.limits import check_expansion
 from lumisplat.io.files.native import native_write, silent_natives, utf8_path
 from lumisplat.io.files.source import PathLike, read_bytes
+from lumisplat.math.arrays import host_array
 
 Channel = npt.NDArray[Any]
 """Pixels of one channel, shape (H, W)."""
@@ -80,10 +81,10 @@ def _planes(channels: Mapping[str, Channel]) -> dict[str, Channel]:
     Raises:
         SceneError: There is no channel, or shapes differ.
     """
-    shapes = {np.shape(pixels) for pixels in channels.values()}
+    shapes = {np.shape(host_array(pixels)) for pixels in channels.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
         raise SceneError(f"EXR channels must share one shape (H, W), got {sorted(shapes) or 'no channel'}")
-    return {name: _stored_pixels(np.asarray(pixels)) for name, pixels in channels.items()}
+    return {name: _stored_pixels(np.asarray(host_array(pixels))) for name, pixels in channels.items()}
 
 
 def _stored_pixels(pixels: Channel) -> Channel:

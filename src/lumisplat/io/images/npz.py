@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
+from lumisplat.math.arrays import host_array
 
 
 def write_npz(path: PathLike, arrays: Mapping[str, npt.ArrayLike]) -> None:
@@ -19,5 +20,5 @@ def write_npz(path: PathLike, arrays: Mapping[str, npt.ArrayLike]) -> None:
         FormatError: The file cannot be written.
     """
     with atomic_write(path) as temporary, Path(temporary).open("wb") as stream:
-        named = {name: np.asarray(array) for name, array in arrays.items()}
+        named = {name: np.asarray(host_array(array)) for name, array in arrays.items()}
         np.savez_compressed(stream, **named)  # pyright: ignore[reportArgumentType]

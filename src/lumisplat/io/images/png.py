@@ -12,6 +12,7 @@ import numpy.typing as npt
 from lumisplat.errors import SceneError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
+from lumisplat.math.arrays import host_array
 
 _log = logging.getLogger("lumisplat")
 
@@ -66,7 +67,7 @@ def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:
     Raises:
         SceneError: The shape is not that of an image.
     """
-    given = np.asarray(srgb)
+    given = np.asarray(host_array(srgb))
     if given.ndim != 3 or given.shape[2] not in (3, 4) or given.size == 0:
         raise SceneError(f"a picture takes (H, W, 3 or 4), got {given.shape}")
     if given.dtype == np.uint8:

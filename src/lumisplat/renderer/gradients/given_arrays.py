@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import FloatArray, host_array
 
 DLPACK_CUDA = 2
 """kDLCUDA of dlpack.h."""
@@ -44,10 +44,7 @@ def _read(values: Any) -> FloatArray:
     if _is_on_gpu(values):
         there = cast(Any, wp).from_dlpack(values)
         values = there.numpy()
-    has_numpy = hasattr(values, "__array_interface__") or hasattr(values, "__array__")
-    if hasattr(values, "__dlpack__") and not has_numpy:
-        values = np.from_dlpack(values)
-    return np.ascontiguousarray(values, dtype=np.float32)
+    return np.ascontiguousarray(host_array(values), dtype=np.float32)
 
 
 def _is_on_gpu(values: Any) -> bool:
