@@ -464,6 +464,9 @@ JACOBIAN_CLAMP = 1.3
 NEAR_PLANE = 0.01
 """Default view depth, scene units, in front of which nothing is drawn. gsplat's default."""
 
+NEAR_SHARE = 1e-3
+"""The same as a share of a scene's size, where that is less: a scene of millimetres, in metres, is not cut away."""
+
 COVARIANCE_2D_DET_MIN = 1e-12
 """Projected covariance determinants below this, pixel^4, are degenerate and the Gaussian is culled."""
 
@@ -617,6 +620,22 @@ BULK_TAIL = 0.02
 an object above the ground."""
 BOX_TAIL = 0.002
 """The same of the box of a capture in a data set, which is to hold what is seen of it, and not its strays."""
+
+# --- Local origins (docs/adr/0086-one-local-origin.md) ---
+
+ORIGIN_GRID = 16.0
+"""Step of the grid of origins of what is rendered, in sizes of the scene, rounded up to a power of two: positions have
+five digits below the size of the scene, and what stands around zero, or moves a little, keeps its origin."""
+
+ORIGIN_LOSS = 0.01
+"""Rounding of float32 positions, as a share of the median width of what they are of, above which files and captures are
+about an origin of their own."""
+
+SIZE_SAMPLE = 4096
+"""Points of an asset, at most, that tell its size where that need not be exact."""
+
+SIZE_TAIL = 0.02
+"""Share of them at each end of each axis that counts as strays."""
 
 # --- Limits of 32-bit indices ---
 

@@ -315,7 +315,7 @@ def _shares(layers: _Layers, wanted: FloatArray) -> Doubles:
     return lamps + np.where(is_black[layers.pixel], weight, rest) * factor[layers.pixel]
 
 
-def _lamp_distances(lamp: LightRect | LightSphere, origins: FloatArray, directions: FloatArray) -> Doubles:
+def _lamp_distances(lamp: LightRect | LightSphere, origins: Doubles, directions: FloatArray) -> Doubles:
     """Where rays meet the side of a lamp that shines, or enter a sphere from outside, (N,); inf: they do not."""
     from_lamp, along = origins - np.array(lamp.position), directions.astype(np.float64)
     if isinstance(lamp, LightSphere):

@@ -11,7 +11,7 @@ import warp as wp
 from lumisplat.constants import PACKET_RAYS
 from lumisplat.device.structs.rays import RayData
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, host_array
+from lumisplat.math.arrays import Doubles, FloatArray, host_array
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
@@ -68,8 +68,8 @@ def whole_packets(count: int) -> int:
     return -(-count // PACKET_RAYS) * PACKET_RAYS
 
 
-def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Origins and unit directions, float32, shape (N, 3) each; one origin, shape (3,), is that of all.
+def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Doubles, FloatArray]:
+    """Returns origins, float64, and unit directions, float32, shape (N, 3) each; an origin of shape (3,) is that of all.
 
     Raises:
         SceneError: A shape does not fit, an origin is not finite, or a direction is not finite or has no length.
@@ -90,7 +90,7 @@ def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Flo
         raise SceneError(f"{empty} of {len(along)} ray directions have no length: leave these rays out")
     along = along / largest
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return start.astype(np.float32), along.astype(np.float32)
+    return start, along.astype(np.float32)
 
 
 def checked_distances(distances: npt.ArrayLike, count: int) -> FloatArray:

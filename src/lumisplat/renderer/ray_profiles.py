@@ -13,7 +13,7 @@ import warp as wp
 from lumisplat.config import RenderConfig, TraceStrategy
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.rays import HitProfiles, RayData
-from lumisplat.math.arrays import FloatArray, IntArray, Rows
+from lumisplat.math.arrays import Doubles, FloatArray, IntArray, Rows
 from lumisplat.renderer.given_rays import RAY_BATCH, GivenRays, batches, whole_packets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.camera_rays import CameraRays
@@ -70,7 +70,7 @@ class PixelProfile:
     """Of Gaussians as wide as the pixels make them; pixels without a ray meet none."""
     mesh_distance: FloatArray
     """Of the nearest mesh, scene units, (N,); inf: there is none."""
-    origins: FloatArray
+    origins: Doubles
     """Where rays start, world space, (N, 3); undefined without a ray."""
     directions: FloatArray
     """Unit vectors, (N, 3); 0 where a pixel has no ray."""
@@ -130,6 +130,7 @@ class RayProfiles:
         distance = np.where(device_array(found.meshes.face).numpy() >= 0, device_array(found.meshes.t).numpy(), np.inf)
         mesh_distance = np.where(active, distance[:count], np.inf).astype(np.float32)
         origins, directions = (device_array(ends).numpy()[:count].copy() for ends in (rays.origin, rays.direction))
+        origins = origins + scene.frame.origin
         directions[~active] = 0.0
         profile = self._written(
             scene, asked, np.where(active, hits, 0), lambda part: self._started(scene, places[part], sample, offset)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RenderConfig
@@ -149,7 +150,7 @@ class Renderer:
         modules = frame_modules(plan, self._launcher, self.config) + (picture_modules(plan) if encode else [])
         self._load(modules, progress)
         self._launcher.stage_ms = {}
-        self._scene.sync(scene, camera, plan)
+        self._sync(scene, camera, plan)
         if plan.is_unscented:
             self._unscented.begin_frame(camera)
         if not plan.is_sampled:
@@ -177,7 +178,7 @@ class Renderer:
         self._check(plan, scene, camera, None)
         self._load(frame_modules(plan, self._launcher, self.config), progress)
         self._launcher.stage_ms = {}
-        self._scene.sync(scene, camera, plan)
+        self._sync(scene, camera, plan)
         if plan.is_unscented:
             self._unscented.begin_frame(camera)
         counts = BinningCounts()
@@ -267,6 +268,7 @@ class Renderer:
         start, along = checked_rays(origins, directions)
         plan = self._sync_rays(scene)
         self._load(frame_modules(plan, self._launcher, self.config))
+        start = self._local(start)
         hits = self._queries.query(self._scene, plan, start, along)
         if not profile:
             return hits
@@ -285,7 +287,7 @@ class Renderer:
         start, along = checked_rays(*pixel_ray(camera, x, y))
         plan = self._sync_rays(scene)
         self._load(frame_modules(plan, self._launcher, self.config))
-        (distance,) = self._profiles.surface_distances(self._scene, start, along)
+        (distance,) = self._profiles.surface_distances(self._scene, self._local(start), along)
         return focused_camera(camera, x, y, float(distance))
 
     def transmittance(
@@ -296,13 +298,13 @@ class Renderer:
         distances = checked_distances(max_distance, len(start))
         self._sync_rays(scene)
         self._load(transmittance_modules(self._launcher))
-        return self._queries.transmittance(self._scene, start, along, distances)
+        return self._queries.transmittance(self._scene, self._local(start), along, distances)
 
     def leaving_hits(self, scene: Scene, origins: FloatArray, directions: FloatArray, offsets: FloatArray) -> RayHits:
         """What rays see that leave Gaussians, as `trace_rays`; offsets as `RayQueries.query`."""
         plan = self._sync_rays(scene)
         self._load(frame_modules(plan, self._launcher, self.config))
-        return self._queries.query(self._scene, plan, origins, directions, offsets)
+        return self._queries.query(self._scene, plan, self._local(origins), directions, offsets)
 
     def leaving_transmittance(
         self, scene: Scene, origins: FloatArray, directions: FloatArray, distances: FloatArray, offsets: FloatArray
@@ -310,7 +312,7 @@ class Renderer:
         """How much light arrives at Gaussians from points so far away, as `transmittance`."""
         self._sync_rays(scene)
         self._load(transmittance_modules(self._launcher))
-        return self._queries.transmittance(self._scene, origins, directions, distances, offsets)
+        return self._queries.transmittance(self._scene, self._local(origins), directions, distances, offsets)
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
         """Syncs the scene for rays that a caller gives, or for some of a camera's."""
@@ -319,8 +321,19 @@ class Renderer:
         check_scene(scene)
         plan = FramePlan.of_rays(self.config, scene)
         self._launcher.stage_ms = {}
-        self._scene.sync(scene, camera or _ANY, plan)
+        self._sync(scene, camera or _ANY, plan)
         return plan
+
+    def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
+        """Syncs the scene; what was found of light is forgotten if its places are about another origin now."""
+        before = self._scene.frame
+        self._scene.sync(scene, camera, plan)
+        if not np.array_equal(before.origin, self._scene.frame.origin):
+            self._integrators.forget()
+
+    def _local(self, points: npt.NDArray[np.floating]) -> FloatArray:
+        """Returns world positions as the device has them, once the scene is synced, shape (N, 3)."""
+        return self._scene.frame.points(points).astype(np.float32)
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:
         """Refuses what cannot be drawn, and logs what is drawn differently."""

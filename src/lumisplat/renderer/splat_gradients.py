@@ -222,7 +222,7 @@ class DifferentiableRenderer(Renderer):
         given = GivenGradient.of(len(start), dL_dradiance, dL_dtransmittance)
         check_traced(scene)
         shown = self.trace_rays(scene, start, along)
-        return self._by_rays.of_rays(self._scene, (start, along), shown, given)
+        return self._by_rays.of_rays(self._scene, (self._local(start), along), shown, given)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
         """The hits of a frame's one sample, kept for the way back."""

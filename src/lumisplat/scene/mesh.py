@@ -27,7 +27,7 @@ from lumisplat.scene.triangles import area_vectors, check_triangles, sum_at_vert
 _log = logging.getLogger("lumisplat")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Mesh:
     """V vertices and F triangles, counter-clockwise seen from outside.
 

@@ -11,10 +11,11 @@ import numpy.typing as npt
 
 from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles
 from lumisplat.scene.animation.binding import Binding, bind_surface, deform_gaussians
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.world_gaussians import PlacedGaussians, placed_gaussians
+from lumisplat.scene.ops.world_gaussians import ZERO, PlacedGaussians, placed_gaussians
 from lumisplat.scene.sampling.mesh_sampling import sample_surface
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
@@ -36,16 +37,21 @@ class MeshesAsGaussians:
     def __init__(self) -> None:
         self._surfaces: dict[int, _Surface] = {}
 
-    def placed(self, name: str, content: Content | Iterable[Content]) -> PlacedGaussians:
+    def placed(self, name: str, content: Content | Iterable[Content], origin: Doubles = ZERO) -> PlacedGaussians:
         """The Gaussians of all that is given, in the world; meshes come after the Gaussians of a scene.
 
         Args:
             name: The argument's name, for messages.
             content: One thing or several.
+            origin: World position about which they are, shape (3,).
 
         Raises:
             SceneError: Something else is among them.
         """
+        return placed_gaussians(self.instances(name, content), origin)
+
+    def instances(self, name: str, content: Content | Iterable[Content]) -> list[SplatInstance]:
+        """Returns all that is given as instances of Gaussians; arguments and errors as of `placed`."""
         items: list[SplatInstance] = []
         for one in [content] if isinstance(content, Content) else _several(name, content):
             if isinstance(one, Scene):
@@ -54,7 +60,7 @@ class MeshesAsGaussians:
                 items.append(self._as_splats(MeshInstance(one) if isinstance(one, Mesh) else one))
             else:
                 items.append(SplatInstance(one) if isinstance(one, Gaussians) else one)
-        return placed_gaussians(items)
+        return items
 
     def _as_splats(self, instance: MeshInstance) -> SplatInstance:
         mesh, matrix = instance.mesh, instance.transform
@@ -66,7 +72,9 @@ class MeshesAsGaussians:
         if mesh is surface.mesh and _is_similar(matrix[:3, :3]):
             return SplatInstance(surface.gaussians, matrix)
         # Splat instances cannot deform, mirror or shear: the triangles do, and the Gaussians follow them.
-        return SplatInstance(surface.moved_to(mesh.positions @ matrix[:3, :3].T + matrix[:3, 3]))
+        moved = np.eye(4)
+        moved[:3, 3] = matrix[:3, 3]
+        return SplatInstance(surface.moved_to(mesh.positions @ matrix[:3, :3].T), moved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

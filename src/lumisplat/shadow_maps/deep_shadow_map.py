@@ -19,7 +19,10 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.lights import LightDirectional
+from lumisplat.scene.local_frame import LocalFrame, rendered_frame
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
+from lumisplat.scene.scene import Scene
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 from lumisplat.shadow_maps.atlas import Source, atlas_of, shadow_bound, source_of
 from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians
@@ -89,6 +92,8 @@ class DeepShadowMap:
         self.config = config
         """Settings."""
         self._source, self._launcher = source, launcher
+        self._frame = LocalFrame(np.zeros(3))
+        """The frame in which all of the map is; that of its first casters."""
         self._buffers = Buffers(launcher.device)
         self._meshes = MeshesAsGaussians()
         self._atlas = Atlas()
@@ -136,9 +141,12 @@ class DeepShadowMap:
         launcher = Launcher(device)
         launcher.load([kernels], progress)
         shadow = cls(config, source, launcher)
+        shadow._frame, _ = rendered_frame(Scene(shadow._meshes.instances("casters", casters)))
+        if not isinstance(source, LightDirectional):
+            shadow._source = shadow._frame.points(source)
         placed = shadow._placed_casters(casters)
         if receivers is not None:
-            shadow._fix_region(placed_receivers(receivers), placed)
+            shadow._fix_region(placed_receivers(receivers, shadow._frame.origin), placed)
         shadow._tabulate(placed)
         return shadow
 
@@ -168,7 +176,7 @@ class DeepShadowMap:
         Raises:
             SceneError: The shape does not fit, or values are not finite.
         """
-        return self._sample(placed_points(points))
+        return self._sample(placed_points(points, self._frame.origin))
 
     def transmittance_of(self, receivers: Receiving) -> FloatArray:
         """How much of the light reaches Gaussians, as ``config.sampling`` says.
@@ -184,7 +192,7 @@ class DeepShadowMap:
         Raises:
             SceneError: Something is of another kind, or a value is not finite.
         """
-        return self._sample(placed_receivers(receivers))
+        return self._sample(placed_receivers(receivers, self._frame.origin))
 
     @property
     def bytes(self) -> int:
@@ -205,7 +213,9 @@ class DeepShadowMap:
         assert self._layout is not None
         region, values = self._layout.region, self._layout.values.numpy()
         follows_casters = self._fixed_region is None
-        write_map(path, StoredMap(self.config, self._source, self._atlas, region, values, follows_casters))
+        write_map(
+            path, StoredMap(self.config, self._source, self._frame.origin, self._atlas, region, values, follows_casters)
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, device: str = "auto") -> DeepShadowMap:
@@ -224,14 +234,14 @@ class DeepShadowMap:
         launcher = Launcher(device)
         launcher.load([kernels])
         shadow = cls(stored.config, stored.source, launcher)
-        shadow._atlas = stored.atlas
+        shadow._atlas, shadow._frame = stored.atlas, LocalFrame(stored.about)
         shadow._fixed_region = None if stored.follows_casters else stored.region
         shadow._layout_for(stored.region, shadow._culling()).values.assign(stored.values)
         shadow._bound = shadow_bound(stored.atlas, None)  # the file does not hold the casters
         return shadow
 
     def _placed_casters(self, casters: Content | Iterable[Content]) -> PlacedGaussians:
-        placed = self._meshes.placed("casters", casters)
+        placed = self._meshes.placed("casters", casters, self._frame.origin)
         if not len(placed.means):
             raise SceneError("casters have no Gaussians: there is nothing to cast a shadow")
         return placed

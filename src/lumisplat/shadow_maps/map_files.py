@@ -18,7 +18,7 @@ from lumisplat.device.structs.shadow_map import Atlas
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.shadow_maps.atlas import Source
 from lumisplat.shadow_maps.region import Region, texel_count
@@ -40,6 +40,9 @@ class StoredMap:
 
     config: DeepShadowConfig
     source: Source
+    """Where light comes from, about the origin."""
+    about: Doubles
+    """World position of the origin that all of the map is about, shape (3,)."""
     atlas: Atlas
     region: Region
     values: FloatArray
@@ -64,6 +67,7 @@ def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:
         "parallel": list(source.direction) if isinstance(source, LightDirectional) else None,
         "atlas": {name: float(getattr(atlas, name)) for name in _SCALARS},
         "origin": [float(x) for x in atlas.origin],
+        "about": stored.about.tolist(),
         "follows": stored.follows_casters,
         "axes": [float(x) for x in np.array(atlas.axes).ravel()],
     }
@@ -94,7 +98,13 @@ def read_map(path: str | os.PathLike[str]) -> StoredMap:
         region = Region(*(checked_array(arrays, name, (None,), np.int32) for name in ("texels", "first", "count")))
         values = checked_array(arrays, "table", (None,), np.float32)
         stored = StoredMap(
-            _config(header["config"]), _source(header), _atlas(header), region, values, bool(header["follows"])
+            _config(header["config"]),
+            _source(header),
+            _about(header),
+            _atlas(header),
+            region,
+            values,
+            bool(header["follows"]),
         )
     except FormatError:
         raise
@@ -114,6 +124,13 @@ def _source(header: dict[str, Any]) -> Source:
     if header["parallel"] is not None:
         return LightDirectional(tuple(header["parallel"]))
     return np.array(header["origin"], dtype=np.float64)
+
+
+def _about(header: dict[str, Any]) -> Doubles:
+    about = np.array(header.get("about", (0.0, 0.0, 0.0)), dtype=np.float64)
+    if about.shape != (3,) or not np.isfinite(about).all():
+        raise ValueError("no origin")
+    return about
 
 
 def _atlas(header: dict[str, Any]) -> Atlas:

@@ -12,7 +12,7 @@ import warp as wp
 from lumisplat.config import DeepShadowConfig, ReceiverSampling
 from lumisplat.device.structs.shadow_map import CENTER, RANDOM, STENCIL, FootprintSampling, Receivers
 from lumisplat.errors import check_shapes
-from lumisplat.math.arrays import float_array
+from lumisplat.math.arrays import Doubles, float_array
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians
 from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians, as_iterable
@@ -28,24 +28,24 @@ _PATTERN = {
 _STENCIL_POINTS = 7
 
 
-def placed_receivers(receivers: Receiving) -> PlacedGaussians:
-    """Receivers in the world, those that are points as Gaussians without extent.
+def placed_receivers(receivers: Receiving, origin: Doubles) -> PlacedGaussians:
+    """Receivers in the world about an origin, shape (3,), those that are points as Gaussians without extent.
 
     Raises:
         SceneError: Something is of another kind, or a value is not finite.
     """
     if isinstance(receivers, Content):
-        return MeshesAsGaussians().placed("receivers", receivers)
+        return MeshesAsGaussians().placed("receivers", receivers, origin)
     if isinstance(receivers, np.ndarray):
-        return placed_points(cast("npt.ArrayLike", receivers))
+        return placed_points(cast("npt.ArrayLike", receivers), origin)
     items: list[Any] = list(as_iterable("receivers", receivers))
     if items and isinstance(items[0], Content):
-        return MeshesAsGaussians().placed("receivers", items)
-    return placed_points(items)
+        return MeshesAsGaussians().placed("receivers", items, origin)
+    return placed_points(items, origin)
 
 
-def placed_points(values: npt.ArrayLike) -> PlacedGaussians:
-    """Points, shape (N, 3), as Gaussians without extent.
+def placed_points(values: npt.ArrayLike, origin: Doubles) -> PlacedGaussians:
+    """Points, shape (N, 3), as Gaussians without extent, about an origin.
 
     Raises:
         SceneError: The shape does not fit, or values are not finite.
@@ -54,6 +54,8 @@ def placed_points(values: npt.ArrayLike) -> PlacedGaussians:
     if points.size == 0:
         points = points.reshape(0, 3)
     check_shapes(points=(points, "N 3"))
+    if origin.any():
+        points = (np.asarray(values, np.float64).reshape(-1, 3) - origin).astype(np.float32)
     unturned = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(points), 1))
     return PlacedGaussians(points, unturned, np.zeros_like(points), np.zeros(len(points), np.float32))
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lumisplat.config import RenderConfig
+from lumisplat.constants import NEAR_PLANE
 from lumisplat.device.structs.bvh import MeshBvh
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.scene import GaussianData, MeshData, MeshInstanceData, SplatInstanceData
@@ -27,6 +28,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
+from lumisplat.scene.local_frame import LocalFrame, rendered_frame
 from lumisplat.scene.scene import Scene
 
 _ANYWHERE = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -86,6 +88,8 @@ class DeviceScene:
         """Some do not."""
         self.version = 0
         """Changes with the arrays of assets."""
+        self.frame = LocalFrame(np.zeros(3))
+        """The frame in which all that is on the device lies, world and camera alike."""
         self._plan: FramePlan | None = None
         self._synced: object = None
         """`graph_key` of the last frame."""
@@ -139,6 +143,7 @@ class DeviceScene:
             DeviceError: The device is out of memory.
         """
         self._jitters = plan.jitters
+        scene, camera = self._localised(scene, camera)
         if plan.has_history:  # its random choices among lights are the same whatever their order
             scene = replace(scene, lights=in_order(scene.lights))
         with self._launcher.stage("sync"):
@@ -181,6 +186,16 @@ class DeviceScene:
             self.gaussians = other.gaussians
         if other._config.response == self._config.response:  # else Gaussians have other bounds
             self.bvh = other.bvh
+
+    def _localised(self, scene: Scene, camera: Camera) -> tuple[Scene, Camera]:
+        """Returns what is synced: about an origin that float32 can hold, with a near plane that fits the scene."""
+        frame, near = rendered_frame(scene)
+        if not np.array_equal(frame.origin, self.frame.origin):
+            self.motion.forget()
+        self.frame = frame
+        if camera.near == NEAR_PLANE != near:
+            camera = replace(camera, near=near)
+        return frame.scene(scene), frame.camera(camera)
 
     def release(self) -> None:
         """Drops all assets; the next ``sync`` uploads its own."""

@@ -8,9 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.rotations import multiply_quaternions, quaternions_from_matrices
 from lumisplat.scene.scene import SplatInstance
+
+ZERO: Doubles = np.zeros(3)
+"""Zero of the world, as an origin."""
 
 _STRAYS = 0.01
 """Share of a body's means on each side that its box leaves out."""
@@ -34,10 +37,10 @@ class PlacedGaussians(NamedTuple):
         return self.rotations_wxyz[:, [1, 2, 3, 0]]
 
 
-def placed_gaussians(instances: Iterable[SplatInstance]) -> PlacedGaussians:
-    """The Gaussians of all instances, in order, in world space; empty arrays if there is no instance."""
+def placed_gaussians(instances: Iterable[SplatInstance], origin: Doubles = ZERO) -> PlacedGaussians:
+    """The Gaussians of all instances, in order, in world space about an origin; empty if there is no instance."""
     empty = PlacedGaussians(*(np.empty((0, *shape), np.float32) for shape in ((3,), (4,), (3,), ())))
-    parts = [empty, *(_in_world(instance) for instance in instances)]
+    parts = [empty, *(_in_world(instance, origin) for instance in instances)]
     return PlacedGaussians(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -55,13 +58,13 @@ def distance_from_body(points: npt.NDArray[np.floating], gaussians: PlacedGaussi
     return np.maximum(np.maximum(low - points, points - high), 0.0).max(axis=1, initial=0.0)
 
 
-def _in_world(instance: SplatInstance) -> PlacedGaussians:
+def _in_world(instance: SplatInstance, origin: Doubles) -> PlacedGaussians:
     gaussians, matrix, scale = instance.gaussians, instance.transform, instance.scale
-    if np.array_equal(matrix, np.eye(4)):
+    if np.array_equal(matrix, np.eye(4)) and not origin.any():
         return PlacedGaussians(gaussians.means, gaussians.rotations_wxyz, gaussians.scales, gaussians.opacities)
     world_from_object = quaternions_from_matrices(matrix[None, :3, :3] / scale)[0]
     return PlacedGaussians(
-        instance.world_means.astype(np.float32),
+        (instance.world_means - origin).astype(np.float32),
         multiply_quaternions(world_from_object, gaussians.rotations_wxyz).astype(np.float32),
         (gaussians.scales * scale).astype(np.float32),
         gaussians.opacities,
