@@ -12,6 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.training.checkpoint import read_checkpoint
+from lumisplat.training.train import training_frame
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
 from support.scenes.training_scenes import folder_of
@@ -31,7 +32,9 @@ def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFi
     photographs = ls.load_photographs(folder, background="black")
     ls.train(photographs, SHORT, output=output, device="cpu")
     state, _ = read_checkpoint(checkpoint_of(output), SHORT, photographs.fingerprint)
-    by_hand = Trainer([TrainingView.of(one) for one in photographs.training], LONG, device="cpu")
+    frame, views = training_frame(photographs), [TrainingView.of(one) for one in photographs.training]
+    local = [replace(view, camera=frame.camera(view.camera)) for view in views]
+    by_hand = Trainer(local, LONG, device="cpu")
     by_hand.restore(state)
     while by_hand.iteration < LONG.iterations:
         by_hand.step()
@@ -40,7 +43,7 @@ def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFi
     (line,) = (record.getMessage() for record in caplog.records)
     assert "checkpoint.npz: goes on from step 120 of 120 to step 200: rates" in line
     assert result.is_finished and result.iterations == 200
-    np.testing.assert_array_equal(result.gaussians.means, by_hand.gaussians().means)
+    np.testing.assert_array_equal(result.gaussians.means, frame.gaussians(by_hand.gaussians()).means)
     assert "iterations = 200" in (tmp_path / "a.training" / "settings.toml").read_text()
     caplog.clear()
     ls.train(photographs, LONG, output=output, device="cpu")

@@ -34,6 +34,7 @@ from lumisplat.renderer.checks import check_scene, checked_config
 from lumisplat.renderer.scene.materials import emits_capture_only, is_relit
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.local_frame import LocalFrame, rendered_frame
 from lumisplat.scene.ops.recolor import scale_light_of
 from lumisplat.scene.scene import Scene, SplatInstance
 
@@ -93,6 +94,8 @@ def bake(
             "delight finds an albedo"
         )
     viewer = GaussianViewer(config, Launcher(device), progress)
+    frame, _ = rendered_frame(scene)
+    scene = frame.scene(scene)
     viewer.enter(scene, _extent(scene), progress)
     if not viewer.is_lit:
         raise SceneError("nothing to bake: the scene has no lights or environment, and nothing in it shines")
@@ -100,7 +103,8 @@ def bake(
     ways = Sightlines.room(together, directions)
     baker = _Baker(viewer, settings, progress, scene.gaussian_count, ways)
     splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
-    return Scene(baker.seen_together(scene, splats), up=scene.up)
+    back = LocalFrame(-frame.origin)
+    return back.scene(Scene(baker.seen_together(scene, splats), up=scene.up))
 
 
 @dataclass(frozen=True, slots=True)

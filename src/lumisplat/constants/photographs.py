@@ -10,6 +10,9 @@ CAMERA_MARGIN = 1.1
 HOLD_OUT = 8
 """One photograph of so many is not trained with, as Mip-NeRF 360 and those after it do."""
 
+ONE_PLACE = 1e-7
+"""Extent of cameras, as a share of how far they are from zero, below which it is rounding: they stand in one place."""
+
 SAME_PLACE = 1e-3
 """Distance of two cameras, as a share of the extent of all, up to which they stand in one place: between them, hardly
 anything moves in the picture."""

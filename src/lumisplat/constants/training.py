@@ -96,6 +96,12 @@ RESET_EVERY = 3000
 RESET_OPACITY = 0.01
 """Opacity to which they are reset. Kerbl et al. 2023."""
 
+# --- The frame (docs/adr/0086-one-local-origin.md) ---
+
+TRAINING_EXTENT = 4.4
+"""Extent of the cameras in the frame in which Gaussians are learnt, whatever the unit of the scene: cameras four units
+around an object, as in NeRF's synthetic sets, for which weights of scales and strengths of noise are chosen."""
+
 # --- The start ---
 
 INITIAL_OPACITY = {"mcmc": 0.5, "adaptive": 0.1}

@@ -69,7 +69,7 @@ def whole_packets(count: int) -> int:
 
 
 def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Doubles, FloatArray]:
-    """Returns origins, float64, and unit directions, float32, shape (N, 3) each; an origin of shape (3,) is that of all.
+    """Returns origins, float64, and unit directions, float32, shape (N, 3) each; one of shape (3,) is that of all rays.
 
     Raises:
         SceneError: A shape does not fit, an origin is not finite, or a direction is not finite or has no length.

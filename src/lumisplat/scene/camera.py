@@ -60,7 +60,8 @@ class Camera:
     """Rigid transform for column vectors, shape (4, 4); with a rolling shutter, the pose at the start of the first
     row."""
     near: float = NEAR_PLANE
-    """Nothing at a smaller view depth is drawn, scene units; for a fisheye, nothing at a smaller distance."""
+    """Nothing at a smaller view depth is drawn, scene units; for a fisheye, nothing at a smaller distance. The default
+    is a thousandth of the size of the largest asset where that is less."""
     name: str = ""
     """Name of the frame: in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE

@@ -24,6 +24,7 @@ from lumisplat.math.arrays import (
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.camera import Camera, camera_pose
 from lumisplat.scene.checks import check_kind, check_whole
+from lumisplat.scene.light_aims import vector
 from lumisplat.scene.up import Vector, up_vector
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
@@ -80,6 +81,10 @@ class Gaussians:
     """From where the capture is looked at first, such as from where one of its images was taken; what it looks at is
     at its ``focus_distance``. None: it does not say."""
 
+    origin: Vector = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    """Where the capture's zero is placed, unless an instance of it says otherwise, scene units, in float64: captures
+    in map coordinates have their means, and their first view, about an origin, as float32 is 0.5 apart there."""
+
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
         def __init__(  # noqa: PLR0917
@@ -100,6 +105,7 @@ class Gaussians:
             incident: npt.ArrayLike | None = None,
             up: str | npt.ArrayLike | None = None,
             first_view: Camera | None = None,
+            origin: npt.ArrayLike = (0.0, 0.0, 0.0),
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -128,6 +134,7 @@ class Gaussians:
             object.__setattr__(self, "up", up_vector(self.up))
         if self.first_view is not None:
             check_kind("first_view", self.first_view, Camera, "a Camera")
+        object.__setattr__(self, "origin", vector("origin", self.origin))
         refuse_rows("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
             values = getattr(self, name)
@@ -145,9 +152,9 @@ class Gaussians:
         antialiased = ", antialiased" if self.antialiased else ""
         kernel = f", kernel_degree={self.kernel_degree}" if self.kernel_degree != KERNEL_DEGREE else ""
         bounds = box_text(*self.bounds())
-        return (
-            f"Gaussians(count={self.count}, sh_degree={self.sh_degree}, bounds={bounds}{antialiased}{kernel}{extras})"
-        )
+        about = f", origin=({', '.join(f'{value:.12g}' for value in self.origin)})" if any(self.origin) else ""
+        told = f"bounds={bounds}{about}{antialiased}{kernel}{extras}"
+        return f"Gaussians(count={self.count}, sh_degree={self.sh_degree}, {told})"
 
     @property
     def count(self) -> int:
@@ -190,7 +197,8 @@ def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
     if len(degrees) > 1:
         listed = ", ".join(map(str, degrees))
         raise SceneError(f"cannot merge captures of kernel degrees {listed}: their scales mean different things")
-    columns = [one.arrays() for one in sets]
+    origin = next((one.origin for one in sets if any(one.origin)), sets[0].origin)
+    columns = [_about(one, origin).arrays() for one in sets]
     shared = [name for name in columns[0] if all(name in column for column in columns)]
     for name in {"sh", "incident"}.intersection(shared):
         most = max(column[name].shape[1] for column in columns)
@@ -198,10 +206,20 @@ def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
             column[name] = np.pad(column[name], ((0, 0), (0, most - column[name].shape[1]), (0, 0)))
     joined = {name: read_only_view(np.concatenate([column[name] for column in columns])) for name in shared}
     said = {
-        name: next((value for one in sets if (value := getattr(one, name)) is not None), None)
+        name: next((value for one in sets if (value := getattr(_about(one, origin), name)) is not None), None)
         for name in ("up", "first_view")
     }
-    return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined | said))
+    return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined | said), origin=origin)
+
+
+def _about(gaussians: Gaussians, origin: Vector) -> Gaussians:
+    """Returns a capture in its place about another origin."""
+    if gaussians.origin == origin:
+        return gaussians
+    move = np.eye(4)
+    move[:3, 3] = np.subtract(gaussians.origin, origin)
+    means = transform_points(move, gaussians.means).astype(np.float32)
+    return replace(gaussians, means=means, origin=origin, **moved_orientation(gaussians, move))
 
 
 def moved_orientation(gaussians: Gaussians, new_from_old: Doubles) -> dict[str, Any]:

@@ -7,13 +7,16 @@ zero is therefore moved, in float64, before anything becomes float32 (docs/adr/0
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import NEAR_PLANE, NEAR_SHARE, ORIGIN_GRID, ORIGIN_LOSS, SIZE_SAMPLE, SIZE_TAIL
+from lumisplat.constants import NEAR_PLANE, NEAR_SHARE, ORIGIN_GRID, ORIGIN_LOSS, SCALE_MIN, SIZE_SAMPLE, SIZE_TAIL
+from lumisplat.constants.photographs import CAMERA_MARGIN, ONE_PLACE
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
@@ -21,8 +24,22 @@ from lumisplat.scene.lights import Light, LightPoint, LightRect, LightSphere, Li
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
-_BOXES: WeakKeyDictionary[Gaussians | Mesh, tuple[Doubles, Doubles]] = WeakKeyDictionary()
-"""Of assets: the corners of their boxes."""
+
+class _Box(NamedTuple):
+    """Where an asset is in its own space."""
+
+    low: Doubles
+    high: Doubles
+    middle: Doubles
+    """The point of a grid next to its middle, shape (3,): zero unless the asset is far from it."""
+    is_far: bool
+
+
+_Asset = TypeVar("_Asset", Gaussians, Mesh)
+
+_CENTERED: WeakKeyDictionary[Gaussians | Mesh, tuple[Gaussians | Mesh, Doubles]] = WeakKeyDictionary()
+"""Of assets that are far from their own zero: the same about a middle, and where that is."""
+_BOXES: WeakKeyDictionary[Gaussians | Mesh, _Box] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +50,19 @@ class LocalFrame:
     """World position of the frame's zero, shape (3,)."""
     unit: float = 1.0
     """Length of the frame's unit, scene units."""
+
+    @classmethod
+    def of_cameras(cls, cameras: Sequence[Camera], extent: float) -> LocalFrame:
+        """Returns the frame about the middle of cameras in which they are so far apart.
+
+        Args:
+            cameras: At least one.
+            extent: What `camera_extent` is to be in the frame. Cameras in one place say nothing of a unit: it stays.
+        """
+        eyes = np.stack([camera.eye for camera in cameras])
+        middle, found = eyes.mean(axis=0), camera_extent(cameras)
+        is_one_place = found < ONE_PLACE * float(np.abs(eyes).max())
+        return cls(middle, 1.0 if is_one_place or found == 0.0 else found / extent)
 
     @property
     def is_world(self) -> bool:
@@ -53,11 +83,23 @@ class LocalFrame:
             camera,
             camera_from_world=self._pose(camera.camera_from_world),
             camera_from_world_end=None if end is None else self._pose(end),
-            near=camera.near / self.unit,
+            near=camera.near if camera.near == NEAR_PLANE else camera.near / self.unit,
             aperture=camera.aperture / self.unit,
             focus_distance=camera.focus_distance / self.unit,
             fx=camera.fx * focal,
             fy=camera.fy * focal,
+        )
+
+    def gaussians(self, gaussians: Gaussians) -> Gaussians:
+        """Returns Gaussians of this frame in the world, about an origin where float32 needs one."""
+        means = self.unit * gaussians.means.astype(np.float64) + self.origin
+        scales = (self.unit * gaussians.scales.astype(np.float64)).astype(np.float32)
+        origin = needed_origin(means, float(np.median(scales)))
+        return replace(
+            gaussians,
+            means=(means - origin).astype(np.float32),
+            scales=np.maximum(scales, np.float32(SCALE_MIN)),
+            origin=tuple(origin.tolist()),
         )
 
     def world_pose(self, camera_from_local: Doubles) -> Doubles:
@@ -67,20 +109,36 @@ class LocalFrame:
         return pose
 
     def scene(self, scene: Scene) -> Scene:
-        """Returns a scene of the world about this frame's origin, whose unit is that of the world."""
-        if not self.origin.any():
-            return scene
-        return replace(
-            scene,
-            splats=tuple(replace(one, world_from_object=self._place(one.transform)) for one in scene.splats),
-            meshes=tuple(replace(one, world_from_object=self._place(one.transform)) for one in scene.meshes),
-            lights=tuple(self._moved_light(light) for light in scene.lights),
-        )
+        """Returns a scene of the world about this frame's origin, whose unit is that of the world.
 
-    def _place(self, world_from_object: Doubles) -> Doubles:
+        Assets that are themselves far from their zero are about a middle of their own, the same in each call.
+        """
+        assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
+        if not self.origin.any() and not any(_box(asset).is_far for asset in assets):
+            return scene
+        splats, meshes = list(scene.splats), list(scene.meshes)
+        for number, splat in enumerate(splats):
+            gaussians, place = self._placed(splat.gaussians, splat.transform)
+            splats[number] = replace(splat, gaussians=gaussians, world_from_object=place)
+        for number, instance in enumerate(meshes):
+            mesh, place = self._placed(instance.mesh, instance.transform)
+            meshes[number] = replace(instance, mesh=mesh, world_from_object=place)
+        return replace(scene, splats=splats, meshes=meshes, lights=[self._moved_light(light) for light in scene.lights])
+
+    def _placed(self, asset: _Asset, world_from_object: Doubles) -> tuple[_Asset, Doubles]:
+        """Returns an asset about its middle, and where that is in this frame."""
         matrix = world_from_object.copy()
+        middle = _box(asset).middle
+        if middle.any():
+            centered = _CENTERED.get(asset)
+            if centered is None:
+                name = "means" if isinstance(asset, Gaussians) else "positions"
+                points = (getattr(asset, name) - middle).astype(np.float32)
+                centered = _CENTERED[asset] = replace(asset, **{name: points}), middle
+            asset = cast("_Asset", centered[0])
+            matrix[:3, 3] += matrix[:3, :3] @ middle
         matrix[:3, 3] -= self.origin
-        return matrix
+        return asset, matrix
 
     def _moved_light(self, light: Light) -> Light:
         if isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
@@ -91,6 +149,12 @@ class LocalFrame:
         pose = camera_from_world.copy()
         pose[:3, 3] = (pose[:3, 3] + pose[:3, :3] @ self.origin) / self.unit
         return pose
+
+
+def camera_extent(cameras: Sequence[Camera]) -> float:
+    """Returns 1.1 times the largest distance of a camera from the mean of their positions, scene units."""
+    eyes = np.stack([camera.eye for camera in cameras])
+    return CAMERA_MARGIN * float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max())
 
 
 def rendered_frame(scene: Scene) -> tuple[LocalFrame, float]:
@@ -104,48 +168,59 @@ def rendered_frame(scene: Scene) -> tuple[LocalFrame, float]:
         return LocalFrame(np.zeros(3)), NEAR_PLANE
     middles, sizes = _boxes(scene)
     low, high = (middles - 0.5 * sizes).min(axis=0), (middles + 0.5 * sizes).max(axis=0)
-    middle = 0.5 * (low + high)
-    least = max(ORIGIN_GRID * float((high - low).max()), 1e-12 * float(np.abs(middle).max()), 1e-300)
-    step = 2.0 ** math.ceil(math.log2(least))
     largest = float(np.linalg.norm(sizes, axis=1).max())
     near = min(NEAR_SHARE * largest, NEAR_PLANE) if largest > 0.0 else NEAR_PLANE
-    return LocalFrame(np.asarray(np.round(middle / step) * step, np.float64)), near
+    return LocalFrame(_grid_point(0.5 * (low + high), float((high - low).max()))), near
 
 
 def needed_origin(points: Doubles, width: float) -> Doubles:
     """Returns an origin for points that float32 cannot hold about zero, shape (3,); zero where it can.
 
     Args:
-        points: Positions, shape (N, 3), float64.
+        points: Positions, shape (N, 3), float64; those beyond float32 do not count.
         width: Size of what is to be told apart, in the unit of the points: a scale of Gaussians, an edge of triangles.
     """
-    middle = np.median(points[:: -(-len(points) // SIZE_SAMPLE)], axis=0)
-    if np.abs(middle).max() * np.finfo(np.float32).eps <= ORIGIN_LOSS * width:
+    points = points[:: -(-len(points) // SIZE_SAMPLE)]
+    points = points[(np.abs(points) <= np.finfo(np.float32).max).all(axis=1)]
+    if not len(points):
         return np.zeros(3)
-    spread = float(np.ptp(points, axis=0).max())
-    step = 10.0 ** math.floor(math.log10(max(spread, width)))
-    return np.round(middle / step) * step
+    middle = np.median(points, axis=0)
+    if not np.abs(middle).max() * np.finfo(np.float32).eps > ORIGIN_LOSS * width:
+        return np.zeros(3)
+    low, high = np.quantile(points, (SIZE_TAIL, 1.0 - SIZE_TAIL), axis=0)
+    step = 10.0 ** math.floor(math.log10(max(float((high - low).max()), width, 1e-300)))
+    return np.asarray(np.round(middle / step) * step, np.float64)
+
+
+def _grid_point(middle: Doubles, size: float) -> Doubles:
+    """Returns the nearest point of a grid whose step is `ORIGIN_GRID` sizes, rounded up to a power of two."""
+    least = max(ORIGIN_GRID * size, 1e-12 * float(np.abs(middle).max()), 1e-300)
+    step = 2.0 ** math.ceil(math.log2(least))
+    return np.asarray(np.round(middle / step) * step, np.float64)
+
+
+def _box(asset: Gaussians | Mesh) -> _Box:
+    """Returns an asset's box, found once from a few thousand of its points; strays do not count."""
+    found = _BOXES.get(asset)
+    if found is None:
+        points = asset.means if isinstance(asset, Gaussians) else asset.positions
+        every = -(-len(points) // SIZE_SAMPLE)
+        points = points[::every].astype(np.float64)
+        if isinstance(asset, Mesh):
+            low, high = points.min(axis=0), points.max(axis=0)
+        else:
+            width = float(np.median(asset.scales[::every].max(axis=1)))
+            low, high = np.quantile(points, (SIZE_TAIL, 1.0 - SIZE_TAIL), axis=0)
+            low, high = low - width, high + width
+        middle = _grid_point(0.5 * (low + high), float((high - low).max()))
+        found = _BOXES[asset] = _Box(low, high, middle, bool(middle.any()))
+    return found
 
 
 def _boxes(scene: Scene) -> tuple[Doubles, Doubles]:
     """Returns middles and sides of world boxes that most of each instance lies in, shape (N, 3) each."""
     assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
-    for asset in assets:
-        if asset not in _BOXES:
-            _BOXES[asset] = _asset_box(asset)
-    boxes = np.array([_BOXES[asset] for asset in assets])
+    boxes = np.array([_box(asset)[:2] for asset in assets])
     matrices = np.array([one.transform for one in (*scene.splats, *scene.meshes)])[:, :3]
     middles = np.einsum("nij,nj->ni", matrices[:, :, :3], 0.5 * boxes.sum(axis=1)) + matrices[:, :, 3]
     return middles, np.einsum("nij,nj->ni", np.abs(matrices[:, :, :3]), boxes[:, 1] - boxes[:, 0])
-
-
-def _asset_box(asset: Gaussians | Mesh) -> tuple[Doubles, Doubles]:
-    """Returns corners of an asset's box, in its own space, from a few thousand of its points; strays do not count."""
-    points = asset.means if isinstance(asset, Gaussians) else asset.positions
-    every = -(-len(points) // SIZE_SAMPLE)
-    points = points[::every].astype(np.float64)
-    if isinstance(asset, Mesh):
-        return points.min(axis=0), points.max(axis=0)
-    low, high = np.quantile(points, (SIZE_TAIL, 1.0 - SIZE_TAIL), axis=0)
-    width = float(np.median(asset.scales[::every].max(axis=1)))
-    return low - width, high + width

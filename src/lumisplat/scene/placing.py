@@ -13,7 +13,7 @@ from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
 from lumisplat.math.rotations import axis_rotation
-from lumisplat.scene.up import front_vector, up_vector
+from lumisplat.scene.up import Vector, front_vector, up_vector
 
 
 class Placing(NamedTuple):
@@ -56,13 +56,15 @@ class PlacedInstance:
         assert matrix is not None
         return matrix
 
-    def _place(self, world_from_object: npt.ArrayLike | None, placing: Placing) -> None:
-        """Makes ``world_from_object`` the checked matrix, the given one or that of the placing.
+    def _place(
+        self, world_from_object: npt.ArrayLike | None, placing: Placing, origin: Vector = (0.0, 0.0, 0.0)
+    ) -> None:
+        """Makes ``world_from_object`` the checked matrix, the given one or that of the placing, else at ``origin``.
 
         Raises:
             SceneError: As of `placed`.
         """
-        object.__setattr__(self, "world_from_object", placed(world_from_object, placing))
+        object.__setattr__(self, "world_from_object", placed(world_from_object, placing, origin))
 
     def _placement(self) -> str:
         """Name and position, and the scale unless that is 1."""
@@ -72,19 +74,22 @@ class PlacedInstance:
         return f"name={self.name!r}, position=({', '.join(f'{value:z.4g}' for value in matrix[:3, 3])}){scaled}"
 
 
-def placed(world_from_object: npt.ArrayLike | None, placing: Placing) -> Doubles:
-    """``world_from_object``, shape (4, 4): points are scaled, turned, stood upright, then moved.
+def placed(world_from_object: npt.ArrayLike | None, placing: Placing, origin: Vector = (0.0, 0.0, 0.0)) -> Doubles:
+    """``world_from_object``, shape (4, 4): points are scaled, turned, stood upright, then moved, else to ``origin``.
 
     Raises:
         SceneError: Both a matrix and a placing are given, or a value is out of range.
     """
     given = [name for name, value in placing._asdict().items() if value is not None]
+    if not given and world_from_object is None:
+        world_from_object = np.eye(4)
+        world_from_object[:3, 3] = origin
     if not given:
         return matrix_4x4("world_from_object", world_from_object)
     if world_from_object is not None:
         raise SceneError(f"world_from_object and {given[0]} are both given: choose the matrix or the words")
     matrix = np.eye(4)
-    matrix[:3, 3] = _vector("position", placing.position, 0.0)
+    matrix[:3, 3] = _vector("position", origin if placing.position is None else placing.position, 0.0)
     scale = 1.0 if placing.scale is None else placing.scale
     if not is_number(scale) or not 0.0 < scale < np.inf:
         raise SceneError(f"scale is {scale}, expected a positive number")

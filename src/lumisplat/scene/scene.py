@@ -46,7 +46,7 @@ class SplatInstance(PlacedInstance):
 
     gaussians: Gaussians
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Similarity transform, shape (4, 4); None: the identity."""
+    """Similarity transform, shape (4, 4); None: the identity, at the ``origin`` of the Gaussians."""
     material: Material | None = None
     """How it reflects light; None: it shines as captured, whatever the lights."""
     sh_degree: int = field(default=SH_DEGREE_MAX, kw_only=True)
@@ -62,7 +62,7 @@ class SplatInstance(PlacedInstance):
             check_kind("material", self.material, (MaterialPbr, MaterialSimple), "a MaterialPbr or MaterialSimple")
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_flag("shadow_catcher", self.shadow_catcher)
-        self._place(self.world_from_object, Placing(*placing))
+        self._place(self.world_from_object, Placing(*placing), self.gaussians.origin)
         check_similarity(self.transform[:3, :3])
 
     def __repr__(self) -> str:

@@ -21,7 +21,7 @@ from lumisplat.training.learnt import NAMES, Learnt
 
 _log = logging.getLogger("lumisplat")
 
-VERSION = 5
+VERSION = 6
 _PARTS = ("values", "first", "second")
 RECORD = ("motion", "turns", "frames")
 """What a `SplatRecord` has."""

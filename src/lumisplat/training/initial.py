@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lumisplat.config import TrainConfig
 from lumisplat.constants import SH_C0
-from lumisplat.constants.photographs import PLACES_MIN
+from lumisplat.constants.photographs import ONE_PLACE, PLACES_MIN
 from lumisplat.constants.training import (
     INITIAL_DEPTHS,
     INITIAL_OPACITY,
@@ -21,9 +21,10 @@ from lumisplat.constants.training import (
     POINTS_SHARE_MIN,
 )
 from lumisplat.io.photographs.lens import is_bent
-from lumisplat.io.photographs.surroundings import camera_extent, camera_target, count_places, count_poses
+from lumisplat.io.photographs.surroundings import camera_target, count_places, count_poses
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera
+from lumisplat.scene.local_frame import camera_extent
 from lumisplat.training.learnt import Learnt
 
 _log = logging.getLogger("lumisplat")
@@ -31,8 +32,6 @@ _log = logging.getLogger("lumisplat")
 NEIGHBOURS = 3
 BLOCK = 512
 """Points among which neighbours are looked for, at most."""
-ONE_PLACE = 1e-6
-"""Extent, as a share of how far cameras are from the origin, below which it is rounding."""
 PARALLEL = 1e-3
 """Mean squared sine between optical axes and their mean below which nothing says where they meet."""
 PARALLEL_DISTANCE = 3.0
@@ -76,8 +75,8 @@ def random_points(cameras: Sequence[Camera], around: Surroundings, count: int, r
 
 
 def enough_points(
-    points: FloatArray | None, colors: FloatArray | None, cameras: Sequence[Camera], config: TrainConfig
-) -> tuple[FloatArray | None, FloatArray | None]:
+    points: Doubles | None, colors: FloatArray | None, cameras: Sequence[Camera], config: TrainConfig
+) -> tuple[Doubles | None, FloatArray | None]:
     """Known points and their colours, with random ones if they are hardly any; None, if none are known.
 
     Args:
@@ -98,7 +97,7 @@ def enough_points(
     )
     known = np.full(points.shape, 0.5) if colors is None else colors
     both = np.concatenate([known, rng.uniform(size=added.shape)])
-    return np.concatenate([points, added]).astype(np.float32), both.astype(np.float32)
+    return np.concatenate([points, added]), both.astype(np.float32)
 
 
 def say_if_few(cameras: Sequence[Camera]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 from lumisplat.config import TrainConfig
 from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.constants import KERNEL_DEGREE
+from lumisplat.constants.training import TRAINING_EXTENT
 from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io import save
 from lumisplat.io.photographs.loading import load_photographs
@@ -23,6 +24,7 @@ from lumisplat.progress import Progress, say_nothing
 from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.local_frame import LocalFrame
 from lumisplat.training.checkpoint import check_images, read_checkpoint, write_checkpoint
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore
@@ -152,9 +154,13 @@ class _Run:
     ) -> None:
         self._photographs, self._config, self._folder, self._progress = photographs, config, folder, progress
         views = [TrainingView.of(photograph) for photograph in photographs.training]
+        self._frame = training_frame(photographs)
+        """The frame in which Gaussians are learnt."""
+        views = [replace(view, camera=self._frame.camera(view.camera)) for view in views]
         cameras = [view.camera for view in views]
         say_if_few(cameras)
-        points, colors = enough_points(photographs.points, photographs.point_colors, cameras, config)
+        known = None if photographs.points is None else self._frame.points(photographs.points)
+        points, colors = enough_points(known, photographs.point_colors, cameras, config)
         self._trainer = Trainer(
             views,
             config,
@@ -199,9 +205,9 @@ class _Run:
                     told = now
                     self._progress(self._line(now), trainer.iteration / total)
                 if is_measured(trainer.iteration) and trainer.iteration < total:
-                    self._curve.measure(trainer.iteration, self._held_out.psnr(trainer.gaussians()))
+                    self._curve.measure(trainer.iteration, self._held_out.psnr(self._gaussians()))
                 if preview is not None and self._folder is not None and trainer.iteration % preview == 0:
-                    self._held_out.preview(trainer.gaussians(), self._folder.preview(trainer.iteration))
+                    self._held_out.preview(self._gaussians(), self._folder.preview(trainer.iteration))
                 if now - saved >= CHECKPOINT_EVERY_S:
                     saved = now
                     self._save()
@@ -230,9 +236,13 @@ class _Run:
         seconds = time.monotonic() - self._begun
         return TrainResult(gaussians, done, done == self._config.iterations, score, seconds, exposures, pruned, cameras)
 
+    def _gaussians(self) -> Gaussians:
+        """What has been learnt so far, in the world."""
+        return self._frame.gaussians(self._trainer.gaussians())
+
     def _pruned(self) -> tuple[Gaussians, int]:
         """What has been learnt without what shows too little, and how many these were; all of it, if all does."""
-        gaussians, least = self._trainer.gaussians(), self._config.prune_below
+        gaussians, least = self._gaussians(), self._config.prune_below
         if least == 0.0:
             return gaussians, 0
         weights = self._trainer.largest_weights()
@@ -258,8 +268,8 @@ class _Run:
         if self._trainer.poses is None:
             return None
         return tuple(
-            self._trainer.poses.posed(number, photograph.camera)
-            for number, photograph in enumerate(self._photographs.training)
+            replace(photograph.camera, camera_from_world=self._frame.world_pose(pose))
+            for pose, photograph in zip(self._trainer.poses.values, self._photographs.training, strict=True)
         )
 
     def _save(self) -> None:
@@ -276,6 +286,14 @@ class _Run:
     def _mark(self) -> str:
         """What tells these photographs, their bytes, lenses, poses, masks and points from others."""
         return self._photographs.fingerprint
+
+
+def training_frame(photographs: Photographs) -> LocalFrame:
+    """Returns the frame in which Gaussians are learnt: about the cameras, in a unit in which all sets are alike.
+
+    What comes of a training does not depend on the unit of a scene, nor on where its zero is.
+    """
+    return LocalFrame.of_cameras([photograph.camera for photograph in photographs.training], TRAINING_EXTENT)
 
 
 def is_measured(step: int) -> bool:

@@ -319,7 +319,7 @@ class Trainer:
         if learnt.count == 0:
             raise DivergedError(
                 f"training stopped at step {self.iteration:,}: no Gaussian is left that is neither transparent nor "
-                f"larger than a tenth of the extent of the cameras, {self.around.extent:.3g}: use mcmc"
+                "larger than a tenth of the extent of the cameras: use mcmc"
             )
         self._place(learnt)
 

@@ -53,6 +53,8 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
         ("memory", byte_size(sum(array.nbytes for array in arrays.values()))),
         ("antialiased", "yes (Mip-Splatting)" if gaussians.antialiased else "no"),
     ]
+    if any(gaussians.origin):
+        rows.insert(3, ("origin", "{:.12g} {:.12g} {:.12g}, which bounds are about".format(*gaussians.origin)))
     if gaussians.kernel_degree != 2:  # all but a few captures
         rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
     extras = [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays]

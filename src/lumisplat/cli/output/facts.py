@@ -25,6 +25,7 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
         "gaussians": gaussians.count,
         "sh_degree": gaussians.sh_degree,
         "bounds": _box(gaussians.bounds()),
+        "origin": list(gaussians.origin),
         "scale_percentiles": [float(value) for value in np.percentile(gaussians.scales, (1, 50, 99))],
         "opacity_histogram": np.histogram(gaussians.opacities, bins=10, range=(0.0, 1.0))[0].tolist(),
         "memory_bytes": sum(array.nbytes for array in arrays.values()),

@@ -10,7 +10,7 @@ import numpy as np
 from lumisplat.errors import FormatError
 from lumisplat.io.cameras.colmap import text_lines
 from lumisplat.io.files.source import parsing, read_bytes
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 
 _POINT = np.dtype([("number", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")])
 """A point of a .bin file, before its track."""
@@ -18,7 +18,7 @@ _TRACK_BYTES = 8
 _TRACK_AT = _POINT.itemsize - 8
 
 
-def read_colmap_points(folder: Path) -> tuple[FloatArray, FloatArray] | None:
+def read_colmap_points(folder: Path) -> tuple[Doubles, FloatArray] | None:
     """The points of a model.
 
     Args:
@@ -46,7 +46,7 @@ def read_colmap_points(folder: Path) -> tuple[FloatArray, FloatArray] | None:
         return positions, colors / np.float32(255.0)
 
 
-def _read_binary(path: Path) -> tuple[FloatArray, FloatArray]:
+def _read_binary(path: Path) -> tuple[Doubles, FloatArray]:
     data = read_bytes(path)
     (count,) = struct.unpack_from("<Q", data)
     length, at, starts = struct.Struct("<Q"), 8, list[int]()
@@ -59,10 +59,10 @@ def _read_binary(path: Path) -> tuple[FloatArray, FloatArray]:
         raise FormatError(path, f"is cut off in the last of {count:,} points")
     rows = np.asarray(starts, np.int64)[:, None] + np.arange(_POINT.itemsize)
     points = np.frombuffer(data, np.uint8)[rows].view(_POINT)[:, 0]
-    return points["xyz"].astype(np.float32), points["rgb"].astype(np.float32)
+    return points["xyz"].astype(np.float64), points["rgb"].astype(np.float32)
 
 
-def _read_text(path: Path) -> tuple[FloatArray, FloatArray]:
+def _read_text(path: Path) -> tuple[Doubles, FloatArray]:
     rows = [line.split(maxsplit=7)[1:7] for line in text_lines(path)]
     short = next((index for index, row in enumerate(rows) if len(row) < 6), None)
     if short is not None:
@@ -70,4 +70,4 @@ def _read_text(path: Path) -> tuple[FloatArray, FloatArray]:
     values = np.array(rows, np.float64).reshape(-1, 6)
     if (values[:, 3:] < 0.0).any() or (values[:, 3:] > 255.0).any():
         raise FormatError(path, "has a colour outside of 0..255")
-    return values[:, :3].astype(np.float32), values[:, 3:].astype(np.float32)
+    return values[:, :3], values[:, 3:].astype(np.float32)

@@ -32,9 +32,10 @@ from lumisplat.io.photographs.listing import (
 from lumisplat.io.photographs.nerfstudio import Splits, nerfstudio_points
 from lumisplat.io.photographs.photographs import Photograph, Photographs, ReadFrom
 from lumisplat.io.photographs.pixels import Source, read_mask
-from lumisplat.io.photographs.surroundings import camera_extent, camera_target
-from lumisplat.math.arrays import FloatArray
+from lumisplat.io.photographs.surroundings import camera_target
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.local_frame import camera_extent
 
 _log = logging.getLogger("lumisplat")
 
@@ -50,7 +51,7 @@ class _Found:
     photographs: list[Listed]
     held_out: list[Listed] | None = None
     """Photographs that have a file of their own; None: there is none."""
-    points: tuple[FloatArray, FloatArray] | None = None
+    points: tuple[Doubles, FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from lumisplat.io.files.source import parsing
 from lumisplat.io.photographs.listing import Listed, shortest_name
 from lumisplat.io.ply.header import read_ply_header
 from lumisplat.io.ply.rows import PlyRows, read_ply_element
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 
 _log = logging.getLogger("lumisplat")
 
@@ -64,7 +64,7 @@ class Splits:
         return learnt, rest if holds_out else []
 
 
-def nerfstudio_points(path: Path) -> tuple[FloatArray, FloatArray] | None:
+def nerfstudio_points(path: Path) -> tuple[Doubles, FloatArray] | None:
     """The points of ``ply_file_path``; None: it names none, or they are not there, of which a log line tells.
 
     Returns:
@@ -85,7 +85,7 @@ def nerfstudio_points(path: Path) -> tuple[FloatArray, FloatArray] | None:
         rows = read_ply_element(header, header.required("vertex"))
         if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
             raise FormatError(file, "has no x, y and z: expected points")
-        positions = _columns(rows, ("x", "y", "z")).astype(np.float32)
+        positions = _columns(rows, ("x", "y", "z"))
         if not len(positions):
             return None
         if not np.isfinite(positions).all():

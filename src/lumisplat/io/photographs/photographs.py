@@ -96,7 +96,7 @@ class Photographs:
     """Those to learn from, at least one, ordered by name."""
     held_out: tuple[Photograph, ...]
     """Those to measure with, ordered by name; there may be none."""
-    points: FloatArray | None
+    points: Doubles | None
     """Points of the scene that COLMAP has found, world space, shape (N, 3); None: there are none."""
     point_colors: FloatArray | None
     """Their display-referred sRGB, 0..1, shape (N, 3)."""

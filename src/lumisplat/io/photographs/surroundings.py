@@ -6,15 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lumisplat.constants.photographs import CAMERA_MARGIN, SAME_PLACE, SAME_TURN
+from lumisplat.constants.photographs import ONE_PLACE, SAME_PLACE, SAME_TURN
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera
-
-
-def camera_extent(cameras: Sequence[Camera]) -> float:
-    """1.1 times the largest distance of a camera from the mean of their positions, scene units."""
-    eyes = np.stack([camera.eye for camera in cameras])
-    return CAMERA_MARGIN * float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max())
+from lumisplat.scene.local_frame import camera_extent
 
 
 def camera_target(cameras: Sequence[Camera]) -> Doubles:
@@ -44,7 +39,7 @@ def _different(cameras: Sequence[Camera], *, turned: bool) -> list[int]:
     """Numbers of cameras that are in another place than all of these before them, or if ``turned`` otherwise turned."""
     eyes = np.stack([camera.eye for camera in cameras])
     turns = np.stack([camera.camera_from_world[:3, :3] for camera in cameras])
-    near = SAME_PLACE * max(camera_extent(cameras), SAME_PLACE * float(np.linalg.norm(eyes, axis=1).max()))
+    near = SAME_PLACE * max(camera_extent(cameras), ONE_PLACE / SAME_PLACE * float(np.abs(eyes).max()))
     found: list[int] = []
     for number, (eye, turn) in enumerate(zip(eyes, turns, strict=True)):
         same = np.linalg.norm(eyes[found] - eye, axis=1) <= near

@@ -15,9 +15,16 @@ from lumisplat.constants import KERNEL_DEGREE, LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.material_columns import FIELDS, LINEAR, MaterialColumns
-from lumisplat.io.splats.orientation import UNSTATED, Orientation
+from lumisplat.io.splats.orientation import (
+    UNSTATED,
+    Orientation,
+    origin_of_comments,
+    origin_text,
+    without_origin,
+)
 from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.up import Vector
 
 _log = logging.getLogger("lumisplat")
 
@@ -52,6 +59,8 @@ class SplatColumns:
     kernel_degree: int = KERNEL_DEGREE
     comments: tuple[str, ...] = ()
     orientation: Orientation = UNSTATED
+    origin: Vector = (0.0, 0.0, 0.0)
+    """As of `Gaussians`, in addition to that of a comment."""
     """Up and first view, in the axes of the means."""
 
     @property
@@ -221,7 +230,8 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
             **{name: select(values) for name, values in extras.items()},
             antialiased=columns.antialiased,
             kernel_degree=columns.kernel_degree,
-            comments=columns.comments,
+            comments=without_origin(columns.comments),
+            origin=tuple(map(sum, zip(columns.origin, origin_of_comments(path, columns.comments), strict=True))),
             **columns.orientation._asdict(),
         )
     except SceneError as error:
@@ -346,7 +356,15 @@ def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Calla
 
 
 def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None:
-    """Logs which normals and materials a format cannot store."""
+    """Logs which normals and materials a format cannot store, nor the origin of a capture, unless comments state it."""
     lost = [name for name in OPTIONAL if getattr(gaussians, name) is not None]
     if lost:
         _log.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))
+    if any(gaussians.origin) and kind != "compressed PLY":
+        _log.warning(
+            "%s: %s cannot store the origin of the capture, %s: positions are about it, and it has to be placed there "
+            "(.ply, .glb and .usdc keep it)",
+            os.fspath(path),
+            kind,
+            origin_text(gaussians.origin),
+        )

@@ -1,8 +1,9 @@
-"""Up and first view of a capture, as files state them: plain values of JSON, and comments of PLY headers.
+"""Up, first view and origin of a capture, as files state them: plain values of JSON, and comments of PLY headers.
 
 A file of any format has ``{"up": [x, y, z], "first_view": {"eye", "target", "up", "fov_y", "width", "height"}}``, in
-the axes in which its Gaussians are loaded. PLY headers have a comment for each, ``lumisplat up 0 0 1`` and
-``lumisplat first_view {...}``; of other programs they understand nerfstudio's ``Vertical Axis: z``.
+the axes in which its Gaussians are loaded. PLY headers have a comment for each: ``lumisplat up 0 0 1``, ``lumisplat
+first_view {...}`` and ``lumisplat origin 500000 4649000 0``, about which positions are; of other programs they
+understand nerfstudio's ``Vertical Axis: z``.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ from lumisplat.errors import SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.light_aims import vector
 from lumisplat.scene.up import Vector, up_vector
 
 _log = logging.getLogger("lumisplat")
 
 _UP = re.compile(r"\s*lumisplat\s+up\s+(?P<numbers>.*)", re.I)
 _FIRST_VIEW = re.compile(r"\s*lumisplat\s+first_view\s+(?P<values>\{.*)", re.I)
+_ORIGIN = re.compile(r"\s*lumisplat\s+origin\s+(?P<numbers>.*)", re.I)
 _VERTICAL_AXIS = re.compile(r"\s*(?:vertical|up)[ _-]*axis\s*[:=]?\s*(?P<sign>[+-]?)(?P<axis>[xyz])\b.*", re.I)
 """The comment of nerfstudio's ``ns-export gaussian-splat``, and its like."""
 
@@ -121,9 +124,31 @@ def without_orientation(comments: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(line for line in comments if not (_UP.fullmatch(line) or _FIRST_VIEW.fullmatch(line)))
 
 
+def origin_of_comments(path: PathLike, comments: tuple[str, ...]) -> Vector:
+    """Returns the origin that comments of a PLY header state, the last one; zero if there is none that can be read."""
+    stated = [match["numbers"] for match in map(_ORIGIN.fullmatch, comments) if match]
+    try:
+        return vector("origin", [float(number) for number in stated[-1].split()]) if stated else (0.0, 0.0, 0.0)
+    except (SceneError, ValueError):
+        _log.warning("%s: its origin is not three numbers: not used", os.fspath(path))
+        return 0.0, 0.0, 0.0
+
+
+def without_origin(comments: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the comments without those that state an origin."""
+    return tuple(line for line in comments if not _ORIGIN.fullmatch(line))
+
+
+def origin_text(origin: Vector) -> str:
+    """Returns an origin as comments and messages have it, to the bit."""
+    return " ".join(f"{value:.17g}" if float(f"{value:.12g}") != value else f"{value:.12g}" for value in origin)
+
+
 def comments_with_orientation(gaussians: Gaussians, comments: tuple[str, ...]) -> tuple[str, ...]:
     """Returns comments that state up and first view of a capture; those of others that state another up are removed."""
-    comments = without_orientation(comments)
+    comments = without_origin(without_orientation(comments))
+    if any(gaussians.origin):
+        comments += (f"lumisplat origin {origin_text(gaussians.origin)}",)
     if orientation_of_comments("", comments).up != gaussians.up:
         comments = tuple(line for line in comments if not _VERTICAL_AXIS.fullmatch(line))
         if gaussians.up is not None:

@@ -47,10 +47,12 @@ from lumisplat.io.splats.material_columns import (
 from lumisplat.io.splats.orientation import (
     comments_with_orientation,
     orientation_of_comments,
+    origin_text,
     without_orientation,
 )
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians
+from lumisplat.scene.local_frame import needed_origin
 
 _log = logging.getLogger("lumisplat")
 
@@ -142,6 +144,7 @@ def read_splat_ply(
         raise FormatError(header.path, "holds zero Gaussians: there is nothing to render")
     recognise_activated(header.path, columns, scale_columns(vertex))
     _flatten_2d(columns, vertex)
+    _about_origin(header.path, columns)
     _tell_incomplete_materials(header, vertex, columns)
     _leave_out_unknown_materials(header, vertex, columns)
     return columns
@@ -199,6 +202,26 @@ def _unit(color: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     return color.astype(np.float32) / np.float32(largest)
 
 
+def _about_origin(path: PathLike, columns: SplatColumns) -> None:
+    """Moves means that float32 cannot hold to an origin next to them, as a log line says."""
+    if columns.means.dtype == np.float32:
+        return
+    with np.errstate(all="ignore"):
+        widths = columns.log_scales.max(axis=1)
+        width = float(np.nanmedian(np.exp(widths) if columns.scales_are_logarithms else widths))
+        origin = needed_origin(np.asarray(columns.means, np.float64), width)
+        columns.means = (columns.means - origin).astype(np.float32)
+    if origin.any():
+        x, y, z = columns.origin = tuple(origin.tolist())
+        _log.warning(
+            "%s: positions are about an origin, %s, as float32 cannot hold them about zero; "
+            "convert --translate=%.12g,%.12g,%.12g moves it to zero",
+            os.fspath(path),
+            origin_text(columns.origin),
+            *(-x, -y, -z),
+        )
+
+
 def scale_columns(vertex: PlyElement) -> int:
     """Returns the number of scales: 2D Gaussians have two."""
     return 3 if "scale_2" in vertex.names else 2
@@ -241,8 +264,9 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
         return empty(*shape) if names and set(names) <= set(vertex.names) else None
 
     light = [count for count in SH_DEGREE_FROM_COUNT if set(harmonic_names("incidents", count)) <= set(vertex.names)]
+    wide = any(prop.name in PROPERTY_NAMES["means"] and prop.code == "f8" for prop in vertex.properties)
     return SplatColumns(
-        means=empty(3),
+        means=np.empty((vertex.count, 3), np.float64) if wide else empty(3),
         rotations_wxyz=empty(4),
         log_scales=empty(3),
         opacities=empty(),

@@ -117,6 +117,7 @@ def estimate_materials(
         )
     if gaussians.albedo is not None:
         _log.warning("the capture has an albedo already: it is replaced by one from its captured colours")
+    origin, gaussians = gaussians.origin, replace(gaussians, origin=(0.0, 0.0, 0.0))
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device, threads=threads)
     if not np.ptp(gaussians.means, axis=0).any():
         raise SceneError("no surface whose material could be told: all Gaussians are in one place")
@@ -126,7 +127,8 @@ def estimate_materials(
             "bit, as in fog (of a training that was stopped early, more steps make surfaces)"
         )
     rays = IncidentRays(gaussians, renderer, config.seed)
-    return _Delighter(gaussians, config, rays, progress or say_nothing).run()
+    found = _Delighter(gaussians, config, rays, progress or say_nothing).run()
+    return replace(found, gaussians=replace(found.gaussians, origin=origin))
 
 
 @dataclass(frozen=True, slots=True)

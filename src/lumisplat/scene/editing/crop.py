@@ -38,7 +38,7 @@ def crop(
     inside = np.ones(gaussians.count, dtype=bool)
     if box is not None:
         corners = _pair("box", box, "two corners of three numbers")
-        first, second = (_point("box", corner) for corner in corners)
+        first, second = (_point("box", corner) - gaussians.origin for corner in corners)
         low, high = np.minimum(first, second), np.maximum(first, second)
         inside &= ((gaussians.means >= low) & (gaussians.means <= high)).all(axis=1)
     if sphere is not None:
@@ -46,7 +46,7 @@ def crop(
         size = finite_numbers(radius, ())
         check_positive("the radius of sphere", radius if size is None else size.item())
         assert size is not None
-        offset = gaussians.means - _point("sphere", center)
+        offset = gaussians.means - (_point("sphere", center) - gaussians.origin)
         inside &= np.einsum("ij,ij->i", offset, offset) <= size.item() ** 2
     return remaining(gaussians, ~inside if outside else inside)
 

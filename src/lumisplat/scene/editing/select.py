@@ -91,7 +91,8 @@ def _limits(name: str, limits: object) -> tuple[float, float]:
 def _values(gaussians: Gaussians, name: str) -> FloatArray:
     """One number for each Gaussian, shape (N,)."""
     if name in ("x", "y", "z"):
-        return gaussians.means[:, "xyz".index(name)]
+        axis = "xyz".index(name)
+        return gaussians.means[:, axis] + gaussians.origin[axis] if any(gaussians.origin) else gaussians.means[:, axis]
     if name in ("red", "green", "blue"):
         channel = ("red", "green", "blue").index(name)
         return gaussians.sh[:, 0, channel] * np.float32(SH_C0) + np.float32(0.5)

@@ -14,6 +14,7 @@ from lumisplat.math.sh import sh_rotation
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians, moved_orientation
+from lumisplat.scene.local_frame import needed_origin
 from lumisplat.scene.scene import check_similarity
 
 _Vector = npt.ArrayLike
@@ -40,7 +41,8 @@ def transform(
         translation: then moved by this, scene units.
 
     Returns:
-        The moved Gaussians, with up and first view moved likewise; opacities and materials are the same arrays.
+        The moved Gaussians, with up, first view and origin moved likewise, about an origin if float32 needs one there;
+        opacities and materials are the same arrays.
 
     Raises:
         SceneError: A number is not finite, ``scale`` is not positive, or ``matrix`` mirrors, shears or scales the axes
@@ -52,6 +54,13 @@ def transform(
     factor = float(np.cbrt(np.linalg.det(new_from_old[:3, :3])))
     rotation = new_from_old[:3, :3] / factor
     turned = quaternions_from_matrices(rotation[None])[0]
+    if any(gaussians.origin):  # it moves, and the capture turns and grows about it
+        origin = new_from_old[:3, :3] @ gaussians.origin + new_from_old[:3, 3]
+        new_from_old[:3, 3] = 0.0
+    else:
+        width = factor * float(np.median(gaussians.scales))
+        origin = needed_origin(transform_points(new_from_old, gaussians.means), width)
+        new_from_old[:3, 3] -= origin
     changed = {
         "means": transform_points(new_from_old, gaussians.means),
         "rotations_wxyz": multiply_quaternions(turned, gaussians.rotations_wxyz),
@@ -64,7 +73,7 @@ def transform(
         changed["normals"] = gaussians.normals @ rotation.T
     with np.errstate(over="ignore", under="ignore"):  # too large or too small: refused
         arrays = {name: read_only_view(v.astype(np.float32)) for name, v in changed.items()}
-        return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old))
+        return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old), origin=tuple(origin.tolist()))
 
 
 def turned_harmonics(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:

@@ -33,6 +33,7 @@ from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
+from lumisplat.scene.local_frame import LocalFrame
 from lumisplat.training.materials.exposure_spread import exposure_spread
 from lumisplat.training.materials.incident import IncidentRadiance, traced_incident
 from lumisplat.training.materials.lit_gaussians import Materials
@@ -111,7 +112,10 @@ def find_materials(
             check_can_be_written(path)
     if not isinstance(photographs, Photographs):
         photographs = load_photographs(photographs)
+    origin, frame = gaussians.origin, LocalFrame(np.asarray(gaussians.origin))
+    gaussians = replace(gaussians, origin=(0.0, 0.0, 0.0))
     views = [TrainingView.of(photograph) for photograph in photographs.training]
+    views = [replace(view, camera=frame.camera(view.camera)) for view in views]
     for view in views:
         if is_bent(view.camera):
             raise ConfigError(f"photograph {view.name} is of a lens that bends: load photographs straightened")
@@ -121,6 +125,7 @@ def find_materials(
         files = MaterialFiles.of(folder, gaussians, photographs.fingerprint, config)
     search = _Search(gaussians, views, config, files, device=device, threads=threads, progress=progress or say_nothing)
     found = search.found()
+    found = replace(found, gaussians=replace(found.gaussians, origin=origin))
     if output is not None:
         _write(Path(output), found)
     return found

@@ -1,0 +1,164 @@
+"""Captures in map coordinates: an origin in float64, which files, edits and scenes keep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli import main
+
+UTM = (500123.0, 5400987.0, 312.0)
+NAMES = (
+    *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
+    *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+)
+
+
+def capture(origin: tuple[float, float, float] = UTM) -> ls.Gaussians:
+    """Small Gaussians around an origin."""
+    rng = np.random.default_rng(5)
+    return ls.Gaussians(
+        means=rng.normal(size=(60, 3)),
+        rotations_wxyz=rng.normal(size=(60, 4)),
+        scales=rng.uniform(0.02, 0.06, (60, 3)),
+        opacities=rng.uniform(0.3, 0.9, 60),
+        sh=rng.normal(size=(60, 1, 3)),
+        origin=origin,
+    )
+
+
+def write_doubles(path: Path, gaussians: ls.Gaussians, shift: np.ndarray) -> Path:
+    """A capture as programs of surveyors write it: positions are doubles in map coordinates."""
+    types = [(name, "<f8" if name in "xyz" else "<f4") for name in NAMES]
+    rows = np.zeros(gaussians.count, types)
+    logits = np.log(gaussians.opacities) - np.log1p(-gaussians.opacities)
+    columns = (gaussians.means + shift, gaussians.sh[:, 0], logits[:, None], np.log(gaussians.scales))
+    for name, values in zip(NAMES, np.hstack([*columns, gaussians.rotations_wxyz]).T, strict=True):
+        rows[name] = values
+    lines = [f"property {'double' if name in 'xyz' else 'float'} {name}" for name in NAMES]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *lines, "end_header", ""]
+    path.write_bytes("\n".join(header).encode() + rows.tobytes())
+    return path
+
+
+def in_world(gaussians: ls.Gaussians) -> np.ndarray:
+    """Means in the capture's own coordinates, float64."""
+    return gaussians.means.astype(np.float64) + gaussians.origin
+
+
+def test_doubles_in_map_coordinates_are_about_an_origin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Nothing is torn, and a line says so; around zero, doubles are as they were."""
+    near = capture((0.0, 0.0, 0.0))
+    far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
+    assert isinstance(far, ls.Gaussians) and any(far.origin)
+    np.testing.assert_allclose(in_world(far), near.means + np.array(UTM), atol=2e-7, rtol=0)
+    assert "far.ply: positions are about an origin" in caplog.text and "convert --translate=" in caplog.text
+    caplog.clear()
+    same = ls.load(write_doubles(tmp_path / "near.ply", near, np.zeros(3)))
+    assert isinstance(same, ls.Gaussians) and not any(same.origin) and not caplog.text
+    np.testing.assert_array_equal(same.means, near.means)
+
+
+def test_a_capture_stands_at_its_origin_unless_it_is_placed(tmp_path: Path) -> None:
+    """In scenes of Python and of files; words that do not say where leave it there."""
+    far = capture()
+    for instance in (ls.SplatInstance(far), ls.Scene([far]).splats[0], ls.SplatInstance(far, scale_by=2.0)):
+        np.testing.assert_array_equal(instance.transform[:3, 3], UTM)
+    np.testing.assert_array_equal(ls.SplatInstance(far, position=(1, 2, 3)).transform[:3, 3], (1, 2, 3))
+    np.testing.assert_array_equal(ls.SplatInstance(far, np.eye(4)).transform, np.eye(4))
+    ls.save(tmp_path / "far.ply", far)
+    (tmp_path / "scene.toml").write_text('[[splats]]\npath = "far.ply"\n')
+    scene = ls.load(tmp_path / "scene.toml")
+    assert isinstance(scene, ls.Scene)
+    np.testing.assert_allclose(scene.splats[0].world_means, far.means + np.array(UTM), atol=1e-6, rtol=0)
+
+
+def test_cameras_in_map_coordinates_show_what_they_show_at_zero(tmp_path: Path) -> None:
+    """A capture of doubles, and a camera as a survey has it."""
+    near = capture((0.0, 0.0, 0.0))
+    far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
+    here = ls.load(write_doubles(tmp_path / "near.ply", near, np.zeros(3)))
+    assert isinstance(far, ls.Gaussians) and isinstance(here, ls.Gaussians)
+    eye = np.array([3.0, 2.0, 4.0])
+    frames = [
+        ls.render(ls.Scene([one]), ls.Camera.look_at(eye + at, at, width=48, height=32), device="cpu")
+        for one, at in ((here, np.zeros(3)), (far, np.array(UTM)))
+    ]
+    assert frames[0].alpha.max() > 0.5
+    np.testing.assert_allclose(frames[1].color, frames[0].color, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["x.ply", "x.compressed.ply", "x.glb", "x.usdc"])
+def test_files_keep_the_origin(tmp_path: Path, name: str) -> None:
+    """A comment, or the transform of a node, has it in full; comments are not doubled."""
+    if name.endswith("usdc"):
+        pytest.importorskip("pxr")
+    far = replace(capture(), origin=(500123.125, 5400987.1, 312.0))
+    ls.save(tmp_path / name, far)
+    loaded = ls.load(tmp_path / name)
+    assert isinstance(loaded, ls.Gaussians) and any(loaded.origin)
+    assert loaded.origin == far.origin or not name.endswith("ply")
+    assert not any("origin" in line for line in loaded.comments)
+    world = in_world(loaded)
+    middle = (far.means + np.array(far.origin)).mean(axis=0)
+    np.testing.assert_allclose(world.mean(axis=0), middle, atol=1e-2 if "compressed" in name else 1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("name", ["x.spz", "x.sog"])
+def test_files_that_cannot_keep_the_origin_say_so(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Positions are about it."""
+    ls.save(tmp_path / name, capture())
+    assert "cannot store the origin of the capture, 500123 5400987 312" in caplog.text
+    loaded = ls.load(tmp_path / name)
+    assert isinstance(loaded, ls.Gaussians) and np.abs(loaded.means).max() < 10.0
+
+
+@pytest.mark.parametrize("numbers", ["1 2", "a b c", "1 2 nan", "", "1e400 0 0"])
+def test_an_origin_that_is_none_is_said(tmp_path: Path, numbers: str, caplog: pytest.LogCaptureFixture) -> None:
+    """And is zero."""
+    near = capture((0.0, 0.0, 0.0))
+    ls.save(tmp_path / "x.ply", replace(near, comments=("lumisplat origin_of_nothing",)))
+    data = (tmp_path / "x.ply").read_bytes()
+    (tmp_path / "x.ply").write_bytes(
+        data.replace(b"lumisplat origin_of_nothing", f"lumisplat origin  {numbers}".encode())
+    )
+    loaded = ls.load(tmp_path / "x.ply")
+    assert isinstance(loaded, ls.Gaussians) and not any(loaded.origin)
+    assert not numbers or "its origin is not three numbers" in caplog.text
+
+
+def test_edits_are_in_the_coordinates_of_the_capture() -> None:
+    """Moved, turned, scaled, cut out, selected and joined: as if all were done in float64."""
+    far, wide = capture(), in_world(capture())
+    moved = ls.transform(far, scale=2.0, rotation_degrees=(0, 0, 90), translation=(1.0, 2.0, 3.0))
+    expected = 2.0 * wide @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]) + (1.0, 2.0, 3.0)
+    np.testing.assert_allclose(in_world(moved), expected, atol=1e-5, rtol=0)
+    home = ls.transform(far, translation=-np.array(UTM))
+    assert not any(home.origin)
+    np.testing.assert_array_equal(home.means, far.means)
+    low, high = np.array(UTM) - 0.5, np.array(UTM) + 0.5
+    inside = ((wide >= low) & (wide <= high)).all(axis=1)
+    np.testing.assert_array_equal(ls.crop(far, box=(low, high)).means, far.means[inside])
+    ball = np.linalg.norm(wide - UTM, axis=1) <= 0.8
+    np.testing.assert_array_equal(ls.crop(far, sphere=(UTM, 0.8)).means, far.means[ball])
+    both = ls.merge([far, replace(far, origin=(UTM[0] + 10.0, *UTM[1:]))])
+    np.testing.assert_allclose(in_world(both)[60:, 0] - in_world(both)[:60, 0], 10.0, atol=1e-5)
+    np.testing.assert_allclose(in_world(ls.merge([capture((0.0, 0.0, 0.0)), far]))[60:], wide, atol=1e-6)
+
+
+def test_info_and_convert_know_the_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A row of ``info``, and a key of its JSON; ``convert --translate`` moves the capture to zero."""
+    ls.save(tmp_path / "far.ply", capture())
+    assert main(["info", str(tmp_path / "far.ply")]) == 0
+    assert "500123 5400987 312" in capsys.readouterr().out
+    assert main(["info", str(tmp_path / "far.ply"), "--json"]) == 0
+    assert '"origin"' in capsys.readouterr().out
+    move = ",".join(f"{-value:g}" if value == 312.0 else f"{-value:.0f}" for value in UTM)
+    assert main(["convert", str(tmp_path / "far.ply"), "-o", str(tmp_path / "near.ply"), f"--translate={move}"]) == 0
+    near = ls.load(tmp_path / "near.ply")
+    assert isinstance(near, ls.Gaussians) and not any(near.origin)
+    np.testing.assert_array_equal(near.means, capture().means)

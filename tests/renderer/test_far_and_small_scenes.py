@@ -1,0 +1,162 @@
+"""Pictures do not depend on where zero is, nor on the unit: all pipelines, shadows, rays and deep shadow maps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+
+FAR = [(5e5, -3e5, 1e5), (5e6, 5e5, 3e2)]
+PIPELINES = [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE, ls.Pipeline.PATH]
+WAYS = np.random.default_rng(1).normal(size=(200, 3))
+WAYS /= np.linalg.norm(WAYS, axis=1, keepdims=True)
+FLOOR = np.array([[-2.0, -0.6, -2.0], [2.0, -0.6, -2.0], [2.0, -0.6, 2.0], [-2.0, -0.6, 2.0]])
+TRIANGLES = np.array([[0, 2, 1], [0, 3, 2]])
+
+
+def ball(unit: float = 1.0) -> ls.Gaussians:
+    """Coloured Gaussians on a sphere."""
+    count = len(WAYS)
+    return ls.Gaussians(
+        means=0.5 * unit * WAYS,
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        scales=np.full((count, 3), 0.06 * unit),
+        opacities=np.full(count, 0.9),
+        sh=np.random.default_rng(2).normal(size=(count, 1, 3)) * 0.3,
+        normals=WAYS,
+    )
+
+
+def lit(place: Any = (0.0, 0.0, 0.0), unit: float = 1.0, *, in_mesh: bool = False) -> tuple[ls.Scene, ls.Camera]:
+    """A lit ball above a floor that it shadows, at a place, in a unit; the floor's own corners may be far away."""
+    at = np.asarray(place, float)
+    floor = ls.Mesh(unit * FLOOR + (at if in_mesh else 0.0), TRIANGLES)
+    scene = ls.Scene(
+        [ls.SplatInstance(ball(unit), material=ls.MaterialPbr(), position=at)],
+        [ls.MeshInstance(floor, position=(0, 0, 0) if in_mesh else at)],
+        [ls.LightPoint(at + unit * np.array([1.0, 2.0, 1.0]), intensity=20.0 * unit**2, radius=0.1 * unit)],
+        up="y-up",
+    )
+    return scene, ls.Camera.look_at(at + unit * np.array([1.5, 1.0, 2.0]), at, width=32, height=24)
+
+
+def shown(pipeline: ls.Pipeline, scene: ls.Scene, camera: ls.Camera) -> np.ndarray:
+    """A frame's colours."""
+    config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.SOFT, samples=2)
+    return ls.render(scene, camera, config, device="cpu").color
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_a_lit_scene_far_away_looks_as_at_zero(pipeline: ls.Pipeline) -> None:
+    """Shadows included; 0.8 off before. A penumbra's rounding is all that is left."""
+    expected = shown(pipeline, *lit())
+    for place in FAR:
+        np.testing.assert_allclose(shown(pipeline, *lit(place)), expected, atol=2e-3)
+
+
+def test_a_mesh_that_is_itself_far_away_looks_as_at_zero() -> None:
+    """Its corners are far in the mesh's own space: whole numbers, which float32 holds there."""
+    place = (2.0**20, -(2.0**20), 2.0**19)
+    scene, camera = lit()
+    low = np.round(8.0 * FLOOR) / 8.0  # eighths stay exact at 2^20
+    near = replace(scene, meshes=[ls.MeshInstance(ls.Mesh(low, TRIANGLES))])
+    far_scene, far_camera = lit(place)
+    far = replace(far_scene, meshes=[ls.MeshInstance(ls.Mesh(low + place, TRIANGLES))])
+    expected = shown(ls.Pipeline.TRACE, near, camera)
+    np.testing.assert_allclose(shown(ls.Pipeline.TRACE, far, far_camera), expected, atol=2e-3)
+
+
+def test_real_time_far_away_is_as_bright_as_at_zero() -> None:
+    """Cells and noise fall elsewhere: means agree, and a scene that stays keeps its history."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, shadows=ls.Shadows.SOFT)
+    means = []
+    for place in ((0.0, 0.0, 0.0), *FAR):
+        renderer = ls.create_renderer(config, "cpu")
+        scene, camera = lit(place)
+        means.append([renderer.render(scene, camera).color.mean() for _ in range(3)])
+    np.testing.assert_allclose(means[1:], [means[0], means[0]], rtol=0.01)
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+@pytest.mark.parametrize("unit", [1e-3, 1e-5, 1e3])
+def test_the_unit_of_a_scene_does_not_show(pipeline: ls.Pipeline, unit: float) -> None:
+    """A scene of millimetres, or a thousandth of these, was black behind the near plane of 0.01 units."""
+    np.testing.assert_allclose(shown(pipeline, *lit(unit=unit)), shown(pipeline, *lit()), atol=1e-3)
+
+
+def test_a_scene_in_powers_of_two_is_the_same_to_the_bit() -> None:
+    """Everything is a share of the scene's own size: only exponents change."""
+    for pipeline in PIPELINES:
+        np.testing.assert_array_equal(shown(pipeline, *lit(unit=2.0**10)), shown(pipeline, *lit(unit=2.0**5)))
+
+
+def test_rays_are_traced_from_where_they_start_in_float64() -> None:
+    """Hits, transmittances, profiles and depths of rays at map coordinates are those at zero."""
+    near, far = (lit(place)[0] for place in ((0.0, 0.0, 0.0), FAR[1]))
+    starts = np.random.default_rng(3).uniform(-0.4, 0.4, (40, 3)) + np.array([0.0, 0.0, 3.0])
+    ways = np.tile([0.0, 0.0, -1.0], (40, 1))
+    here = ls.trace_rays(near, starts, ways, ls.RenderConfig(lighting=False), device="cpu", profile=True)
+    there = ls.trace_rays(far, starts + FAR[1], ways, ls.RenderConfig(lighting=False), device="cpu", profile=True)
+    np.testing.assert_allclose(there.radiance, here.radiance, atol=1e-4)
+    np.testing.assert_allclose(there.depth, here.depth, atol=1e-4)
+    assert here.profile is not None and there.profile is not None
+    np.testing.assert_array_equal(there.profile.gaussian_index, here.profile.gaussian_index)
+    passed = [
+        ls.transmittance(scene, starts + place, ways, 3.5, device="cpu")
+        for scene, place in ((near, (0.0, 0.0, 0.0)), (far, FAR[1]))
+    ]
+    np.testing.assert_allclose(passed[1], passed[0], atol=1e-4)
+
+
+def test_the_camera_is_focused_far_away_as_at_zero() -> None:
+    """The distance of what a pixel shows."""
+    near, far = (ls.focused(*lit(place), 16, 12, device="cpu").focus_distance for place in ((0.0, 0.0, 0.0), FAR[0]))
+    assert far == pytest.approx(near, rel=1e-4)
+
+
+def test_deep_images_far_away_have_the_depths_of_those_at_zero() -> None:
+    """Samples in depth are distances from the camera, wherever that is."""
+    frames = [ls.render_deep(*lit(place), device="cpu") for place in ((0.0, 0.0, 0.0), FAR[0])]
+    np.testing.assert_array_equal(frames[0].first, frames[1].first)
+    np.testing.assert_allclose(frames[1].near, frames[0].near, atol=1e-3)
+
+
+@pytest.mark.parametrize("light", ["point", "parallel"])
+@pytest.mark.parametrize("receives", [False, True])
+def test_deep_shadow_maps_far_away_are_those_at_zero(light: str, receives: bool, tmp_path: Any) -> None:
+    """Of points and of Gaussians, of meshes as well, and after saving and loading."""
+    points = np.random.default_rng(4).uniform(-1.0, 1.0, (60, 3)) + np.array([0.0, -1.2, 0.0])
+    found = []
+    for place in ((0.0, 0.0, 0.0), *FAR):
+        at = np.array(place)
+        sheared = np.array([[1.0, 0.3, 0.0, at[0]], [0.0, 0.2, 0.0, at[1] + 0.9], [0.0, 0.0, 1.0, at[2]], [0, 0, 0, 1]])
+        casters = [
+            ls.SplatInstance(ball(), position=at),
+            ls.MeshInstance(ls.Mesh(0.3 * FLOOR, TRIANGLES), sheared),
+        ]
+        source = at + np.array([0.5, 3.0, 0.5]) if light == "point" else ls.LightDirectional((0.2, -1.0, 0.1))
+        shadow = ls.DeepShadowMap.build(
+            casters,
+            source,
+            points + at if receives else None,
+            ls.DeepShadowConfig(resolution=64, bins=16),
+            device="cpu",
+        )
+        found.append(shadow.transmittance(points + at))
+        shadow.save(tmp_path / "map.npz")
+        loaded = ls.DeepShadowMap.load(tmp_path / "map.npz", device="cpu")
+        np.testing.assert_array_equal(loaded.transmittance(points + at), found[-1])
+    assert found[0].min() < 0.5 < found[0].max()
+    for one in found[1:]:
+        np.testing.assert_allclose(one, found[0], atol=2e-3)
+
+
+def test_a_near_plane_that_is_given_stays() -> None:
+    """Only the default follows the scene: a small scene behind a plane of its own choice is cut away."""
+    scene, camera = lit(unit=1e-3)
+    assert shown(ls.Pipeline.RASTER, scene, camera).any()
+    assert not shown(ls.Pipeline.RASTER, scene, replace(camera, near=0.02)).any()

@@ -1,0 +1,126 @@
+"""Local frames: nothing that is seen changes, and float32 holds what is there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import NEAR_PLANE
+from lumisplat.scene.local_frame import LocalFrame, camera_extent, needed_origin, rendered_frame
+
+UTM = np.array([500123.25, 5400987.5, 312.0])
+
+
+def ball(size: float = 1.0, count: int = 300) -> ls.Gaussians:
+    """Gaussians on a sphere."""
+    rng = np.random.default_rng(2)
+    ways = rng.normal(size=(count, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    return ls.Gaussians(
+        means=0.5 * size * ways,
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        scales=np.full((count, 3), 0.05 * size),
+        opacities=np.full(count, 0.9),
+        sh=np.zeros((count, 1, 3)),
+    )
+
+
+@pytest.mark.parametrize("model", list(ls.CameraModel))
+@pytest.mark.parametrize("unit", [1.0, 1000.0, 1e-3])
+def test_a_camera_sees_in_a_frame_what_it_sees_in_the_world(model: ls.CameraModel, unit: float) -> None:
+    """Points of the world and those of the frame fall on the same pixels; poses come back."""
+    eye = UTM + np.array([1.0, 2.0, 3.0])
+    camera = ls.Camera.look_at(eye, UTM, (0, 0, 1), model=model, width=64, height=48, near=0.5)
+    frame = LocalFrame(UTM + 0.125, unit)
+    local = frame.camera(camera)
+    points = UTM + np.random.default_rng(1).normal(size=(20, 3)) * 0.3
+    seen, seen_local = (
+        np.asarray(c.camera_from_world)[:3, :3] @ p.T + np.asarray(c.camera_from_world)[:3, 3:]
+        for c, p in ((camera, points), (local, frame.points(points)))
+    )
+    np.testing.assert_allclose(unit * seen_local, seen, atol=1e-8)
+    np.testing.assert_allclose(unit * local.near, camera.near)
+    np.testing.assert_allclose(local.focus_distance * unit, camera.focus_distance)
+    per_unit = unit if model is ls.CameraModel.ORTHOGRAPHIC else 1.0
+    assert local.fx == pytest.approx(camera.fx * per_unit)
+    np.testing.assert_allclose(frame.world_pose(local.camera_from_world), camera.camera_from_world, atol=1e-8)
+
+
+def test_scenes_around_zero_are_rendered_as_they_are() -> None:
+    """Also with a floor that reaches far, and some sizes off the middle: the same objects, not copies."""
+    scene = ls.Scene([ls.SplatInstance(ball(), position=(3.0, -2.0, 5.0))])
+    frame, near = rendered_frame(scene)
+    assert frame.is_world and frame.scene(scene) is scene
+    assert near < NEAR_PLANE  # of a scene of one unit
+    assert rendered_frame(ls.Scene([ball(100.0)]))[1] == NEAR_PLANE
+    assert rendered_frame(ls.Scene())[1] == NEAR_PLANE
+
+
+def test_far_scenes_have_an_origin_that_stays_while_things_move() -> None:
+    """Within some sizes of the scene; lights, meshes and captures move alike, to the last digits of float64."""
+    origins = set()
+    for step in np.linspace(0.0, 3.0, 7):
+        scene = ls.Scene([ls.SplatInstance(ball(), position=UTM + np.array([step, 0.0, 0.0]))])
+        frame, _ = rendered_frame(scene)
+        origins.add(tuple(frame.origin.tolist()))
+        assert np.abs(frame.origin - UTM).max() < 32.0
+    assert len(origins) == 1
+    lights = [
+        ls.LightPoint(UTM),
+        ls.LightDirectional((0, -1, 0)),
+        ls.LightSpot(UTM, (0, -1, 0)),
+        ls.LightSphere(UTM, 0.1),
+    ]
+    scene = ls.Scene([ls.SplatInstance(ball(), position=UTM)], lights=lights)
+    moved = rendered_frame(scene)[0].scene(scene)
+    for light in moved.lights:
+        if isinstance(light, ls.LightPoint | ls.LightSpot | ls.LightSphere):
+            np.testing.assert_array_equal(light.position, moved.splats[0].transform[:3, 3])
+
+
+def test_assets_far_from_their_own_zero_are_about_a_middle_the_same_each_time() -> None:
+    """A capture whose float32 means are themselves far away: its places in the world stay."""
+    far = replace(ball(), means=ball().means + np.float32(65536.0))
+    scene = ls.Scene([far])
+    frame, _ = rendered_frame(scene)
+    first, second = (frame.scene(scene).splats[0] for _ in range(2))
+    assert first.gaussians is second.gaussians
+    assert np.abs(first.gaussians.means).max() < 64.0
+    np.testing.assert_allclose(first.world_means + frame.origin, scene.splats[0].world_means, rtol=0, atol=1e-9)
+
+
+def test_an_origin_is_taken_only_where_float32_needs_one() -> None:
+    """At a hundredth of the width of things; in any unit alike; strays and values that are not finite do not count."""
+    points = np.random.default_rng(1).normal(size=(500, 3))
+    assert not needed_origin(points + 100.0, 0.05).any()
+    assert needed_origin(points + UTM, 0.05).any()
+    for unit in (1.0, 1000.0, 1e-3):
+        origin = needed_origin(unit * (points + UTM), unit * 0.05)
+        assert np.abs(origin / unit - UTM).max() < 10.0
+    spoilt = points.copy()
+    spoilt[::50] = 1e9
+    spoilt[1] = np.nan
+    assert not needed_origin(spoilt, 0.05).any()
+
+
+def test_cameras_are_as_far_apart_in_their_frame_whatever_the_unit() -> None:
+    """Their extent in the frame is what was asked for; of cameras in one place, the unit stays."""
+    for unit in (1.0, 1000.0, 1e-3):
+        eyes = unit * (UTM + np.random.default_rng(1).normal(size=(6, 3)))
+        cameras = [ls.Camera.look_at(eye, unit * UTM, (0, 0, 1)) for eye in eyes]
+        frame = LocalFrame.of_cameras(cameras, 4.4)
+        assert camera_extent([frame.camera(camera) for camera in cameras]) == pytest.approx(4.4, rel=1e-6)
+    one = [ls.Camera.look_at(UTM, UTM + way, (0, 0, 1)) for way in np.eye(3)[:2]]
+    assert LocalFrame.of_cameras(one, 4.4).unit == 1.0
+
+
+def test_gaussians_come_back_about_an_origin_where_they_need_one() -> None:
+    """In the world they are where the frame had them."""
+    for origin, unit, needs in ((UTM, 2.0, True), (np.array([1.0, 2.0, 3.0]), 2.0, False)):
+        back = LocalFrame(origin, unit).gaussians(ball())
+        assert any(back.origin) is needs
+        np.testing.assert_allclose(back.means + np.array(back.origin), unit * ball().means + origin, atol=2e-6)
+        np.testing.assert_allclose(back.scales, unit * ball().scales, rtol=1e-6)

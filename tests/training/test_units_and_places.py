@@ -1,0 +1,99 @@
+"""What comes of a training does not depend on the unit of a scene, nor on where its zero is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.training.train import training_frame
+from support.files.photograph_files import ring_cameras, write_colmap_photographs
+
+UTM = np.array([500000.0, 5400000.0, 300.0])
+CONFIG = ls.TrainConfig(iterations=60, cap=200, initial=120, sh_degree=1, coarse=0)
+POINTS = np.random.default_rng(3).normal(size=(90, 3)) + np.array([1.0, 2.0, 3.0])
+
+
+def moved(camera: ls.Camera, unit: float, place: np.ndarray) -> ls.Camera:
+    """The camera in another unit, and in another place."""
+    pose = np.array(camera.camera_from_world)
+    pose[:3, 3] = unit * pose[:3, 3] - pose[:3, :3] @ place
+    return replace(camera, camera_from_world=pose)
+
+
+def photographs(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.Photographs:
+    """A ring of cameras around points, as COLMAP would have written it."""
+    cameras = [moved(camera, unit, place) for camera in ring_cameras(6, 32, 24)]
+    known = unit * POINTS + place if points else POINTS[:0]
+    return ls.load_photographs(write_colmap_photographs(folder, cameras, known), hold_out=3)
+
+
+def trained(photographs: ls.Photographs, config: ls.TrainConfig = CONFIG) -> ls.TrainResult:
+    """What comes of it."""
+    return ls.train(photographs, config, device="cpu")
+
+
+@pytest.mark.parametrize("points", [True, False])
+@pytest.mark.parametrize(
+    ("unit", "place"), [(1000.0, 0.0 * UTM), (1e-3, 0.0 * UTM), (1.0, UTM), (1000.0, 1000.0 * UTM)]
+)
+def test_gaussians_are_the_same_in_any_unit_and_place(
+    tmp_path: Path, unit: float, place: np.ndarray, points: bool
+) -> None:
+    """Scaled and moved, but for rounding; 5 dB less in millimetres and "not finite" at UTM coordinates before."""
+    first = trained(photographs(tmp_path / "a", 1.0, 0.0 * UTM, points=points))
+    other = trained(photographs(tmp_path / "b", unit, place, points=points))
+    assert first.score is not None and other.score is not None
+    assert other.score.psnr == pytest.approx(first.score.psnr, abs=0.05)
+    before, after = first.gaussians, other.gaussians
+    assert any(after.origin) is bool(place.any())
+    means = (after.means - (place - np.array(after.origin))) / unit
+    np.testing.assert_allclose(np.median(np.abs(means - before.means)), 0.0, atol=1e-5)
+    np.testing.assert_allclose(np.median(after.scales / before.scales), unit, rtol=1e-3)
+    np.testing.assert_allclose(np.median(np.abs(after.sh - before.sh)), 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("pipeline", ["trace", "unscented"])
+def test_rays_learn_the_same_in_any_unit(tmp_path: Path, pipeline: str) -> None:
+    """The other ways to draw what is learnt."""
+    way = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.Projection.UNSCENTED}
+    config = replace(CONFIG, iterations=20, **way)
+    scores = [
+        trained(photographs(tmp_path / str(unit), unit, place), config).score
+        for unit, place in ((1.0, 0.0 * UTM), (1000.0, 1000.0 * UTM))
+    ]
+    assert scores[0] is not None and scores[1] is not None
+    assert scores[1].psnr == pytest.approx(scores[0].psnr, abs=0.05)
+
+
+def test_what_was_learnt_far_away_is_written_and_goes_on(tmp_path: Path) -> None:
+    """The file states the origin; the same command goes on from its checkpoint; cameras that move come back."""
+    far = photographs(tmp_path / "far", 1.0, UTM)
+    config = replace(CONFIG, refine_poses=True)
+    ls.train(far, config, output=tmp_path / "x.ply", device="cpu")
+    loaded = ls.load(tmp_path / "x.ply")
+    assert isinstance(loaded, ls.Gaussians)
+    assert np.abs(np.array(loaded.origin) - UTM).max() < 10.0 and np.abs(loaded.means).max() < 100.0
+    result = ls.train(far, config, output=tmp_path / "x.ply", device="cpu")
+    np.testing.assert_array_equal(result.gaussians.means, loaded.means)
+    assert result.cameras is not None
+    for camera, view in zip(result.cameras, far.training, strict=True):
+        assert np.linalg.norm(camera.eye - view.camera.eye) < 0.1
+
+
+def test_cameras_of_a_set_are_as_far_apart_in_any_unit(tmp_path: Path) -> None:
+    """So that weights of scales and strengths of noise mean the same."""
+    extents = []
+    for unit, place in ((1.0, 0.0 * UTM), (1e-3, 1e-3 * UTM), (1e5, 1e5 * UTM)):
+        found = photographs(tmp_path / str(unit), unit, place)
+        extents.append(found.extent / training_frame(found).unit)
+    np.testing.assert_allclose(extents, extents[0], rtol=1e-6)
+
+
+def test_photographs_far_away_are_not_taken_from_one_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Five units around a place five million away are five units."""
+    trained(photographs(tmp_path, 1.0, UTM), replace(CONFIG, iterations=1))
+    assert "place" not in caplog.text and "pose of another" not in caplog.text
