@@ -219,8 +219,12 @@ def test_instances_of_one_asset_are_the_same_in_their_order() -> None:
 
 def test_pixels_are_those_of_the_camera_before() -> None:
     """As it projects points itself, with the distance from its eye; what is behind it is nowhere."""
-    before = ls.Camera.look_at((0.3, -0.2, 0.1), (0.1, 0.2, 4.0), (0.1, -1.0, 0.0), width=70, height=50, fov_y=0.9)
-    now = ls.Camera.look_at((0.5, 0.2, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0), width=70, height=50, fov_y=0.9)
+    before = ls.Camera.look_at(
+        (0.3, -0.2, 0.1), (0.1, 0.2, 4.0), (0.1, -1.0, 0.0), width=70, height=50, fov_y=0.9, near=0.02
+    )
+    now = ls.Camera.look_at(
+        (0.5, 0.2, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0), width=70, height=50, fov_y=0.9, near=0.02
+    )
     sequence = Sequence()
     sequence.show(ls.SplatInstance(capture()), camera=before)
     sequence.show(ls.SplatInstance(capture()), camera=now)
