@@ -52,7 +52,7 @@ def test_a_scene_with_all_that_it_has(work: Workplace, caplog: pytest.LogCapture
     """Capture, mesh, lamp and camera are in the file; the lamp that is not is named."""
     outcome = work.run("export", "@scene.toml", "-o", "@scene.glb")
     assert outcome.status == 0
-    assert "of 1 capture, 60 Gaussians, 1 mesh instance, 2 lights, 1 camera" in outcome.out
+    assert "of 1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
     assert [record.getMessage().partition("scene.glb: ")[2] for record in caplog.records] == [
         "glTF cannot hold area lamps (panel)"
     ]
@@ -67,10 +67,25 @@ def test_a_scene_with_all_that_it_has(work: Workplace, caplog: pytest.LogCapture
     assert (camera.width, camera.height) == (64, 48)
 
 
+@pytest.mark.parametrize(("name", "lights", "cameras"), [("a.glb", 1, 0), ("a.gltf", 1, 0), ("a.usda", 3, 0)])
+def test_the_summary_is_of_the_file(work: Workplace, name: str, lights: int, cameras: int) -> None:
+    """What the format has no place for is not counted: an environment, an area light, a fisheye."""
+    text = SCENE.replace("height = 48\n", 'height = 48\nmodel = "fisheye"\n') + "[environment]\nintensity = 0.5\n"
+    work.path("scene.toml").write_text(text)
+    if name == "a.usda":
+        pytest.importorskip("pxr")
+    outcome = work.run("export", "@scene.toml", "-o", f"@{name}")
+    assert outcome.status == 0
+    assert outcome.out.strip().endswith(f"1 mesh instance, {lights} light{'s' * (lights > 1)}")
+    scene = ls.load(work.path(name))
+    assert isinstance(scene, ls.Scene)
+    assert len(scene.lights) == lights and len(ls.load_cameras(work.path(name))) == cameras
+
+
 def test_a_folder_for_blender(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
     """Files for what Blender reads; the lamp that glTF lacks is named."""
     outcome = work.run("export", "@scene.toml", "-o", "@room.blend-ready")
-    assert outcome.status == 0 and "1 capture, 60 Gaussians, 1 mesh instance, 2 lights, 1 camera" in outcome.out
+    assert outcome.status == 0 and "1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
     assert {name for name in work.files() if name.startswith("room")} == {
         "room.blend-ready/scene.glb",
         "room.blend-ready/captures/capture.ply",

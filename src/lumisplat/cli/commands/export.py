@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.file_marks import toml_values
+from lumisplat.cli.input.file_marks import gltf_document, toml_values
 from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
 from lumisplat.cli.options.command import LoadingCommand
 from lumisplat.cli.options.up import UpOption, upright
@@ -59,12 +59,13 @@ class Export(LoadingCommand):
                 ls.save(self.output, replace(animation, scene=scene, cameras=cameras))
             else:
                 ls.save(self.output, scene, cameras=cameras)
+        lights, held_cameras = _held(self.output, scene, cameras)
         counts = (
             (len(scene.splats), "capture"),
             (scene.gaussian_count, "Gaussian"),
             (len(scene.meshes), "mesh instance"),
-            (len(scene.lights), "light"),
-            (len(cameras), "camera"),
+            (lights, "light"),
+            (held_cameras, "camera"),
             (animation.frame_count if animation else 0, "frame"),
         )
         held = ", ".join(counted(count, noun) for count, noun in counts if count)
@@ -86,6 +87,16 @@ class Export(LoadingCommand):
             return ls.load_cameras(self.cameras)
         files = (file for file in self.scene if file.suffix.lower() in WITH_CAMERAS)
         return [camera for file in files for camera in ls.load_cameras(file)]
+
+
+def _held(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, int]:
+    """Counts the lights and the cameras of a scene that are in its file: formats lack some, which log lines name."""
+    if path.suffix.lower() in USD:
+        return len(scene.lights), sum(camera.model is not ls.CameraModel.FISHEYE for camera in cameras)
+    file = path / "scene.glb" if path.is_dir() else path
+    nodes: list[dict[str, Any]] = gltf_document(file).get("nodes", []) if file.exists() else []
+    lights = sum("KHR_lights_punctual" in node.get("extensions", {}) for node in nodes)
+    return lights, sum("camera" in node for node in nodes)
 
 
 def _moves(file: Path) -> bool:

@@ -75,7 +75,7 @@ def _texts(path: Path) -> Iterator[str]:
     elif path.name in ("meta.json", "lod-meta.json"):
         yield from _strings(json.loads(path.read_bytes()))
     elif suffix in (".gltf", ".glb"):
-        for text in _strings(json.loads(path.read_bytes() if suffix == ".gltf" else _json_of_glb(path))):
+        for text in _strings(gltf_document(path)):
             yield from {text, unquote(text)}
     elif suffix in (".usda", ".usd", ".usdc"):
         with path.open("rb") as stream:
@@ -86,11 +86,13 @@ def _texts(path: Path) -> Iterator[str]:
             yield from _OF_OBJ.findall(stream.read(_OBJ_HEAD).decode(errors="replace"))
 
 
-def _json_of_glb(path: Path) -> bytes:
-    """The document in a binary glTF, which may refer to files beside it."""
+def gltf_document(path: Path) -> Any:
+    """Reads the JSON of a .gltf or a .glb, without its buffers; None if a .glb does not begin with it."""
+    if path.suffix.lower() == ".gltf":
+        return json.loads(path.read_bytes())
     with path.open("rb") as stream:
         head = stream.read(20)
-        return stream.read(int.from_bytes(head[12:16], "little")) if head[16:20] == b"JSON" else b"null"
+        return json.loads(stream.read(int.from_bytes(head[12:16], "little"))) if head[16:20] == b"JSON" else None
 
 
 def _of_usd(path: Path) -> list[str]:
