@@ -439,7 +439,7 @@ def test_info_lists_lights_cameras_and_settings(work, sky):
     outcome = work.run("info", "@scene.toml", "@sky.exr")
     assert (outcome.status, outcome.err) == (0, "")
     shown = " ".join(outcome.out.split())
-    assert "0 captures, 1 meshes, 4 lights, 2 cameras" in shown
+    assert "0 captures, 1 mesh, 4 lights, 2 cameras" in shown
     assert "directional 1 lux towards (0, 1, 0)" in shown
     assert "point bulb 8 cd at (0, 0, 2)" in shown
     assert "spot 1 cd colour 1 0.5 0 at (0, 0, 0) towards (0, 0, 1) cone 0 to 30 degrees off" in shown

@@ -110,7 +110,7 @@ def test_materials_that_are_found_go_into_a_file(work: Workplace, name: str) -> 
 def test_what_is_in_a_file(work: Workplace) -> None:
     """Info counts a scene's parts and its cameras; the viewer lists it under meshes, and a capture under splats."""
     work.run("export", "@scene.toml", "-o", "@scene.usdz")
-    assert "1 captures, 1 meshes, 1 lights, 1 cameras" in work.run("info", "@scene.usdz").out
+    assert "1 capture, 1 mesh, 1 light, 1 camera" in work.run("info", "@scene.usdz").out
     work.run("convert", "@capture.ply", "@a.usdc")
     assert ls.SceneDocument.kind_of(work.path("scene.usdz")) == "meshes"
     assert ls.SceneDocument.kind_of(work.path("a.usdc")) == "splats"

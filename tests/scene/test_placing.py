@@ -45,6 +45,35 @@ def test_look_at_turns_the_front():
     assert moved((1, 0, 0), **words)[1] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(
+    ("front", "axis"), [("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("+x", (1, 0, 0)), ("-x", (-1, 0, 0))]
+)
+@pytest.mark.parametrize("up", ["y-down", "z-up"])
+def test_another_axis_may_be_the_front(front, axis, up):
+    """It is turned to the target, or stands before the front camera; the top stays up, and nothing is mirrored."""
+    scene = ls.Scene(up=up)
+    upward = np.array(scene.up_direction)
+    target = np.array((1, 1, 1)) + (2, -3, 2) * (1 - np.abs(upward))
+    looked = moved(5 * np.array(axis), position=(1, 1, 1), look_at=target, up=up, front=front) - (1, 1, 1)
+    np.testing.assert_allclose(np.cross(looked, target - (1, 1, 1)), 0.0, atol=1e-12)
+    assert looked @ (target - (1, 1, 1)) > 0.0
+    np.testing.assert_allclose(moved((0, 1, 0), up=up, front=front), upward, atol=1e-12)
+    np.testing.assert_allclose(moved(axis, up=up, front=front), moved((0, 0, 1), up=up), atol=1e-12)
+    assert np.linalg.det(ls.MeshInstance(BOX, up=up, front=front).transform[:3, :3]) == pytest.approx(1.0)
+
+
+def test_a_scene_file_names_the_front(tmp_path):
+    """As the word of an instance does; a camera sees the other side of what looks at it."""
+    scene = load_scene(
+        tmp_path,
+        '[[meshes]]\nshape = "box"\nlook_at = [4, 0, 0]\nfront = "-z"\n'
+        '[[meshes]]\nshape = "box"\nupright = true\nfront = "+x"\n',
+    )
+    wanted: tuple[dict[str, Any], ...] = ({"look_at": (4, 0, 0), "front": "-z"}, {"front": "+x"})
+    for one, words in zip(scene.meshes, wanted, strict=True):
+        np.testing.assert_array_equal(one.transform, ls.MeshInstance(BOX, up="y-up", **words).transform)
+
+
 def test_captures_are_placed_by_the_same_words():
     """And changed like any other instance afterwards."""
     splat = ls.SplatInstance(one_gaussian((0, 0, 1)), position=(1, 0, 0), rotation_degrees=(0, 90, 0), scale_by=2.0)
@@ -58,6 +87,8 @@ def test_captures_are_placed_by_the_same_words():
     ("words", "message"),
     [
         ({"world_from_object": np.eye(4), "position": (0, 0, 0)}, "world_from_object and position are both given"),
+        ({"up": "y-up", "front": "+y"}, r"front is '\+y', expected one of \+z, -z, \+x, -x"),
+        ({"front": "-z"}, "front is of objects that stand or look somewhere: give up or look_at, too"),
         ({"world_from_object": np.eye(4), "up": "y-up"}, "world_from_object and up are both given"),
         ({"position": (0, 1)}, "position is .*three finite numbers"),
         ({"rotation_degrees": 90}, "rotation_degrees is 90, expected three finite numbers"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import InitVar, dataclass
 from typing import NamedTuple
 
@@ -14,6 +15,9 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
 from lumisplat.math.rotations import axis_rotation
 from lumisplat.scene.up import Vector, front_vector, up_vector
+
+FRONT_AXES = {"+z": 0.0, "-z": 180.0, "+x": -90.0, "-x": 90.0}
+"""Axes that may be the front of an object with y up: the turn about y that takes each to +z, degrees."""
 
 
 class Placing(NamedTuple):
@@ -28,7 +32,9 @@ class Placing(NamedTuple):
     up: str | npt.ArrayLike | None = None
     """Up of the scene: an object that was made with y up stands upright in it; None: as it is."""
     look_at: npt.ArrayLike | None = None
-    """World position towards which the object's front, +z, is turned; ``up`` stays up."""
+    """World position towards which the object's front is turned; ``up`` stays up."""
+    front: str | None = None
+    """Which of the object's axes is its front, a key of `FRONT_AXES`; None: +z, as in glTF."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -46,7 +52,10 @@ class PlacedInstance:
     """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
     up, such as glTF, then stands upright."""
     look_at: InitVar[npt.ArrayLike | None] = None
-    """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
+    """In place of ``world_from_object``: world position to which its front is turned, with ``up`` up."""
+    front: InitVar[str | None] = None
+    """With ``up`` or ``look_at``: which of its axes is its front, ``"+z"`` (as in glTF, and the default), ``"-z"``,
+    ``"+x"`` or ``"-x"``."""
 
     @property
     def transform(self) -> Doubles:
@@ -95,12 +104,21 @@ def placed(world_from_object: npt.ArrayLike | None, placing: Placing, origin: Ve
         raise SceneError(f"scale is {scale}, expected a positive number")
     x, y, z = np.radians(_vector("rotation_degrees", placing.rotation_degrees, 0.0))
     turn = axis_rotation((0, 0, 1), z) @ axis_rotation((0, 1, 0), y) @ axis_rotation((1, 0, 0), x)
+    if placing.front is not None and placing.up is None and placing.look_at is None:
+        raise SceneError("front is of objects that stand or look somewhere: give up or look_at, too")
     matrix[:3, :3] = scale * (_standing(placing, matrix[:3, 3]) @ turn)
     return matrix_4x4("world_from_object", matrix)
 
 
 def _standing(placing: Placing, position: Doubles) -> Doubles:
-    """The rotation that stands an object with y up and its front at +z upright, and turns it to what it looks at."""
+    """Returns the rotation that stands an object with y up upright, and turns its front to what it looks at.
+
+    Raises:
+        SceneError: The front is no axis, or is turned to a point that is at no side.
+    """
+    if placing.front is not None and placing.front not in FRONT_AXES:
+        raise SceneError(f"front is {placing.front!r}, expected one of {', '.join(FRONT_AXES)}")
+    to_z = axis_rotation((0, 1, 0), math.radians(FRONT_AXES[placing.front or "+z"])).round()
     up = np.array(up_vector("y-up" if placing.up is None else placing.up))
     front = front_vector(up)
     if placing.look_at is not None:
@@ -111,8 +129,8 @@ def _standing(placing: Placing, position: Doubles) -> Doubles:
             raise SceneError("look_at is at the position, or straight above or below it: it must be to a side")
         right /= np.linalg.norm(right)
         front = front / distance
-        return np.stack([right, np.cross(front, right), front], axis=1)
-    return np.stack([np.cross(up, front), up, front], axis=1)
+        return np.stack([right, np.cross(front, right), front], axis=1) @ to_z
+    return np.stack([np.cross(up, front), up, front], axis=1) @ to_z
 
 
 def _vector(name: str, values: npt.ArrayLike | None, rest: float) -> Doubles:

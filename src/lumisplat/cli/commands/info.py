@@ -16,7 +16,7 @@ import lumisplat as ls
 from lumisplat.cli.input.file_marks import toml_values
 from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, size_on_disk
 from lumisplat.cli.options.command import Flag, LevelsCommand
-from lumisplat.cli.output.console import byte_size, print_table, progress_bars
+from lumisplat.cli.output.console import byte_size, counted, print_table, progress_bars
 
 if TYPE_CHECKING:
     from lumisplat.math.arrays import FloatArray
@@ -138,8 +138,9 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
     from lumisplat.cli.output import describe
 
     cameras, animation = _cameras(path), _animation(path)
-    counts = f"{len(scene.splats)} captures, {len(scene.meshes)} meshes"
-    counts += f", {len(scene.lights)} lights" * bool(scene.lights) + f", {len(cameras)} cameras" * bool(cameras)
+    counts = f"{counted(len(scene.splats), 'capture')}, {counted(len(scene.meshes), 'mesh', 'meshes')}"
+    counts += f", {counted(len(scene.lights), 'light')}" * bool(scene.lights)
+    counts += f", {counted(len(cameras), 'camera')}" * bool(cameras)
     rows = [("kind", "scene"), size, ("holds", counts)]
     if scene.splats or scene.meshes:
         rows.append(("bounds", describe.box(*scene.bounds())))

@@ -113,9 +113,9 @@ def one_line(error: BaseException) -> str:
     return (" ".join(str(error).split()) or type(error).__name__) + notes
 
 
-def counted(count: int, noun: str) -> str:
-    """A count with its noun: ``1 frame``, ``2,000 frames``."""
-    return f"{count:,} {noun}{'s' * (count != 1)}"
+def counted(count: int, noun: str, plural: str | None = None) -> str:
+    """A count with its noun: ``1 frame``, ``2,000 frames``, or another plural than with an s."""
+    return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
 
 
 def light_positions(lights: Iterable[ls.LightPoint]) -> str:

@@ -134,6 +134,7 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
         ("faces", f"{mesh.face_count:,}"),
         ("bounds", box(*mesh.bounds())),
         ("has", ", ".join(has) or "positions only"),
+        ("front", '+z, unless its entry or instance says front, such as front = "-z"'),
         *([("colours", f"black in {100.0 * black:.3g} % of the vertices")] if (black := black_share(mesh)) else []),
         ("material", "{} base colour {:.3g} {:.3g} {:.3g}".format(material.name or "unnamed", *material.base_color)),
         ("surface", _surface(material)),

@@ -38,7 +38,7 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene, check_similarity
 from lumisplat.scene.up import up_vector
 
-_PLACED_IN_WORDS = ("rotation_degrees", "look_at", "upright", "ground")
+_PLACED_IN_WORDS = ("rotation_degrees", "look_at", "front", "upright", "ground")
 """Keys that a placement by position, rotation and scale replaces."""
 
 

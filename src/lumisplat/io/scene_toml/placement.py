@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, VECTOR, TomlTable
+from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, TEXT, VECTOR, TomlTable
 from lumisplat.math.rotations import rotation_matrix
 from lumisplat.scene.placing import Placing, placed
 from lumisplat.scene.up import Vector
 
 PLACEMENT = {"position": VECTOR, "rotation_wxyz": QUATERNION, "scale": NUMBER}
 """Keys of the placement of an entry."""
-STANDING = {"rotation_degrees": VECTOR, "look_at": VECTOR, "upright": FLAG}
+STANDING = {"rotation_degrees": VECTOR, "look_at": VECTOR, "front": TEXT, "upright": FLAG}
 """Further keys of captures, meshes and actors: rotations in other words than a quaternion."""
 
 
@@ -32,7 +32,7 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
     if words:
         if "rotation_wxyz" in table.values:
             raise table.error(f"rotation_wxyz and {words[0]} are both given: choose one of them", words[0])
-        given = {key: table.values.get(key) for key in ("position", "rotation_degrees", "scale", "look_at")}
+        given = {key: table.values.get(key) for key in ("position", "rotation_degrees", "scale", "look_at", "front")}
         stands = table.values.get("upright", False) or "look_at" in table.values
         try:
             return placed(None, Placing(**given, up=up if stands else None))
