@@ -631,6 +631,9 @@ ORIGIN_LOSS = 0.01
 """Rounding of float32 positions, as a share of the median width of what they are of, above which files and captures are
 about an origin of their own."""
 
+ORIGIN_MESH_WIDTH = 0.01
+"""Width of what is to be told apart on a mesh, as a share of its size: steps are a ten-thousandth of it at most."""
+
 SIZE_SAMPLE = 4096
 """Points of an asset, at most, that tell its size where that need not be exact."""
 

@@ -21,8 +21,10 @@ from lumisplat.math.arrays import (
     read_only_view,
     refuse_outside_unit,
 )
+from lumisplat.scene.light_aims import vector
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.triangles import area_vectors, check_triangles, sum_at_vertices
+from lumisplat.scene.up import Vector
 
 _log = logging.getLogger("lumisplat")
 
@@ -52,6 +54,8 @@ class Mesh:
     colors: FloatArray | None = None
     """Linear Rec.709 vertex colours, 0..1, multiplied with the base colour, shape (V, 3)."""
     name: str = ""
+    origin: Vector = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    """Where the mesh's zero is placed, unless an instance of it says otherwise, as of `Gaussians`."""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
@@ -64,6 +68,8 @@ class Mesh:
             material: Material = ...,
             colors: npt.ArrayLike | None = None,
             name: str = "",
+            *,
+            origin: npt.ArrayLike = (0.0, 0.0, 0.0),
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -78,6 +84,7 @@ class Mesh:
         )
         if self.colors is not None:
             refuse_outside_unit("colors", self.colors)
+        object.__setattr__(self, "origin", vector("origin", self.origin))
         object.__setattr__(self, "indices", self._usable_triangles(np.asarray(host_array(self.indices))))
         if self.normals is not None:
             object.__setattr__(self, "normals", normalise_rows("normals", self._fill_normals(self.normals)))
@@ -85,6 +92,8 @@ class Mesh:
     def __repr__(self) -> str:
         extras = "".join(f", {name}" for name in ("normals", "uvs", "colors") if getattr(self, name) is not None)
         counts = f"vertices={self.vertex_count}, faces={self.face_count}, bounds={box_text(*self.bounds())}"
+        if any(self.origin):
+            counts += f", origin=({', '.join(f'{value:.12g}' for value in self.origin)})"
         return f"Mesh(name={self.name!r}, {counts}{extras})"
 
     @property

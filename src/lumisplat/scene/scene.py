@@ -97,11 +97,11 @@ class MeshInstance(PlacedInstance):
 
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Affine transform, shape (4, 4); None: the identity."""
+    """Affine transform, shape (4, 4); None: the identity, at the ``origin`` of the mesh."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
-        self._place(self.world_from_object, Placing(*placing))
+        self._place(self.world_from_object, Placing(*placing), self.mesh.origin)
 
     def __repr__(self) -> str:
         return f"MeshInstance({self.mesh!r}, {self._placement()})"

@@ -162,3 +162,13 @@ def test_info_and_convert_know_the_origin(tmp_path: Path, capsys: pytest.Capture
     near = ls.load(tmp_path / "near.ply")
     assert isinstance(near, ls.Gaussians) and not any(near.origin)
     np.testing.assert_array_equal(near.means, capture().means)
+
+
+def test_blocks_say_what_they_round(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """They have float32 about zero; nothing is said of captures around it."""
+    near = capture((0.0, 0.0, 0.0))
+    for name, shift in (("far", np.array(UTM)), ("near", np.zeros(3))):
+        stream = ls.stream_ply(write_doubles(tmp_path / f"{name}.ply", near, shift))
+        ls.write_blocks(tmp_path / name, stream, cell=8.0)
+        assert ("blocks have positions in float32, which is 0.5 apart" in caplog.text) is (name == "far")
+        caplog.clear()

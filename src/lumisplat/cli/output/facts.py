@@ -59,6 +59,7 @@ def mesh_facts(mesh: ls.Mesh) -> Facts:
         "vertices": mesh.vertex_count,
         "faces": mesh.face_count,
         "bounds": _box(mesh.bounds()),
+        "origin": list(mesh.origin),
         "has": [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None],
         "black_vertices": black_share(mesh),
         "material": mesh.material.name,

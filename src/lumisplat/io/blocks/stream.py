@@ -27,6 +27,7 @@ from lumisplat.io.splats.compressed_ply import is_compressed_header
 from lumisplat.io.splats.material_columns import FIELDS, material_columns_of
 from lumisplat.io.splats.splat_ply import columns_of_rows, scale_columns, splat_element
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.local_frame import needed_origin
 
 _log = logging.getLogger("lumisplat")
 
@@ -67,6 +68,8 @@ class PlyStream:
                     if not self.drop_invalid:
                         self._refuse(problems, first, len(rows))
                     columns = _subset(columns, ~invalid)
+                if first == 0 and columns.count:
+                    self._tell_rounding(rows, columns)
                 if columns.count:
                     yield gaussians_from_columns(self.path, columns)
                 first += len(rows)
@@ -74,6 +77,22 @@ class PlyStream:
                     self.progress(first / self.count)
         if dropped:
             _log.warning("%s: dropped %s Gaussians: %s", os.fspath(self.path), f"{dropped:,}", why)
+
+    def _tell_rounding(self, rows: PlyRows, columns: SplatColumns) -> None:
+        """Logs a line if float32, which blocks have, cannot hold the positions of the first rows."""
+        with np.errstate(all="ignore"):
+            width = float(np.median(columns.log_scales.max(axis=1)))
+            width = math.exp(min(width, 100.0)) if columns.scales_are_logarithms else width
+        origin = needed_origin(np.stack([rows[name].astype(np.float64) for name in ("x", "y", "z")], axis=1), width)
+        if origin.any():
+            _log.warning(
+                "%s: blocks have positions in float32, which is %.2g apart there, and Gaussians are %.2g wide: "
+                "convert --translate=%.12g,%.12g,%.12g moves the capture to zero first",
+                os.fspath(self.path),
+                float(np.spacing(np.float32(np.abs(origin).max()))),
+                width,
+                *(-origin),
+            )
 
     def _refuse(self, problems: str, first: int, count: int) -> None:
         raise FormatError(

@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import ORIGIN_MESH_WIDTH
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.checks import with_checked
+from lumisplat.scene.local_frame import needed_origin
 from lumisplat.scene.materials import Material, texture_names
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import area_vectors, check_triangles, describe_problems, sum_at_vertices
+from lumisplat.scene.up import Vector
 
 _log = logging.getLogger("lumisplat")
 
@@ -132,3 +135,26 @@ def placeable_material(path: PathLike, material: Material, uvs: FloatArray | Non
     what = f"the texture of {label} is" if len(unplaced) == 1 else f"the {len(unplaced)} textures of {label} are"
     _log.warning("%s: %s left out: there are no texture coordinates for it", os.fspath(path), what)
     return replace(material, **dict.fromkeys(unplaced))
+
+
+def about_origin(path: PathLike, positions: npt.NDArray[np.floating]) -> tuple[FloatArray, Vector]:
+    """Returns positions as float32, and the origin that they are about, which a log line tells if it is not zero.
+
+    Args:
+        path: Named in the line.
+        positions: As the file has them, shape (V, 3); of float32, they stay.
+    """
+    if positions.dtype == np.float32 or not len(positions):
+        return positions.astype(np.float32), (0.0, 0.0, 0.0)
+    with np.errstate(all="ignore"):  # what is beyond float32 is refused later
+        origin = needed_origin(positions.astype(np.float64), ORIGIN_MESH_WIDTH * float(np.ptp(positions, axis=0).max()))
+        moved = (positions - origin).astype(np.float32)
+    x, y, z = origin.tolist()
+    if origin.any():
+        _log.warning(
+            "%s: positions are about an origin, %.12g %.12g %.12g, as float32 cannot hold them about zero: the mesh is "
+            "placed there unless it is placed elsewhere",
+            os.fspath(path),
+            *(x, y, z),
+        )
+    return moved, (x, y, z)

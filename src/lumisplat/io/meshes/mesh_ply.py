@@ -17,7 +17,14 @@ from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.references import read_reference
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.images.texture import decode_texture
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
+from lumisplat.io.meshes.mesh_arrays import (
+    TriangleSieve,
+    about_origin,
+    drop_unplaced_textures,
+    fan_triangles,
+    flip_v,
+    unit_normals,
+)
 from lumisplat.io.ply.header import PlyHeader
 from lumisplat.io.ply.lists import PlyList, read_ply_lists
 from lumisplat.io.ply.rows import PlyRows, read_ply_element
@@ -59,7 +66,8 @@ def _read(header: PlyHeader) -> Mesh:
     stored = _columns(vertices, "x", "y", "z")
     if stored is None:
         raise FormatError(header.path, "has no vertex element with x, y, z")
-    positions = stored.astype(np.float32)
+    is_wide = vertices.dtype["x"] == np.float64
+    positions, origin = about_origin(header.path, stored if is_wide else stored.astype(np.float32))
     polygons = _polygons(faces) or PlyList(np.zeros(0, np.int64), np.zeros(0, np.int64))
     corners = fan_triangles(polygons.counts)
     indices = np.concatenate([polygons.items.astype(np.int64)[corners], _strip_triangles(_polygons(strips))])
@@ -95,6 +103,7 @@ def _read(header: PlyHeader) -> Mesh:
         material=_material(header, colored=colors is not None),
         colors=colors,
         name=Path(header.path).stem,
+        origin=origin,
     )
     return drop_unplaced_textures(header.path, mesh)
 
@@ -163,7 +172,9 @@ def write_ply_mesh(path: PathLike, mesh: Mesh) -> None:
     Raises:
         FormatError: The file cannot be written.
     """
-    columns: dict[str, npt.NDArray[np.floating]] = dict(zip("xyz", mesh.positions.T, strict=True))
+    columns: dict[str, npt.NDArray[np.floating]] = dict(
+        zip("xyz", (mesh.positions + mesh.origin if any(mesh.origin) else mesh.positions).T, strict=True)
+    )
     if mesh.normals is not None:
         columns |= dict(zip(("nx", "ny", "nz"), mesh.normals.T, strict=True))
     if mesh.uvs is not None:

@@ -15,7 +15,14 @@ from lumisplat.io.files.limits import TextureBytes
 from lumisplat.io.files.references import read_reference, referenced_file
 from lumisplat.io.files.source import parsing, read_text
 from lumisplat.io.images.texture import decode_texture
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
+from lumisplat.io.meshes.mesh_arrays import (
+    TriangleSieve,
+    about_origin,
+    drop_unplaced_textures,
+    fan_triangles,
+    flip_v,
+    unit_normals,
+)
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
@@ -187,7 +194,7 @@ def _mesh(
     position_index, uv_index, normal_index = corners[first_corner].T
     triangles = vertex_from_corner.reshape(-1)[fan_triangles(np.array(faces.counts))]
     vertices = [listing.positions[int(i)] for i in position_index]
-    positions = np.array([vertex[:3] for vertex in vertices]).astype(np.float32)
+    positions, origin = about_origin(sieve.path, np.array([vertex[:3] for vertex in vertices]))
     indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
     if not indices.size:
         return None
@@ -205,6 +212,7 @@ def _mesh(
         material=material,
         colors=None if colors is None else decode_srgb(colors),
         name=name,
+        origin=origin,
     )
 
 

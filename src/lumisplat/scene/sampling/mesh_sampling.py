@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -57,7 +58,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     Raises:
         SceneError: ``mesh`` is not a mesh, or ``count`` is not a whole number from 1 to 50,000,000.
     """
-    return sample_surface(mesh, count, seed).gaussians
+    return replace(sample_surface(mesh, count, seed).gaussians, origin=mesh.origin)
 
 
 class SurfaceSamples(NamedTuple):

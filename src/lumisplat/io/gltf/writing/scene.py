@@ -90,7 +90,8 @@ def _mesh_nodes(
     for instance in meshes:
         matrix = file_from_world @ instance.transform
         if _shears(matrix):  # no node can: its mesh is written as it stands
-            mesh, matrix = add_mesh(document, placed_mesh(instance), materials), file_from_world
+            placed = MeshInstance(placed_mesh(instance))
+            mesh, matrix = add_mesh(document, placed.mesh, materials), file_from_world @ placed.transform
         else:
             key = id(instance.mesh)
             if key not in written:
