@@ -12,6 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb
+from lumisplat.relighting.actor_shadows import ActorShadows
 from lumisplat.scene.ops.irradiance import facing_irradiance
 from support.scenes.light_room import captured
 
@@ -122,3 +123,20 @@ def test_bad_shadows_are_told(change: dict[str, Any], error: type[Exception], sa
     } | change
     with pytest.raises(error, match=said):
         ls.shadowed(**arguments)
+
+
+def test_actors_far_from_zero_cast_the_shadows_that_they_cast_at_zero() -> None:
+    """At 5e6, where float32 is 0.5 apart: of a ball over a floor of Gaussians."""
+    rng = np.random.default_rng(6)
+    floor = np.column_stack([rng.uniform(-1.0, 1.0, (300, 2)), np.zeros(300)])
+    ball = 0.2 * rng.normal(size=(80, 3)) / 2.0
+    config = ls.AvatarLightingConfig(shadow_map=ls.DeepShadowConfig(resolution=64, bins=16))
+    found = []
+    for place in (np.zeros(3), np.array([5e6, -3e5, 1e5])):
+        ground = [ls.SplatInstance(receivers(floor), position=place)]
+        lights = [ls.LightPoint(place + np.array([0.2, 0.1, 2.0]))]
+        shadows = ActorShadows(ground, lights, [], config=config, device="cpu")
+        actor = ls.SplatInstance(receivers(ball), position=place + np.array([0.0, 0.0, 0.5]))
+        found.append(linear(shadows.darken([actor])[0].gaussians))
+    assert found[0].min() < 0.5 * found[0].max()
+    np.testing.assert_allclose(found[1], found[0], atol=2e-3)

@@ -18,9 +18,10 @@ from lumisplat.relighting.actors import PlacedActor
 from lumisplat.relighting.captured_shadow import light_factors, light_shares
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
+from lumisplat.scene.local_frame import rendered_frame
 from lumisplat.scene.ops.recolor import scale_light_of
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
-from lumisplat.scene.scene import MeshInstance, SplatInstance
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 
@@ -68,6 +69,8 @@ class ActorShadows:
         self._maps: list[DeepShadowMap] = []
         """One for each light, once there were actors."""
         self._shares = [light_shares(self._lights, receiver) for receiver in self._receivers]
+        self._origin = rendered_frame(Scene(self._receivers))[0].origin
+        """World position about which casters are."""
         self._means = [receiver.world_means for receiver in self._receivers]
         self._static = np.ones((len(self._lights), sum(map(len, self._means))), dtype=np.float32)
         """Transmittance of the meshes for each light at all receivers, shape (L, N)."""
@@ -85,7 +88,7 @@ class ActorShadows:
         """
         transmittances = self._static
         if casters:
-            transmittances = transmittances * self._transmittances(self._meshes.placed("actors", casters))
+            transmittances = transmittances * self._transmittances(self._meshes.placed("actors", casters, self._origin))
         ends = np.cumsum([len(means) for means in self._means])
         parts = np.split(transmittances, ends[:-1], axis=1)
         return [
@@ -97,7 +100,8 @@ class ActorShadows:
         """Transmittance of casters for each light at all receivers, shape (L, N)."""
         self._warn_of_lights_inside(casters)
         # One set in the world for all lights: meshes are turned into Gaussians once.
-        gaussians = Gaussians(*casters, sh=np.zeros((len(casters.means), 1, 3), dtype=np.float32))
+        sh = np.zeros((len(casters.means), 1, 3), dtype=np.float32)
+        gaussians = Gaussians(*casters, sh=sh, origin=self._origin)
         if self._maps:
             for shadow in self._maps:
                 shadow.rebuild(gaussians)
@@ -111,7 +115,7 @@ class ActorShadows:
 
     def _is_far(self, casters: PlacedGaussians, radius: float) -> npt.NDArray[np.bool_]:
         """Which receivers are out of the reach of shadows, shape (N,); warns once if all are."""
-        far = distance_from_body(np.concatenate(self._means), casters) > radius
+        far = distance_from_body(np.concatenate(self._means) - self._origin, casters) > radius
         if far.all() and not self._warned_of_radius:
             self._warned_of_radius = True
             _log.warning("no receivers within %g of the actors: they cast no shadow", radius)
@@ -137,7 +141,7 @@ class ActorShadows:
         for row, light in enumerate(self._lights):
             if isinstance(light, LightDirectional | LightEnvironment) or row in self._warned_lights:
                 continue
-            if _is_inside(np.array(light.position), casters):
+            if _is_inside(np.array(light.position) - self._origin, casters):
                 self._warned_lights.add(row)
                 _log.warning(
                     "light %r is inside an actor, which then shadows all around it: move the light, or leave it out",

@@ -54,7 +54,7 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
         ("antialiased", "yes (Mip-Splatting)" if gaussians.antialiased else "no"),
     ]
     if any(gaussians.origin):
-        rows.insert(3, ("origin", "{:.12g} {:.12g} {:.12g}, which bounds are about".format(*gaussians.origin)))
+        rows.insert(3, ("origin", _origin(gaussians.origin)))
     if gaussians.kernel_degree != 2:  # all but a few captures
         rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
     extras = [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays]
@@ -62,6 +62,11 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
         rows.append(("also has", ", ".join(extras)))
     rows += [("comment", comment) for comment in gaussians.comments]
     return rows
+
+
+def _origin(origin: tuple[float, float, float]) -> str:
+    """Where a file's zero is placed, if it is in map coordinates."""
+    return "{:.12g} {:.12g} {:.12g}, which bounds are about".format(*origin)
 
 
 def block_rows(index: ls.BlockIndex) -> Rows:
@@ -133,6 +138,7 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
         ("vertices", f"{mesh.vertex_count:,}"),
         ("faces", f"{mesh.face_count:,}"),
         ("bounds", box(*mesh.bounds())),
+        *([("origin", _origin(mesh.origin))] if any(mesh.origin) else []),
         ("has", ", ".join(has) or "positions only"),
         ("front", '+z, unless its entry or instance says front, such as front = "-z"'),
         *([("colours", f"black in {100.0 * black:.3g} % of the vertices")] if (black := black_share(mesh)) else []),
