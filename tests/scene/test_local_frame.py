@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
 from lumisplat.constants import NEAR_PLANE
-from lumisplat.scene.local_frame import LocalFrame, camera_extent, needed_origin, rendered_frame
+from lumisplat.scene.local_frame import LocalFrame, camera_extent, default_near, needed_origin, rendered_frame
 
 UTM = np.array([500123.25, 5400987.5, 312.0])
 
@@ -124,3 +125,21 @@ def test_gaussians_come_back_about_an_origin_where_they_need_one() -> None:
         assert any(back.origin) is needs
         np.testing.assert_allclose(back.means + np.array(back.origin), unit * ball().means + origin, atol=2e-6)
         np.testing.assert_allclose(back.scales, unit * ball().scales, rtol=1e-6)
+
+
+def test_the_near_plane_is_halved_until_it_fits() -> None:
+    """At most a thousandth of the size, more than half of that, and never above the default."""
+    for size in (1e-6, 3e-3, 0.9, 1.0, 9.9):
+        assert 0.5e-3 * size < default_near(size) <= 1e-3 * size
+    assert default_near(10.0) == default_near(1e9) == default_near(0.0) == NEAR_PLANE
+
+
+def test_parts_of_a_capture_are_rendered_in_the_frame_of_all_of_it(tmp_path: Path) -> None:
+    """Blocks that a view sees: their origin and near plane are not their own."""
+    whole = ls.transform(ball(4.0), translation=(100.0, 0.0, 0.0))
+    index = ls.write_blocks(tmp_path / "blocks", [whole], cell=1.0)
+    frames = [rendered_frame(ls.Scene([ls.load_blocks(index, [part])])) for part in ls.all_blocks(index)]
+    assert len(frames) > 4
+    for frame, near in frames:
+        np.testing.assert_array_equal(frame.origin, frames[0][0].origin)
+        assert near == frames[0][1] == rendered_frame(ls.Scene([whole]))[1]

@@ -61,7 +61,7 @@ class Camera:
     row."""
     near: float = NEAR_PLANE
     """Nothing at a smaller view depth is drawn, scene units; for a fisheye, nothing at a smaller distance. The default
-    is a thousandth of the size of the largest asset where that is less."""
+    is halved until it is a thousandth of the size of the largest asset, or less."""
     name: str = ""
     """Name of the frame: in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE

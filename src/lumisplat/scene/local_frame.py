@@ -169,8 +169,29 @@ def rendered_frame(scene: Scene) -> tuple[LocalFrame, float]:
     middles, sizes = _boxes(scene)
     low, high = (middles - 0.5 * sizes).min(axis=0), (middles + 0.5 * sizes).max(axis=0)
     largest = float(np.linalg.norm(sizes, axis=1).max())
-    near = min(NEAR_SHARE * largest, NEAR_PLANE) if largest > 0.0 else NEAR_PLANE
-    return LocalFrame(_grid_point(0.5 * (low + high), float((high - low).max()))), near
+    return LocalFrame(_grid_point(0.5 * (low + high), float((high - low).max()))), default_near(largest)
+
+
+def default_near(size: float) -> float:
+    """Returns the near plane of cameras that do not say theirs, by the size of the largest asset, scene units.
+
+    It is the default halved so often that it is a thousandth of the size or less: sizes that are nearly the same, as
+    those of a capture and of its blocks, have the same near plane.
+    """
+    halvings = math.ceil(math.log2(NEAR_PLANE / (NEAR_SHARE * size))) if size > 0.0 else 0
+    return NEAR_PLANE * 2.0 ** -max(halvings, 0)
+
+
+def note_box(gaussians: Gaussians, low: Doubles, high: Doubles) -> None:
+    """Tells the box of the capture that Gaussians are a part of: all parts are rendered in one frame, as it is.
+
+    Args:
+        gaussians: Some of a capture's.
+        low: Least coordinates of all of it, shape (3,).
+        high: Largest ones.
+    """
+    middle = _grid_point(0.5 * (low + high), float((high - low).max()))
+    _BOXES[gaussians] = _Box(low, high, middle, bool(middle.any()))
 
 
 def needed_origin(points: Doubles, width: float) -> Doubles:

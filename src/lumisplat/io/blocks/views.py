@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP
+from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP, NEAR_PLANE
 from lumisplat.constants.blocks import BLOCK_MEMORY, BLOCK_PREVIEW
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.blocks.index import Block, BlockIndex, open_blocks
@@ -25,6 +25,7 @@ from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.local_frame import default_near, note_box
 
 _log = logging.getLogger("lumisplat")
 
@@ -79,7 +80,10 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     width = index.row_bytes // 4
     rows = (read_rows(index.folder / level.file, width, level.count) for level in levels)
     try:
-        return joined(rows, sum(level.count for level in levels), width, **index.settings)
+        found = joined(rows, sum(level.count for level in levels), width, **index.settings)
+        low, high = index.bounds
+        note_box(found, low.min(axis=0), high.max(axis=0))
+        return found
     except FormatError:
         raise
     except SceneError:
@@ -160,7 +164,10 @@ def _seen(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Dou
     pose = camera.camera_from_world
     view = corners @ pose[:3, :3].T + pose[:3, 3]
     x, y, z = view[..., 0], view[..., 1], view[..., 2]
-    outside = np.array((z <= camera.near * (1.0 - 1e-5)).all(axis=1), np.bool_)
+    near = camera.near
+    if near == NEAR_PLANE:  # as renderers take it
+        near = default_near(float(np.linalg.norm(high.max(axis=0) - low.min(axis=0))))
+    outside = np.array((z <= near * (1.0 - 1e-5)).all(axis=1), np.bool_)
     (left, top), (width, height) = camera.image_corner, camera.image_size
     sides = (x, camera.cx, camera.fx, camera.width, left, width), (y, camera.cy, camera.fy, camera.height, top, height)
     for across, center, focal, size, first, count in sides:
@@ -171,5 +178,5 @@ def _seen(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Dou
         # Of what is before the eye; a block that is partly behind it is cut by the near plane, which is linear, too.
         outside |= (across - ends[1] * z > reach[:, None]).all(axis=1)
         outside |= (ends[0] * z - across > reach[:, None]).all(axis=1)
-    nearest: Doubles = np.maximum(z.min(axis=1), camera.near)
+    nearest: Doubles = np.maximum(z.min(axis=1), near)
     return np.logical_not(outside), nearest
