@@ -156,10 +156,10 @@ class RenderConfig:
     adaptive: bool | None = None
     """Whether noisy pixels have more samples than others, ``samples`` being the most: in the trace and path pipelines,
     from the 17th sample on. None: if ``noise`` is given."""
-    glossy_reflections: bool = False
+    glossy_reflections: bool | None = None
     """Whether rough metals and glossy surfaces reflect what is around them, in lit frames of the trace and hybrid
-    pipelines; without, they reflect lights and the environment only. One ray a sample, from the first surface: grainy,
-    samples average it. Paths always have it."""
+    pipelines; without, they reflect lights and the environment only. One ray a sample, from the first surface: noisy,
+    samples average it. None: if a rough metal and something else are in the scene. Paths always have it."""
     energy_compensation: bool = False
     """Whether rough metals reflect what single scattering between their microfacets loses, in lit frames. Not by
     default, as in glTF's own viewer: white metal of roughness 1 then keeps half of its light."""
@@ -197,7 +197,8 @@ class RenderConfig:
             check_between("noise", self.noise, 0.0, 1.0)
         if self.adaptive is not None:
             check_flag("adaptive", self.adaptive)
-        check_flag("glossy_reflections", self.glossy_reflections)
+        if self.glossy_reflections is not None:
+            check_flag("glossy_reflections", self.glossy_reflections)
         check_flag("energy_compensation", self.energy_compensation)
         check_flag("jitter", self.jitter)
         check_whole("seed", self.seed, 0, 2**32 - 1)

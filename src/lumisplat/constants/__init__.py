@@ -171,6 +171,9 @@ GLOSSY_SHARE_FOLLOWED = 0.25
 """Share of a ray in a highlight from which on it sends a ray on in every sample; with less of it in fewer samples,
 whose rays count for more: of a dielectric, that reflects 0.04, in one of six."""
 
+METAL_MIN = 0.5
+"""Factor ``metallic`` from which on a rough material counts as a metal, which is black without what is around it."""
+
 # --- Light and shadow ---
 
 KEPT_SHARE_MIN = 1.0e-6

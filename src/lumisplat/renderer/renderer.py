@@ -358,11 +358,12 @@ class Renderer:
 
         def find() -> PrimaryHits:
             rays = self._camera_rays.start(self._scene, listed)
-            if plan.is_unscented:
-                return self._unscented.find_hits(self._scene, rays)
-            if plan.rasterises:
+            if plan.rasterises and not plan.is_unscented:
                 return self._raster.find_hits(self._scene, rays)
-            return self._tracer.find_hits(self._scene, rays, "camera")
+            centers = self._camera_rays.start(self._scene, of_splats=True) if plan.jitters_meshes else None
+            if plan.is_unscented:
+                return self._unscented.find_hits(self._scene, rays, centers)
+            return self._tracer.find_hits(self._scene, rays, "camera", centers=centers)
 
         while True:
             hits = self._launcher.replay("hits", (self._scene.graph_key, self._binning.growth, count), find)

@@ -45,7 +45,9 @@ class RayOptions:
     """Of frames in real time. preview: the quickest. high: more probes, and light averaged over more frames. Settings
     of the scene file that differ from the defaults stay."""
     glossy_reflections: Flag = False
-    """Rough metals and glossy surfaces reflect what is around them, not lights alone: grainy, --samples average it."""
+    """Let rough surfaces reflect what is around them, not lights alone. Default: where there is a rough metal."""
+    no_glossy_reflections: Flag = False
+    """Let rough metals reflect lights and the environment alone: less noise, and fewer samples by default."""
     kernel_degree: Annotated[int | None, arg(metavar="0..5", help_behavior_hint="")] = None
     """Shape of the Gaussians: 0 linear, 2 Gaussian, 4 as NVIDIA trains for rays. Without: as each capture says."""
     min_response: Annotated[float | None, setting("0..0.97", "0.0")] = None
@@ -73,7 +75,7 @@ class RayOptions:
         hit_distance = ls.HitDistance(self.hit_distance) if self.hit_distance not in (None, "auto") else None
         frame = {
             "samples": None if self.samples == "auto" else self.samples,
-            "glossy_reflections": True if self.glossy_reflections else None,
+            "glossy_reflections": self._glossy(),
             "jitter": False if self.no_jitter else None,
             "seed": self.seed,
             "max_bounces": None if self.max_bounces == "auto" else self.max_bounces,
@@ -106,6 +108,16 @@ class RayOptions:
         if self.hit_distance == "auto":
             changes["trace"]["hit_distance"] = None
         return changes
+
+    def _glossy(self) -> bool | None:
+        """Whether glossy reflections were asked for; None: neither option was given.
+
+        Raises:
+            ConfigError: Both were.
+        """
+        if self.glossy_reflections and self.no_glossy_reflections:
+            raise ls.ConfigError("--glossy-reflections and --no-glossy-reflections do not go together")
+        return True if self.glossy_reflections else False if self.no_glossy_reflections else None
 
 
 RayGroup = Annotated[RayOptions, arg(name="ray"), OmitArgPrefixes]

@@ -14,7 +14,7 @@ _OF_SHADOW_RAYS = ("kernel_degree", "min_response", "no_adaptive_clamping")
 _OF_PATHS = ("primary",)
 _OF_REALTIME = ("quality",)
 _REFUSED = ("adaptive",)  # where it is on and has no effect
-_NOT_OF_PATHS = ("strategy", "glossy_reflections")
+_NOT_OF_PATHS = ("strategy", "glossy_reflections", "no_glossy_reflections")
 _OF_SHADOWS = (
     *("shadow_method", "shadow_hits", "shadow_offset", "shadow_offset_absolute", "shadow_threshold", "shadow_color"),
 )
@@ -33,7 +33,8 @@ def unused_options(
         light: The options of light.
     """
     is_path = config.pipeline is ls.Pipeline.PATH
-    lit = scene.is_lit_by_default or is_path if config.lighting is None else config.lighting
+    bounces = config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)
+    lit = scene.is_lit_by_default or bounces if config.lighting is None else config.lighting
     shadowed = lit and config.shadows is not ls.Shadows.OFF
     if config.pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH) and raster:
         yield not_used(config, raster, "raster and hybrid")
@@ -57,7 +58,7 @@ def unused_options(
         if unused:
             why = "--lighting is off" if config.lighting is False else "no lights: --lighting on has one at the camera"
             yield f"not used in an unlit frame: {', '.join(unused)} ({why})"
-    elif config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME) and light.shadows == "hard":
+    elif bounces and light.shadows == "hard":
         yield f"not used by --pipeline {config.pipeline.value}: --shadows hard (its shadows are soft)"
     elif not shadowed:
         unused = given_options(light, _OF_SHADOWS)

@@ -21,8 +21,8 @@ from lumisplat.device.structs.shading import Arrivals, Contribution, ShadingScen
 
 wp.set_module_options(SHADE_OPTIONS)
 
-AMBIENT_BRANCH = wp.constant(1 << 20)
-"""First branch of a ray's key for its ambient rays: beyond those of lights."""
+AMBIENT_BRANCH = wp.constant(1 << 21)
+"""First branch of a ray's key for its ambient rays: beyond those of lights and highlights."""
 
 
 @wp.kernel

@@ -85,7 +85,7 @@ class SplatRaster:
             self._launcher.run_banded(
                 splat_raster_kernels.project_splats,
                 asset.placed_count,
-                *(scene.camera, self.settings, scene.splat_instances, asset.instance_ids, asset.data),
+                *(scene.splat_camera, self.settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
             )
         return splats
@@ -149,7 +149,9 @@ class SplatRaster:
         hits.relit_gaussian = get("raster.relit_gaussian", wp.int32, count)
         lists = (mixed.splats, tiles.starts, tiles.items, mixed.starts)
         self._run_pixels(
-            scene, relit_splat_kernels.find_relit, (scene.camera, scene.splat_instances, *lists, meshes, shown, hits)
+            scene,
+            relit_splat_kernels.find_relit,
+            (scene.splat_camera, scene.splat_instances, *lists, meshes, shown, hits),
         )
 
     def _mixed_tiles(self, scene: DeviceScene, tiles: SplatTiles) -> SplatTiles:
@@ -173,13 +175,13 @@ class SplatRaster:
         They are composited once more, with what is averaged in place of colours and normals.
         """
         count, run, kernels = len(hits.hits), self._launcher.run_banded, mean_surface_kernels
-        inputs = (scene.camera, self.settings, scene.shading, scene.gaussians, splats.rects, splats.data)
+        inputs = (scene.splat_camera, self.settings, scene.shading, scene.gaussians, splats.rects, splats.data)
         run(kernels.show_surfaces, splats.count, *inputs)
         sums = self._buffers.struct("raster.means", GaussianHits, count, EXTRA_FIELDS)
         self.sum_splats(scene, tiles, meshes, sums)
         hits.mean_depth = self._buffers.get("raster.mean_depth", wp.float32, count)
         hits.mean_finish = self._buffers.get("raster.mean_finish", wp.vec2, count)
-        run(kernels.store_means, math.prod(scene.image_size), scene.camera, meshes, sums, hits)
+        run(kernels.store_means, math.prod(scene.image_size), scene.splat_camera, meshes, sums, hits)
 
     def sum_splats(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, sums: GaussianHits) -> None:
         """Sums colours and normals of the splats before the mesh, as they are blended, for the rays of all pixels."""
@@ -193,7 +195,7 @@ class SplatRaster:
         hits: GaussianHits,
     ) -> None:
         """Samples one splat a pixel, with its weight as probability; the lists need no order."""
-        inputs = (scene.camera, scene.sample, tiles.splats, tiles.starts, tiles.items, meshes, hits)
+        inputs = (scene.splat_camera, scene.sample, tiles.splats, tiles.starts, tiles.items, meshes, hits)
         if self._launcher.is_parallel:
             self._run_pixels(scene, splat_pixel_kernels.sample_pixels, inputs)
         else:
@@ -202,12 +204,12 @@ class SplatRaster:
 
     def _set_depth(self, scene: DeviceScene, kernel: Kernel, meshes: MeshPixels, surfaces: object) -> None:
         """Moves surfaces from the means of the picked Gaussians to where these respond most on the pixels' rays."""
-        inputs = (scene.camera, scene.splat_instances, scene.gaussians, meshes, surfaces)
+        inputs = (scene.splat_camera, scene.splat_instances, scene.gaussians, meshes, surfaces)
         self._launcher.run_banded(kernel, math.prod(scene.image_size), *inputs)
 
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
         """Runs one of three kernels with the same result."""
-        inputs = (scene.camera, self.settings, scene.splat_instances, *arguments)
+        inputs = (scene.splat_camera, self.settings, scene.splat_instances, *arguments)
         if by_pixel:
             self._run_pixels(scene, splat_pixel_kernels.composite_pixels, inputs)
         elif self._launcher.is_parallel:

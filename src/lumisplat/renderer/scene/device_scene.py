@@ -51,7 +51,7 @@ class DeviceScene:
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed
-        self._jitters = config.jitter
+        self._jitters = self._jitters_meshes = config.jitter
         self._shading = ShadingTables(buffers, config, launcher.device)
         self._mesh_bvh = MeshBvhScene(launcher)
         self.bvh = BvhScene(launcher)
@@ -63,6 +63,8 @@ class DeviceScene:
         self.gaussians: DeviceArray
         """One GaussianData for each of them; written by ``sync``."""
         self.camera = self._buffers.get("camera", CameraData, 1)
+        self.splat_camera = self._buffers.get("camera.splats", CameraData, 1)
+        """The camera as Gaussians are seen: in the middles of pixels where samples are spread for meshes alone."""
         self.sample = self._buffers.get("sample", SampleData, 1)
         self.splat_instances: DeviceArray
         """One SplatInstanceData an instance; written by ``sync``."""
@@ -142,7 +144,7 @@ class DeviceScene:
         Raises:
             DeviceError: The device is out of memory.
         """
-        self._jitters = plan.jitters
+        self._jitters, self._jitters_meshes = plan.jitters, plan.jitters or plan.jitters_meshes
         scene, camera = self._localised(scene, camera)
         if plan.has_history:  # its random choices among lights are the same whatever their order
             scene = replace(scene, lights=in_order(scene.lights))
@@ -155,7 +157,8 @@ class DeviceScene:
             self._camera, self.image_size = camera, camera.image_size
             if plan.has_history:
                 self.motion.sync(scene, camera, self.mesh_data.positions, has_headlight=plan.has_headlight)
-            assign_table(self.camera, camera_table(camera, CENTER))
+            for table in (self.camera, self.splat_camera):
+                assign_table(table, camera_table(camera, CENTER))
             if plan.is_sampled:
                 self._shading.sync(
                     scene,
@@ -208,7 +211,8 @@ class DeviceScene:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
         self._sample["index"] = index
         assign_table(self.sample, self._sample)
-        assign_table(self.camera, camera_table(self._camera, subpixel(index if self._jitters else 0)))
+        for table, jitters in ((self.camera, self._jitters_meshes), (self.splat_camera, self._jitters)):
+            assign_table(table, camera_table(self._camera, subpixel(index if jitters else 0)))
 
     @property
     def tile_grid(self) -> tuple[int, int]:

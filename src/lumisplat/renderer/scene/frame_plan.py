@@ -18,6 +18,7 @@ from lumisplat.config import (
 )
 from lumisplat.constants import (
     AMBIENT_RAYS_OF_FRAMES,
+    METAL_MIN,
     PATH_BOUNCES,
     SAMPLES_OF_PATHS,
     SAMPLES_OF_RANDOM_LIGHT,
@@ -35,7 +36,7 @@ from lumisplat.renderer.scene.materials import (
     is_rough_glass,
 )
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect, LightSphere
-from lumisplat.scene.materials import Material
+from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
 
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
@@ -108,6 +109,8 @@ class FramePlan:
     jitters: bool
     """Samples spread over their pixel. Those that nobody asked for do not where captures are kept: what shows only
     such a capture stays as captured."""
+    jitters_meshes: bool
+    """Those that nobody asked for spread over their pixel for meshes alone, where captures are kept."""
     samples_wanted: int
     """How many its light needs, so that none of it is grainy."""
     grain: tuple[str, ...]
@@ -184,7 +187,8 @@ class FramePlan:
         has_unshadowed = is_lit and not is_path and reflects and not all_cast
         grain = random_light(config, scene) if not bounces and (has_unshadowed or casts_shadows) else ()
         follows = config.pipeline in (Pipeline.TRACE, Pipeline.HYBRID) and config.max_bounces != 0
-        has_lobes = config.glossy_reflections and follows and is_lit and reflects
+        wants_lobes = has_rough_metal(scene) if config.glossy_reflections is None else config.glossy_reflections
+        has_lobes = wants_lobes and follows and is_lit and reflects
         grain += (SURROUNDINGS,) * has_lobes
         has_media = not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes)
         draws_alpha = traces_paths or only_rasterises
@@ -193,6 +197,8 @@ class FramePlan:
         samples_wanted = max(samples_wanted, SAMPLES_OF_RANDOM_LIGHT if is_dithered else 1)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC or is_dithered
         is_open = config.time_limit is not None or config.noise is not None
+        adapts = may_adapt(config) and (config.noise is not None if config.adaptive is None else config.adaptive)
+        spreads = is_realtime or is_open or config.samples is not None or not keeps
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
@@ -208,9 +214,9 @@ class FramePlan:
             samples=config.samples or (SAMPLES_OPEN if is_open else samples_wanted),
             time_limit=config.time_limit,
             noise=config.noise,
-            adapts=may_adapt(config) and (config.noise is not None if config.adaptive is None else config.adaptive),
-            jitters=may_jitter(config, is_lit=is_lit)
-            and (is_realtime or is_open or config.samples is not None or not keeps),
+            adapts=adapts,
+            jitters=may_jitter(config, is_lit=is_lit) and spreads,
+            jitters_meshes=may_jitter(config, is_lit=is_lit) and not spreads and not adapts and bool(scene.meshes),
             samples_wanted=samples_wanted,
             grain=grain,
             has_lobes=has_lobes,
@@ -361,6 +367,14 @@ def samples_of(grain: tuple[str, ...], scene: Scene) -> int:
     if not grain:
         return 1
     return SAMPLES_OF_RANDOM_LIGHT if scene.meshes or SOFT_LIGHTS in grain else SAMPLES_OF_SKY_ON_SPLATS
+
+
+def has_rough_metal(scene: Scene) -> bool:
+    """Whether a scene has a rough metal, which shows nothing but what it reflects, and something to be reflected."""
+    rough = (
+        isinstance(one, MaterialPbr) and one.metallic >= METAL_MIN and not one.is_smooth for one in materials_of(scene)
+    )
+    return len(scene.meshes) + len(scene.splats) > 1 and any(rough)
 
 
 def has_size(light: Light) -> bool:

@@ -22,16 +22,17 @@ class CameraRays:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
-    def start(self, scene: DeviceScene, listed: ListedRays | None = None) -> RayData:
+    def start(self, scene: DeviceScene, listed: ListedRays | None = None, *, of_splats: bool = False) -> RayData:
         """The rays of the scene's current sample, in square blocks of pixels.
 
         Args:
             scene: With the camera.
             listed: Those that are started; None: those of all pixels.
+            of_splats: Whether they are those along which Gaussians are seen.
         """
         count = ray_count(*scene.image_size) if listed is None else len(listed.place)
-        rays = self._buffers.struct("camera.rays", RayData, count)
-        inputs = scene.camera, scene.sample, listed or ListedRays()
+        rays = self._buffers.struct("camera.splat_rays" if of_splats else "camera.rays", RayData, count)
+        inputs = scene.splat_camera if of_splats else scene.camera, scene.sample, listed or ListedRays()
         with self._launcher.stage("rays"):
             self._launcher.run_banded(kernels.start_rays, count, *inputs, rays)
         return rays

@@ -31,7 +31,9 @@ class RayTracer:
         traces_paths = bounces_light(config) and config.lighting is not False
         self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
 
-    def find_hits(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> PrimaryHits:
+    def find_hits(
+        self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False, centers: RayData | None = None
+    ) -> PrimaryHits:
         """The nearest mesh on each ray, and what the Gaussians before it give the ray.
 
         Args:
@@ -39,11 +41,12 @@ class RayTracer:
             rays: A multiple of ``PACKET_RAYS``.
             name: Of the buffers that hold the result.
             bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
+            centers: The rays along which Gaussians are seen; None: the same.
         """
         with self._launcher.stage("mesh"):
             meshes = self._meshes.find(scene, rays, f"{name}.meshes", bounced=bounced)
         with self._launcher.stage("gaussians"):
-            gaussians = self._gaussians.find(scene, rays, meshes.t, f"{name}.gaussians", bounced=bounced)
+            gaussians = self._gaussians.find(scene, centers or rays, meshes.t, f"{name}.gaussians", bounced=bounced)
         return PrimaryHits(rays, meshes, gaussians)
 
     def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:

@@ -63,12 +63,13 @@ class UnscentedRaster:
         self._table["field"] = image_field(camera)
         assign_table(self._settings, self._table)
 
-    def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
+    def find_hits(self, scene: DeviceScene, rays: RayData, centers: RayData | None = None) -> PrimaryHits:
         """What the rays of the scene's current sample hit; they count once ``Binning.finish`` says that they are all.
 
         Args:
             scene: The scene on the device, at this sample.
             rays: The rays of its pixels.
+            centers: Those along which Gaussians are seen; None: the same.
         """
         stage = self._launcher.stage
         self._binning.begin()
@@ -83,8 +84,8 @@ class UnscentedRaster:
             lists = self._binning.bin("raster", order, splats.rects, tiles_x, tiles_x * tiles_y)
             tiles = SplatTiles(splats.data, lists.starts, lists.items)
         with stage("composite"):
-            hits = self._composite(scene, tiles, rays, meshes.t)
-        self.met = SplatsOnRays(splats, tiles, rays, meshes.t, hits, self._settings)
+            hits = self._composite(scene, tiles, centers or rays, meshes.t)
+        self.met = SplatsOnRays(splats, tiles, centers or rays, meshes.t, hits, self._settings)
         return PrimaryHits(rays, meshes, hits)
 
     def _project(self, scene: DeviceScene) -> ProjectedSplats:
@@ -98,7 +99,7 @@ class UnscentedRaster:
             self._launcher.run_banded(
                 ray_splat_kernels.project_gaussians,
                 asset.placed_count,
-                *(scene.camera, self._settings, scene.splat_instances, asset.instance_ids, asset.data),
+                *(scene.splat_camera, self._settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
             )
         return splats
@@ -107,7 +108,7 @@ class UnscentedRaster:
         fields = MEAN_FIELDS if scene.mixes_sets else EXTRA_FIELDS
         hits = self._buffers.struct("unscented.hits", GaussianHits, len(rays.t_max), fields)
         lists = (tiles.splats, tiles.starts, tiles.items)
-        inputs = (scene.camera, self._settings, scene.splat_instances, *lists, rays, limits, hits)
+        inputs = (scene.splat_camera, self._settings, scene.splat_instances, *lists, rays, limits, hits)
         by_pixel = self._launcher.is_parallel or scene.mixes_sets or "hits" in self._config.aovs
         count, bands = math.prod(scene.tile_grid), TILE_BANDS_PER_THREAD * self._launcher.threads
         if by_pixel:
@@ -115,7 +116,7 @@ class UnscentedRaster:
         else:
             kernel = ray_splat_tile_kernels.composite_tiles
         self._launcher.run_banded(kernel, count, *inputs, bands=bands)
-        surfaces = (scene.camera, scene.splat_instances, scene.gaussians, rays, limits, hits)
+        surfaces = (scene.splat_camera, scene.splat_instances, scene.gaussians, rays, limits, hits)
         self._launcher.run_banded(ray_splat_kernels.set_depth, math.prod(scene.image_size), *surfaces)
         return hits
 
