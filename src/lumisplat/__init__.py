@@ -107,6 +107,7 @@ if TYPE_CHECKING:
     from lumisplat.metrics.ms_ssim import ms_ssim, ms_ssim_scales
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
     from lumisplat.relighting.avatar_lighter import AvatarLighter
+    from lumisplat.relighting.capture_gain import estimate_capture_gain
     from lumisplat.relighting.captured_shadow import shadowed
     from lumisplat.relighting.delight.delight import delight, estimate_materials
     from lumisplat.relighting.delight.material_estimate import MaterialEstimate
@@ -303,6 +304,7 @@ _MODULE_OF = {
     "demo_scene": "demo.scene",
     "demo_scene_lit": "demo.scene_lit",
     "diagnose": "machine.diagnosis",
+    "estimate_capture_gain": "relighting.capture_gain",
     "estimate_lights": "relighting.light_estimation",
     "estimate_materials": "relighting.delight.delight",
     "estimate_normals": "scene.ops.estimate_normals",
@@ -511,6 +513,7 @@ __all__ = [
     "demo_scene",
     "demo_scene_lit",
     "diagnose",
+    "estimate_capture_gain",
     "estimate_lights",
     "estimate_materials",
     "estimate_normals",

@@ -22,7 +22,7 @@ from lumisplat.config.raster import RasterConfig
 from lumisplat.config.rays import ResponseConfig, ShadowConfig, TraceConfig
 from lumisplat.config.realtime import RealtimeConfig
 from lumisplat.config.renamed import refuse_renamed
-from lumisplat.constants import SAMPLES_MAX
+from lumisplat.constants import CAPTURE_GAIN_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError
 
 
@@ -160,6 +160,10 @@ class RenderConfig:
     """Whether rough metals and glossy surfaces reflect what is around them, in lit frames of the trace and hybrid
     pipelines; without, they reflect lights and the environment only. One ray a sample, from the first surface: noisy,
     samples average it. None: if a rough metal and something else are in the scene. Paths always have it."""
+    capture_gain: float = 0.0
+    """Stops by which the light is brightened that captures shine onto what they light: their light sources are clipped
+    at a display's white. What is seen of captures, in mirrors as well, stays as it is. `estimate_capture_gain` finds a
+    value. Of frames in which captures light anything: paths, real time, and glossy reflections."""
     energy_compensation: bool = False
     """Whether rough metals reflect what single scattering between their microfacets loses, in lit frames. Not by
     default, as in glTF's own viewer: white metal of roughness 1 then keeps half of its light."""
@@ -199,6 +203,7 @@ class RenderConfig:
             check_flag("adaptive", self.adaptive)
         if self.glossy_reflections is not None:
             check_flag("glossy_reflections", self.glossy_reflections)
+        check_between("capture_gain", self.capture_gain, -CAPTURE_GAIN_MAX, CAPTURE_GAIN_MAX)
         check_flag("energy_compensation", self.energy_compensation)
         check_flag("jitter", self.jitter)
         check_whole("seed", self.seed, 0, 2**32 - 1)

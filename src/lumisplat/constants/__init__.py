@@ -176,6 +176,20 @@ METAL_MIN = 0.5
 
 # --- Light and shadow ---
 
+CAPTURE_GAIN_MAX = 16.0
+"""Stops by which the light of captures is brightened at most: 65,536 times."""
+
+CAPTURE_GAIN_FOUND_MAX = 6.0
+"""Stops that are found at most: beyond, the place is too dark to say what light it has."""
+
+SURROUNDINGS_ALBEDO = 0.5
+"""Albedo that surfaces around an object are taken to have on average, of which the brightness of the light on them
+follows: rooms have 0.4 to 0.6 (CIBSE, Lighting Guide 5)."""
+
+GAIN_DIRECTIONS = 1024
+"""Rays that look around an object for the gain of captured light."""
+
+
 KEPT_SHARE_MIN = 1.0e-6
 """Share of a ray of Gaussians that keep their captured colour, below which it is rounding beside relit ones."""
 

@@ -107,6 +107,7 @@ class Animate(FrameCommand):
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
         animation = self._animation(environment, report)
+        config = self.light.exposed_captures(renderer, config, with_actors(animation.scene, animation.actors_at(0.0)))
         cameras = self._cameras(animation)
         frames = FrameList(
             folder=folder,

@@ -96,6 +96,7 @@ class Orbit(ViewsCommand, FrameCommand):
         blocks = block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole.replace("_", "-"), upright=up)
         scene = blocks.preview if blocks else up(self.load_scene(self.scene, report))
         scene = self.light.lit_scene(scene, environment)
+        config = self.light.exposed_captures(renderer, config, scene)
         cameras = along or self._round(scene, count)
         for line in frame_remarks(config, scene, [], self.rays, self.light):
             _log.warning("%s", line)

@@ -205,6 +205,7 @@ class Render(ViewsCommand, FrameCommand):
         blocks = self._blocks(config, lit=environment is not None)
         scene = blocks.preview if blocks else self.viewpoint.upright(self.load_scene(self.scene, report))
         scene = self.light.lit_scene(scene, environment)
+        config = self.light.exposed_captures(renderer, config, scene)
         if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(self, _OF_REALTIME)):
             _log.warning("%s", not_used(config, unused, "realtime"))
         for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,8 @@ from tyro.conf import OmitArgPrefixes, arg
 import lumisplat as ls
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.settings import Changes, setting, without_none
+
+_log = logging.getLogger("lumisplat")
 
 _LIGHTING = {"auto": None, "on": True, "off": False}
 
@@ -48,6 +51,9 @@ class LightOptions:
     true. agx: as film. What only shows a capture stays as captured."""
     exposure: Annotated[float | None, arg(metavar="STOPS", help_behavior_hint="")] = None
     """Of lit pictures: 1 is twice as bright, -1 half. Without: the camera's own, else 0."""
+    capture_gain: Annotated[float | Literal["auto"] | None, setting("STOPS", "0.0")] = None
+    """Brighten the light that captures shine onto what is added, not the captures themselves. auto: as the surfaces
+    around it show that there was."""
     denoise: Flag = False
     """Remove the noise of the light (Open Image Denoise; pip install 'lumisplat[denoise]'): fewer samples do. Captures
     that keep their look stay as captured."""
@@ -70,9 +76,29 @@ class LightOptions:
         frame = {
             "shadows": self.shadows and ls.Shadows(self.shadows),
             "tone_map": self.tone_map and ls.ToneMap(self.tone_map),
+            "capture_gain": None if self.capture_gain == "auto" else self.capture_gain,
         }
         lighting = {} if self.lighting is None else {"lighting": _LIGHTING[self.lighting]}
         return lighting | without_none(frame) | {"shadow_rays": without_none(shadow_rays)}
+
+    def exposed_captures(self, renderer: ls.Renderer, config: ls.RenderConfig, scene: ls.Scene) -> ls.RenderConfig:
+        """The settings with the gain of captured light that --capture-gain auto finds; the renderer has them, too.
+
+        Args:
+            renderer: Renders the frames.
+            config: Its settings.
+            scene: What it shows.
+
+        Raises:
+            LumisplatError: The scene has no captured light, or nothing that it lights.
+        """
+        if self.capture_gain != "auto":
+            return config
+        gain = ls.estimate_capture_gain(scene, device=renderer.device)
+        _log.info("captured light is brightened by %g stops (--capture-gain %g)", gain, gain)
+        config = replace(config, capture_gain=gain)
+        renderer.reconfigure(config)
+        return config
 
     def exposed(self, camera: ls.Camera) -> ls.Camera:
         """The camera, with the exposure that was given.

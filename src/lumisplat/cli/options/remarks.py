@@ -21,6 +21,7 @@ def frame_remarks(
     yield from unused_options(config, scene, raster, rays, light)
     yield from _unused_albedos(config, scene)
     yield from _dark_sides(config, scene)
+    yield from _clipped_light(config, scene, light)
 
 
 def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
@@ -54,6 +55,19 @@ def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
         yield (
             f"sides of {dark} that no light reaches are black: [environment] in a scene.toml (such as intensity = 0.3, "
             "visible = false) or --environment FILE lights them from all around"
+        )
+
+
+def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: LightOptions) -> Iterator[str]:
+    """A line if captures alone light what is added, by light that is clipped at a display's white."""
+    bounces = config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME) and config.lighting is not False
+    relit = [one for one in scene.splats if one.material is not None and not one.shadow_catcher]
+    has_captures = len(relit) < len(scene.splats)
+    asked = config.capture_gain != 0.0 or light.capture_gain is not None
+    if bounces and has_captures and (scene.meshes or relit) and not scene.lights and not asked:
+        yield (
+            "captured light alone shines on what is added, and is clipped at a display's white: --capture-gain auto "
+            "(capture_gain of [render] in a scene.toml, in stops) exposes it as its surroundings"
         )
 
 

@@ -120,6 +120,8 @@ def own_light(
 ) -> wp.vec3:
     """Linear radiance that path ``i`` sees of captures, and of what meshes shine by themselves."""
     seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
+    if not paths[0].is_specular[i]:
+        seen *= scene[0].settings[0].capture_gain
     seen += wave[0].radiance.light[i]
     if wave[0].meshes.face[i] >= 0:
         share = emitted_share(i, no_shadows, paths, scene, wave)

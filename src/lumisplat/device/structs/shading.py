@@ -81,6 +81,8 @@ class ShadingSettings:
     """1: lights are sampled over their extent."""
     changes_shadows: int
     """1: shadow rays darken or tint what they let through, as rays that meet lights do not."""
+    capture_gain: float
+    """Factor of the light that captures shine onto what they light; not of what is seen of them."""
     shadow_offset: float
     """Scales of a Gaussian."""
     shadow_offset_absolute: float

@@ -155,7 +155,7 @@ def add_captured_light(
     if not (wave[0].rays.is_active[i] and leaves_receiver(i, paths)):
         return
     throughput = paths[0].throughput[i]
-    own = captured_color(captured.color[i], 1.0 - captured.transmittance[i])
+    own = scene[0].settings[0].capture_gain * captured_color(captured.color[i], 1.0 - captured.transmittance[i])
     far = captured.transmittance[i] * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
     # As ``add_seen_light`` does: where both are the same light, they are the same number.
     add_own_light(paths[0].root[i], wp.cw_mul(throughput, own), images_inout)

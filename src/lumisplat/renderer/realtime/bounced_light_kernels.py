@@ -22,6 +22,7 @@ wp.set_module_options(SHADE_OPTIONS)
 def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
     """Linear radiance that ray ``i`` sees of what shines, but for the meshes that are sampled as lights."""
     seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
+    seen *= scene[0].settings[0].capture_gain
     seen += wave[0].radiance.light[i]
     if wave[0].meshes.face[i] >= 0 and scene[0].emitters.ends.shape[0] > 0:
         if scene[0].emitters.first[wave[0].meshes.instance[i]] >= 0:

@@ -126,5 +126,6 @@ class ShadingTables:
         row["soft"] = config.shadows is Shadows.SOFT or plan.traces_paths
         row["changes_shadows"] = config.shadow_rays.changes_shadows
         row["shadow_offset"] = config.shadow_rays.offset
+        row["capture_gain"] = 2.0**config.capture_gain
         row["shadow_offset_absolute"] = config.shadow_rays.offset_absolute
         return table

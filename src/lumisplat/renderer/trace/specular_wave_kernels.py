@@ -23,6 +23,10 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
+LOBES = wp.constant(2)
+"""Place of the rays within highlights among those that branch off a ray."""
+
+
 @wp.func
 def start_ray(child: int, parent: int, branch: int, path_length: float, wave: wp.array[WaveData], rays_out: RayData):
     """Starts ray ``child``, a branch of ``parent``, but for its origin, direction, least distance and footprint.
@@ -148,6 +152,8 @@ def gather_branches(
                 if far[0].radiance.capture_factor:
                     weight = far[0].radiance.captured_weight[child]
                     light = wp.cw_mul(light, straight_factor(far[0].radiance.capture_factor[child], weight))
+                if branch == LOBES:
+                    light *= scene[0].settings[0].capture_gain
                 color += wp.cw_mul(far[0].weights[child], light + far[0].radiance.light[child])
             else:
                 color += wp.cw_mul(far[0].weights[child], far[0].radiance.captured[child])
