@@ -78,6 +78,31 @@ def test_an_albedo_that_no_material_uses_is_announced() -> None:
         assert remarks(scene) == []
 
 
+@pytest.mark.parametrize("pipeline", ["path", "realtime"])
+def test_captured_light_alone_is_said_to_be_clipped(pipeline: str) -> None:
+    """With the option that brightens it, until a gain is given or lights are there."""
+    scene = ls.Scene([KEPT], [WALL])
+    (line,) = remarks(scene, pipeline=pipeline)
+    assert line.startswith("captured light alone shines on what is added") and "--capture-gain auto" in line
+    assert remarks(scene, pipeline=pipeline, capture_gain=1.0) == []
+    for other in (ls.Scene([KEPT]), ls.Scene([KEPT], [WALL], [SKY]), ls.Scene([], [WALL])):
+        assert remarks(other, pipeline=pipeline) == []
+    config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline))
+    given = LightOptions(tone_map="agx")
+    assert not any("tone-map" in one for one in frame_remarks(config, scene, [], RayOptions(), given))
+
+
+def test_the_gain_of_captured_light_is_found_by_the_command(tmp_path, capsys, monkeypatch, caplog) -> None:
+    """``--capture-gain auto`` says what it has found, and the frame is brighter by it."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    work = Workplace(tmp_path, capsys)
+    work.path("a.toml").write_text('[[splats]]\npath = "capture.ply"\n[[meshes]]\npath = "mesh.obj"\n')
+    options = ("--width", "16", "--device", "cpu", "--pipeline", "path", "--samples", "2", "--capture-gain", "auto")
+    with caplog.at_level(logging.INFO, "lumisplat"):
+        assert work.run("render", "@a.toml", "-o", "@a.png", *options).status == 0
+    assert any("captured light is brightened by" in record.getMessage() for record in caplog.records)
+
+
 @pytest.mark.parametrize("command", ["render", "orbit"])
 def test_commands_say_it_once_and_the_environment_helps(tmp_path, capsys, monkeypatch, caplog, command) -> None:
     """As the line says it, in a scene.toml."""

@@ -10,6 +10,7 @@ from lumisplat.config.checks import (
     check_flag,
     check_kind,
     check_positive,
+    check_range,
     check_whole,
     listed_names,
     quoted,
@@ -203,7 +204,7 @@ class RenderConfig:
             check_flag("adaptive", self.adaptive)
         if self.glossy_reflections is not None:
             check_flag("glossy_reflections", self.glossy_reflections)
-        check_between("capture_gain", self.capture_gain, -CAPTURE_GAIN_MAX, CAPTURE_GAIN_MAX)
+        check_range("capture_gain", self.capture_gain, -CAPTURE_GAIN_MAX, CAPTURE_GAIN_MAX)
         check_flag("energy_compensation", self.energy_compensation)
         check_flag("jitter", self.jitter)
         check_whole("seed", self.seed, 0, 2**32 - 1)

@@ -219,6 +219,9 @@ CATCHER_AMBIENT = 0.5
 """Ambient light, as radiance over albedo, on a shadow catcher that does not say it, in scenes with lights and without
 an environment: half of what makes white paper white."""
 
+CATCHER_FILL_PX = 3
+"""Pixels by which the ratio of meshes that catch shadows is carried on behind the edges of objects."""
+
 AMBIENT_RAYS_OF_FRAMES = 2
 """Shadow rays a frame in real time from each pixel that shows a shadow catcher: frames are averaged."""
 

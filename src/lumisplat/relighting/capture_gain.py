@@ -54,7 +54,7 @@ def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, d
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE), device)
     clear = renderer.transmittance(Scene(around), np.broadcast_to(place, directions.shape), directions)
     coverage = 1.0 - float(clear.mean(dtype=np.float64))
-    # What arrives is the mean radiance of the surroundings times their coverage; what had arrived is it over the albedo.
+    # The mean radiance of the surroundings arrives times their coverage, and had arrived over their albedo.
     stops = -math.log2(max(SURROUNDINGS_ALBEDO * coverage, 2.0**-CAPTURE_GAIN_FOUND_MAX))
     return round(max(stops, 0.0), 1)
 

@@ -21,6 +21,13 @@ from lumisplat.frame.redistorted import pinhole_of, redistorted
 from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.progress import Progress
+from lumisplat.renderer.catcher_meshes import (
+    catcher_config,
+    has_catcher_meshes,
+    numbered_as,
+    with_caught,
+    without_catcher_meshes,
+)
 from lumisplat.renderer.checks import (
     check_aovs,
     check_blocks,
@@ -96,6 +103,8 @@ class Renderer:
         self._media = MediaWarning()
         self._frame_number = 0
         """Of the next frame, where each adds to what those before it have found."""
+        self._catchers: Renderer | None = None
+        """Finds what meshes that are shadow catchers catch."""
         self._loaded: set[int] = set()
         self._load(frame_modules(FramePlan.of(config, Scene()), launcher, config))
 
@@ -140,6 +149,10 @@ class Renderer:
         """
         check_scene(scene)
         check_camera(camera)
+        if has_catcher_meshes(scene):
+            if resume is not None:
+                raise ConfigError("a frame with meshes that are shadow catchers cannot be resumed")
+            return self._with_caught(scene, camera, progress, stop)
         plan = FramePlan.of(self.config, scene)
         if plan.rasterises and not plan.is_unscented and camera.is_distorted:
             refuse_lens(camera, self.config.pipeline)
@@ -169,10 +182,26 @@ class Renderer:
         self._media.warn_of(plan, scene, self._buffers)
         return self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
 
+    def _with_caught(
+        self, scene: Scene, camera: Camera, progress: Progress | None, stop: Callable[[], bool] | None
+    ) -> Frame:
+        """A frame of a scene whose meshes catch shadows, which frames of another renderer find."""
+        shown, keeps_ratio = without_catcher_meshes(scene), "shadow_ratio" in self.config.aovs
+        frame = self.render(shown, camera, progress=progress, stop=stop)
+        if not frame.has("light"):
+            return numbered_as(frame, scene)
+        if self._catchers is None:
+            self._catchers = Renderer(catcher_config(self.config), self._launcher)
+        catchers = self._catchers
+        caught = with_caught(frame, scene, lambda one: catchers.render(one, camera, stop=stop), keeps_ratio=keeps_ratio)
+        return numbered_as(caught, scene)
+
     def render_part(self, scene: Scene, camera: Camera, part: SamplePart, *, progress: Progress | None = None) -> Frame:
         """A frame of a part of all samples: of those that it holds, else they are drawn. See ``render_samples``."""
         check_scene(scene)
         check_camera(camera)
+        if has_catcher_meshes(scene):
+            raise ConfigError("samples of a frame with meshes that are shadow catchers cannot be split")
         plan = FramePlan.of(self.config, scene)
         check_blocks(self.config, plan, camera)
         self._check(plan, scene, camera, None)
@@ -319,6 +348,8 @@ class Renderer:
         if self.config.pipeline not in (Pipeline.TRACE, Pipeline.PATH):
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or Pipeline.PATH: this one rasterises")
         check_scene(scene)
+        if has_catcher_meshes(scene):
+            scene = without_catcher_meshes(scene)
         plan = FramePlan.of_rays(self.config, scene)
         self._launcher.stage_ms = {}
         self._sync(scene, camera or _ANY, plan)

@@ -98,13 +98,19 @@ class MeshInstance(PlacedInstance):
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
     """Affine transform, shape (4, 4); None: the identity, at the ``origin`` of the mesh."""
+    shadow_catcher: bool = field(default=False, kw_only=True)
+    """Whether it is a shadow catcher, seen only where other objects shadow it or, if it is shiny, are mirrored by it:
+    it stands for a surface of the captures, or of a picture that the frame is put over. It hides nothing and casts no
+    shadow. Captures do not block its light, but for those that are added to others which are shadow catchers."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
+        check_flag("shadow_catcher", self.shadow_catcher)
         self._place(self.world_from_object, Placing(*placing), self.mesh.origin)
 
     def __repr__(self) -> str:
-        return f"MeshInstance({self.mesh!r}, {self._placement()})"
+        catches = ", shadow_catcher" if self.shadow_catcher else ""
+        return f"MeshInstance({self.mesh!r}, {self._placement()}{catches})"
 
     def bounds(self) -> Bounds:
         """Corners (min, max) of the world-space bounding box of the vertices, shape (3,) each."""

@@ -86,6 +86,8 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
         "time_limit": st.none() | st.floats(1e-3, 1e6),
         "noise": st.none() | st.floats(1e-6, 0.99),
         "adaptive": st.none() | st.booleans(),
+        "glossy_reflections": st.none() | st.booleans(),
+        "capture_gain": between(-16.0, 16.0),
         "seed": st.integers(0, 2**32 - 1),
         "max_bounces": st.integers(0, 64),
     },

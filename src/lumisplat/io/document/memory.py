@@ -98,7 +98,8 @@ def _mesh_table(memory: MemoryEntries, instance: MeshInstance, paths: dict[int, 
         asset = MeshInstance(instance.mesh) if placed else MeshInstance(instance.mesh, instance.transform)
         memory.assets[paths[key]] = Scene(meshes=[asset])
     name = _name(instance.name or instance.mesh.name)
-    return {"path": paths[key], **(_placement(instance.transform) if placed else {}), **name}
+    catches = {"shadow_catcher": True} if instance.shadow_catcher else {}
+    return {"path": paths[key], **(_placement(instance.transform) if placed else {}), **name, **catches}
 
 
 def _placement(matrix: Any) -> dict[str, Any]:

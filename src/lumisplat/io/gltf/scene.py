@@ -156,6 +156,8 @@ def _placed_meshes(
         places = [np.eye(4)] if node.skin is not None else instance_places(file, index)
         for place, mesh in itertools.product(places, meshes):
             try:
-                yield MeshInstance(mesh, world_from_object @ place, name=node.name or mesh.name)
+                catches = (own_extras(node) or {}).get("shadow_catcher") is True
+                at, name = world_from_object @ place, node.name or mesh.name
+                yield MeshInstance(mesh, at, name=name, shadow_catcher=catches)
             except SceneError as error:
                 raise FormatError(file.path, f"{node_label(file, index)}: {error}") from None

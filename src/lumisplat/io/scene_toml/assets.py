@@ -78,6 +78,7 @@ ENTRY_KEYS = {
         "lights": FLAG,
         "crease_angle_degrees": NUMBER,
         "part": NAME_OR_NUMBER,
+        "shadow_catcher": FLAG,
     },
 }
 """Keys of captures and meshes, by heading."""
@@ -144,7 +145,12 @@ class Assets:
         wanted = scene.lights if given.get("lights", True) else ()
         try:
             meshes = [
-                MeshInstance(i.mesh, world_from_file @ i.transform, name=given.get("name") or i.name)
+                MeshInstance(
+                    i.mesh,
+                    world_from_file @ i.transform,
+                    name=given.get("name") or i.name,
+                    shadow_catcher=given.get("shadow_catcher", i.shadow_catcher),
+                )
                 for i in scene.meshes
             ]
             splats = [

@@ -50,7 +50,9 @@ class UsdMeshes:
         if key not in self._known:
             is_mesh = str(placed.prim.GetTypeName()) == "Mesh"
             self._known[key] = self._read(placed, bound) if is_mesh else [self._shape(placed, bound)]
-        return [MeshInstance(mesh, placed.world_from_prim, name=placed.name) for mesh in self._known[key]]
+        catches = hints_of(placed.prim).get("shadow_catcher") is True
+        at = placed.world_from_prim
+        return [MeshInstance(mesh, at, name=placed.name, shadow_catcher=catches) for mesh in self._known[key]]
 
     def _read(self, placed: Placed, bound: ReadMaterial | None) -> list[Mesh]:
         file, prim = self._file, placed.prim

@@ -62,9 +62,8 @@ class DeviceScene:
         """The distinct Gaussian sets."""
         self.gaussians: DeviceArray
         """One GaussianData for each of them; written by ``sync``."""
-        self.camera = self._buffers.get("camera", CameraData, 1)
-        self.splat_camera = self._buffers.get("camera.splats", CameraData, 1)
-        """The camera as Gaussians are seen: in the middles of pixels where samples are spread for meshes alone."""
+        self.camera, self.splat_camera = (buffers.get(f"camera{name}", CameraData, 1) for name in ("", ".splats"))
+        """The camera, and as Gaussians are seen: in the middles of pixels where samples spread for meshes alone."""
         self.sample = self._buffers.get("sample", SampleData, 1)
         self.splat_instances: DeviceArray
         """One SplatInstanceData an instance; written by ``sync``."""

@@ -62,7 +62,8 @@ def unused_settings(config: ls.RenderConfig, *, lit: bool) -> dict[str, str]:
     if config.shadows is ls.Shadows.OFF:
         unused["shadow_rays"] = _SHADOWED
     if not lit:
-        of_light = ("shadows", "shadow_rays", "tone_map", "exposure", "glossy_reflections", "energy_compensation")
+        of_light = ("shadows", "shadow_rays", "tone_map", "exposure", "glossy_reflections")
+        of_light = (*of_light, "capture_gain", "energy_compensation")
         unused |= dict.fromkeys(of_light, _LIT)
     return unused
 

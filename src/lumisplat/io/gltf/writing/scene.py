@@ -97,7 +97,8 @@ def _mesh_nodes(
             if key not in written:
                 written[key] = add_mesh(document, instance.mesh, materials)
             mesh = written[key]
-        nodes.append(document.add("nodes", node_item(matrix, instance.name) | {"mesh": mesh}))
+        own = {"shadow_catcher": True} if instance.shadow_catcher else {}
+        nodes.append(document.add("nodes", with_extras(node_item(matrix, instance.name) | {"mesh": mesh}, own)))
     return nodes
 
 

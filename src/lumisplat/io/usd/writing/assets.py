@@ -51,6 +51,11 @@ class AssetWriter:
             self.materials.bind(prim, instance.mesh.material, instance.mesh.colors is not None)
             if instance.mesh.colors is not None and instance.mesh.material.base_color_texture is not None:
                 self.writer.hint(prim, multipliesColors=True)
+            if instance.shadow_catcher:
+                self.writer.hint(prim, shadow_catcher=True)
+                self.writer.remarks.add(
+                    "that a mesh is a shadow catcher, which only Lumisplat will know", instance.mesh.name
+                )
             return prim
         prim = define_field(self.writer, path, instance.gaussians)
         if instance.material is not None:
@@ -86,7 +91,7 @@ def _name(instance: Instance) -> str:
 def _key(instance: Instance) -> tuple[int, int, int]:
     """What an instance shows: asset, material and settings."""
     if isinstance(instance, MeshInstance):
-        return id(instance.mesh), 0, 0
+        return id(instance.mesh), 0, int(instance.shadow_catcher)
     return id(instance.gaussians), id(instance.material), instance.sh_degree + 4 * instance.shadow_catcher
 
 

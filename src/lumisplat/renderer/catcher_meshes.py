@@ -1,0 +1,191 @@
+"""Meshes that are shadow catchers: what they catch is found by frames of their own, and darkens what lies behind them.
+
+The method is in docs/method/lighting.md#meshes-that-catch-shadows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.constants import CATCHER_AMBIENT, CATCHER_FILL_PX
+from lumisplat.frame.frame import Frame
+from lumisplat.math.arrays import Flags, FloatArray
+from lumisplat.math.tone_map import captured_radiance
+from lumisplat.renderer.scene.materials import is_relit
+from lumisplat.scene.lights import Light, LightEnvironment
+from lumisplat.scene.materials import MaterialPbr, MaterialSimple
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+Render = Callable[[Scene], Frame]
+"""Renders a scene from the camera of the frame."""
+
+
+def has_catcher_meshes(scene: Scene) -> bool:
+    """Whether some mesh is a shadow catcher."""
+    return any(instance.shadow_catcher for instance in scene.meshes)
+
+
+def without_catcher_meshes(scene: Scene) -> Scene:
+    """The scene as it is seen: meshes that are shadow catchers catch for its captures, which catch nothing then."""
+    splats = tuple(
+        replace(one, shadow_catcher=False, material=None) if one.shadow_catcher else one for one in scene.splats
+    )
+    return replace(scene, splats=splats, meshes=tuple(one for one in scene.meshes if not one.shadow_catcher))
+
+
+def catcher_config(config: RenderConfig) -> RenderConfig:
+    """Settings of the frames that find what meshes catch: through the middles of pixels, without the background."""
+    pipeline = config.pipeline if config.pipeline in (Pipeline.TRACE, Pipeline.PATH) else Pipeline.HYBRID
+    return replace(
+        config,
+        pipeline=pipeline,
+        background=(0.0, 0.0, 0.0),
+        lighting=True,
+        jitter=False,
+        aovs=(),
+        noise=None,
+        time_limit=None,
+        adaptive=None,
+    )
+
+
+def with_caught(frame: Frame, scene: Scene, render: Render, *, keeps_ratio: bool) -> Frame:
+    """The frame of ``without_catcher_meshes`` with what its catcher meshes catch.
+
+    Args:
+        frame: It is lit, and has its ``shadow_ratio``.
+        scene: With the catchers.
+        render: Renders with `catcher_config`.
+        keeps_ratio: Whether the frame shows its ``shadow_ratio``.
+    """
+    assert frame.captured is not None and frame.captured_weight is not None and frame.light is not None
+    catchers = tuple(one for one in scene.meshes if one.shadow_catcher)
+    added = _added(scene)
+    bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_white, catchers)))
+    seen, lit = render(bare), render(replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes)))
+    there = (seen.instance_index >= 0) & ~_is_before(frame, scene, seen)
+    caught = there & (lit.instance_index >= len(added.splats) + len(added.meshes)) & (seen.color > 0.0).all(axis=2)
+    ratio = np.ones_like(seen.color)
+    ratio[caught] = lit.color[caught] / seen.color[caught]
+    ratio = np.where(there[..., None], _filled(ratio, caught), np.float32(1.0))
+    reflected = np.where(there[..., None], _reflections(scene, added, catchers, render), np.float32(0.0))
+    captured = captured_radiance(frame.captured, frame.captured_weight)
+    clear = 1.0 - frame.alpha if frame.background is None else np.zeros_like(frame.alpha)
+    shown = np.clip(frame.captured_weight + clear, 0.0, 1.0)[..., None]
+    light = frame.light + captured * (ratio - 1.0) + shown * reflected
+    darkness = 1.0 - np.clip(ratio.min(axis=2), 0.0, 1.0)
+    changed = (light != frame.light).any(axis=2, keepdims=True)
+    return replace(
+        frame,
+        light=light,
+        color=np.where(changed, np.maximum(captured + light, 0.0), frame.color),
+        alpha=frame.alpha + clear * np.maximum(darkness, np.clip(reflected.max(axis=2), 0.0, 1.0)),
+        shadow_ratio=ratio if keeps_ratio else None,
+        accumulated=None,
+    )
+
+
+def numbered_as(frame: Frame, scene: Scene) -> Frame:
+    """The frame of ``without_catcher_meshes`` with the numbers that its instances have in the scene."""
+    numbers = np.array([k for k, one in enumerate(scene.meshes) if not one.shadow_catcher], np.int32)
+    first, index = len(scene.splats), frame.instance_index
+    if len(numbers) == 0:
+        return frame
+    seen = numbers[np.clip(index - first, 0, len(numbers) - 1)]
+    return replace(frame, instance_index=np.where(index >= first, first + seen, index).astype(np.int32))
+
+
+def _added(scene: Scene) -> Scene:
+    """What was added to the captures that the catchers stand for: those that catch, else all that are as captured."""
+    plate = [one for one in scene.splats if one.shadow_catcher]
+    if not plate:
+        plate = [one for one in scene.splats if not is_relit(one)]
+    splats: tuple[SplatInstance, ...] = tuple(one for one in scene.splats if not any(one is own for own in plate))
+    return replace(scene, splats=splats, meshes=tuple(one for one in scene.meshes if not one.shadow_catcher))
+
+
+def _lights(scene: Scene) -> tuple[Light, ...]:
+    """The lights of the scene, and ambient light unless an environment is among them; all of it invisible."""
+    lights = [replace(one, visible=False) if isinstance(one, LightEnvironment) else one for one in scene.lights]
+    if any(isinstance(one, LightEnvironment) and one.enabled for one in lights):
+        return tuple(lights)
+    materials = [one.mesh.material for one in scene.meshes if one.shadow_catcher]
+    given = [one.ambient for one in materials if isinstance(one, MaterialSimple) and any(one.ambient)]
+    ambient = given[0] if given else (CATCHER_AMBIENT,) * 3
+    return (*lights, LightEnvironment(color=ambient, visible=False, name="ambient"))
+
+
+def _white(instance: MeshInstance) -> MeshInstance:
+    """A catcher that shows the light on it."""
+    material = MaterialSimple(emissive=0.0, diffuse=1.0)
+    return replace(instance, mesh=replace(instance.mesh, material=material), shadow_catcher=False)
+
+
+def _reflections(scene: Scene, added: Scene, catchers: tuple[MeshInstance, ...], render: Render) -> FloatArray:
+    """What shiny catchers mirror of all that was added, linear, (H, W, 3)."""
+    shiny = tuple(one for one in catchers if isinstance(one.mesh.material, MaterialPbr) and _mirrors(one.mesh.material))
+    if not shiny:
+        return np.float32(0.0) * np.ones((1, 1, 3), np.float32)
+    black = tuple(
+        replace(
+            one,
+            mesh=replace(one.mesh, material=_without_diffuse(one.mesh.material), colors=None),
+            shadow_catcher=False,
+        )
+        for one in shiny
+    )
+    lights = tuple(replace(one, visible=False) if isinstance(one, LightEnvironment) else one for one in scene.lights)
+    without = render(replace(scene, splats=(), lights=lights, meshes=black)).color
+    frame = render(replace(added, lights=lights, meshes=(*added.meshes, *black)))
+    is_catcher = frame.instance_index >= len(added.splats) + len(added.meshes)
+    mirrored = np.where(is_catcher[..., None], np.maximum(frame.color - without, 0.0), np.float32(0.0))
+    return _filled(mirrored, is_catcher)
+
+
+def _mirrors(material: MaterialPbr) -> bool:
+    return material.roughness < 0.5 or material.metallic > 0.0
+
+
+def _without_diffuse(material: object) -> MaterialPbr:
+    assert isinstance(material, MaterialPbr)
+    color = material.base_color if material.metallic > 0.0 else (0.0, 0.0, 0.0)
+    return replace(material, base_color=color, base_color_texture=None, emissive=0.0, transmission=0.0)
+
+
+def _is_before(frame: Frame, scene: Scene, seen: Frame) -> Flags:
+    """Where a captured surface stands before a catcher, farther than surfaces of its Gaussians are thick, (H, W)."""
+    height = ((frame.position - seen.position) * seen.normal).sum(axis=2)
+    thickness = np.zeros_like(height)
+    for number, splats in enumerate(scene.splats):
+        at = (frame.instance_index == number) & (frame.gaussian_index >= 0)
+        largest = splats.gaussians.scales[frame.gaussian_index[at]].max(axis=1) * splats.scale
+        thickness[at] = _offset(frame) * largest
+    is_captured = np.isfinite(frame.depth) & (frame.instance_index < len(scene.splats))
+    return is_captured & (frame.depth < seen.depth) & (height > thickness)
+
+
+def _offset(frame: Frame) -> float:
+    return (frame.config or RenderConfig()).shadow_rays.offset
+
+
+def _filled(image: FloatArray, known: Flags) -> FloatArray:
+    """The image with pixels beside the known ones set to the mean of those, as far as edges of objects reach."""
+    values, known = np.where(known[..., None], image, np.float32(0.0)), known.copy()
+    filled = image.copy()
+    for _ in range(CATCHER_FILL_PX):
+        shares = _around(known.astype(np.float32)[..., None])
+        means = _around(values) / np.maximum(shares, 1.0)
+        fresh = ~known & (shares[..., 0] > 0.0)
+        values[fresh] = filled[fresh] = means[fresh]
+        known |= fresh
+    return filled
+
+
+def _around(image: FloatArray) -> FloatArray:
+    """Sums over the 3 x 3 pixels around each."""
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
+    return np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1)).sum(axis=(3, 4), dtype=np.float32)

@@ -1,0 +1,139 @@
+"""Meshes that are shadow catchers: seen only where something shadows them, or where they mirror it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.demo.shapes import sphere
+from renderer.light.test_shadow_catcher import HEIGHT, RADIUS, SHARE, SUN, below, disc
+from support.scenes.path_scenes import diffuse
+
+PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda one: one.value)
+
+
+def plane(material: ls.MaterialPbr | None = None, y: float = 0.0, size: float = 4.0) -> ls.MeshInstance:
+    """A level proxy that catches shadows."""
+    corners = [[-size, y, size], [size, y, size], [size, y, -size], [-size, y, -size]]
+    mesh = ls.Mesh(corners, [[0, 1, 2], [0, 2, 3]], material=material or diffuse(0.5))
+    return ls.MeshInstance(mesh, shadow_catcher=True)
+
+
+def floaters(count: int = 4000, seed: int = 3) -> ls.SplatInstance:
+    """A captured floor without a surface: Gaussians up to 4 cm below and above the plane."""
+    random = np.random.default_rng(seed)
+    means = np.column_stack(
+        [random.uniform(-4, 4, count), random.uniform(-0.04, 0.04, count), random.uniform(-4, 4, count)]
+    )
+    sh = np.full((count, 1, 3), 0.4, np.float32)
+    wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    return ls.SplatInstance(ls.Gaussians(means, wxyz, np.full((count, 3), 0.09), np.full(count, 0.9), sh))
+
+
+def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settings: object) -> ls.Frame:
+    """A frame with its ratio."""
+    config = ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",))
+    return ls.render(scene, camera, replace(config, **settings), device="cpu")
+
+
+@PIPELINES
+def test_a_proxy_darkens_what_is_behind_it_as_a_captured_floor_is_darkened(pipeline: ls.Pipeline) -> None:
+    """Under a disc, what is left is the open share of the ambient light, over that and the sun's."""
+    scene = ls.Scene([], [plane(), disc()], [SUN])
+    frame = rendered(scene, below(), pipeline, background=None)
+    given = 0.5 * np.pi
+    expected = given * (1.0 - SHARE) / (given + SUN.intensity * np.array(SUN.color))
+    assert frame.shadow_ratio is not None and frame.shadow_matte is not None
+    np.testing.assert_allclose(frame.shadow_ratio.mean(axis=(0, 1)), expected, rtol=0.04)
+    # Over a plate, the transparent frame is the shadow, and nothing else.
+    np.testing.assert_allclose(frame.alpha.mean(), 1.0 - expected.min(), rtol=0.02)
+    np.testing.assert_allclose(frame.shadow_matte[..., :3], 0.0, atol=1e-6)
+    assert RADIUS > HEIGHT
+
+
+@PIPELINES
+def test_a_proxy_is_not_seen_itself(pipeline: ls.Pipeline) -> None:
+    """Far from what was added, captures are as they were, to the bit, and so are indices; nothing is hidden by it."""
+    camera = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=96, height=48, fov_y=0.5)
+    ball = ls.MeshInstance(replace(sphere(0.2, rows=16), material=diffuse(0.5)), position=(0, 0.2, 0))
+    lamp = ls.LightPoint((0, 1.0, 0), intensity=3.0)
+    with_plane = rendered(ls.Scene([floaters()], [plane(size=0.8), ball], [lamp]), camera, pipeline)
+    without = rendered(ls.Scene([floaters()], [ball], [lamp]), camera, pipeline)
+    away = np.abs(without.position[..., 0]) > 1.0
+    assert away.sum() > 500
+    np.testing.assert_array_equal(with_plane.color[away], without.color[away])
+    np.testing.assert_array_equal(with_plane.instance_index == 2, without.instance_index == 1)
+    assert (with_plane.instance_index != 1).all()
+    assert with_plane.color.mean() < 0.998 * without.color.mean()
+
+
+def test_a_proxy_catches_a_clean_shadow_for_a_capture_without_a_surface() -> None:
+    """Shadows on the floaters themselves break into flecks; on the plane through them they do not."""
+    camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=64, height=64, fov_y=0.5)
+    lid = replace(disc(), positions=disc().positions * np.array([0.9, 2.0, 0.9]) + np.array([0.0, 0.6, 0.9]))
+    sun = ls.LightDirectional((0.0, -1.0, -0.64), intensity=3.0)
+    proxy = rendered(ls.Scene([floaters()], [plane(), lid], [sun]), camera, ls.Pipeline.HYBRID)
+    assert proxy.shadow_ratio is not None
+    x, z = proxy.position[..., 0], proxy.position[..., 2]
+    inside = np.hypot(x, z) < 0.25
+    assert inside.sum() > 100
+    assert proxy.shadow_ratio[inside].std() < 0.05 and proxy.shadow_ratio[inside].mean() < 0.5
+
+
+def test_a_shiny_proxy_mirrors_what_was_added() -> None:
+    """And leaves the rest of the picture as it is."""
+    camera = ls.Camera.look_at((0, 0.8, 3.0), (0, 0, 0), (0, 1, 0), width=64, height=48, fov_y=0.6)
+    lamp = ls.LightDirectional((0, -0.3, -1), intensity=4.0, casts_shadow=False)
+    red = ls.MeshInstance(
+        replace(sphere(0.3, rows=24), material=ls.MaterialPbr(base_color=(0.8, 0.05, 0.05))), position=(0, 0.5, 0)
+    )
+    glossy = ls.MaterialPbr(base_color=(0.5,) * 3, roughness=0.0, ior=2.5)
+    frames = [
+        rendered(ls.Scene([], [plane(material), red], [lamp]), camera, ls.Pipeline.HYBRID, background=(0.5, 0.5, 0.5))
+        for material in (glossy, diffuse(0.5))
+    ]
+    gained = frames[0].color - frames[1].color
+    assert gained[..., 0].max() > 0.02
+    mirrored = gained[..., 0] > 0.02
+    assert gained[mirrored][:, 0].mean() > 3.0 * gained[mirrored][:, 1].mean()
+    assert np.nonzero(mirrored)[0].min() > 24  # below the ball
+
+
+@pytest.mark.parametrize("suffix", ["glb", "usda", "toml"])
+def test_files_keep_meshes_that_catch_shadows(tmp_path: Path, suffix: str) -> None:
+    """In extras of glTF and hints of USD, and as a key of scene files."""
+    if suffix == "usda":
+        pytest.importorskip("pxr")
+    if suffix == "toml":
+        (tmp_path / "a.toml").write_text(
+            '[[meshes]]\nshape = "plane"\nshadow_catcher = true\n[[meshes]]\nshape = "box"\n'
+        )
+    else:
+        ls.save(tmp_path / f"a.{suffix}", ls.Scene([], [plane(), ls.MeshInstance(disc())]))
+    loaded = ls.load(tmp_path / f"a.{suffix}")
+    assert isinstance(loaded, ls.Scene)
+    assert sorted(one.shadow_catcher for one in loaded.meshes) == [False, True]
+
+
+def test_unlit_frames_and_mattes_do_not_know_proxies() -> None:
+    """What stands behind them in the list keeps its number."""
+    camera = ls.Camera.look_at((0, 0.8, 3.0), (0, 0.2, 0), (0, 1, 0), width=32, height=24, fov_y=0.6)
+    box = ls.MeshInstance(ls.box((0.5, 0.5, 0.5)), name="box")
+    scene = ls.Scene([floaters()], [plane(), box])
+    frame = ls.render(scene, camera, ls.RenderConfig(lighting=False), device="cpu")
+    assert set(np.unique(frame.instance_index)) <= {-1, 0, 2} and (frame.instance_index == 2).any()
+    mattes = ls.render_mattes(scene, camera, device="cpu")
+    assert mattes.objects.coverage("box").max() == pytest.approx(1.0)
+
+
+def test_frames_with_proxies_are_not_resumed() -> None:
+    """In one line."""
+    scene = ls.Scene([], [plane(), disc()], [SUN])
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=2), "cpu")
+    frame = renderer.render(scene, below())
+    with pytest.raises(ls.ConfigError, match="cannot be resumed"):
+        renderer.render(scene, below(), resume=frame)

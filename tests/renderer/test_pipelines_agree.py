@@ -1,0 +1,112 @@
+"""One scene in all pipelines, region by region: a capture as it was captured, things on it, and a sun."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import lumisplat as ls
+from lumisplat.demo.shapes import sphere
+from support.scenes.path_scenes import diffuse
+
+MATERIALS = {
+    "matte": ls.MaterialPbr(base_color=(0.2, 0.16, 0.12), roughness=1.0, specular=0.0),
+    "rough metal": ls.MaterialPbr(base_color=(0.9, 0.7, 0.3), metallic=1.0, roughness=0.3),
+    "mirror": ls.MaterialPbr(base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.0),
+    "glass": ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0),
+}
+CAMERA = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=240, height=120, fov_y=0.5)
+
+
+def floor(level: float, *, catches: bool) -> ls.SplatInstance:
+    """A level sheet at y = 0, 8 units wide, that shows a grey as captured."""
+    plane = ls.Mesh([[-4, 0, 4], [4, 0, 4], [4, 0, -4], [-4, 0, -4]], [[0, 1, 2], [0, 2, 3]])
+    sheet = ls.gaussians_from_mesh(plane, 6000)
+    sh = np.full((6000, 1, 3), (level - 0.5) / 0.28209479177387814, np.float32)
+    sheet = replace(sheet, sh=sh, albedo=None, roughness=None, metallic=None)
+    return ls.SplatInstance(sheet, shadow_catcher=catches)
+
+
+def scene(level: float, *, catches: bool) -> ls.Scene:
+    """Four balls on the sheet in a sun from the upper left."""
+    balls = [
+        ls.MeshInstance(replace(sphere(0.35, rows=48, columns=96), material=material), position=(x, 0.35, 0.0))
+        for x, material in zip((-1.7, -0.45, 0.45, 1.35), MATERIALS.values(), strict=True)
+    ]
+    return ls.Scene([floor(level, catches=catches)], balls, [ls.LightDirectional((0.4, -1, -0.5), intensity=3.0)])
+
+
+def within(mask: npt.NDArray[np.bool_], reach: int = 2) -> npt.NDArray[np.bool_]:
+    """Pixels of a mask that are farther than ``reach`` from all others."""
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(~mask, reach), (2 * reach + 1, 2 * reach + 1))
+    return np.logical_not(around.any(axis=(2, 3)))
+
+
+def rendered(pipeline: ls.Pipeline, level: float, *, catches: bool) -> ls.Frame:
+    """A frame with the defaults of the pipeline; in real time the last of several."""
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",)), "cpu", threads=2)
+    for _ in range(23 if pipeline is ls.Pipeline.REALTIME else 0):
+        renderer.render(scene(level, catches=catches), CAMERA)
+    return renderer.render(scene(level, catches=catches), CAMERA)
+
+
+@pytest.fixture(scope="module")
+def dark() -> dict[ls.Pipeline, ls.Frame]:
+    """Of things so dark that light that bounces off them, which paths and real time alone follow, is little."""
+    return {pipeline: rendered(pipeline, 0.2, catches=True) for pipeline in ls.Pipeline}
+
+
+def test_matte_balls_and_shadows_agree_in_five_pipelines(dark: dict[ls.Pipeline, ls.Frame]) -> None:
+    """Within 5 %: the lit side of the ball, and the floor where it is in full shadow, in half shadow, and free."""
+    truth = dark[ls.Pipeline.PATH]
+    assert truth.shadow_ratio is not None
+    on_floor = within(truth.instance_index == 0)
+    under_matte = on_floor & (truth.position[..., 0] < -1.0)
+    darkness = truth.shadow_ratio.mean(axis=2)
+    regions = {
+        "ball": within(truth.instance_index == 1) & (truth.normal[..., 1] > 0.3),
+        "shadow": within(under_matte & (darkness < 0.35), 1),
+        "near": under_matte & (darkness > 0.8) & (darkness < 0.97),
+        "free": under_matte & (darkness > 0.97),
+    }
+    for name, region in regions.items():
+        assert region.sum() > 10, name
+        means = {pipeline.value: round(float(frame.color[region].mean()), 5) for pipeline, frame in dark.items()}
+        assert max(means.values()) / min(means.values()) < 1.05, (name, means)
+
+
+@pytest.mark.parametrize("number", [2, 3, 4], ids=["rough metal", "mirror", "glass"])
+def test_what_is_reflected_agrees_in_the_pipelines_that_follow_rays(number: int) -> None:
+    """Within 5 %, with the defaults, on a capture that catches no shadows; rough metal was black in hybrid and trace.
+
+    Mirrors of real time are left out: they show rough metals without what these reflect.
+    """
+    left_out = {ls.Pipeline.RASTER} | ({ls.Pipeline.REALTIME} if number == 3 else set())
+    followed = [one for one in ls.Pipeline if one not in left_out]
+    frames = {pipeline: rendered(pipeline, 0.5, catches=False) for pipeline in followed}
+    region = within(frames[ls.Pipeline.TRACE].instance_index == number)
+    means = {pipeline: float(frame.color[region].mean()) for pipeline, frame in frames.items()}
+    assert region.sum() > 200
+    assert max(means.values()) / min(means.values()) < 1.05, means
+
+
+@pytest.mark.parametrize(
+    "pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda one: one.value
+)
+def test_samples_that_nobody_asked_for_smooth_meshes_and_leave_captures(pipeline: ls.Pipeline) -> None:
+    """Edges of a ball have values in between; what shows the capture alone is the unlit frame's, to the bit."""
+    sky = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
+    lit = ls.Scene([floor(0.8, catches=False)], [replace(sphere(0.5, rows=32), material=diffuse(0.02))], [sky])
+    frame = ls.render(lit, CAMERA, ls.RenderConfig(pipeline=pipeline), device="cpu")
+    unlit = ls.Pipeline.RASTER if pipeline is ls.Pipeline.HYBRID else ls.Pipeline.TRACE
+    config = ls.RenderConfig(pipeline=unlit, lighting=False)
+    plain = ls.render(ls.Scene(lit.splats), CAMERA, config, device="cpu")
+    assert frame.captured_weight is not None and frame.captured is not None
+    mixed = (frame.captured_weight > 0.1) & (frame.captured_weight < 0.9)
+    assert mixed.sum() > 20
+    alone = within(frame.captured_weight == 1.0, 1)
+    assert alone.sum() > 10000
+    np.testing.assert_array_equal(frame.captured[alone], plain.color[alone])
