@@ -152,6 +152,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.ops.estimate_normals import estimate_normals
     from lumisplat.scene.ops.framing import frame_camera
     from lumisplat.scene.ops.ground import stand_on_ground
+    from lumisplat.scene.ops.levelling import UpEstimate, find_up, level
     from lumisplat.scene.ops.orbit import orbit_cameras
     from lumisplat.scene.ops.recolor import scale_light
     from lumisplat.scene.ops.smooth_normals import smooth_normals
@@ -286,6 +287,7 @@ _MODULE_OF = {
     "TraceStrategy": "config",
     "TrainConfig": "config",
     "TrainResult": "training.train",
+    "UpEstimate": "scene.ops.levelling",
     "Viewer": "viewer.viewer",
     "WorkerPlan": "io.blocks.plan",
     "all_blocks": "io.blocks.views",
@@ -313,6 +315,7 @@ _MODULE_OF = {
     "extract_frames": "io.photographs.film",
     "find_materials": "training.materials.find_materials",
     "find_poses": "io.photographs.poses",
+    "find_up": "scene.ops.levelling",
     "finish_dataset": "dataset.finish",
     "fit_lights": "relighting.fitting.fit_lights",
     "flip": "metrics.images",
@@ -321,6 +324,7 @@ _MODULE_OF = {
     "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "join_windows": "io.images.rows.joined",
+    "level": "scene.ops.levelling",
     "limit_sh_degree": "scene.editing.sh_degree",
     "load": "io",
     "load_animation": "io",
@@ -495,6 +499,7 @@ __all__ = [
     "TraceStrategy",
     "TrainConfig",
     "TrainResult",
+    "UpEstimate",
     "Viewer",
     "WorkerPlan",
     "all_blocks",
@@ -522,6 +527,7 @@ __all__ = [
     "extract_frames",
     "find_materials",
     "find_poses",
+    "find_up",
     "finish_dataset",
     "fit_lights",
     "flip",
@@ -530,6 +536,7 @@ __all__ = [
     "frame_camera",
     "gaussians_from_mesh",
     "join_windows",
+    "level",
     "limit_sh_degree",
     "load",
     "load_animation",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,8 +24,9 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Progress, say_nothing
 from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.local_frame import LocalFrame
+from lumisplat.scene.ops.camera_views import first_view_of, up_of_cameras
 from lumisplat.training.checkpoint import check_images, read_checkpoint, write_checkpoint
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore
@@ -220,8 +222,11 @@ class _Run:
 
     def finish(self, output: Path | None) -> TrainResult:
         """Writes the capture, and measures it."""
-        gaussians, pruned = self._pruned()
+        learnt, pruned = self._pruned()
         exposures, cameras = self._exposures(), self._cameras()
+        gaussians = _oriented(
+            learnt, cameras or tuple(photograph.camera for photograph in self._photographs.training)
+        )
         score = self._held_out.score(gaussians, self._progress)
         if score is not None:
             self._curve.measure(self._trainer.iteration, score.psnr)
@@ -294,6 +299,15 @@ def training_frame(photographs: Photographs) -> LocalFrame:
     What comes of a training does not depend on the unit of a scene, nor on where its zero is.
     """
     return LocalFrame.of_cameras([photograph.camera for photograph in photographs.training], TRAINING_EXTENT)
+
+
+def _oriented(gaussians: Gaussians, cameras: Sequence[Camera]) -> Gaussians:
+    """Returns a capture that states up and first view, from the cameras of its images, world space."""
+    origin, to_origin = np.array(gaussians.origin), np.eye(4)
+    view = first_view_of(cameras, gaussians.means + origin)
+    stated = replace(gaussians, up=up_of_cameras(cameras), first_view=view)
+    to_origin[:3, 3] = -origin
+    return replace(stated, **moved_orientation(stated, to_origin))
 
 
 def is_measured(step: int) -> bool:

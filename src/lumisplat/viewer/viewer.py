@@ -13,7 +13,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.viewer.frames.browser_screen import BrowserScreen
-from lumisplat.viewer.frames.first_view import ASPECT, FOV_Y, FirstView
+from lumisplat.viewer.frames.first_view import ASPECT, FirstView
 from lumisplat.viewer.frames.loop import RenderLoop
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import Picture
@@ -260,14 +260,15 @@ class Viewer:
         initial, before = self._viser.initial_camera, self._viser.initial_camera.position
         waiting = [client for client in self._viser.get_clients().values() if _is_at(client, before)]
         position, target = self._first_view.at(ASPECT)
-        initial.fov, initial.up, initial.position, initial.look_at = FOV_Y, up, position, target
+        initial.fov, initial.up = self._first_view.fov_y, up
+        initial.position, initial.look_at = position, target
         for client in waiting:  # those that were here before the scene was
             self._stand_back(client)
 
     def _stand_back(self, client: viser.ClientHandle) -> None:
         """Moves a page so that it sees all of the scene, however narrow it is."""
         position, target = self._first_view.at(min(client.camera.aspect, ASPECT))
-        client.camera.up_direction, client.camera.fov = self._first_view.up, FOV_Y
+        client.camera.up_direction, client.camera.fov = self._first_view.up, self._first_view.fov_y
         client.camera.position = position  # first, for it takes along what is looked at
         client.camera.look_at = target
 

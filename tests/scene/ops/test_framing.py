@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -185,3 +186,54 @@ def test_the_bulk_follows_its_capture():
     for shift in (1.0, 0.0, 2.0):
         moved = ls.Scene([ls.SplatInstance(capture, position=(shift, 0.0, 0.0))]).bulk_bounds()
         np.testing.assert_allclose(np.subtract(moved, (low, high)), [[shift, 0.0, 0.0]] * 2, atol=1e-12)
+
+
+VIEW = ls.Camera.look_at((4.0, 1.0, -3.0), (5.0, -2.0, 9.0), (0.1, -1.0, 0.0), width=90, height=160, fov_y=1.1)
+
+
+def viewed(up: Any = None, view: ls.Camera = VIEW) -> ls.Scene:
+    """A capture that states a first view."""
+    return ls.Scene([replace(SCENE.splats[0].gaussians, first_view=view)], up=up)
+
+
+def test_a_scene_is_seen_from_its_first_view_upright():
+    """The eye is that of the image, what it looks at is in the middle, and up is that of the scene, without roll."""
+    scene = viewed("y-down")
+    camera = ls.frame_camera(scene)
+    np.testing.assert_allclose(camera.eye, VIEW.eye)
+    np.testing.assert_allclose(camera.camera_from_world[2], VIEW.camera_from_world[2], atol=1e-12)
+    assert camera.camera_from_world[0, 1] == pytest.approx(0.0, abs=1e-12)
+    assert camera.camera_from_world[1, 1] > 0.9
+    assert camera.fov_y == pytest.approx(1.1)  # a portrait, whose height counts in a wide picture
+    assert camera.focus_distance == pytest.approx(VIEW.focus_distance)
+
+
+def test_all_of_the_image_of_the_first_view_is_seen():
+    """In a picture that is narrower than it, the field of view grows until its width fits."""
+    camera = ls.frame_camera(viewed("y-down"), width=45, height=160)
+    across = math.tan(0.5 * camera.fov_y) * 45 / 160
+    assert across == pytest.approx(math.tan(0.55) * 90 / 160)
+
+
+@pytest.mark.parametrize("up", UPS)
+def test_arguments_count_from_the_first_view(up):
+    """Azimuths begin at its side; distance, target and elevation are its own unless they are given."""
+    scene = viewed(up)
+    view, upward = ls.frame_camera(scene), np.array(scene.up_direction)
+    turned = ls.frame_camera(scene, azimuth=math.pi)
+    target = VIEW.eye + VIEW.focus_distance * VIEW.camera_from_world[2, :3]
+    out, back = view.eye - target, turned.eye - target
+    np.testing.assert_allclose(back + out, 2.0 * (out @ upward) * upward, atol=1e-9)
+    near = ls.frame_camera(scene, distance=2.0)
+    np.testing.assert_allclose(near.eye - target, 2.0 * out / np.linalg.norm(out), atol=1e-9)
+    orbit = ls.orbit_cameras(scene, 4)
+    np.testing.assert_allclose(orbit[0].eye, VIEW.eye, atol=1e-9)
+    np.testing.assert_allclose(orbit[2].eye, turned.eye, atol=1e-9)
+
+
+@pytest.mark.parametrize("height", [5.0, -5.0])
+def test_a_first_view_from_straight_above_keeps_what_is_up_in_its_image(height):
+    """An aerial image has no horizon: its own up stays up."""
+    view = ls.Camera.look_at((0.0, height, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
+    camera = ls.frame_camera(viewed("y-up", view))
+    np.testing.assert_allclose(camera.camera_from_world, view.camera_from_world, atol=1e-9)

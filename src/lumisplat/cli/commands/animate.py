@@ -57,7 +57,7 @@ class Animate(FrameCommand):
     """Remove the frames that are there first, whatever they were made of."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """A camera file as render takes, with one camera, or one for each frame. Without: those of the scene file, else
-    one that shows all of the scene from the front."""
+    the first view that a capture states, else one that shows all of the scene from the front."""
     camera: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
     """The camera that is used for all frames, by its name."""
     format: Literal["png", "exr", "npz"] = "png"

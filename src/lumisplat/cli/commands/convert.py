@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,6 +16,7 @@ from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.captures import count_of, holds_all_columns, value_ranges
 from lumisplat.cli.options.command import Flag, LevelsCommand
+from lumisplat.cli.options.up import spoken_up
 from lumisplat.cli.output.console import Report, byte_size, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
@@ -34,8 +36,8 @@ class Convert(LevelsCommand):
     Two as one: lumisplat convert house.ply tree.ply -o both.ply
 
     Whatever the order on the command line, captures are joined first; then follow --box and --sphere, --keep,
-    --floaters, --sh-degree, --decimate, --scale, --rotate, --translate and --morton. So coordinates and sizes are those
-    of the files, as lumisplat info shows them. For another order, convert twice.
+    --floaters, --sh-degree, --decimate, --level, --scale, --rotate, --translate and --morton. So coordinates and sizes
+    are those of the files, as lumisplat info shows them. For another order, convert twice.
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
@@ -60,6 +62,9 @@ class Convert(LevelsCommand):
     """Write SH of this degree: higher ones are left out, missing ones are zeros, as some importers want 3."""
     decimate: Annotated[str | None, arg(metavar="COUNT|N%", help_behavior_hint="")] = None
     """Merge neighbours until so many are left: for previews, and for what is far away."""
+    level: Flag = False
+    """Turn it about the origin so that its up is an axis: y down, or the one nearest to the up that the file states. Up
+    is found by the ground, else by the axes of the capture itself; a line says how."""
     scale: Annotated[float, arg(metavar="FACTOR")] = 1.0
     """Larger or smaller about the origin."""
     rotate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
@@ -86,7 +91,7 @@ class Convert(LevelsCommand):
             captures = [self._loaded(source, report) for source in sources]
             gaussians = captures[0] if len(captures) == 1 else ls.merge(captures)
             done: list[str] = []
-            for option, edit in self._edits(report):
+            for option, edit in self._edits(report, done):
                 gaussians, before = _edited(option, edit, gaussians), gaussians.count
                 if gaussians.count != before:
                     done.append(f"{option}: {before:,} -> {gaussians.count:,} Gaussians")
@@ -135,8 +140,8 @@ class Convert(LevelsCommand):
             raise ls.FormatError(source, "has no incident light: leave out --incident")
         return loaded
 
-    def _edits(self, report: Report) -> Iterator[tuple[str, _Edit]]:
-        """What is to be done, in order: the options that ask for it, and how."""
+    def _edits(self, report: Report, done: list[str]) -> Iterator[tuple[str, _Edit]]:
+        """What is to be done, in order: the options that ask for it, and how; ``done`` receives what is to be said."""
         if self.box is not None or self.sphere is not None:
             box = None if self.box is None else _halves(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
             sphere = None
@@ -158,6 +163,8 @@ class Convert(LevelsCommand):
         if (share := self.decimate) is not None:
             merging = partial(report, "merging neighbours")
             yield "--decimate", lambda g: ls.decimate(g, count_of(share, g.count), progress=merging)
+        if self.level:
+            yield "--level", lambda g: _levelled(g, done)
         if self.scale != 1.0 or self.rotate is not None or self.translate is not None:
             yield "--scale, --rotate, --translate", self._placed
         if self.morton:
@@ -167,6 +174,27 @@ class Convert(LevelsCommand):
         turn = (0.0, 0.0, 0.0) if self.rotate is None else vector("--rotate", self.rotate, "180,0,0")
         move = (0.0, 0.0, 0.0) if self.translate is None else vector("--translate", self.translate)
         return ls.transform(gaussians, scale=self.scale, rotation_degrees=turn, translation=move)
+
+
+_BY = {
+    "axes": "by the axes of the capture itself, as no ground is found: look whether it is right",
+    "stated": "as the file states it, as no ground is found",
+}
+"""How up was found, but for a ground."""
+
+
+def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
+    """A capture whose up is an axis; what was found and turned is a line of ``done``."""
+    found = ls.find_up(ls.Scene([gaussians]))
+    level = ls.level(gaussians, found.up)
+    assert level.up is not None
+    cosine = sum(before * after for before, after in zip(found.up, level.up, strict=True))
+    how = _BY.get(found.source)
+    if found.height is not None and found.share is not None:
+        how = f"by the ground at height {found.height:.4g}, {found.share:.0%} of what shows"
+    turned = f"turned by {math.degrees(math.acos(min(max(cosine, -1.0), 1.0))):.1f} degrees"
+    done.append(f"--level: up was {spoken_up(found.up)}, {how}; {turned}, it is {spoken_up(level.up)}")
+    return level
 
 
 def _halves(values: tuple[float, ...], first: int) -> tuple[tuple[float, ...], tuple[float, ...]]:

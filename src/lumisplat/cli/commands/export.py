@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.cli.input.file_marks import gltf_document, toml_values
 from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
 from lumisplat.cli.options.command import LoadingCommand
-from lumisplat.cli.options.up import UpOption, upright
+from lumisplat.cli.options.up import UpOption, say_guessed_up, upright
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 
@@ -43,8 +43,8 @@ class Export(LoadingCommand):
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Cameras of a transforms.json or another camera file, in place of those of the scene."""
     up: UpOption = "auto"
-    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml says, else y
-    down with a capture, y up for meshes alone."""
+    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml or
+    the capture says, else y down with a capture, y up for meshes alone."""
 
     def run(self) -> None:
         """Loads, writes, and prints what is in the file."""
@@ -54,6 +54,7 @@ class Export(LoadingCommand):
         with progress_bars() as report:
             animation = self._animation(report)
             scene = upright(animation.scene if animation else self.load_scene(self.scene, report), self.up)
+            say_guessed_up(scene)
             report("writing", 0.0)
             if animation:
                 ls.save(self.output, replace(animation, scene=scene, cameras=cameras))

@@ -64,7 +64,8 @@ class Render(ViewsCommand, FrameCommand):
     """A folder, or for one frame a file: .png, .exr or .npz. - is standard output, in PNG or as --format says."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """transforms.json (nerfstudio), cameras.json (INRIA), or a glTF or scene.toml with cameras. Without: those of the
-    scene.toml that is rendered, else one that shows all of the scene from the front."""
+    scene.toml that is rendered, else the first view that a capture states, else one that shows all of it from the
+    front."""
     frame: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """Render only this frame of the camera file."""
     frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""

@@ -42,8 +42,8 @@ class View(LevelsCommand, DeviceCommand):
     budget: Annotated[float, arg(metavar="MS")] = 40.0
     """Milliseconds that a frame may take while the view moves: fewer Gaussians are drawn first, then fewer pixels."""
     up: UpOption = "auto"
-    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml says, else y
-    down with a capture, y up for meshes alone."""
+    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml or
+    the capture says, else y down with a capture, y up for meshes alone."""
     pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path,realtime}", "hybrid if lit")] = None
     """How it is rendered at first; the page can change it."""
     rays: RayGroup = field(default_factory=RayOptions)

@@ -16,6 +16,7 @@ from lumisplat.cli.options.lens import LensGroup, LensOptions
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting, without_none
+from lumisplat.cli.options.up import say_guessed_up
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 from lumisplat.cli.output.frame_folder import flat_settings
 from lumisplat.cli.output.frame_source import FrameSource, SceneOfViews, WarmUp
@@ -159,7 +160,7 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def own_camera(self, scene: ls.Scene, *files: Path, all_around: bool = False) -> ls.Camera:
-        """The camera of the viewpoint; without its options, one that shows all of the scene from the front.
+        """The camera of the viewpoint; without its options, as of `lumisplat.frame_camera`.
 
         Args:
             scene: What it looks at.
@@ -169,6 +170,8 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         Raises:
             SceneError: The scene is empty, or too large; names the files.
         """
+        if self.light.environment is None:  # else it is said already
+            say_guessed_up(scene)
         try:
             camera = self.viewpoint.camera(scene, self.width, self.height, all_around=all_around)
         except ls.SceneError as error:

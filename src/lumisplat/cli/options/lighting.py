@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, arg
 import lumisplat as ls
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.settings import Changes, setting, without_none
+from lumisplat.cli.options.up import say_guessed_up
 
 _log = logging.getLogger("lumisplat")
 
@@ -132,6 +133,7 @@ class LightOptions:
         """
         if environment is None:
             return scene
+        say_guessed_up(scene)
         half = 0.5 * math.radians(self.environment_rotation or 0.0)
         w, x, y, z = scene.upright_wxyz
         c, s = math.cos(half), math.sin(half)

@@ -1,7 +1,8 @@
-"""The option that says which way is up: files do not say it."""
+"""The option that says which way is up: few files do."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from typing import Annotated
 
@@ -9,6 +10,8 @@ from tyro.conf import arg
 
 import lumisplat as ls
 from lumisplat.cli.input.numbers import vector
+
+_log = logging.getLogger("lumisplat")
 
 UpOption = Annotated[str, arg(metavar="AXIS|X,Y,Z", help_behavior_hint="(default: auto)")]
 """An axis such as ``y-down``, a direction, or ``auto``."""
@@ -22,6 +25,13 @@ def upright(scene: ls.Scene, up: str) -> ls.Scene:
     """
     direction = parse_up(up)
     return scene if direction is None else replace(scene, up=direction)
+
+
+def say_guessed_up(scene: ls.Scene) -> None:
+    """Logs a line if which way is up in a scene with captures is a guess, for those who use it."""
+    if scene.splats and scene.up_source == "guess":
+        said = "which way is up, no file says: %s is a guess; --up says it, lumisplat convert --level finds it"
+        _log.warning(said, spoken_up(scene.up_direction))
 
 
 def spoken_up(direction: tuple[float, float, float]) -> str:

@@ -23,19 +23,21 @@ class ViewpointOptions:
 
     eye: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Look from here, in place of the cameras of files."""
-    target: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: the middle)")] = None
+    target: Annotated[
+        str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: what the first view sees, or the middle)")
+    ] = None
     """Look at this point."""
     azimuth: Annotated[float | None, setting("DEGREES", "0")] = None
-    """Look from this side instead: 0 is the front, 90 the right, 180 the back."""
-    elevation: Annotated[float | None, setting("DEGREES", "11.5")] = None
+    """Look from this side instead: 0 is the first view of a capture, else the front, 90 the right, 180 the back."""
+    elevation: Annotated[float | None, setting("DEGREES", "first view's or 11.5")] = None
     """From this far above the horizon, -90 to 90; 90 looks straight down."""
-    distance: Annotated[float | None, setting("UNITS", "all is seen")] = None
+    distance: Annotated[float | None, setting("UNITS", "first view's or all is seen")] = None
     """From this far away from the target."""
-    fov: Annotated[float | None, setting("DEGREES", "45.8")] = None
+    fov: Annotated[float | None, setting("DEGREES", "first view's or 45.8")] = None
     """Vertical field of view; less is a longer lens."""
     up: UpOption = "auto"
-    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml says, else y
-    down with a capture, y up for meshes alone. Also for --environment."""
+    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml or
+    the capture says, else y down with a capture, y up for meshes alone. Also for --environment."""
 
     @property
     def is_given(self) -> bool:
@@ -78,7 +80,7 @@ class ViewpointOptions:
         return upright(scene, self.up)
 
     def camera(self, scene: ls.Scene, width: int | None, height: int | None, *, all_around: bool = False) -> ls.Camera:
-        """The camera; without options, one that shows all of the scene from the front.
+        """The camera; without options, as of `lumisplat.frame_camera`.
 
         Args:
             scene: What it looks at, upright.
@@ -119,9 +121,8 @@ class ViewpointOptions:
 
     def _framing(self, scene: ls.Scene, size: tuple[int, int], all_around: bool) -> ls.Camera:
         """The camera at --azimuth, --elevation and --distance."""
-        angles: dict[str, Any] = {"azimuth": math.radians(self.azimuth or 0.0)}
-        if self.elevation is not None:
-            angles["elevation"] = math.radians(self.elevation)
+        given = {"azimuth": self.azimuth, "elevation": self.elevation}
+        angles: dict[str, Any] = {name: math.radians(value) for name, value in given.items() if value is not None}
         return ls.frame_camera(
             scene,
             distance=self.distance,
@@ -134,11 +135,11 @@ class ViewpointOptions:
         )
 
     def target_point(self, scene: ls.Scene) -> tuple[float, float, float]:
-        """The point in the middle of the image: --target, else the middle of the bulk of the scene."""
+        """The point in the middle of the image: --target, else that of `lumisplat.frame_camera`."""
         if self.target is not None:
             return vector("--target", self.target)
-        low, high = scene.bulk_bounds()
-        x, y, z = (float(value) for value in 0.5 * (low + high))
+        camera = ls.frame_camera(scene, distance=1.0)
+        x, y, z = (float(value) for value in camera.eye + camera.camera_from_world[2, :3])
         return x, y, z
 
 

@@ -22,6 +22,9 @@ FRAMING_FOV_Y = 0.8
 FRAMING_ELEVATION = 0.2
 """How far above the horizon the eye stands, radians: enough to show the ground an object stands on."""
 
+_STEEP = 0.1
+"""Cosine of the elevation above which a view has a horizontal direction of its own."""
+
 FRAMING_MARGIN = 1.05
 """Room around the scene's box, as a factor of the distance."""
 
@@ -29,38 +32,54 @@ FRAMING_MARGIN = 1.05
 def frame_camera(
     scene: Scene,
     *,
-    azimuth: float = 0.0,
-    elevation: float = FRAMING_ELEVATION,
+    azimuth: float | None = None,
+    elevation: float | None = None,
     distance: float | None = None,
     target: npt.ArrayLike | None = None,
-    fov_y: float = FRAMING_FOV_Y,
+    fov_y: float | None = None,
     width: int = 1280,
     height: int = 720,
     name: str = "front",
     all_around: bool = False,
 ) -> Camera:
-    """A camera that looks at a scene from any side; without further arguments all of it, from the front.
+    """A camera that looks at a scene from any side; without further arguments its first view, else all of it.
+
+    The first view (`Scene.first_view`) of a capture that states one shows what the image shows from which it was
+    taken, and what each argument is that is not given. Scenes without are seen from the front.
 
     Args:
         scene: The scene to look at. Its `Scene.up_direction` is up in the image.
-        azimuth: Radians about the vertical, counter-clockwise seen from above, -2 pi to 2 pi: 0 is the front, pi / 2
-            the right-hand side as seen from the front.
-        elevation: Radians above the horizon, -pi / 2 to pi / 2; pi / 2 looks straight down.
-        distance: From the eye to ``target``, scene units; None: so far that the bulk of the scene fills the image.
-        target: World position in the middle of the image, shape (3,); None: the middle of the bulk of the scene.
-        fov_y: Vertical field of view, radians, 0 to pi.
+        azimuth: Radians about the vertical, counter-clockwise seen from above, -2 pi to 2 pi: 0, the default, is the
+            side of the first view, else the front, pi / 2 the right-hand side as seen from there.
+        elevation: Radians above the horizon, -pi / 2 to pi / 2; pi / 2 looks straight down; None: that of the first
+            view, else `FRAMING_ELEVATION`.
+        distance: From the eye to ``target``, scene units; None: that of the first view, else so far that all that
+            shows of the scene fills the image.
+        target: World position in the middle of the image, shape (3,); None: that of the first view, else the middle of
+            what shows of the scene.
+        fov_y: Vertical field of view, radians, 0 to pi; None: so much that all of the image of the first view is
+            seen, else `FRAMING_FOV_Y`.
         width: Image width, pixels.
         height: Image height, pixels.
         name: Name of the camera.
-        all_around: Without ``distance``: so far that the bulk of the scene fits from all sides, for an orbit.
+        all_around: Without ``distance``: so far that all that shows fits from all sides, for an orbit; that of the
+            first view, if there is one.
 
     Raises:
         SceneError: The scene is empty, or an argument is out of its range.
     """
     check_argument("frame_camera", scene, Scene, "a Scene", ": ls.Scene([gaussians]) makes one")
+    view = scene.first_view
+    turn, tilt = 0.0, FRAMING_ELEVATION
+    if view is not None:
+        turn, tilt = _angles(scene, view)
+        distance = view.focus_distance if distance is None else distance
+        fov_y = _fov_of(view, width / height) if fov_y is None else fov_y
+    azimuth, elevation = 0.0 if azimuth is None else azimuth, tilt if elevation is None else elevation
+    fov_y = FRAMING_FOV_Y if fov_y is None else fov_y
     _check_angle("azimuth", azimuth, 2.0 * math.pi)
     _check_angle("elevation", elevation, 0.5 * math.pi)
-    backward, up = _side(scene, azimuth, elevation)
+    backward, up = _side(scene, azimuth + turn, elevation)
     center = target_point(scene, target)
     if distance is None:
         others = np.arange(1, 16) * math.pi / 8.0 if all_around else ()
@@ -79,6 +98,22 @@ def frame_camera(
     )
 
 
+def _angles(scene: Scene, view: Camera) -> tuple[float, float]:
+    """The azimuth and elevation of the eye of a view; from above or below, what is up in its image stays up."""
+    upward = np.array(scene.up_direction)
+    front = front_vector(upward)
+    _, down, forward = view.camera_from_world[:3, :3]
+    elevation = math.asin(min(max(float(-forward @ upward), -1.0), 1.0))
+    side = -forward if math.cos(elevation) > _STEEP else math.copysign(1.0, elevation) * down
+    return math.atan2(float(side @ np.cross(upward, front)), float(side @ front)), elevation
+
+
+def _fov_of(view: Camera, aspect: float) -> float:
+    """The vertical field of view in which an image of an aspect shows all that a view shows."""
+    tangent = math.tan(0.5 * view.fov_y)
+    return 2.0 * math.atan(tangent * max(1.0, view.width / view.height / aspect))
+
+
 def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[Doubles, Doubles]:
     """The direction from the target to an eye, and up in its image."""
     upward = np.array(scene.up_direction)
@@ -91,12 +126,15 @@ def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[Doubles, Doub
 
 
 def target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
-    """A world position that is given, shape (3,); None: the middle of the bulk of the scene.
+    """A world position that is given, shape (3,); None: what the first view looks at, else the middle of what shows.
 
     Raises:
         SceneError: It is not three finite numbers, or the scene is empty.
     """
     if target is None:
+        view = scene.first_view
+        if view is not None:
+            return view.eye + view.focus_distance * view.camera_from_world[2, :3]
         low, high = scene.bulk_bounds()
         return 0.5 * (low + high)
     point = finite_numbers(target, (3,))

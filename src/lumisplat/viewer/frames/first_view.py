@@ -20,22 +20,29 @@ Point = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FirstView:
-    """The view that shows all of a scene, from the front, in units of a page."""
+    """The first view that a scene states, else one that shows all of it, from the front, in units of a page."""
 
     position: tuple[float, float, float] = (0.0, 0.0, -3.0)
-    """Of a page of `ASPECT`."""
+    """Of a page of `aspect`."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    fov_y: float = FOV_Y
+    """Vertical field of view, radians."""
+    aspect: float = ASPECT
+    """Width to height of what must be seen; narrower pages stand farther back."""
 
     @classmethod
     def of(cls, scene: ls.Scene) -> FirstView:
         """That of a scene, which is not empty."""
-        camera, extent = ls.frame_camera(scene, fov_y=FOV_Y), Extent.of(scene)
-        x, y, z = (float(value) for value in extent.page_from_scene * np.linalg.inv(camera.camera_from_world)[:3, 3])
-        center = tuple(extent.page_from_scene * value for value in extent.center)
-        return cls((x, y, z), (center[0], center[1], center[2]), scene.up_direction)
+        stated, units = scene.first_view, Extent.of(scene).page_from_scene
+        aspect = ASPECT if stated is None else min(ASPECT, stated.width / stated.height)
+        camera = ls.frame_camera(scene, fov_y=FOV_Y if stated is None else None, width=round(720 * aspect), height=720)
+        eye, forward = camera.eye, camera.camera_from_world[2, :3]
+        x, y, z = (float(value) for value in units * eye)
+        u, v, w = (float(value) for value in units * (eye + camera.focus_distance * forward))
+        return cls((x, y, z), (u, v, w), scene.up_direction, camera.fov_y, aspect)
 
     def at(self, aspect: float) -> tuple[Point, Point]:
         """Where the eye is, and at what it looks, on a page of an aspect."""
         target = np.array(self.target)
-        return target + (np.array(self.position) - target) * max(1.0, ASPECT / aspect), target
+        return target + (np.array(self.position) - target) * max(1.0, self.aspect / aspect), target

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 import lumisplat as ls
-from lumisplat.viewer.frames.first_view import ASPECT, FOV_Y, FirstView
+from lumisplat.viewer.frames.first_view import ASPECT, FirstView
 from lumisplat.viewer.frames.loop import RenderLoop
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.picture import Shown
@@ -62,7 +62,7 @@ class Notebook:
 
         scale = self._session.extent.page_from_scene
         eye, target = view.at(ASPECT)
-        orbit = Orbit.of(eye / scale, target / scale, view.up, FOV_Y)
+        orbit = Orbit.of(eye / scale, target / scale, view.up, view.fov_y)
         data: dict[str, Any] = {}
         about: dict[str, Any] = {}
         cell = self._live(orbit) if is_wanted(_WIDGET) else None

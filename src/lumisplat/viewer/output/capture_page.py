@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.viewer.frames.first_view import ASPECT, FOV_Y, FirstView
+from lumisplat.viewer.frames.first_view import ASPECT, FirstView
 from lumisplat.viewer.server.page_server import PageServer
 from lumisplat.viewer.state.extent import Extent
 
@@ -28,7 +28,7 @@ def capture_page(scene: ls.Scene) -> str:
         api.set_up_direction(captures.up_direction)
         view = FirstView.of(captures)
         camera = server.viser.initial_camera
-        camera.fov, camera.up = FOV_Y, captures.up_direction
+        camera.fov, camera.up = view.fov_y, captures.up_direction
         camera.position, camera.look_at = view.at(ASPECT)
         for number, instance in enumerate(captures.splats):
             means, covariances = _world_gaussians(instance, units)

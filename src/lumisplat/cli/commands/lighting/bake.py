@@ -53,7 +53,7 @@ class Bake(LoadingCommand, DeviceCommand):
     environment_rotation: Annotated[float | None, setting("DEGREES", "0")] = None
     """Turns --environment about the vertical, counter-clockwise seen from above."""
     up: UpOption = "auto"
-    """Which way is up, for --environment; auto: as the scene.toml says, else y down."""
+    """Which way is up, for --environment; auto: as the scene.toml or the capture says, else y down."""
     seed: Annotated[int | None, setting("N", "0")] = None
     """Of all random numbers: the same seed gives the same capture."""
 

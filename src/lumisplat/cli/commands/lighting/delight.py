@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.options.captures import holds_materials
 from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
-from lumisplat.cli.options.up import UpOption, parse_up, upright
+from lumisplat.cli.options.up import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
@@ -41,7 +41,7 @@ class Delight(LevelsCommand, DeviceCommand):
     """Also write the sky that was found as a latitude-longitude image, .exr: --environment of render takes it. Of a
     room, there is none."""
     up: UpOption = "auto"
-    """Which way is up in the image of --sky; auto: y down."""
+    """Which way is up in the image of --sky; auto: as the capture says, else y down."""
     cells: Annotated[int, arg(metavar="4..32")] = 12
     """The light is traced in N x N parts of all directions. The time is in proportion to N x N."""
     matt: Flag = False
@@ -84,7 +84,9 @@ class Delight(LevelsCommand, DeviceCommand):
             FormatError: It cannot be written; the message says that the capture is.
         """
         try:
-            found.save_sky(sky, upright(ls.Scene([capture]), self.up).upright_wxyz)
+            scene = upright(ls.Scene([capture]), self.up)
+            say_guessed_up(scene)
+            found.save_sky(sky, scene.upright_wxyz)
         except ls.FormatError as error:
             error.add_note(f"{self.output} is written")
             raise

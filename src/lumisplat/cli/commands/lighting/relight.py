@@ -14,7 +14,7 @@ from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import changed_config, setting
-from lumisplat.cli.options.up import UpOption, upright
+from lumisplat.cli.options.up import UpOption, say_guessed_up, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
@@ -60,8 +60,8 @@ class Relight(LoadingCommand, DeviceCommand):
     probe: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Also write the light that was found as a latitude-longitude image, .exr: --environment of render takes it."""
     up: UpOption = "auto"
-    """Which way is up in the image of --probe; auto: as the scene.toml says, else y down with a capture, y up for
-    meshes alone."""
+    """Which way is up in the image of --probe; auto: as the scene.toml or the capture says, else y down with a
+    capture, y up for meshes alone."""
 
     def run(self) -> None:
         """Loads, gathers the light, relights, writes."""
@@ -92,6 +92,7 @@ class Relight(LoadingCommand, DeviceCommand):
             report("writing", 0.0)
             ls.save(self.output, relit)
             if self.probe is not None:
+                say_guessed_up(scene)
                 probe.save(self.probe, rotation_wxyz=scene.upright_wxyz)
         self._print_summary(relit, probe, place)
 
