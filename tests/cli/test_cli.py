@@ -426,6 +426,7 @@ def test_help_imports_nothing_heavy():
 def test_console_script_is_silent_on_success(work):
     """A process of its own prints one line and nothing on standard error, whatever Warp has to say."""
     command = [sys.executable, "-m", "lumisplat", "render", "capture.ply", "-o", "a.png", "--width", "32"]
+    command += ["--up", "y-down"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=True)
     assert (done.stdout, done.stderr) == (f"{Path('a.png')} (32 x 18)\n", "")
 

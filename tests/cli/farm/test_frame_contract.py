@@ -194,7 +194,7 @@ def test_a_full_disk_ends_with_status_3(work) -> None:
         "from lumisplat.cli import main; sys.exit(main())"
     )
     command = [sys.executable, "-c", program, "orbit", "capture.ply", "-o", "out", "--seconds", "0.3", "--fps", "20"]
-    command += ["--width", "512", "--height", "384", "--device", "cpu"]
+    command += ["--width", "512", "--height", "384", "--device", "cpu", "--up", "y-down"]
     done = subprocess.run(command, cwd=work.folder, capture_output=True, text=True, check=False, env=os.environ)
     assert done.returncode == 3, done.stderr
     assert done.stderr.startswith("error: frame 0: out/frame_0000.png: cannot be written: ")

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.scene.ops.framing import shown_bounds
 from lumisplat.scene.scene import bulk_extent
 from support.scenes.raster_scenes import quad, random_gaussians
 
 SCENE = ls.Scene([random_gaussians(3, center=(5.0, -2.0, 9.0))])
-CENTER = 0.5 * np.add(*SCENE.bulk_bounds())
+CENTER = 0.5 * np.add(*shown_bounds(SCENE))
 UPS = [*ls.Scene.UP_NAMES, (0.1, -0.9, 0.3)]
 
 
@@ -237,3 +238,36 @@ def test_a_first_view_from_straight_above_keeps_what_is_up_in_its_image(height):
     view = ls.Camera.look_at((0.0, height, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
     camera = ls.frame_camera(viewed("y-up", view))
     np.testing.assert_allclose(camera.camera_from_world, view.camera_from_world, atol=1e-9)
+
+
+def pole(*more: np.ndarray) -> ls.Gaussians:
+    """A ball with a thin pole on it, of 1 % of its Gaussians, and more."""
+    ball = np.random.default_rng(5).normal(size=(5000, 3)) * 0.3
+    up = np.column_stack([np.zeros(50), np.linspace(-0.5, -2.5, 50), np.zeros(50)])
+    means = np.concatenate([ball, up, *more])
+    return ls.Gaussians(
+        means,
+        np.tile([1.0, 0.0, 0.0, 0.0], (len(means), 1)),
+        np.full((len(means), 3), 0.02),
+        np.full(len(means), 0.9),
+        np.zeros((len(means), 1, 3)),
+    )
+
+
+def test_thin_ends_are_in_the_picture_and_strays_are_not():
+    """A pole of 1 % of the opacity hangs together with the ball; what floats by itself does not widen the view."""
+    strays = np.random.default_rng(6).uniform(-30.0, 30.0, (40, 3))
+    plain, strewn = (ls.frame_camera(ls.Scene([pole(*more)])) for more in ((), (strays,)))
+    tip = plain.camera_from_world @ (0.0, -2.5, 0.0, 1.0)
+    row = plain.cy + plain.fy * tip[1] / tip[2]
+    assert 0.0 < row < 0.1 * plain.height
+    assert strewn.focus_distance == pytest.approx(plain.focus_distance, rel=0.05)
+    low, high = ls.Scene([pole()]).bulk_bounds()
+    assert low[1] > -1.0 and high[1] < 1.0  # which the bulk alone would have cut off
+
+
+def test_gaps_end_what_hangs_together():
+    """A second ball at some distance is another thing, unless it is part of the bulk."""
+    other = np.array([0.0, -6.0, 0.0]) + np.random.default_rng(7).normal(size=(30, 3)) * 0.05
+    apart = ls.frame_camera(ls.Scene([pole(other)]))
+    assert apart.focus_distance == pytest.approx(ls.frame_camera(ls.Scene([pole()])).focus_distance, rel=0.05)

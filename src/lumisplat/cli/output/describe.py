@@ -57,6 +57,10 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
         rows.insert(3, ("origin", _origin(gaussians.origin)))
     if gaussians.kernel_degree != 2:  # all but a few captures
         rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
+    if gaussians.up is not None:
+        rows.append(("up", spoken_up(gaussians.up)))
+    if (view := gaussians.first_view) is not None:
+        rows.append(("first view", f"from {_point(view.eye)}, {math.degrees(view.fov_y):.3g} degrees high"))
     extras = [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays]
     if extras:
         rows.append(("also has", ", ".join(extras)))

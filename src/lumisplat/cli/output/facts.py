@@ -31,6 +31,8 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
         "memory_bytes": sum(array.nbytes for array in arrays.values()),
         "antialiased": gaussians.antialiased,
         "kernel_degree": gaussians.kernel_degree,
+        "up": _plain(gaussians.up),
+        "first_view": None if gaussians.first_view is None else _plain(gaussians.first_view.eye.tolist()),
         "also_has": [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays],
         "comments": list(gaussians.comments),
     }

@@ -13,7 +13,7 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_positive
-from lumisplat.scene.scene import Scene
+from lumisplat.scene.scene import Scene, SplatInstance
 from lumisplat.scene.up import front_vector
 
 FRAMING_FOV_Y = 0.8
@@ -24,6 +24,13 @@ FRAMING_ELEVATION = 0.2
 
 _STEEP = 0.1
 """Cosine of the elevation above which a view has a horizontal direction of its own."""
+
+_GAPS = 50
+"""Gaps in the largest extent of a bulk: what is no further from it, or from what hangs together with it, shows."""
+_SHOWS = 0.1
+"""Opacity above which a Gaussian of a thin end counts."""
+_ENDS_MOST = 4.0
+"""Extents of the bulk beyond which nothing is looked for."""
 
 FRAMING_MARGIN = 1.05
 """Room around the scene's box, as a factor of the distance."""
@@ -135,7 +142,7 @@ def target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
         view = scene.first_view
         if view is not None:
             return view.eye + view.focus_distance * view.camera_from_world[2, :3]
-        low, high = scene.bulk_bounds()
+        low, high = shown_bounds(scene)
         return 0.5 * (low + high)
     point = finite_numbers(target, (3,))
     if point is None:
@@ -143,10 +150,51 @@ def target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
     return point
 
 
+def shown_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
+    """Corners (min, max) of a world-space box around all that shows of a scene, shape (3,) each.
+
+    The bulk of a capture (`Scene.bulk_bounds`) leaves out its ends where they are thin. They show: the box grows over
+    all Gaussians that hang together with the bulk, without gaps; strays do not.
+
+    Raises:
+        SceneError: The scene is empty.
+    """
+    low, high = scene.bulk_bounds()
+    ends = [_thin_ends(instance, low, high) for instance in scene.splats]
+    points = np.concatenate([low[None], high[None], *ends])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _thin_ends(instance: SplatInstance, low: Doubles, high: Doubles) -> Doubles:
+    """Means outside of a box that hang together with what is in it, world space, shape (M, 3)."""
+    means, gaussians = instance.world_means, instance.gaussians
+    gap = max(float((high - low).max()) / _GAPS, 4.0 * instance.scale * float(np.median(gaussians.scales.max(axis=1))))
+    reach = _ENDS_MOST * (high - low).max()
+    outside = ((means < low) | (means > high)).any(axis=1) & (gaussians.opacities > _SHOWS)
+    outside &= ((means > low - reach) & (means < high + reach)).all(axis=1)
+    points = means[outside]
+    if not gap > 0.0 or not len(points):
+        return np.empty((0, 3))
+    cells, cell_of = np.unique(np.floor((points - low) / gap).astype(np.int64), axis=0, return_inverse=True)
+    beside = np.maximum(cells * gap - (high - low), -(cells + 1.0) * gap).max(axis=1) <= gap
+    reached = np.flatnonzero(beside)
+    hangs = beside.copy()
+    width = cells.max() - cells.min() + 3
+    keys = ((cells - cells.min() + 1) * np.array([width * width, width, 1])).sum(axis=1)
+    steps = np.array(np.meshgrid(*[(-1, 0, 1)] * 3)).reshape(3, -1).T @ np.array([width * width, width, 1])
+    while len(reached):
+        wanted = np.unique(keys[reached][:, None] + steps)
+        places = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
+        found = np.unique(places[keys[places] == wanted])
+        reached = found[~hangs[found]]
+        hangs[reached] = True
+    return points[hangs[cell_of.ravel()]]
+
+
 def _fitting_distance(
     scene: Scene, center: Doubles, sides: list[tuple[Doubles, Doubles]], lens: tuple[float, float]
 ) -> float:
-    """Distance from ``center`` at which the bulk of the scene fits from all sides.
+    """Distance from ``center`` at which all that shows of the scene fits from all sides.
 
     Args:
         scene: The scene.
@@ -159,7 +207,7 @@ def _fitting_distance(
         raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and pi")
     tan_y = math.tan(0.5 * fov_y)
     tan_x = tan_y * aspect
-    low, high = scene.bulk_bounds()
+    low, high = shown_bounds(scene)
     farthest = float(np.abs([low, high]).max())
     if farthest > FRAMING_FARTHEST:
         raise SceneError(
