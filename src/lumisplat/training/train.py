@@ -224,9 +224,7 @@ class _Run:
         """Writes the capture, and measures it."""
         learnt, pruned = self._pruned()
         exposures, cameras = self._exposures(), self._cameras()
-        gaussians = _oriented(
-            learnt, cameras or tuple(photograph.camera for photograph in self._photographs.training)
-        )
+        gaussians = _oriented(learnt, cameras or tuple(photograph.camera for photograph in self._photographs.training))
         score = self._held_out.score(gaussians, self._progress)
         if score is not None:
             self._curve.measure(self._trainer.iteration, score.psnr)

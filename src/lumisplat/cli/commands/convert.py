@@ -16,8 +16,7 @@ from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.captures import count_of, holds_all_columns, value_ranges
 from lumisplat.cli.options.command import Flag, LevelsCommand
-from lumisplat.cli.options.up import spoken_up
-from lumisplat.cli.output.console import Report, byte_size, progress_bars
+from lumisplat.cli.output.console import Report, byte_size, progress_bars, spoken_up
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]

@@ -12,8 +12,7 @@ import lumisplat as ls
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import setting, without_none
-from lumisplat.cli.options.up import spoken_up
-from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars
+from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars, spoken_up
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from tyro.conf import arg
 
 import lumisplat as ls
 from lumisplat.cli.input.numbers import vector
+from lumisplat.cli.output.console import spoken_up
 
 _log = logging.getLogger("lumisplat")
 
@@ -32,12 +33,6 @@ def say_guessed_up(scene: ls.Scene) -> None:
     if scene.splats and scene.up_source == "guess":
         said = "which way is up, no file says: %s is a guess; --up says it, lumisplat convert --level finds it"
         _log.warning(said, spoken_up(scene.up_direction))
-
-
-def spoken_up(direction: tuple[float, float, float]) -> str:
-    """A direction that is up by its name, ``y-down``, or as numbers."""
-    named = (name for name in ls.Scene.UP_NAMES if ls.Scene(up=name).up == direction)
-    return next(named, ",".join(f"{value:.3g}" for value in direction))
 
 
 def parse_up(text: str) -> str | tuple[float, float, float] | None:

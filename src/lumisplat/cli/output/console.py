@@ -153,3 +153,11 @@ def byte_size(count: float) -> str:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
         count /= 1000.0
     return f"{count:.2f} GB"
+
+
+def spoken_up(direction: tuple[float, float, float]) -> str:
+    """A direction that is up by its name, ``y-down``, or as numbers."""
+    import lumisplat as ls  # loads NumPy
+
+    named = (name for name in ls.Scene.UP_NAMES if ls.Scene(up=name).up == direction)
+    return next(named, ",".join(f"{value:.3g}" for value in direction))

@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
-from lumisplat.cli.output.console import byte_size
+from lumisplat.cli.output.console import byte_size, spoken_up
 from lumisplat.cli.output.facts import black_share, block_facts
 from lumisplat.cli.output.pictures import file_stems
 
