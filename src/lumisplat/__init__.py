@@ -152,7 +152,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.ops.estimate_normals import estimate_normals
     from lumisplat.scene.ops.framing import frame_camera
     from lumisplat.scene.ops.ground import stand_on_ground
-    from lumisplat.scene.ops.levelling import UpEstimate, find_up, level
+    from lumisplat.scene.editing.levelling import UpEstimate, find_up, level
     from lumisplat.scene.ops.orbit import orbit_cameras
     from lumisplat.scene.ops.recolor import scale_light
     from lumisplat.scene.ops.smooth_normals import smooth_normals
@@ -287,7 +287,7 @@ _MODULE_OF = {
     "TraceStrategy": "config",
     "TrainConfig": "config",
     "TrainResult": "training.train",
-    "UpEstimate": "scene.ops.levelling",
+    "UpEstimate": "scene.editing.levelling",
     "Viewer": "viewer.viewer",
     "WorkerPlan": "io.blocks.plan",
     "all_blocks": "io.blocks.views",
@@ -315,7 +315,7 @@ _MODULE_OF = {
     "extract_frames": "io.photographs.film",
     "find_materials": "training.materials.find_materials",
     "find_poses": "io.photographs.poses",
-    "find_up": "scene.ops.levelling",
+    "find_up": "scene.editing.levelling",
     "finish_dataset": "dataset.finish",
     "fit_lights": "relighting.fitting.fit_lights",
     "flip": "metrics.images",
@@ -324,7 +324,7 @@ _MODULE_OF = {
     "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "join_windows": "io.images.rows.joined",
-    "level": "scene.ops.levelling",
+    "level": "scene.editing.levelling",
     "limit_sh_degree": "scene.editing.sh_degree",
     "load": "io",
     "load_animation": "io",
