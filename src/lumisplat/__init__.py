@@ -140,6 +140,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.editing.crop import crop
     from lumisplat.scene.editing.decimate import decimate
     from lumisplat.scene.editing.floaters import remove_floaters
+    from lumisplat.scene.editing.levelling import UpEstimate, find_up, level
     from lumisplat.scene.editing.merge import merge
     from lumisplat.scene.editing.morton import sort_morton
     from lumisplat.scene.editing.select import select
@@ -152,7 +153,6 @@ if TYPE_CHECKING:
     from lumisplat.scene.ops.estimate_normals import estimate_normals
     from lumisplat.scene.ops.framing import frame_camera
     from lumisplat.scene.ops.ground import stand_on_ground
-    from lumisplat.scene.editing.levelling import UpEstimate, find_up, level
     from lumisplat.scene.ops.orbit import orbit_cameras
     from lumisplat.scene.ops.recolor import scale_light
     from lumisplat.scene.ops.smooth_normals import smooth_normals
