@@ -159,7 +159,7 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
         (SPLAT + "lights = false", "line 3, splats[0]: unknown 'lights'"),
         (MESH + "lights = 'no'", "line 3, meshes[0]: lights is 'no', expected true or false"),
         (MESH + "kernel_degree = 4", "line 3, meshes[0]: unknown 'kernel_degree'"),
-        (SPLAT + MESH + MESH + "shadow_catcher = true", "line 7, meshes[1]: unknown 'shadow_catcher'"),
+        (SPLAT + MESH + MESH + "sh_degree = 1", "line 7, meshes[1]: unknown 'sh_degree'"),
     ],
 )
 def test_bad_scene_files(folder, text, problem):
