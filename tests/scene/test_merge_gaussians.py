@@ -51,3 +51,13 @@ def test_merged_refuses_nothing_and_mixed_settings() -> None:
         merge_gaussians([make(1, 1), replace(make(1, 1), antialiased=True)])
     with pytest.raises(ls.SceneError, match="kernel degrees 0, 2"):
         merge_gaussians([make(1, 1), replace(make(1, 1), kernel_degree=0)])
+
+
+def test_opaque_sets_merge_whatever_their_antialiasing(caplog: pytest.LogCaptureFixture) -> None:
+    """Opacities of 1 mean the same with and without dilation; those of trained captures do not."""
+    opaque = replace(make(2, 1), opacities=np.full(2, 0.995, np.float32), antialiased=True)
+    both = merge_gaussians([make(3, 1), opaque])
+    assert both.count == 5 and not both.antialiased and "are dilated as those" in caplog.text
+    assert merge_gaussians([opaque, opaque]).antialiased
+    with pytest.raises(ls.SceneError, match="their opacities mean different things"):
+        merge_gaussians([make(3, 1), replace(make(2, 1), antialiased=True)])

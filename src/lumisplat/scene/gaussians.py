@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
+from lumisplat.constants import ALPHA_MAX, KERNEL_DEGREE, KERNEL_DEGREE_MAX
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import (
     Doubles,
@@ -28,6 +29,8 @@ from lumisplat.scene.light_aims import vector
 from lumisplat.scene.up import Vector, up_vector
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
+
+_log = logging.getLogger("lumisplat")
 
 _REQUIRED = ("means", "rotations_wxyz", "scales", "opacities", "sh")
 _OPTIONAL = ("normals", "albedo", "roughness", "metallic", "incident")
@@ -186,13 +189,19 @@ def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
     Harmonics of lower degree are padded with zeros. The comments are those of the first set; up and first view are
     those of the first set that says them.
 
+    Antialiased sets merge with others if they are opaque, as those of meshes are; the result is not antialiased.
+
     Raises:
-        SceneError: The list is empty, only some sets are antialiased, or their kernel degrees differ.
+        SceneError: The list is empty, only some sets are antialiased and not all of these opaque, or their kernel
+            degrees differ.
     """
     if not sets:
         raise SceneError("zero Gaussian sets: there is nothing to merge")
     if len({one.antialiased for one in sets}) > 1:
-        raise SceneError("cannot merge antialiased captures with others: their opacities mean different things")
+        if any(one.antialiased and one.opacities.min() < ALPHA_MAX for one in sets):
+            raise SceneError("cannot merge antialiased captures with others: their opacities mean different things")
+        _log.warning("opaque Gaussians, as those of meshes, are dilated as those are with which they are merged")
+        sets = [replace(one, antialiased=False) for one in sets]
     degrees = sorted({one.kernel_degree for one in sets})
     if len(degrees) > 1:
         listed = ", ".join(map(str, degrees))

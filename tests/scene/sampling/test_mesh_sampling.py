@@ -327,3 +327,15 @@ def shrunk(mask: np.ndarray, steps: int) -> np.ndarray:
     for _ in range(steps):
         mask = mask & np.roll(mask, 1, 0) & np.roll(mask, -1, 0) & np.roll(mask, 1, 1) & np.roll(mask, -1, 1)
     return mask
+
+
+def test_its_outline_is_that_of_the_mesh() -> None:
+    """Cameras do not widen what no trainer has made narrower: of a small ball, less than a fifth is too much."""
+    mesh = ls.sphere(1.0)
+    camera = ls.Camera.look_at((0, 0, -8), (0, 0, 0), (0, 1, 0), width=48, height=48, fov_y=0.5)
+    config = ls.RenderConfig(samples=16, jitter=True, background=(0.0, 0.0, 0.0))
+    solid = ls.render(ls.Scene(meshes=[ls.MeshInstance(mesh)]), camera, config, device="cpu").alpha.sum()
+    discs = ls.gaussians_from_mesh(mesh, 4000)
+    covered = ls.render(ls.Scene(splats=[ls.SplatInstance(discs)]), camera, config, device="cpu").alpha.sum()
+    assert discs.antialiased
+    assert solid < covered < 1.2 * solid

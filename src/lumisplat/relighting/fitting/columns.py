@@ -238,5 +238,8 @@ def covariance(observed: Observed, columns: Columns, solution: Solution, held: D
     for channel in range(3):
         rows = [np.bincount(observed.blocks, column * weighted[:, channel], count) for column in pictures[..., channel]]
         pulls += np.array(rows).reshape(len(rows), count).T @ spread[channel]
-    inverse = np.linalg.inv(gram + held)
+    normal = gram + held
+    # What is known up to a factor alone leaves a direction without curvature: its variance is huge, not infinite.
+    least = np.finfo(np.float64).eps * float(np.trace(normal)) * np.eye(len(normal))
+    inverse = np.linalg.inv(normal + least)
     return np.asarray(inverse @ (pulls.T @ pulls) @ inverse)

@@ -53,7 +53,8 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
 
     Returns:
         Gaussians in the mesh's object space, with ``normals`` (interpolated shading normals if the mesh has them),
-        ``albedo`` (linear) and, from a `MaterialPbr`, ``roughness`` and ``metallic``.
+        ``albedo`` (linear) and, from a `MaterialPbr`, ``roughness`` and ``metallic``. They are ``antialiased``: cameras
+        do not widen them, as no trainer has made up for that.
 
     Raises:
         SceneError: ``mesh`` is not a mesh, or ``count`` is not a whole number from 1 to 50,000,000.
@@ -117,6 +118,7 @@ def _opaque_discs(
         albedo=albedo,
         roughness=np.full(count, material.roughness) if is_pbr else None,
         metallic=np.full(count, material.metallic) if is_pbr else None,
+        antialiased=True,  # no trainer has widened what rasterisers dilate: discs are as large as the surface
     )
 
 
