@@ -239,3 +239,56 @@ def test_a_browser_that_is_killed_can_be_opened_again(browser: Any, viewer: ls.V
     viewer._session.set_options(outlines=False)
     assert not viewer.scene.lights and shows_its_frame(page, viewer)
     page.close()
+
+
+def test_objects_are_selected_hidden_and_locked_in_the_list(browser: Any, viewer: ls.Viewer) -> None:
+    """By clicks on their rows, in a tab that has the program's name."""
+    page = open_page(browser, viewer)
+    assert page.title() == "Lumisplat"
+    crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
+    page.locator(".lumi-name", has_text="crate").click()
+    until(lambda: viewer._session.selected == crate, page)
+    page.locator(f'[data-say="hide {crate}"]').click()
+    until(lambda: viewer.document.entry(crate).hidden, page)
+    page.locator(f'[data-say="hide {crate}"]').click()
+    until(lambda: not viewer.document.entry(crate).hidden, page)
+    page.locator(f'[data-say="lock {crate}"]').click()
+    until(lambda: viewer._session.locked == {crate}, page)
+    assert not page.locator(".mantine-TextInput-input").first.is_visible() or page.locator(".lumi-row.selected").count()
+    page.close()
+
+
+def test_the_first_edit_of_a_material_leaves_its_folder_open(browser: Any, viewer: ls.Viewer) -> None:
+    """And the page where it was scrolled to."""
+    page = open_page(browser, viewer)
+    page.locator(".lumi-name", has_text="crate").click()
+    page.get_by_text("material", exact=True).click()
+    field = page.locator("label:has-text('metallic')").locator("xpath=ancestor::div[.//input][1]").locator("input").last
+    field.scroll_into_view_if_needed()
+    page.wait_for_timeout(500)
+    before = field.bounding_box()
+    field.fill("1")
+    field.press("Enter")
+    until(lambda: getattr(viewer.scene.meshes[0].mesh.material, "metallic", 0.0) == 1.0, page)
+    page.wait_for_timeout(1000)
+    assert field.is_visible() and field.bounding_box() == before
+    page.close()
+
+
+def test_on_a_phone_the_panel_is_a_drawer_and_the_scene_fits_above_it(browser: Any, viewer: ls.Viewer) -> None:
+    """As wide as the page; the picture has what is left, and the camera stands back so that all of it is seen."""
+    page, count = browser.new_page(viewport={"width": 390, "height": 844}), len(viewer._pages)
+    page.goto(viewer.url)
+    eventually(lambda: len(viewer._pages) > count, "the page did not connect")
+    page.wait_for_timeout(1500)
+    settle(viewer)
+    drawer = page.locator('.mantine-Paper-root[style*="position: fixed"]').first.bounding_box()
+    picture = page.locator("canvas").first.bounding_box()
+    assert drawer["width"] == 390 and drawer["height"] <= 0.5 * 844 + 1
+    assert picture["y"] + picture["height"] == pytest.approx(drawer["y"], abs=2)
+    (shown,) = viewer._pages.values()
+    assert shown.pose is not None and shown.frame is not None
+    assert shown.pose.aspect == pytest.approx(picture["width"] / picture["height"], rel=0.02)
+    expected, _ = viewer._first_view.at(shown.pose.aspect)
+    np.testing.assert_allclose(shown.pose.position, expected, rtol=0.02)
+    page.close()

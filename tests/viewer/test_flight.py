@@ -11,8 +11,16 @@ import pytest
 from test_viewer import lit_scene
 
 import lumisplat as ls
-from lumisplat.viewer.panels.film import film_cameras, flight_table
-from lumisplat.viewer.state.flight import Key, keys_of, with_key, without_flight, without_last_key
+from lumisplat.viewer.panels.video import keys_html, video_cameras
+from lumisplat.viewer.state.flight import (
+    Key,
+    camera_of,
+    keys_of,
+    with_key,
+    with_key_moved,
+    without_flight,
+    without_key,
+)
 
 TARGET = (0.0, 0.0, 0.0)
 
@@ -40,18 +48,42 @@ def test_the_flight_goes_through_its_places() -> None:
         camera = animation.camera_path.at(time)
         np.testing.assert_allclose(camera.camera_from_world, wanted.camera.camera_from_world, atol=1e-5)
         assert camera.fov_y == pytest.approx(0.7, rel=1e-5) and camera.exposure == wanted.camera.exposure
-    assert flight_table(document).count("\n") == 4
 
 
-def test_places_can_be_dropped() -> None:
-    """The last one, or all; other cameras of the file stay."""
+def test_any_key_view_can_be_deleted() -> None:
+    """Later ones come sooner by its time; other cameras of the file stay."""
+    starts = [[key["eye"][0] for key in keys_of(without_key(flight(), number))] for number in range(3)]
+    times = [[key["time"] for key in keys_of(without_key(flight(), number))] for number in range(3)]
+    assert starts == [[0.0, 1.0], [-1.0, 1.0], [-1.0, 0.0]] and times == [[0.0, 1.0], [0.0, 2.0], [0.0, 2.0]]
+    with pytest.raises(ls.SceneError, match="no view 4"):
+        without_key(flight(), 3)
     still = {"name": "front", "eye": [0.0, 0.0, -4.0], "target": [0.0, 0.0, 0.0]}
     document = with_key(ls.SceneDocument.of(lit_scene()).with_cameras([still]), key(0.0), 1.0)
     assert [camera.name for camera in document.cameras] == ["front", "flight"]
     twice = with_key(document, key(1.0), 1.0)
-    assert len(keys_of(twice)) == 2 and without_last_key(twice).cameras[1].name == "flight"
-    assert [camera.name for camera in without_last_key(without_last_key(twice)).cameras] == ["front"]
+    assert len(keys_of(twice)) == 2 and without_key(twice, 1).cameras[1].name == "flight"
+    assert [camera.name for camera in without_key(without_key(twice, 1), 0).cameras] == ["front"]
     assert without_flight(twice).animation is None
+
+
+def test_key_views_change_places_and_times_stay() -> None:
+    """Each goes before the one before it, or after the one after it; those at the ends stay there."""
+    moved = with_key_moved(flight(), 2, -1)
+    assert [key["eye"][0] for key in keys_of(moved)] == [-1.0, 1.0, 0.0]
+    assert [key["time"] for key in keys_of(moved)] == [0.0, 2.0, 3.0]
+    assert keys_of(with_key_moved(moved, 1, 1)) == keys_of(flight())
+    assert keys_of(with_key_moved(flight(), 0, -1)) == keys_of(flight())
+
+
+def test_key_views_are_listed_with_thumbnails_of_what_they_see() -> None:
+    """Each with its time and buttons; the camera of a thumbnail is that of the key view."""
+    keys = keys_of(flight())
+    text = keys_html(keys, ["data:a", "", "data:c"], "channel")
+    assert text.count("<img") == 2 and 'data-to="channel"' in text and ">3 s<" in text
+    assert all(f'data-say="{say} {number}"' in text for say in ("sooner", "later", "delete") for number in range(3))
+    camera, wanted = camera_of(keys[2], (0.0, -1.0, 0.0), (128, 72)), key(1.0).camera
+    np.testing.assert_allclose(camera.camera_from_world, wanted.camera_from_world, atol=1e-5)
+    assert camera.image_size == (128, 72) and camera.fov_y == pytest.approx(0.7, rel=1e-5)
 
 
 def test_an_animation_that_would_end_before_lasts_as_long() -> None:
@@ -70,7 +102,7 @@ def test_a_saved_flight_is_the_one_that_animate_takes(tmp_path: Path) -> None:
     animation, saved = document.animation, ls.load_animation(tmp_path / "scene.toml")
     assert animation is not None and saved.camera_path is not None
     view = key(0.0).camera
-    cameras = film_cameras(animation, view.scaled(height=90))
+    cameras = video_cameras(animation, view.scaled(height=90))
     assert len(cameras) == saved.frame_count == 75 and {camera.height for camera in cameras} == {90}
     for camera, time in zip(cameras, saved.times.tolist(), strict=True):
         expected = saved.camera_path.at(time)
@@ -78,8 +110,8 @@ def test_a_saved_flight_is_the_one_that_animate_takes(tmp_path: Path) -> None:
         assert math.isclose(camera.fov_y, expected.fov_y, rel_tol=1e-12)
 
 
-def test_without_a_flight_films_are_taken_from_where_a_page_looks() -> None:
+def test_without_a_flight_videos_are_taken_from_where_a_page_looks() -> None:
     """A frame for each time of the animation."""
     animation = ls.Animation(lit_scene(), frame_count=4)
     view = key(0.5).camera
-    assert film_cameras(animation, view) == [view] * 4
+    assert video_cameras(animation, view) == [view] * 4

@@ -39,10 +39,10 @@ def page(viewer: ls.Viewer) -> Iterator[PageClient]:
 
 def test_a_picture_is_the_frame_of_its_size_and_samples(page: PageClient) -> None:
     """As `lumisplat.render` gives it at the page's camera, whatever the page shows; narrower, if that is asked for."""
-    page.choose("rows", 120, folder="pictures")
-    page.choose("columns", 100)
-    page.choose("samples", 3, folder="pictures")
-    page.press("take a picture")
+    page.choose("height (px)", 120, folder="images")
+    page.choose("width (px)", 100)
+    page.choose("samples per pixel", 3, folder="images")
+    page.press("render image")
     eventually(lambda: "view.png" in page.downloads(), "no picture came")
     picture = np.asarray(Image.open(io.BytesIO(page.downloads()["view.png"])))
     view = ls.Camera.look_at(
@@ -57,53 +57,53 @@ def test_an_exr_has_the_layers_that_were_asked_for(page: PageClient, tmp_path: P
     """Besides those that it always has; one that there is not is told at once, and nothing comes."""
     import OpenEXR
 
-    page.choose("rows", 64, folder="pictures")
-    page.choose("samples", 2, folder="pictures")
-    page.choose("format", "exr")
+    page.choose("height (px)", 64, folder="images")
+    page.choose("samples per pixel", 2, folder="images")
+    page.choose("format", "exr", folder="images")
     page.choose("layers", "albedo, lights")
-    page.press("take a picture")
+    page.press("render image")
     eventually(lambda: "view.exr" in page.downloads(), "no picture came")
     (tmp_path / "view.exr").write_bytes(page.downloads()["view.exr"])
     with OpenEXR.File(str(tmp_path / "view.exr")) as file:
         channels = set(file.channels())
     assert {"depth.Z", "normal.X", "index.instance", "albedo", "light.lamp.shadow"} <= channels
     page.choose("layers", "albdo")
-    page.press("take a picture")
+    page.press("render image")
     eventually(lambda: any("albdo" in note for note in page.notes()), "nobody was told")
 
 
-def test_a_film_has_a_frame_for_each_time_of_the_flight(viewer: ls.Viewer, page: PageClient) -> None:
+def test_a_video_has_a_frame_for_each_time_of_the_flight(viewer: ls.Viewer, page: PageClient) -> None:
     """Each as seen from there."""
-    page.press("add this view")
-    page.choose("seconds", 0.5)
+    page.press("add key view")
+    page.choose("seconds to it", 0.5)
     page.look(camera(1.5))
     settled(viewer, page)
-    page.press("add this view")
-    page.choose("film rows", 48)
-    page.choose("film samples", 1)
-    page.choose("film format", "webp")
-    page.choose("frames a second", 8.0)
+    page.press("add key view")
+    page.choose("height (px)", 48, folder="video")
+    page.choose("samples per pixel", 1, folder="video")
+    page.choose("format", "webp", folder="video")
+    page.choose("frames per second", 8.0)
     eventually(lambda: viewer.document.top.get("animation", {}).get("fps") == 8.0, "the rate stayed")
-    page.press("make the film")
-    eventually(lambda: "film.webp" in page.downloads(), "no film came")
-    film = Image.open(io.BytesIO(page.downloads()["film.webp"]))
+    page.press("render video")
+    eventually(lambda: "video.webp" in page.downloads(), "no video came")
+    video = Image.open(io.BytesIO(page.downloads()["video.webp"]))
     animation = viewer.document.animation
-    assert animation is not None and animation.camera_path is not None and getattr(film, "n_frames", 0) == 4
+    assert animation is not None and animation.camera_path is not None and getattr(video, "n_frames", 0) == 4
     config, similar = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=1), []
     for number in (0, 3):
-        film.seek(number)
+        video.seek(number)
         view = animation.camera_path.at(number / 8.0).scaled(height=48)
         expected = ls.render(lit_scene(), view, config, device="cpu").pixels_srgb()
-        similar.append(ls.psnr(np.asarray(film.convert("RGB"), np.float32) / 255.0, expected))
+        similar.append(ls.psnr(np.asarray(video.convert("RGB"), np.float32) / 255.0, expected))
     assert min(similar) > 30.0
 
 
 def test_work_can_be_cancelled_and_other_work_waits(viewer: ls.Viewer, page: PageClient) -> None:
     """A picture of a great many samples ends when it is told to; while it goes on, no other is begun."""
-    page.choose("samples", 60000, folder="pictures")
-    page.press("take a picture")
+    page.choose("samples per pixel", 60000, folder="images")
+    page.press("render image")
     eventually(lambda: bool(viewer._loop._errands), "it did not begin")
-    page.press("take a picture")
+    page.press("render image")
     eventually(lambda: any("cancel it" in note for note in page.notes()), "nobody was told")
     page.press("cancel")
     eventually(lambda: not viewer._loop._errands, "it did not end")
@@ -117,8 +117,8 @@ def test_work_that_is_not_done_does_not_keep_a_viewer_open() -> None:
     with PageClient(viewer.url) as page:
         page.look(camera())
         settled(viewer, page)
-        page.choose("samples", 60000, folder="pictures")
-        page.press("take a picture")
+        page.choose("samples per pixel", 60000, folder="images")
+        page.press("render image")
         eventually(lambda: bool(viewer._loop._errands), "it did not begin")
         viewer.close()
     assert not viewer._loop._thread.is_alive()

@@ -21,7 +21,7 @@ from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.hands.gizmo import Drag, dragged, grip_of
 from lumisplat.viewer.hands.helpers import with_insets
 from lumisplat.viewer.hands.outlines import grid_outline
-from lumisplat.viewer.panels.controls import from_shown, to_shown
+from lumisplat.viewer.panels.controls import from_shown, shown_number, to_shown, unrounded
 from lumisplat.viewer.panels.described import Described, described
 from lumisplat.viewer.panels.files import command_line
 from lumisplat.viewer.panels.markdown import plain
@@ -29,6 +29,7 @@ from lumisplat.viewer.panels.viewpoints import selected_ball
 from lumisplat.viewer.state.boxes import Boxes, pose_of, world_corners
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Options, Session, State, within_memory
+from lumisplat.viewer.state.sun import direction_of_angles, direction_of_hour, sun_angles
 from lumisplat.viewer.things import adding
 from lumisplat.viewer.things.adding import free_name, light_tables, standing, with_sky
 from lumisplat.viewer.things.crop import crop_ends, crop_reach, crop_table, cropped
@@ -96,7 +97,7 @@ def test_every_value_survives_its_control(cls: type) -> None:
     for one in described(cls):
         if one.kind == "group" or repr(one.default).startswith("<dataclasses._MISSING"):
             continue
-        back = from_shown(one, to_shown(one, one.default))
+        back = unrounded(from_shown(one, to_shown(one, one.default)), one.default)
         if one.kind == "color":
             np.testing.assert_allclose(back, one.default or (0.0, 0.0, 0.0), atol=0.005)
         else:
@@ -365,8 +366,8 @@ def test_meshes_change_between_kinds_of_material() -> None:
         looks.append(look_of(changed.entry(0)))
         shown = changed.scene().meshes[0].mesh.material
         assert isinstance(shown, ls.MaterialSimple if kind == "simple" else ls.MaterialPbr)
-    assert looks == ["as in its file", "simple", "metallic and rough"]
-    assert look_of(changed.changed(0, material=None).entry(0)) == "as in its file"
+    assert looks == ["as in the file", "simple", "PBR"]
+    assert look_of(changed.changed(0, material=None).entry(0)) == "as in the file"
 
 
 def test_a_grid_is_on_the_ground() -> None:
@@ -491,3 +492,112 @@ def test_undo_keeps_as_many_captures_as_memory_has_room_for() -> None:
 def arrays_of(gaussians: ls.Gaussians) -> list[np.ndarray]:
     """All arrays of a capture."""
     return [value for one in fields(gaussians) if isinstance(value := getattr(gaussians, one.name), np.ndarray)]
+
+
+def test_the_command_line_has_the_samples_of_the_settings(tmp_path: Path) -> None:
+    """Not those that a picture happens to have; without any, none are given."""
+    session = Session(Options())
+    session.open(State(ls.SceneDocument.of(cloud()), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=16)))
+    pose = Pose((0.0, 0.0, -3.0), (1.0, 0.0, 0.0, 0.0), 0.8, 1.6, 3.0)
+    assert " --samples 16 " in command_line(Path("a.toml"), pose, session)
+    session.configure(lambda config: replace(config, samples=None))
+    assert "--samples" not in command_line(Path("a.toml"), pose, session)
+
+
+@pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
+def test_suns_stand_where_their_angles_and_the_clock_say(up: tuple[float, float, float]) -> None:
+    """Whatever is up: angles survive, it rises in the east at 6, is highest in front at 12, and sets in the west."""
+    for azimuth, elevation in ((0.0, 30.0), (90.0, 5.0), (200.0, -40.0), (359.0, 80.0)):
+        direction = direction_of_angles(azimuth, elevation, up)
+        assert np.linalg.norm(direction) == pytest.approx(1.0)
+        assert sun_angles(direction, up)[:2] == pytest.approx((azimuth, elevation), abs=1e-9)
+    heights = [sun_angles(direction_of_hour(hour, up), up)[1] for hour in (6.0, 9.0, 12.0, 15.0, 18.0, 24.0)]
+    assert heights == pytest.approx([0.0, 30.0, 45.0, 30.0, 0.0, -45.0], abs=1e-9)
+    assert sun_angles(direction_of_hour(6.0, up), up)[0] == pytest.approx(90.0)
+    assert sun_angles(direction_of_hour(18.0, up), up)[0] == pytest.approx(270.0)
+    assert [sun_angles(direction_of_hour(hour, up), up)[2] for hour in (0.5, 7.0, 12.0, 21.0)] == pytest.approx(
+        [0.5, 7.0, 12.0, 21.0]
+    )
+    noon = ls.frame_camera(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0))], up=up), elevation=math.pi / 4)
+    np.testing.assert_allclose(direction_of_hour(12.0, up), noon.camera_from_world[2, :3], atol=1e-9)
+
+
+def test_the_inspector_turns_suns_by_their_angles() -> None:
+    """Each alone; a sun that was placed by words is placed by its direction from then on."""
+    scene = ls.Scene(
+        meshes=[ls.MeshInstance(ls.box(1.0))], lights=[ls.LightDirectional((0.3, 1.0, 0.4))], up=(0, -1, 0)
+    )
+    start = ls.SceneDocument.of(scene)
+    start = start.changed(1, direction=None, position=(0.0, -5.0, -5.0), target=(0.0, 0.0, 0.0))
+    up = start.scene().up_direction
+    edited = put_field(put_field(start, 1, "elevation_degrees", 20.0), 1, "azimuth_degrees", 75.0)
+    fields = {one.name: value for one, value in light_fields(edited.scene().lights[0], up)}
+    assert fields["azimuth_degrees"] == pytest.approx(75.0, abs=1e-3) and "direction" not in fields
+    assert fields["elevation_degrees"] == pytest.approx(20.0, abs=1e-3)
+    noon = put_field(edited, 1, "hour", 12.0).scene().lights[0]
+    assert sun_angles(noon.direction, up)[1] == pytest.approx(45.0, abs=1e-3)  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("value", "room", "shown"),
+    [
+        (12.154932, 8, 12.15493),
+        (0.0123456789, 8, 0.012346),
+        (-0.0123456789, 8, -0.01235),
+        (0.22000000000000003, 11, 0.22),
+        (4512345.678, 11, 4512345.678),
+        (4512345678.25, 8, 4512345678.0),
+        (1.5, 8, 1.5),
+        (math.inf, 8, math.inf),
+    ],
+)
+def test_numbers_are_rounded_to_the_room_of_their_control(value: float, room: int, shown: float) -> None:
+    """So that none is cut, and none has zeros that say nothing; digits before the point are never left out."""
+    assert shown_number(value, room) == shown
+
+
+def test_what_was_not_changed_in_a_vector_keeps_its_digits() -> None:
+    """One number is typed; the others stay what they are, though fewer digits of them are shown."""
+    before = (12.15493217, 0.0123456789, -3.0)
+    field = Described("position", "vector", "")
+    given = (to_shown(field, before)[0], 0.5, -3.0)
+    assert unrounded(given, before) == (12.15493217, 0.5, -3.0)
+
+
+def test_the_first_edit_of_a_material_keeps_its_folder(tmp_path: Path) -> None:
+    """And its controls, where the type of the material stays, also if the file had said it until then."""
+    viewer = ls.view(ls.MeshInstance(ls.box(1.0)).mesh, height=90, device="cpu")
+    viewer._loader.join()
+    session, inspector = viewer._session, viewer._things._inspector
+    session.select(0)
+    folder, controls, parts = inspector._material, dict(inspector._controls), list(inspector._parts)
+    session.apply(lambda document: put_field(document, 0, "material.metallic", 1.0))
+    assert look_of(viewer.document.entry(0)) == "PBR"
+    assert inspector._material is folder and inspector._controls == controls and inspector._parts == parts
+    session.apply(lambda document: document.changed(0, material={"type": "simple"}))
+    assert inspector._material is folder and inspector._parts == parts
+    assert "material.shininess" in inspector._controls or "material.metallic" not in inspector._controls
+    viewer.close()
+
+
+def test_the_list_selects_hides_and_locks() -> None:
+    """By what is clicked in it; what is locked is passed by, and not edited."""
+    viewer = ls.view(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0), name="crate")]), height=90, device="cpu")
+    viewer._loader.join()
+    session, things, problems = viewer._session, viewer._things, []
+    session.errors.append(problems.append)
+    things._channel._take("select 0 1")
+    assert session.selected == 0 and "lumi-row selected" in things._tree.content
+    things._channel._take("hide 0 2")
+    assert viewer.document.entry(0).hidden and not viewer.scene.meshes
+    things._channel._take("hide 0 3")
+    things._channel._take("lock 0 4")
+    assert session.locked == {0} and viewer._gizmo._handle is None
+    things.act("delete")
+    assert viewer.document.entries and problems == ["crate is locked: unlock it in the list"]
+    assert all(control.handle.disabled for control in things._inspector._controls.values())
+    for nonsense in ("", "select", "select x 1", "explode 0 1", "select -1 2"):
+        things._channel._take(nonsense)
+    things._channel._take("lock 0 5")
+    assert not session.locked and session.selected == 0 and viewer._gizmo._handle is not None
+    viewer.close()

@@ -231,13 +231,14 @@ def test_nonsense_from_a_page_disturbs_nobody(viewer: ls.Viewer) -> None:
 
 
 def test_a_frame_that_fails_is_told_and_the_next_one_is_rendered(viewer: ls.Viewer) -> None:
-    """A picture that a view cannot have is a note; the view before comes back."""
+    """Settings that do not go together are a note, in the words of the page; those before come back."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         before = settled(viewer, page)
-        viewer._session.set_options(view="motion")  # which only frames in real time have
-        eventually(lambda: any("motion" in note for note in page.notes()), "nobody was told")
-        viewer._session.set_options(view="color")
+        raster = ls.RasterConfig(projection=ls.Projection.UNSCENTED, strategy=ls.RasterStrategy.STOCHASTIC)
+        viewer._session.configure(lambda config: replace(config, raster=raster))
+        eventually(lambda: any("go with projection unscented" in note for note in page.notes()), "nobody was told")
+        viewer._session.undo()
         count = len(page.pictures)
         page.picture(after=count)
         np.testing.assert_array_equal(settled(viewer, page), before)
@@ -403,7 +404,7 @@ def test_what_a_page_asks_of_the_view_is_checked(viewer: ls.Viewer) -> None:
     with PageClient(viewer.url) as page:
         page.look(camera())
         before, options = settled(viewer, page), viewer._session.options
-        page.choose("budget", 0.0)
+        page.choose("frame time (ms)", 0.0)
         page.choose("view", "magic")
         eventually(lambda: sum("expected" in note for note in page.notes()) == 2, "nobody was told")
         assert viewer._session.options == options
@@ -498,7 +499,7 @@ def test_sliders_that_stand_for_something_else_follow_undo(viewer: ls.Viewer) ->
         page.look(camera())
         page.picture()
         for _ in range(2):
-            page.choose("temperature", 3000.0)
+            page.choose("temperature (K)", 3000.0)
             eventually(lambda: viewer.scene.lights[0].color != (1.0, 1.0, 1.0), "the colour stayed")
             assert viewer._session.undo() and viewer.scene.lights[0].color == (1.0, 1.0, 1.0)
 

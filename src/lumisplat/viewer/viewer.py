@@ -27,12 +27,12 @@ from lumisplat.viewer.panels.buttons import add_buttons
 from lumisplat.viewer.panels.desk import Desk
 from lumisplat.viewer.panels.errands import Errands
 from lumisplat.viewer.panels.files import FilesPanel
-from lumisplat.viewer.panels.film import FilmPanel
 from lumisplat.viewer.panels.notes import QUIET_LOG, Notes
 from lumisplat.viewer.panels.pictures import PicturesPanel
 from lumisplat.viewer.panels.rendering import RenderingPanel
 from lumisplat.viewer.panels.status import StatusPanel
 from lumisplat.viewer.panels.timeline import Timeline
+from lumisplat.viewer.panels.video import VideoPanel
 from lumisplat.viewer.panels.view_options import ViewPanel
 from lumisplat.viewer.panels.viewpoints import Viewpoints
 from lumisplat.viewer.server.page_server import PageServer
@@ -170,10 +170,10 @@ class Viewer:
         gui = self._viser.gui
         gui.set_panel_label("Lumisplat")
         studio = Studio(self._loop.scenes, device, self._loop.is_wanted)
-        desk = Desk(self._session, self._pages, Errands(gui, self._loop.do), studio)
+        desk = Desk(self._session, self._pages, Errands(gui, self._loop.do), studio, self._loop.thumbnail)
         add_buttons(gui, ["undo", "redo"], self._step)
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Things"):
+        with tabs.add_tab("Scene"):
             self._things = ThingsPanel(gui, self._session, self._pages)
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
@@ -182,12 +182,12 @@ class Viewer:
             ViewPanel(gui, self._session)
             self._add_theme()
             self._status.add_details(gui)
-        with tabs.add_tab("Film"):
+        with tabs.add_tab("Video"):
             self._timeline = Timeline(gui, self._session, self._fly)
-            FilmPanel(gui, desk)
+            VideoPanel(gui, desk)
         with tabs.add_tab("Save"):
             self._files = FilesPanel(gui, self._notes, self._session, self._pages)
-            with gui.add_folder("pictures"):
+            with gui.add_folder("images"):
                 PicturesPanel(gui, desk)
         self._add_keys()
 
@@ -267,10 +267,19 @@ class Viewer:
 
     def _stand_back(self, client: viser.ClientHandle) -> None:
         """Moves a page so that it sees all of the scene, however narrow it is."""
-        position, target = self._first_view.at(min(client.camera.aspect, ASPECT))
+        aspect = min(client.camera.aspect, ASPECT)
+        position, target = self._first_view.at(aspect)
+        if (page := self._pages.get(client.client_id)) is not None:
+            page.framed.add(aspect)
         client.camera.up_direction, client.camera.fov = self._first_view.up, self._first_view.fov_y
         client.camera.position = position  # first, for it takes along what is looked at
         client.camera.look_at = target
+
+    def _stands_back(self, page: Page, pose: Pose) -> bool:
+        """Whether a page looks from where it was put, so that all of the scene fits into it, and nobody has moved."""
+        at = self._session.extent.page_from_scene * np.array(pose.position)
+        places = [self._first_view.at(aspect)[0] for aspect in (ASPECT, *page.framed)]
+        return any(np.linalg.norm(at - place) < 1e-3 * np.linalg.norm(place) for place in places)
 
     def _fly(self, camera: ls.Camera) -> None:
         """Moves all pages to a camera."""
@@ -298,7 +307,10 @@ class Viewer:
         """Takes over a page's camera."""
         page = self._pages.get(client.client_id)
         if page is not None:
-            page.look(Pose.of(client.camera, self._session.extent.page_from_scene))
+            before, now = page.pose, Pose.of(client.camera, self._session.extent.page_from_scene)
+            page.look(now)
+            if before is not None and before.aspect != now.aspect and self._stands_back(page, now):
+                self._stand_back(client)
 
     def _close_page(self, client: viser.ClientHandle) -> None:
         page = self._pages.pop(client.client_id, None)

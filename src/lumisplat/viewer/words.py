@@ -14,14 +14,15 @@ import lumisplat as ls
 _FLAGS = {"=True": " on", "=False": " off"}
 _CONFIG_FIELD = re.compile(r"\b[A-Z]\w*Config\.((?:\w+\.)*[a-z]\w*)(=True|=False)?\b")
 _MEMBER = re.compile(r"\b([A-Z]\w*)\.([A-Z][A-Z0-9_]*)\b")
-_OTHERS = {"aovs": "layers"}
+_OTHERS = {"aovs": "layers", "time_limit": "time limit (s)", "sh_degree": "SH degree"}
 """Settings that the page calls otherwise."""
 
 
 def label(name: str) -> str:
     """Returns the label of a control by the name of its setting, without the groups that it is in."""
     last = name.rpartition(".")[2]
-    return _OTHERS.get(last, last.replace("_", " "))
+    degrees = last.removesuffix("_degrees")
+    return _OTHERS.get(last, degrees.replace("_", " ") + " (°)" * (degrees != last))
 
 
 def page_words(message: str) -> str:

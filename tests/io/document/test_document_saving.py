@@ -197,3 +197,31 @@ def test_real_captures_are_seen_and_saved_as_they_are(data_dir: Path, name: str)
         np.testing.assert_array_max_ulp(found.arrays()[key], values, 4 if key == "opacities" else 0)
     twice = again(found, "twice.toml").splats[0].gaussians
     np.testing.assert_array_equal(twice.opacities, found.opacities)
+
+
+def test_absolute_paths_stay_absolute_and_relative_ones_relative(tmp_path: Path) -> None:
+    """As they were written; files that are given by a relative name are written from the folder of the scene."""
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "saved").mkdir()
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    for name in ("near.obj", "far.obj"):
+        (tmp_path / "assets" / name).write_text(triangle)
+    far = str(tmp_path / "assets" / "far.obj")
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f'[[meshes]]\npath = "assets/near.obj"\n\n[[meshes]]\npath = "{far}"\n')
+    ls.SceneDocument.open(scene).save(tmp_path / "saved" / "again.toml")
+    saved = ls.SceneDocument.open(tmp_path / "saved" / "again.toml")
+    assert [entry.table["path"] for entry in saved.entries] == ["../assets/near.obj", far]
+
+
+def test_files_that_are_opened_by_relative_names_are_saved_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Absolute names stay; both name the same files."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("near.obj", "far.obj"):
+        Path(name).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "saved").mkdir()
+    document = ls.SceneDocument.open(["near.obj", tmp_path / "far.obj"])
+    document.save("saved/scene.toml")
+    saved = ls.SceneDocument.open("saved/scene.toml")
+    assert [entry.table["path"] for entry in saved.entries] == ["../near.obj", str(tmp_path / "far.obj")]
+    assert len(saved.scene().meshes) == 2

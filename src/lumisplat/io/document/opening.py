@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from lumisplat.errors import ConfigError, FormatError, MissingExtraError, SceneError
 from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry
+from lumisplat.io.document.saving import relative_path
 from lumisplat.io.files.source import parsing
 from lumisplat.io.formats import USD
 from lumisplat.io.gltf.scene import shows_one_capture
@@ -60,7 +61,8 @@ def listed_files(files: Sequence[Path]) -> Listing:
                 listing.tables.append(("environment", document.table("environment").values))
     for file in files:
         if file not in scene_files:
-            listing.tables.append((heading_of(file), {"path": str(file.absolute())}))
+            path = str(file) if file.is_absolute() else relative_path(file, listing.file.absolute().parent)
+            listing.tables.append((heading_of(file), {"path": path}))
     return listing
 
 

@@ -22,7 +22,7 @@ from lumisplat.scene.ops.placed_mesh import placed_mesh
 
 
 def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str, Any]:
-    """A table whose paths start from another folder; those to other drives become absolute.
+    """A table whose relative paths start from another folder; those to other drives become absolute.
 
     Args:
         values: The table, and tables in it: ``path``, and what ends in ``_texture``, are paths.
@@ -38,13 +38,13 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
         elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in cast(list[object], value)):
             moved[key] = [relocated(item, source, target) for item in cast(list[Mapping[str, Any]], value)]
         elif isinstance(value, str) and (key == "path" or key.endswith("_texture")) and not value.startswith("<"):
-            moved[key] = _relative(source / value, target)
+            moved[key] = value if Path(value).is_absolute() else relative_path(source / value, target)
         else:
             moved[key] = value
     return moved
 
 
-def _relative(path: Path, folder: Path) -> str:
+def relative_path(path: Path, folder: Path) -> str:
     """The way from a folder to a file; both as they are on the disk, for ``..`` does not lead back out of a link."""
     file = Path(os.path.realpath(path.parent)) / path.name
     try:
@@ -110,7 +110,7 @@ class _Folder:
         return table | {"path": path, "material": self._material(entry, name)}
 
     def _once(self, key: str, name: str, write: Callable[[Path], None]) -> str:
-        """The absolute path of a file, written when it is asked for first.
+        """The path of a file from the folder of the document, written when it is asked for first.
 
         Args:
             key: What it holds.
@@ -127,7 +127,7 @@ class _Folder:
             self.used.add(os.path.realpath(file))
             write(file)
             self._files[key] = file
-        return str(self._files[key])
+        return relative_path(self._files[key], self.reader.file.absolute().parent)
 
     def _material(self, entry: SceneEntry, name: str) -> dict[str, Any]:
         """The whole material of a mesh, whose file has none; its textures as files."""

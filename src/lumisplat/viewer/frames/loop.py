@@ -110,7 +110,7 @@ class RenderLoop:
         page.close()
 
     def do(self, errand: Generator[None]) -> None:
-        """Does something long, such as a film: a step of it each time that no view moves, in turns with views at rest.
+        """Does something long, such as a video: a step of it each time that no view moves, in turns with views at rest.
 
         Args:
             errand: Its steps. Whatever it raises is reported, and ends it; it is closed if the loop ends before it.
@@ -118,6 +118,26 @@ class RenderLoop:
         with self._session.changed:
             self._errands.append(errand)
             self._session.changed.notify_all()
+
+    def thumbnail(self, camera: ls.Camera, show: Callable[[Picture], object]) -> None:
+        """Renders a small image of the scene when no view moves, with the renderer of views at rest.
+
+        Args:
+            camera: From where, of the size of the image.
+            show: Gets the image, in the thread of the frames.
+        """
+
+        def work() -> Generator[None]:
+            state = self._session.state
+            config = frame_config(state.config, "color")
+            if config.pipeline is ls.Pipeline.REALTIME:  # whose first frame is noisy
+                config = replace(config, pipeline=ls.Pipeline.HYBRID, samples=1)
+            scene = self.scenes.of(state.document, config, self._session.options.time, 0, waits=False)
+            frame = self._renderers.of(_AT_REST, config).render(scene, camera)
+            show(picture_of(frame, "color"))
+            yield
+
+        self.do(work())
 
     def is_wanted(self) -> bool:
         """Whether a long frame has to give way: a view moves, or the viewer is to end. Any thread may ask."""

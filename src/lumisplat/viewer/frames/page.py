@@ -38,6 +38,8 @@ class Page:
         self.pose: Pose | None = None
         """Where it looks from; None: it is not to be seen, and has no frames."""
         self.pose_number = 0
+        self.framed: set[float] = set()
+        """Aspects for which it was put where all of the scene is seen."""
         self.changed_at = 0.0
         """When what it should show changed last, seconds of the monotonic clock."""
         self.key: tuple[int, int] | None = None

@@ -24,8 +24,8 @@ Matrix = npt.NDArray[np.float64]
 
 _NODE = "/selected {}"
 """Each has a number of its own: a page keeps the turn of one that was removed for the next one of its name."""
-_SIZE = 0.15
-"""Length of the handle's axes as a share of the dome's radius, if what it holds is not larger."""
+_SIZE = 0.09
+"""Length of the handle's axes as a share of the scene's size, if what it holds is not larger."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class Gizmo:
             self._drag = None
             entry, time_now = self._session.selected_entry, self._session.options.time
             grip = None
-            if entry is not None and not entry.hidden:
+            if entry is not None and not entry.hidden and entry.id not in self._session.locked:
                 grip = grip_of(entry, self._session.boxes.of(entry, time_now), self._session.extent, time_now)
             if entry is None or grip is None:
                 self._remove()
@@ -205,7 +205,7 @@ class Gizmo:
             self._handles += 1
             self._handle = self._api.add_transform_controls(
                 self.node,
-                scale=scale * max(_SIZE * extent.dome_radius, self._reach_of(entry)),
+                scale=scale * max(_SIZE * extent.size, self._reach_of(entry)),
                 disable_rotations=not grip.turns,
                 position=position,
                 wxyz=wxyz,

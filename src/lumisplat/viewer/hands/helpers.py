@@ -7,7 +7,14 @@ from PIL import Image, ImageOps
 
 import lumisplat as ls
 from lumisplat.viewer.frames.picture import Picture
-from lumisplat.viewer.hands.outlines import Outline, box_outline, draw_outlines, grid_outline, light_outline
+from lumisplat.viewer.hands.outlines import (
+    Outline,
+    box_outline,
+    draw_outlines,
+    grid_outline,
+    light_outline,
+    sun_outline,
+)
 from lumisplat.viewer.state.boxes import pose_of, world_corners
 from lumisplat.viewer.state.session import Session
 
@@ -27,6 +34,9 @@ def decorated(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
         outlines = _outlines(session) if options.outlines else []
         if options.grid:
             outlines.append(_grid(session))
+    if outlines and len(picture) < options.height:  # lines of a view that moves are as fine as those of one at rest
+        size = round(picture.shape[1] * options.height / len(picture)), options.height
+        picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BILINEAR))
     picture = draw_outlines(picture, frame, outlines)
     return with_insets(picture, frame) if options.insets and options.view == "color" else picture
 
@@ -36,6 +46,10 @@ def _outlines(session: Session) -> list[Outline]:
     document, size = session.state.document, _LIGHT_SIZE * session.extent.size
     lights = [entry for entry in document.entries if entry.kind == "lights" and not entry.hidden]
     found = [light_outline(entry.lights[0], size, is_selected=entry.id == session.selected) for entry in lights]
+    selected = session.selected_entry
+    if selected in lights and isinstance(sun := selected.lights[0], ls.LightDirectional):
+        extent = session.extent
+        found.append(sun_outline(sun, extent.center, extent.dome_radius, session.scene.up_direction))
     return [outline for outline in found if outline is not None] + _selection(session)
 
 

@@ -59,6 +59,27 @@ def light_outline(light: object, size: float, *, is_selected: bool) -> Outline |
     return Outline(lines, color)
 
 
+def sun_outline(light: ls.LightDirectional, center: npt.ArrayLike, radius: float, up: npt.ArrayLike) -> Outline:
+    """The dome on which a sun is dragged: its horizon, the arc from there over the zenith, and the way of its light.
+
+    Args:
+        light: The sun.
+        center: Of the dome, world space.
+        radius: Of the dome, scene units.
+        up: Unit vector.
+    """
+    middle, vertical, towards = np.asarray(center, np.float64), np.asarray(up, np.float64), -np.array(light.direction)
+    level = towards - (towards @ vertical) * vertical
+    length = float(np.linalg.norm(level))
+    level = level / length if length > 1e-6 else _frame_about(vertical)[0]
+    angles = np.linspace(0.0, math.pi, _CIRCLE + 1)[:, None]
+    arc = middle + radius * (np.cos(angles) * level + np.sin(angles) * vertical)
+    sun = middle + radius * towards
+    ray = _straight(sun, middle)
+    lines = (_circle(middle, radius, vertical), arc, ray, *_ball(sun, 0.05 * radius))
+    return Outline(lines, _SELECTED)
+
+
 def box_outline(corners: npt.ArrayLike) -> Outline:
     """The edges of a box, by its corners as `world_corners` has them, shape (8, 3)."""
     at = np.asarray(corners, np.float64)
@@ -89,14 +110,14 @@ def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outli
 def draw_outlines(
     picture: npt.NDArray[np.uint8], frame: ls.Frame, outlines: Sequence[Outline]
 ) -> npt.NDArray[np.uint8]:
-    """The picture of a frame with lines on it, dimmed where they are behind what is there."""
+    """The picture of a frame, of its size or a larger one, with lines on it, dimmed behind what is in the frame."""
     if not outlines:
         return picture
-    image = Image.fromarray(picture)
+    image, scale = Image.fromarray(picture), len(picture) / frame.camera.height
     for outline in outlines:
         mask = Image.new("L", image.size)  # lines that cross, or meet, are no stronger there
         draw = ImageDraw.Draw(mask)
-        hidden, seen = _pieces(frame, outline.lines)
+        hidden, seen = (scale * pieces for pieces in _pieces(frame, outline.lines))
         for strength, pieces in ((_HIDDEN, hidden), (1.0, seen)):
             for ends in pieces.tolist():
                 draw.line(ends, fill=round(255 * strength))

@@ -1,1 +1,1 @@
-"""What stands beside the picture: settings, views, films, files, and what is being done."""
+"""What stands beside the picture: settings, views, videos, files, and what is being done."""

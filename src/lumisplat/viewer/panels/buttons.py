@@ -1,14 +1,37 @@
-"""Rows of buttons that do what they were pressed for, however soon the next is pressed."""
+"""Rows of buttons that do what they were pressed for, however soon the next is pressed, and buttons in lists."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from lumisplat.viewer.server.turns import in_turn
+from lumisplat.viewer.server.turns import chosen, in_turn
 
 if TYPE_CHECKING:
     import viser
+
+
+_ICON = (
+    '<svg viewBox="0 0 24 24" fill="none" stroke="currentColor" stroke-width="1.8" stroke-linecap="round" '
+    'stroke-linejoin="round">{}</svg>'
+)
+_DOTS = ((6, 7), (12, 5), (18, 8), (4, 13), (10, 12), (16, 14), (8, 18), (14, 19), (20, 17))
+_RAYS = "M12 2v2M12 20v2M2 12h2M20 12h2M5 5l1.4 1.4M17.6 17.6L19 19M5 19l1.4-1.4M17.6 6.4L19 5"
+_SHAPES = {
+    "splats": "".join(f'<circle cx="{x}" cy="{y}" r="1.4" fill="currentColor"/>' for x, y in _DOTS),
+    "meshes": '<path d="M12 3l8 4.5v9L12 21l-8-4.5v-9zM4 7.5l8 4.5 8-4.5M12 12v9"/>',
+    "actors": '<circle cx="12" cy="5" r="2.5"/><path d="M12 8v7M6 10l6 1 6-1M8 21l4-6 4 6"/>',
+    "lights": '<path d="M9 18h6M10 21h4M8.5 15a6 6 0 1 1 7 0z"/>',
+    "directional": f'<circle cx="12" cy="12" r="4"/><path d="{_RAYS}"/>',
+    "environment": '<circle cx="12" cy="12" r="9"/><path d="M3 12h18M12 3c5 5 5 13 0 18M12 3c-5 5-5 13 0 18"/>',
+    "shown": '<path d="M2 12c5-8 15-8 20 0-5 8-15 8-20 0z"/><circle cx="12" cy="12" r="2.6"/>',
+    "hidden": '<path d="M2 12c5-8 15-8 20 0-5 8-15 8-20 0zM4 20L20 4"/>',
+    "locked": '<path d="M6 11h12v9H6zM8.5 11V8a3.5 3.5 0 0 1 7 0v3"/>',
+    "left": '<path d="M15 5l-7 7 7 7"/>',
+    "right": '<path d="M9 5l7 7-7 7"/>',
+    "cross": '<path d="M6 6l12 12M18 6L6 18"/>',
+    "open": '<path d="M6 11h12v9H6zM8.5 11V8a3.5 3.5 0 0 1 6.8-1"/>',
+}
 
 
 def add_buttons(gui: viser.GuiApi, names: Sequence[str], act: Callable[[str], object]) -> None:
@@ -24,3 +47,45 @@ def add_buttons(gui: viser.GuiApi, names: Sequence[str], act: Callable[[str], ob
     """
     press: Any = in_turn(lambda event: str(event.target.value), act)
     gui.add_button_group("", list(names)).on_click(press)
+
+
+class Channel:
+    """Receives what is clicked in a list that is HTML: the page types it into a text control that nobody sees.
+
+    Args:
+        gui: The pages' controls.
+        actions: By the first word of what was clicked; each gets the number that is the second one.
+    """
+
+    def __init__(self, gui: viser.GuiApi, actions: Mapping[str, Callable[[int], object]]) -> None:
+        self._handle = gui.add_text("", "")
+        self._handle.on_update(chosen(str, self._take))
+        self._actions = actions
+
+    @property
+    def id(self) -> str:
+        """What the HTML of the list has as ``data-to``."""
+        handle: Any = self._handle
+        return handle._impl.uuid
+
+    def _take(self, said: str) -> None:
+        words = said.split()
+        if len(words) >= 2 and words[0] in self._actions and words[1].isdecimal():
+            self._actions[words[0]](int(words[1]))
+
+
+def icon(name: str) -> str:
+    """An icon as SVG."""
+    return _ICON.format(_SHAPES[name])
+
+
+def button(say: str, drawn: str, title: str, *, is_on: bool = False) -> str:
+    """A button in a row, as HTML.
+
+    Args:
+        say: What its channel gets.
+        drawn: Its icon.
+        title: What it does.
+        is_on: Whether it stands out.
+    """
+    return f'<span role="button" data-say="{say}" class="{"on" * is_on}" title="{title}">{icon(drawn)}</span>'

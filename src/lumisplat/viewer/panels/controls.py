@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import lumisplat as ls
 from lumisplat.viewer.colors import linear_from_picked, picked_from_linear
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 AUTO = "auto"
 """What people read and type for None."""
 
+_DIGITS = 7
+"""Digits behind the point that people may type."""
+_NUMBER_CHARACTERS, _VECTOR_CHARACTERS = 11, 8
+"""Characters of a number, and of each number of a vector, that a control has room for."""
 _SLIDER_SPAN = 1e4
 """Ranges whose ends differ by a larger factor are typed, not dragged."""
 
@@ -75,7 +79,7 @@ class Control:
 
     def _take(self, read: Callable[[Any], Any], shown: Any) -> None:
         try:
-            value = read(shown)
+            value = unrounded(read(shown), self._shown)
             if value != self._shown:
                 self._put(value)
         except ls.LumisplatError as error:
@@ -84,6 +88,22 @@ class Control:
 
     def _color(self, is_none: bool) -> Any:
         return None if is_none else from_shown(self.field, self.handle.value)
+
+
+def unrounded(given: Any, before: Any, width: int = _NUMBER_CHARACTERS) -> Any:
+    """A value of a control; numbers that were not changed there are as they were, not as they were shown.
+
+    Args:
+        given: What the control shows.
+        before: The value that it was to show.
+        width: Characters of each of its numbers.
+    """
+    if isinstance(given, float) and isinstance(before, float):
+        return before if given == shown_number(before, width) else given
+    if isinstance(given, tuple) and isinstance(before, tuple):
+        pairs = zip(cast("tuple[Any, ...]", given), cast("tuple[Any, ...]", before), strict=False)
+        return tuple(unrounded(new, old, _VECTOR_CHARACTERS) for new, old in pairs)
+    return cast(Any, given)
 
 
 def set_unused(handle: Any, hint: str | None, reason: str | None) -> None:
@@ -114,9 +134,26 @@ def to_shown(field: Described, value: Any) -> Any:
         case "color":
             return _picked(field, value)
         case "vector":
-            return tuple(float(x) for x in value)
+            return tuple(shown_number(x, _VECTOR_CHARACTERS) for x in value)
+        case "number":
+            return shown_number(value)
         case _:
             return value
+
+
+def shown_number(value: float, width: int = _NUMBER_CHARACTERS) -> float:
+    """A number rounded so that its control shows all of it.
+
+    Args:
+        value: The number.
+        width: Characters that there is room for; digits before the point are always there.
+    """
+    if not math.isfinite(value):
+        return value
+    for digits in range(_DIGITS, 0, -1):
+        if len(f"{value:.{digits}f}".rstrip("0").rstrip(".")) <= width:
+            return float(f"{value:.{digits}f}")
+    return float(f"{value:.0f}")
 
 
 def from_shown(field: Described, shown: Any) -> Any:
@@ -211,7 +248,9 @@ def _handle(gui: viser.GuiApi, field: Described, value: Any) -> Any:  # noqa: PL
         case "color":
             return gui.add_rgb(label, shown, hint=hint)
         case "vector":
-            return gui.add_vector3(label, shown, step=1e-3, hint=hint)
+            vector = gui.add_vector3(label, shown, step=1e-3, hint=hint)
+            vector.precision = _DIGITS
+            return vector
         case "text":
             return gui.add_text(label, shown, hint=hint)
         case _:
@@ -226,7 +265,10 @@ def _number_handle(gui: viser.GuiApi, field: Described, shown: Any, hint: str | 
         step = field.step if whole else _step(high - low)
         return gui.add_slider(field.label, ends[0], ends[1], step, shown, hint=hint)
     least = None if low is None else type(shown)(low)
-    return gui.add_number(field.label, shown, min=least, step=field.step if whole else 1e-4, hint=hint)
+    handle = gui.add_number(field.label, shown, min=least, step=field.step if whole else 1e-4, hint=hint)
+    if not whole:
+        handle.precision = _DIGITS
+    return handle
 
 
 def _step(span: float) -> float:

@@ -38,6 +38,8 @@ class Described:
     high: float | None = None
     """Largest value."""
     choices: tuple[Enum, ...] = ()
+    unit: str = ""
+    """Of a number, behind its label."""
     step: int = 1
     """A whole number is a multiple of it."""
     group: type | None = None
@@ -52,7 +54,8 @@ class Described:
     @property
     def label(self) -> str:
         """The name in words."""
-        return label(self.name)
+        words = label(self.name)
+        return f"{words} ({self.unit})" if self.unit else words
 
 
 @cache
@@ -85,7 +88,9 @@ def _described(name: str, hint: Any, text: str, default: Any) -> Described | Non
     group = rest[0] if kind == "group" else None
     multiple = _MULTIPLE.search(text) if kind == "whole" else None
     step = int(multiple[1]) if multiple else 1
-    return Described(name, kind, help_text, len(rest) < len(options), low, high, choices, step, group, default)
+    return Described(
+        name, kind, help_text, len(rest) < len(options), low, high, choices, step=step, group=group, default=default
+    )
 
 
 def _kind(name: str, hint: Any) -> Kind | None:  # noqa: PLR0911

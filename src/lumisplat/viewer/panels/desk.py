@@ -1,4 +1,4 @@
-"""What pictures and films are made with, for a page that asks for one."""
+"""What images and videos are made with, for a page that asks for one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.picture import Picture
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.output.stills import Studio
 from lumisplat.viewer.panels.errands import Errands
@@ -24,6 +26,8 @@ class Desk:
     """Open pages by the id of their connection."""
     errands: Errands
     studio: Studio
+    thumbnail: Callable[[ls.Camera, Callable[[Picture], object]], None]
+    """Renders a small image of the scene soon, and passes it on."""
 
 
 def pose_of_page(pages: Mapping[int, Page], event: Any) -> Pose | None:

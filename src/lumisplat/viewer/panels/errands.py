@@ -1,4 +1,4 @@
-"""Long work for a page, such as a film: one at a time, with its progress, and a button that ends it."""
+"""Long work for a page, such as a video: one at a time, with its progress, and a button that ends it."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 import shlex
 from pathlib import Path
@@ -80,23 +81,20 @@ class FilesPanel:
         pose = pose_of_page(self._pages, event)
         if pose is None:
             return
-        frame = self._pages[event.client_id].frame
-        samples = 0 if frame is None or self._session.state.config.pipeline is ls.Pipeline.REALTIME else frame.samples
-        line = command_line(self._target() or Path("edited.toml"), pose, self._session, samples)
+        line = command_line(self._target() or Path("edited.toml"), pose, self._session)
         with client.gui.add_modal("the same from the command line") as modal:
             client.gui.add_markdown("Save the scene first, then run this in a shell:")
-            client.gui.add_text("", line, multiline=True)
+            client.gui.add_html(f'<textarea readonly rows="5" class="lumi-command">{html.escape(line)}</textarea>')
             client.gui.add_button("close").on_click(pressed(lambda _: modal.close()))
 
 
-def command_line(scene_file: Path, pose: Pose, session: Session, samples: int = 0) -> str:
+def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
     """The command that renders what a page shows of a saved scene; of one with actors, the frame of that time.
 
     Args:
         scene_file: The saved scene.
         pose: Where the page looks from.
         session: Has the scene.
-        samples: Of the page's picture; 0: it has none.
     """
     state, camera = session.state, pose.camera(_ROWS, session.state.exposure)
     has_actors = any(entry.actor is not None and not entry.hidden for entry in state.document.entries)
@@ -108,7 +106,7 @@ def command_line(scene_file: Path, pose: Pose, session: Session, samples: int = 
     ]
     words += [f"--fov {np.degrees(pose.fov_y):.5g}", f"--width {camera.width}", f"--height {camera.height}"]
     words += [f"--exposure={camera.exposure:g}"] if camera.exposure else []
-    words += [f"--samples {samples}"] if samples else []
+    words += [f"--samples {state.config.samples}"] if state.config.samples else []
     if has_actors and (animation := state.document.animation) is not None:
         number = min(round(session.options.time * animation.fps), animation.frame_count - 1)
         return " ".join([*words, f"--frames {number}", "-o frames"])

@@ -38,15 +38,15 @@ class PicturesPanel:
 
     def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
         self._desk, self._session = desk, desk.session
-        self._height = gui.add_number("rows", 1080, min=HEIGHTS[0], max=HEIGHTS[1], step=1)
+        self._height = gui.add_number("height (px)", 1080, min=HEIGHTS[0], max=HEIGHTS[1], step=1)
         hint = "0: as wide as the page shows it."
-        self._width = gui.add_number("columns", 0, min=0, max=HEIGHTS[1], step=1, hint=hint)
-        self._samples = gui.add_number("samples", 64, min=1, max=65536, step=1, hint="A pixel.")
+        self._width = gui.add_number("width (px)", 0, min=0, max=HEIGHTS[1], step=1, hint=hint)
+        self._samples = gui.add_number("samples per pixel", 64, min=1, max=65536, step=1)
         self._format = gui.add_dropdown("format", FORMATS, hint="PNG: as shown. EXR: linear light, with layers.")
         self._layers = gui.add_text("layers", "", hint=_LAYERS_HINT)
-        gui.add_button("take a picture").on_click(pressed(self._for_page(self._picture)))
-        hint = "One HTML file with the captures as they are, without lights: it opens in any browser, without a server."
-        gui.add_button("captures as a page", hint=hint).on_click(pressed(self._for_page(self._capture_page)))
+        gui.add_button("render image").on_click(pressed(self._for_page(self._picture)))
+        hint = "One file with the captures as captured, without lights: it opens in any browser, without a server."
+        gui.add_button("export captures as HTML", hint=hint).on_click(pressed(self._for_page(self._capture_page)))
 
     def _for_page(self, start: Callable[[viser.ClientHandle, Pose], None]) -> Callable[[Any], None]:
         def on_click(event: Any) -> None:
@@ -79,20 +79,20 @@ class PicturesPanel:
             frame = yield from studio.still(renderer, scene, camera, samples)
             client.send_file_download(f"view.{suffix}", _as_file(frame, suffix, layers), save_immediately=True)
 
-        self._desk.errands.start(f"picture of {camera.width} × {camera.height}", steps())
+        self._desk.errands.start(f"image of {camera.width} × {camera.height}", steps())
 
     def _capture_page(self, client: viser.ClientHandle, _: Pose) -> None:
         """Makes a page of the captures, as captured."""
         document = self._session.state.document
         scene = document.scene() if document.animation is None else document.animation.scene
         if not scene.splats:
-            raise ls.SceneError("captures as a page: there is no capture that stands still")
+            raise ls.SceneError("export captures as HTML: there is no capture that stands still")
 
         def steps() -> Steps:
             yield 0.0
             client.send_file_download("capture.html", capture_page(scene).encode(), save_immediately=True)
 
-        self._desk.errands.start("captures as a page", steps())
+        self._desk.errands.start("captures as HTML", steps())
 
 
 def listed(layers: str) -> tuple[str, ...]:

@@ -70,7 +70,7 @@ class RenderingPanel:
         unused = unused_settings(state.config, lit=self._session.is_lit)
         self._first.set_unused(unused)
         self._rest.set_unused(unused)
-        self._quality.set_unused(dict.fromkeys(_QUALITY, unused["realtime"]) if "realtime" in unused else {})
+        self._quality.set_visible("realtime" not in unused)
         set_unused(self._exposure, _EXPOSURE_HINT, unused.get("exposure"))
         self._actors.visible = any(entry.actor is not None for entry in state.document.entries)
         if self._actors.visible and self._top is not state.document.top:

@@ -69,6 +69,12 @@ class SettingsPanel(Generic[Settings]):
         for name, group in self._groups.items():
             group.show(getattr(settings, name))
 
+    def set_visible(self, visible: bool) -> None:
+        """Shows or hides its own fields; groups have folders of their own."""
+        for control in self._controls.values():
+            for handle in control.handles:
+                set_if_changed(handle, "visible", visible)
+
     def set_unused(self, unused: Mapping[str, str]) -> None:
         """Disables controls that have no effect, and hides such groups.
 

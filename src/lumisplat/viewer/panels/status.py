@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -39,10 +40,14 @@ class StatusPanel:
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
+        self._wait = gui.add_html(wait_html("starting", 0.0))
+        """Over the picture, until there is one."""
         self._line = gui.add_markdown("starting")
         self._lines: dict[Page, _Line] = {}
         """Of each page: how fine its own picture is."""
         self._bar = gui.add_progress_bar(0.0, animated=True)
+        self._has_shown = False
+        """Whether some page shows a picture."""
         self._took = np.full(_FRAMES, np.nan)
 
     def add_details(self, gui: viser.GuiApi) -> None:
@@ -62,10 +67,12 @@ class StatusPanel:
         self._bar.visible = fraction < 1.0
         self._bar.value = 100.0 * fraction
         self._line.content, self._line.visible = plain(label), fraction < 1.0
+        self._wait.content = wait_html(f"preparing: {label}", fraction)
+        self._wait.visible = fraction < 1.0 or not self._has_shown
 
     def levels(self, fraction: float) -> None:
         """Shows how far the levels of a capture are, from which views that move will be drawn."""
-        self._line.content = f"coarser levels, for views that move: {fraction:.0%}"
+        self._line.content = f"preparing levels of detail: {fraction:.0%}"
         self._line.visible = fraction < 1.0
 
     def open(self, page: Page, gui: viser.GuiApi) -> None:
@@ -95,6 +102,9 @@ class StatusPanel:
         if page.frame is None or line is None or (now - line.written < _EVERY_S and not page.is_finished):
             return
         line.written = now
+        self._has_shown = True
+        if self._wait.visible:
+            self._wait.visible = False
         if self._bar.visible:
             self._bar.visible = self._line.visible = False
         line.handle.content, line.handle.visible = frame_line(page, page.frame, step, took), True
@@ -102,6 +112,11 @@ class StatusPanel:
             self._stages.content = stage_table(page.frame.stats)
         times = np.nan_to_num(self._took)
         self._plot.data = (np.arange(_FRAMES, dtype=np.float64), times)
+
+
+def wait_html(label: str, fraction: float) -> str:
+    """What is shown over the picture while it is prepared: words, and a bar for the share that is done, 0..1."""
+    return f'<div class="lumi-wait">{html.escape(label)}<i><b style="width:{fraction:.0%}"></b></i></div>'
 
 
 def frame_line(page: Page, frame: ls.Frame, step: Step | None, took: float) -> str:

@@ -26,21 +26,23 @@ class ViewPanel:
         self._session = session
         options = session.options
         self._view = gui.add_dropdown("view", session.views, initial_value=options.view)
-        self._height = gui.add_slider("rows", *HEIGHTS, 10, options.height, hint="Of pictures at rest.")
+        self._height = gui.add_slider("height (px)", *HEIGHTS, 10, options.height, hint="Of images at rest.")
         self._budget = gui.add_slider(
-            "budget",
+            "frame time (ms)",
             *BUDGETS_MS,
             5.0,
             options.budget_ms,
-            hint="Milliseconds that a frame may take while the view moves.",
+            hint="What a frame may take while the view moves: fewer Gaussians are drawn first, then fewer pixels.",
         )
         hint = "Lines where lights are, and how far they reach."
         self._outlines = gui.add_checkbox("outlines", options.outlines, hint=hint)
         self._grid = gui.add_checkbox("grid", options.grid, hint="Lines on the ground, a power of ten apart.")
         self._insets = gui.add_checkbox("insets", options.insets, hint="Depth and normals in the corner.")
-        self._splits = gui.add_checkbox("compare", False, hint="The left part shows the scene as it was before.")
+        self._splits = gui.add_checkbox(
+            "compare", False, hint="The left part shows the scene as it was opened, or marked."
+        )
         self._share = gui.add_slider("compare at", 0.0, 1.0, 0.01, 0.5, visible=False)
-        self._mark = gui.add_button("this is before", visible=False, hint="Compare with the scene as it is now.")
+        self._mark = gui.add_button("mark as before", visible=False, hint="Compare with the scene as it is now.")
         self._splits.on_update(lambda _: self._split())
         self._share.on_update(lambda _: self._split())
         self._mark.on_click(pressed(lambda _: session.mark()))

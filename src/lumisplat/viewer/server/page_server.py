@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import lumisplat as ls
 from lumisplat.viewer.server.guard import Guard
 from lumisplat.viewer.server.messages import FilteredConnection
+from lumisplat.viewer.server.page_additions import with_additions
 from lumisplat.viewer.server.wakeups import let_threads_push
 
 if TYPE_CHECKING:
@@ -119,6 +120,11 @@ def _guarded(listener: socket.socket, guard: Guard, is_heard: Callable[[], bool]
                 return connection.respond(*refused)
             response = inner(connection, request)
             if response is not None:
+                if response.headers.get("Content-Type", "").startswith("text/html"):
+                    packed = response.headers.get("Content-Encoding") == "gzip"
+                    response.body = with_additions(response.body, is_packed=packed)
+                    del response.headers["Content-Length"]
+                    response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Referrer-Policy"] = "no-referrer"
                 if guard.token_of(request.path):
                     response.headers["Set-Cookie"] = guard.set_cookie()

@@ -44,5 +44,5 @@ class Extent:
 
     @property
     def dome_radius(self) -> float:
-        """Of the dome around the scene on which suns are held, scene units."""
-        return 0.6 * self.size
+        """Of the dome on which suns are held, scene units: small enough to be in view when all of the scene is."""
+        return 0.35 * self.size

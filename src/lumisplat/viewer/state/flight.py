@@ -59,9 +59,56 @@ def with_key(document: ls.SceneDocument, key: Key, seconds: float) -> ls.SceneDo
     return document
 
 
-def without_last_key(document: ls.SceneDocument) -> ls.SceneDocument:
-    """The document with the last place of the flight left out."""
-    return _with_keys(document, keys_of(document)[:-1], None)
+def without_key(document: ls.SceneDocument, number: int) -> ls.SceneDocument:
+    """The document with a place of the flight left out, by its number; later ones come as much sooner.
+
+    Raises:
+        SceneError: There is none.
+    """
+    keys = _checked_keys(document, number)
+    times = [float(key["time"]) for key in keys]
+    gap = times[number + 1] - times[number] if number + 1 < len(times) else 0.0
+    later = [dict(key) | {"time": round(float(key["time"]) - gap, 6)} for key in keys[number + 1 :]]
+    kept: list[Mapping[str, Any]] = [*keys[:number], *later]
+    return _with_keys(document, kept, None)
+
+
+def with_key_moved(document: ls.SceneDocument, number: int, by: int) -> ls.SceneDocument:
+    """The document with a place of the flight swapped with the one before it, or after it; the times stay.
+
+    Args:
+        document: The scene.
+        number: Of the place.
+        by: -1 or 1.
+
+    Raises:
+        SceneError: There is no such place.
+    """
+    keys = _checked_keys(document, number)
+    other = number + by
+    if not 0 <= other < len(keys):
+        return document
+    order = list(range(len(keys)))
+    order[number], order[other] = other, number
+    moved: list[Mapping[str, Any]] = [
+        dict(keys[source]) | {"time": keys[place]["time"]} for place, source in enumerate(order)
+    ]
+    return _with_keys(document, moved, None)
+
+
+def camera_of(key: Mapping[str, Any], up: tuple[float, float, float], size: tuple[int, int]) -> ls.Camera:
+    """The camera of a keyframe, for an image of a size, width and height."""
+    fov = math.radians(float(key.get("fov_y_degrees", 45.0)))
+    eye, target = key.get("eye", (0.0, 0.0, 0.0)), key.get("target", (0.0, 0.0, 1.0))
+    width, height = size
+    return ls.Camera.look_at(eye, target, key.get("up", up), width=width, height=height, fov_y=fov)
+
+
+def _checked_keys(document: ls.SceneDocument, number: int) -> list[Mapping[str, Any]]:
+    keys = keys_of(document)
+    if not 0 <= number < len(keys):
+        raise ls.SceneError(f"there is no view {number + 1} of the flight: it has {len(keys)}")
+    return keys
 
 
 def without_flight(document: ls.SceneDocument) -> ls.SceneDocument:

@@ -76,6 +76,8 @@ class Session:
         """What is shown, and what was at first."""
         self.selected: int | None = None
         """Id of the entry that people edit; None: none."""
+        self.locked: frozenset[int] = frozenset()
+        """Ids of entries that clicks pass by, and that are not edited until they are unlocked."""
         self.options = options
         self.revision = 0
         """Grows with every change of what frames show."""
@@ -210,6 +212,12 @@ class Session:
             if entry != self.selected:
                 self.selected, self._merging = entry, None
                 self._show(self.state)
+
+    def toggle_lock(self, entry: int) -> None:
+        """Locks an entry, or unlocks it."""
+        with self.changed:
+            self.locked ^= {entry}
+            self._show(self.state)
 
     def set_options(self, **changes: object) -> None:
         """Shows the same state in another way.

@@ -121,9 +121,10 @@ class AddPanel:
 
     def _insert_file(self, path: Path, *, moves: bool) -> bool:
         """Adds what a file holds; the image of a sky becomes that of the environment."""
-        kind, table = _kind_of(path), {"path": str(path)}
+        name = path.relative_to(self._folder).as_posix()
+        kind, table = _kind_of(path), {"path": name}
         if kind == "environment":
-            return self._session.apply(lambda document: self._selected(*with_sky(document, str(path))))
+            return self._session.apply(lambda document: self._selected(*with_sky(document, name)))
         table |= {"upright": True} if kind == "meshes" else {}
         done = self._insert("actors" if moves else kind, table)
         self._moves.value = False

@@ -11,11 +11,12 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.viewer.colors import KELVIN_RANGE, color_of_temperature
-from lumisplat.viewer.panels.controls import Control
+from lumisplat.viewer.panels.controls import Control, set_if_changed
 from lumisplat.viewer.panels.described import Described, described
 from lumisplat.viewer.server.turns import chosen
 from lumisplat.viewer.state.boxes import scale_of
 from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.state.sun import direction_of_angles, direction_of_hour, sun_angles
 from lumisplat.viewer.things.crop import Crop
 
 if TYPE_CHECKING:
@@ -23,30 +24,49 @@ if TYPE_CHECKING:
 
 _WHITE_K = 6500.0
 """Temperature that is shown of a light whose colour is not of a temperature that was chosen here."""
+_UNITS = {"LightPoint": "cd", "LightSpot": "cd", "LightDirectional": "lux"}
+"""Of intensities, by kind of light."""
+_SUN = (
+    Described(
+        "azimuth_degrees",
+        "number",
+        "About the vertical, counter-clockwise seen from above; 0 is the front.",
+        low=0,
+        high=360,
+    ),
+    Described("elevation_degrees", "number", "Above the horizon.", low=-90, high=90),
+    Described("hour", "number", "Solar time at the equinox, 45° north, with south in front.", low=0, high=24),
+)
+"""Fields of suns in place of their direction."""
 _CAPTURE_LOOKS: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_catcher": None},
-    "relit": {"material": {"type": "pbr"}, "shadow_catcher": None},
-    "simple": {"material": {"type": "simple"}, "shadow_catcher": None},
+    "relit, PBR": {"material": {"type": "pbr"}, "shadow_catcher": None},
+    "relit, simple": {"material": {"type": "simple"}, "shadow_catcher": None},
     "shadow catcher": {"material": None, "shadow_catcher": True},
 }
-"""How a capture may look, and the keys of its entry that make it so."""
+"""How a capture is shaded, and the keys of its entry that make it so."""
 _MESH_LOOKS: dict[str, dict[str, Any]] = {
-    "as in its file": {"material": None},
-    "metallic and rough": {"material": {"type": "pbr"}},
+    "as in the file": {"material": None},
+    "PBR": {"material": {"type": "pbr"}},
     "simple": {"material": {"type": "simple"}},
 }
-"""How a mesh may look."""
+"""Types of a mesh's material."""
 _CAPTURE_HINT = (
-    "as captured: it shines with its own light. relit, simple: lights light it. shadow catcher: it keeps its look, and "
-    "others cast shadows on it."
+    "as captured: its colours are what it emits. relit: lights illuminate a material. shadow catcher: as captured, "
+    "with the shadows of other objects."
 )
-_MESH_HINT = "The kind of its material; its colours and numbers are below."
+_MESH_HINT = "Its colours and numbers are below."
 _WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
 """Fields of materials that textures alone use, or that are shown elsewhere."""
 
 
-def light_fields(light: Any) -> list[tuple[Described, Any]]:
-    """The fields of a light by their keys in a scene file, with their values; angles in degrees."""
+def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> list[tuple[Described, Any]]:
+    """The fields of a light by their keys in a scene file, with their values; angles in degrees, suns by theirs.
+
+    Args:
+        light: The light.
+        up: Of the scene.
+    """
     found: list[tuple[Described, Any]] = []
     kind = cast("type[Any]", type(light))
     for field in described(kind):
@@ -55,8 +75,11 @@ def light_fields(light: Any) -> list[tuple[Described, Any]]:
             text = field.help.replace("radians", "degrees")
             degrees = replace(field, name=f"{field.name}_degrees", help=text, low=0.0, high=90.0)
             found.append((degrees, math.degrees(value)))
+        elif field.name == "direction" and isinstance(light, ls.LightDirectional):
+            found += zip(_SUN, sun_angles(value, up), strict=True)
         else:
-            found.append((field, value))
+            unit = _UNITS.get(kind.__name__, "") if field.name == "intensity" else ""
+            found.append((replace(field, unit=unit), value))
     return found
 
 
@@ -65,14 +88,14 @@ def look_of(entry: ls.SceneEntry) -> str:
     if not entry.splats:
         given = entry.table.get("material")
         if given is None:
-            return "as in its file"
-        return "simple" if isinstance(entry.meshes[0].mesh.material, ls.MaterialSimple) else "metallic and rough"
+            return "as in the file"
+        return "simple" if isinstance(entry.meshes[0].mesh.material, ls.MaterialSimple) else "PBR"
     splat = entry.splats[0]
     if splat.shadow_catcher:
         return "shadow catcher"
     if splat.material is None:
         return "as captured"
-    return "relit" if isinstance(splat.material, ls.MaterialPbr) else "simple"
+    return "relit, PBR" if isinstance(splat.material, ls.MaterialPbr) else "relit, simple"
 
 
 class Inspector:
@@ -87,46 +110,55 @@ class Inspector:
     def __init__(self, gui: viser.GuiApi, session: Session, folder: viser.GuiFolderHandle) -> None:
         self._gui, self._session, self._folder = gui, session, folder
         self._shown: tuple[Any, ...] | None = None
+        """What the set of controls depends on, but for those of the material."""
+        self._material_shown: tuple[Any, ...] = ()
+        """What those of the material depend on."""
         self._controls: dict[str, Control] = {}
         self._parts: list[Any] = []
+        self._material: Any = None
+        """The folder of the material, which stays while its entry is selected, open or closed as people have it."""
+        self._material_parts: list[Any] = []
         self._crop: Crop | None = None
-        self._follow: Callable[[ls.SceneEntry], None] | None = None
-        """Brings a slider that stands for something else to where its entry is."""
+        self._followers: list[Callable[[ls.SceneEntry], None]] = []
+        """Bring controls that stand for something else to where their entry is."""
         folder.visible = False
         session.on_change(self.show)
 
     def show(self) -> None:
         """Shows what is selected."""
-        document = self._session.state.document
-        entry = next((entry for entry in document.entries if entry.id == self._session.selected), None)
-        shape = None if entry is None else self._shape(entry)
-        if shape != self._shown:
-            self._rebuild(entry)
-            self._shown = shape
-        elif entry is not None:
-            for field, value in self._fields(entry):
-                if field.name in self._controls:
-                    self._controls[field.name].show(value)
-            if self._crop is not None:
-                self._crop.show()
-            if self._follow is not None:
-                self._follow(entry)
+        entry = self._session.selected_entry
+        fields = [] if entry is None else self._fields(entry)
+        of_material = [field for field in fields if _is_of_material(field[0])]
+        others = [field for field in fields if not _is_of_material(field[0])]
+        names = None if entry is None else (entry.id, entry.kind, [field.name for field, _ in others])
+        if names != self._shown:
+            self._rebuild(entry, others)
+            self._shown, self._material_shown = names, ()
+        if entry is None:
+            return
+        of = tuple(field for field, _ in of_material)
+        if of != self._material_shown:
+            self._rebuild_material(entry, of_material)
+            self._material_shown = of
+        is_locked = entry.id in self._session.locked
+        for field, value in fields:
+            self._controls[field.name].show(value)
+            self._controls[field.name].set_unused("Locked: unlock it in the list." if is_locked else None)
+        if self._crop is not None:
+            self._crop.show()
+        for follow in self._followers:
+            follow(entry)
 
-    def _shape(self, entry: ls.SceneEntry) -> tuple[Any, ...]:
-        """What the set of controls depends on."""
-        look = look_of(entry) if entry.splats or entry.meshes else None
-        return entry.id, entry.kind, look, tuple(type(light) for light in entry.lights)
-
-    def _rebuild(self, entry: ls.SceneEntry | None) -> None:
+    def _rebuild(self, entry: ls.SceneEntry | None, fields: list[tuple[Described, Any]]) -> None:
         for part in reversed(self._parts):
             part.remove()
-        self._parts, self._controls, self._crop, self._follow = [], {}, None, None
+        self._parts, self._controls, self._crop, self._followers = [], {}, None, []
+        self._material, self._material_parts = None, []
         self._folder.visible = entry is not None
         if entry is None:
             return
         with self._folder:
-            fields = self._fields(entry)
-            self._parts += self._add_fields(entry, [field for field in fields if not _is_of_material(field[0])])
+            self._parts += self._add_fields(entry, fields)
             if entry.kind == "lights":
                 self._add_temperature(entry)
             elif entry.kind == "environment":
@@ -136,11 +168,21 @@ class Inspector:
             if entry.splats:
                 self._crop = Crop(self._gui, self._session, entry.id)
                 self._parts.append(self._crop.folder)
-            if of_material := [field for field in fields if _is_of_material(field[0])]:
-                folder = self._gui.add_folder("material", expand_by_default=False)
-                with folder:
-                    self._add_fields(entry, of_material)  # they go with their folder
-                self._parts.append(folder)
+            if entry.splats or entry.meshes:
+                self._material = self._gui.add_folder("material", expand_by_default=False)
+                self._parts.append(self._material)
+
+    def _rebuild_material(self, entry: ls.SceneEntry, fields: list[tuple[Described, Any]]) -> None:
+        """Makes the controls of another type of material, in the same folder."""
+        for part in reversed(self._material_parts):
+            part.remove()
+        self._controls = {name: each for name, each in self._controls.items() if not _is_of_material(each.field)}
+        self._material_parts = []
+        if self._material is None:
+            return
+        self._material.visible = bool(fields)
+        with self._material:
+            self._material_parts = self._add_fields(entry, fields)
 
     def _add_fields(self, entry: ls.SceneEntry, fields: list[tuple[Described, Any]]) -> list[Any]:
         """Adds controls of fields, and returns them."""
@@ -154,7 +196,7 @@ class Inspector:
     def _fields(self, entry: ls.SceneEntry) -> list[tuple[Described, Any]]:
         """The fields of an entry, with their values."""
         if entry.kind in ("lights", "environment"):
-            return light_fields(entry.lights[0])
+            return light_fields(entry.lights[0], self._session.scene.up_direction)
         fields: list[tuple[Described, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
         if entry.world_from_file is not None:
             fields += _placement(np.asarray(entry.world_from_file))
@@ -183,18 +225,23 @@ class Inspector:
     def _add_look(self, entry: ls.SceneEntry) -> None:
         number = entry.id
         looks, hint = (_CAPTURE_LOOKS, _CAPTURE_HINT) if entry.splats else (_MESH_LOOKS, _MESH_HINT)
-        dropdown = self._gui.add_dropdown("look", list(looks), initial_value=look_of(entry), hint=hint)
+        label = "shading" if entry.splats else "material type"
+        dropdown = self._gui.add_dropdown(label, list(looks), initial_value=look_of(entry), hint=hint)
 
         def change(look: str) -> None:
             if look in looks:
                 self._session.apply(lambda document: document.changed(number, **looks[look]))
 
+        def follow(now: ls.SceneEntry) -> None:
+            set_if_changed(dropdown, "value", look_of(now))
+
         dropdown.on_update(chosen(str, change))
+        self._followers.append(follow)
         self._parts.append(dropdown)
 
     def _add_temperature(self, entry: ls.SceneEntry) -> None:
         number, (low, high) = entry.id, KELVIN_RANGE
-        slider = self._gui.add_slider("temperature", low, high, 50.0, _WHITE_K, hint="Colour of a black body, kelvins.")
+        slider = self._gui.add_slider("temperature (K)", low, high, 50.0, _WHITE_K, hint="Colour of a black body.")
 
         def change(kelvins: float) -> None:
             color = _rounded_color(kelvins)
@@ -206,12 +253,12 @@ class Inspector:
                 slider.value = _WHITE_K
 
         slider.on_update(chosen(float, change))
-        self._follow = follow
+        self._followers.append(follow)
         self._parts.append(slider)
 
     def _add_turn(self, entry: ls.SceneEntry) -> None:
         number = entry.id
-        slider = self._gui.add_slider("turn", -180.0, 180.0, 1.0, 0.0, hint="About the vertical, degrees.")
+        slider = self._gui.add_slider("rotation (°)", -180.0, 180.0, 1.0, 0.0, hint="About the vertical.")
         start = _sky_rotation(entry)
         """Of the sky where the slider is in the middle."""
 
@@ -227,7 +274,7 @@ class Inspector:
                 slider.value = 0.0
 
         slider.on_update(chosen(float, change))
-        self._follow = follow
+        self._followers.append(follow)
         self._parts.append(slider)
 
 
@@ -245,6 +292,18 @@ def put_field(document: ls.SceneDocument, number: int, name: str, value: Any) ->
         return document.changed(number, material=material)
     if name in ("position", "rotation_degrees", "scale") and entry.kind not in ("lights", "environment"):
         return document.placed(number, _moved(np.asarray(entry.world_from_file), name, value))
+    if name in (field.name for field in _SUN):
+        sun: Any = entry.lights[0]
+        up = document.scene().up_direction
+        azimuth, elevation, _ = sun_angles(sun.direction, up)
+        if name == "hour":
+            direction = direction_of_hour(value, up)
+        elif name == "azimuth_degrees":
+            direction = direction_of_angles(value, elevation, up)
+        else:
+            direction = direction_of_angles(azimuth, value, up)
+        at = [round(float(x), 6) for x in direction]
+        return document.changed(number, direction=at, position=None, target=None)
     if name == "hidden":
         return document.changed(number, hidden=True if value else None)
     return document.changed(number, **_without_words(entry, name), **{name: _plain(value)})
@@ -280,7 +339,7 @@ def _placement(matrix: Any) -> list[tuple[Described, Any]]:
     degrees = tuple(math.degrees(float(angle)) for angle in (angles.roll, angles.pitch, angles.yaw))
     return [
         (Described("position", "vector", "World position of its origin, scene units."), tuple(matrix[:3, 3])),
-        (Described("rotation_degrees", "vector", "Turns about the world's x, then y, then z axis, degrees."), degrees),
+        (Described("rotation_degrees", "vector", "Turns about the world's x, then y, then z axis."), degrees),
         (Described("scale", "number", "Uniform scale factor.", low=1e-6), scale),
     ]
 

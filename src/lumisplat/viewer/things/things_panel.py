@@ -10,8 +10,9 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.hands.gizmo import moved
-from lumisplat.viewer.panels.buttons import add_buttons
-from lumisplat.viewer.server.turns import chosen
+from lumisplat.viewer.panels.buttons import Channel, add_buttons
+from lumisplat.viewer.panels.controls import set_if_changed
+from lumisplat.viewer.server.turns import in_turn
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.things.adding import AddPanel
 from lumisplat.viewer.things.inspector import Inspector
@@ -19,8 +20,6 @@ from lumisplat.viewer.things.tree import tree_html
 
 if TYPE_CHECKING:
     import viser
-
-_NOTHING = "nothing"
 
 
 class ThingsPanel:
@@ -34,14 +33,14 @@ class ThingsPanel:
 
     def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
         self._session = session
-        self._numbers: list[int] = []
-        self._listed: tuple[ls.SceneDocument, int | None] | None = None
-        """The document and the selection of the list."""
+        self._listed: tuple[object, ...] | None = None
+        """What the list shows."""
         self._tree = gui.add_html("")
-        self._selected = gui.add_dropdown("selected", [_NOTHING], hint="Or click a thing in the picture.")
-        self._selected.on_update(chosen(str, self._select))
+        self._channel = Channel(gui, {"select": session.select, "hide": self._hide, "lock": session.toggle_lock})
         add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
-        add_buttons(gui, ["to the ground", "split"], self.act)
+        self._placing = gui.add_button_group("", ["to the ground", "split"])
+        press: Any = in_turn(lambda event: str(event.target.value), self.act)
+        self._placing.on_click(press)
         self._inspector = Inspector(gui, session, gui.add_folder(None))
         with gui.add_folder("add", expand_by_default=False):
             self._adding = AddPanel(gui, session, pages)
@@ -55,7 +54,10 @@ class ThingsPanel:
         """Does something to the selected entry."""
         number = self._session.selected
         if number is None:
-            self._session.report("nothing is selected: click a thing, or choose it in the list")
+            self._session.report("nothing is selected: click an object, in the picture or in the list")
+            return
+        if number in self._session.locked and action != "hide":
+            self._session.report(f"{self._session.state.document.entry(number).name} is locked: unlock it in the list")
             return
         edits: dict[str, Callable[[ls.SceneDocument], ls.SceneDocument]] = {
             "duplicate": self._duplicate,
@@ -83,26 +85,27 @@ class ThingsPanel:
         self._session.selected = number
         return document
 
-    def _select(self, name: str) -> None:
-        options = list(self._selected.options)
-        place = options.index(name) - 1 if name in options else -1
-        self._session.select(self._numbers[place] if place >= 0 else None)
+    def _hide(self, number: int) -> None:
+        """Hides an entry, or shows it again."""
+        self._session.apply(lambda document: hidden(document, number, not document.entry(number).hidden))
 
     def _show(self) -> None:
-        document = self._session.state.document
-        entries = document.entries
-        names = _unique([f"{entry.name}{' (hidden)' * entry.hidden}" for entry in entries])
-        if self._numbers != [entry.id for entry in entries] or list(self._selected.options) != [_NOTHING, *names]:
-            self._numbers = [entry.id for entry in entries]
-            self._selected.options = [_NOTHING, *names]
-        place = self._numbers.index(self._session.selected) + 1 if self._session.selected in self._numbers else 0
-        self._selected.value = self._selected.options[place]
-        shown = document, self._session.selected
-        if shown != self._listed:
-            self._listed = shown
-            self._tree.content = tree_html(
-                document, self._session.boxes, self._session.selected, self._session.options.time
-            )
+        session, document = self._session, self._session.state.document
+        shown = document, session.selected, session.locked
+        if shown == self._listed:
+            return
+        self._listed = shown
+        self._tree.content = tree_html(
+            document,
+            session.boxes,
+            session.selected,
+            session.options.time,
+            locked=session.locked,
+            channel=self._channel.id,
+        )
+        entry = session.selected_entry
+        has_form = entry is not None and bool(entry.splats or entry.meshes or entry.actor)
+        set_if_changed(self._placing, "visible", has_form)
 
 
 def hidden(document: ls.SceneDocument, number: int, hides: bool) -> ls.SceneDocument:
@@ -134,13 +137,3 @@ def _height(instance: ls.SplatInstance | ls.MeshInstance, up: Any) -> float:
     """Height of the lowest point of an instance."""
     stood: Any = ls.stand_on_ground(cast(Any, instance), 0.0, up=tuple(up))
     return float(up @ (instance.transform[:3, 3] - stood.transform[:3, 3]))
-
-
-def _unique(names: list[str]) -> list[str]:
-    """Names with a number behind those that were there before."""
-    seen: dict[str, int] = {}
-    unique: list[str] = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        unique.append(name if seen[name] == 1 else f"{name} #{seen[name]}")
-    return unique

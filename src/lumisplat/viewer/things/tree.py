@@ -1,21 +1,27 @@
-"""The list of all things as people read it: names, kinds, counts, sizes, and the parts of files."""
+"""The outliner: a row for each scene object, to be clicked, hidden and locked, and below it the parts of files."""
 
 from __future__ import annotations
 
 import html
 
 import lumisplat as ls
+from lumisplat.viewer.panels.buttons import button, icon
 from lumisplat.viewer.state.boxes import Boxes
 
-KIND_NAMES = {"splats": "capture", "meshes": "mesh", "actors": "actor", "environment": "sky"}
+KIND_NAMES = {"splats": "capture", "meshes": "mesh", "actors": "actor", "environment": "environment"}
 _PARTS_MAX = 8
 """Parts of a file that are listed; of the others, how many there are."""
 
-_ROW = '<div style="display:flex;justify-content:space-between;{style}"><span>{left}</span><span>{right}</span></div>'
-_DIM = "opacity:0.6;font-size:0.85em;"
 
-
-def tree_html(document: ls.SceneDocument, boxes: Boxes, selected: int | None = None, time: float = 0.0) -> str:
+def tree_html(
+    document: ls.SceneDocument,
+    boxes: Boxes,
+    selected: int | None = None,
+    time: float = 0.0,
+    *,
+    locked: frozenset[int] = frozenset(),
+    channel: str = "",
+) -> str:
     """All entries of a document, with what could not be read, as HTML in which names are words alone.
 
     Args:
@@ -23,26 +29,44 @@ def tree_html(document: ls.SceneDocument, boxes: Boxes, selected: int | None = N
         boxes: Around its entries.
         selected: Id of the entry that stands out.
         time: Of the animation, seconds.
+        locked: Ids of entries that cannot be edited.
+        channel: Id of the text control that gets what is clicked: ``select``, ``hide`` or ``lock``, and the entry's id.
     """
     rows: list[str] = []
     for entry in document.entries:
-        style = "font-weight:600;" * (entry.id == selected) + "text-decoration:line-through;" * entry.hidden
-        rows.append(_row(entry.name, kind_name(entry), f"margin-top:0.4em;{style}"))
-        rows += [_row(detail, "", _DIM) for detail in _details(entry, boxes, time)]
-        rows += [_row(f"└ {part}", "", _DIM) for part in _parts(document, entry)]
+        rows.append(_entry_row(entry, is_selected=entry.id == selected, is_locked=entry.id in locked))
+        rows += [_detail(detail) for detail in _details(entry, boxes, time)]
+        rows += [_detail(f"└ {part}") for part in _parts(document, entry)]
     if not rows:
-        rows.append(_row("nothing yet: add something below", ""))
-    rows += [_row(f"left out: {problem}", "", "color:#e5534b;margin-top:0.4em;") for problem in document.problems]
-    return f'<div style="padding:0 0.75em;font-size:0.875em;overflow-wrap:anywhere">{"".join(rows)}</div>'
+        rows.append(_detail("nothing yet: add something below"))
+    rows += [f'<div class="lumi-problem">left out: {html.escape(problem)}</div>' for problem in document.problems]
+    return f'<div class="lumi-list" data-to="{html.escape(channel)}">{"".join(rows)}</div>'
 
 
 def kind_name(entry: ls.SceneEntry) -> str:
-    """What people call a thing of its kind."""
-    return f"{entry.table['type']} light" if entry.kind == "lights" else KIND_NAMES[entry.kind]
+    """What people call an object of its kind."""
+    if entry.kind != "lights":
+        return KIND_NAMES[entry.kind]
+    return "sun" if entry.table["type"] == "directional" else f"{entry.table['type']} light"
 
 
-def _row(left: str, right: str, style: str = "") -> str:
-    return _ROW.format(left=html.escape(left), right=html.escape(right), style=style)
+def _entry_row(entry: ls.SceneEntry, *, is_selected: bool, is_locked: bool) -> str:
+    """The row of an entry."""
+    sun = entry.kind == "lights" and entry.table["type"] == "directional"
+    states = " selected" * is_selected + " hidden" * entry.hidden
+    eye, padlock = "hidden" if entry.hidden else "shown", "locked" if is_locked else "open"
+    hide = button(f"hide {entry.id}", eye, "show" if entry.hidden else "hide", is_on=entry.hidden)
+    lock = button(f"lock {entry.id}", padlock, "unlock" if is_locked else "lock", is_on=is_locked)
+    kind = html.escape(kind_name(entry))
+    return (
+        f'<div class="lumi-row{states}" title="{kind}">{icon("directional" if sun else entry.kind)}'
+        f'<span class="lumi-name" role="button" tabindex="0" data-say="select {entry.id}">{html.escape(entry.name)}'
+        f"</span>{hide}{lock}</div>"
+    )
+
+
+def _detail(text: str) -> str:
+    return f'<div class="lumi-detail">{html.escape(text)}</div>'
 
 
 def _details(entry: ls.SceneEntry, boxes: Boxes, time: float) -> list[str]:
@@ -50,11 +74,12 @@ def _details(entry: ls.SceneEntry, boxes: Boxes, time: float) -> list[str]:
     instances = entry.at(time)
     gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
     faces = sum(i.mesh.face_count for i in instances if isinstance(i, ls.MeshInstance))
-    parts = [f"{gaussians:,} Gaussians"] * bool(gaussians) + [f"{faces:,} faces"] * bool(faces)
+    parts = [kind_name(entry)]
+    parts += [f"{gaussians:,} Gaussians"] * bool(gaussians) + [f"{faces:,} faces"] * bool(faces)
     size = boxes.size(entry, time)
     if size is not None:
         parts.append(" × ".join(f"{length:.3g}" for length in size))
-    return [" · ".join(parts)] if parts else []
+    return [" · ".join(parts)]
 
 
 def _parts(document: ls.SceneDocument, entry: ls.SceneEntry) -> list[str]:

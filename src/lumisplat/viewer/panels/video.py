@@ -1,0 +1,209 @@
+"""The camera that flies: its key views, and a video of it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import tempfile
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.viewer.frames.picture import Picture, picture_of
+from lumisplat.viewer.output.stills import still_config
+from lumisplat.viewer.panels.buttons import Channel, button
+from lumisplat.viewer.panels.desk import Desk, file_bytes, pose_of_page
+from lumisplat.viewer.panels.errands import Steps
+from lumisplat.viewer.panels.pictures import HEIGHTS
+from lumisplat.viewer.server.turns import chosen, pressed
+from lumisplat.viewer.state.flight import Key, camera_of, keys_of, with_key, with_key_moved, without_flight, without_key
+
+if TYPE_CHECKING:
+    import viser
+
+FORMATS = ("mp4", "gif", "webp")
+_THUMBNAIL = (128, 72)
+"""Width and height of thumbnails of key views, pixels."""
+_KEY_ROWS = 720
+"""Of the camera that is saved with the scene."""
+
+
+class VideoPanel:
+    """Controls of the flight and its video, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        desk: Its session has the scene, whose first camera with keyframes is the flight.
+    """
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk, self._session = desk, desk.session
+        self._list = gui.add_html("")
+        self._channel = Channel(gui, {"sooner": self._sooner, "later": self._later, "delete": self._delete})
+        self._thumbnails: dict[str, str] = {}
+        """Of key views, as addresses of their images, by what the views are."""
+        hint = "From the last key view to the next one."
+        self._seconds = gui.add_number("seconds to it", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
+        hint = "The view of this page becomes the next key view."
+        gui.add_button("add key view", hint=hint).on_click(pressed(self._add))
+        gui.add_button("delete all key views").on_click(pressed(self._delete_all))
+        self._fps = gui.add_number("frames per second", 25.0, min=1.0, max=50.0, step=1.0)
+        self._fps.on_update(chosen(float, self._put_fps))
+        with gui.add_folder("video"):
+            self._height = gui.add_number("height (px)", 540, min=HEIGHTS[0], max=HEIGHTS[1], step=2)
+            self._samples = gui.add_number("samples per pixel", 8, min=1, max=65536, step=1)
+            self._format = gui.add_dropdown("format", FORMATS, hint="mp4 takes pip install 'lumisplat[video]'.")
+            gui.add_button("render video").on_click(pressed(self._render))
+        self._shown: object = None
+        self._session.on_change(self._show)
+
+    def _show(self) -> None:
+        document = self._session.state.document
+        if self._shown is document.top:
+            return
+        self._shown = document.top
+        self._list_keys()
+        self._fps.value = float(document.top.get("animation", {}).get("fps", 25.0))
+
+    def _list_keys(self) -> None:
+        """Lists the key views, and asks for the thumbnails that are missing."""
+        document = self._session.state.document
+        keys = keys_of(document)
+        names = [repr(sorted((name, value) for name, value in key.items() if name != "time")) for key in keys]
+        self._thumbnails = {name: held for name, held in self._thumbnails.items() if name in names}
+        for name, key in zip(names, keys, strict=True):
+            if name not in self._thumbnails:
+                self._thumbnails[name] = ""
+                camera = camera_of(key, self._session.scene.up_direction, _THUMBNAIL)
+                self._desk.thumbnail(camera, partial(self._take_thumbnail, name))
+        images = [self._thumbnails[name] for name in names]
+        self._list.content = keys_html(keys, images, self._channel.id)
+
+    def _take_thumbnail(self, name: str, picture: Picture) -> None:
+        with self._session.changed:
+            if name in self._thumbnails:
+                self._thumbnails[name] = image_address(picture)
+                self._list_keys()
+
+    def _put_fps(self, fps: float) -> None:
+        self._session.apply(lambda document: document.with_animation(fps=fps), merge="fps")
+
+    def _add(self, event: Any) -> None:
+        pose = pose_of_page(self._desk.pages, event)
+        if pose is None:
+            return
+        key = Key(pose.camera(_KEY_ROWS, self._session.state.exposure), pose.target)
+        seconds = float(self._seconds.value)
+        self._session.apply(lambda document: with_key(document, key, seconds))
+
+    def _sooner(self, number: int) -> None:
+        self._session.apply(lambda document: with_key_moved(document, number, -1))
+
+    def _later(self, number: int) -> None:
+        self._session.apply(lambda document: with_key_moved(document, number, 1))
+
+    def _delete(self, number: int) -> None:
+        self._session.apply(lambda document: without_key(document, number))
+
+    def _delete_all(self, _: Any) -> None:
+        if keys_of(self._session.state.document):
+            self._session.apply(without_flight)
+
+    def _render(self, event: Any) -> None:
+        pose, studio = pose_of_page(self._desk.pages, event), self._desk.studio
+        if pose is None:
+            return
+        state, suffix = self._session.state, str(self._format.value)
+        animation = state.document.animation
+        if animation is None or (len(keys_of(state.document)) == 1 and not animation.actors):
+            self._session.report("there is nothing to render: add two key views, or an actor that moves")
+            return
+        config, height = still_config(state.config), int(np.clip(self._height.value, *HEIGHTS))
+        cameras = video_cameras(animation, pose.camera(height, state.exposure))
+        samples, client = int(self._samples.value), event.client
+
+        def steps() -> Steps:
+            renderer = studio.renderer(config)
+            with tempfile.TemporaryDirectory() as folder:
+                files: list[Path] = []
+                for number, (time, camera) in enumerate(zip(animation.times.tolist(), cameras, strict=True)):
+                    scene = studio.scene(state.document, config, time)
+                    frame = yield from _part(studio.still(renderer, scene, camera, samples), number, len(cameras))
+                    files.append(Path(folder) / f"{number:06d}.png")
+                    Image.fromarray(picture_of(frame, "color")).save(files[-1], compress_level=1)
+                video = video_file(map(ls.load_image, files), animation.fps, suffix)
+            client.send_file_download(f"video.{suffix}", video, save_immediately=True)
+
+        try:
+            video_file([np.zeros((16, 16, 3), np.float32)], animation.fps, suffix)  # now, not after an hour of frames
+            self._desk.errands.start(f"video of {len(cameras)} frames", steps())
+        except ls.LumisplatError as error:
+            self._session.report(" ".join(str(error).split()))
+
+
+def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel: str) -> str:
+    """The key views of the flight as thumbnails with their times and buttons, as HTML.
+
+    Args:
+        keys: The key views.
+        images: Addresses of their thumbnails; empty: it is not there yet.
+        channel: Id of the text control that gets ``sooner``, ``later`` or ``delete``, and the number of the view.
+    """
+    if not keys:
+        return '<div class="lumi-list">no flight yet: look from where it starts, and add that view</div>'
+    cards: list[str] = []
+    for number, (key, image) in enumerate(zip(keys, images, strict=True)):
+        buttons = "".join(
+            button(f"{say} {number}", drawn, title)
+            for say, drawn, title in (
+                ("sooner", "left", "earlier in the video"),
+                ("later", "right", "later in the video"),
+                ("delete", "cross", "delete"),
+            )
+        )
+        picture = f'<img src="{image}" alt="key view {number + 1}">' if image else ""
+        time = f'<span class="lumi-name">{float(key["time"]):g} s</span>'
+        cards.append(f'<div class="lumi-key">{picture}<div class="lumi-row">{time}{buttons}</div></div>')
+    return f'<div class="lumi-keys" data-to="{html.escape(channel)}">{"".join(cards)}</div>'
+
+
+def image_address(picture: Picture) -> str:
+    """An image as an address that holds all of it, a JPEG in base 64."""
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "jpeg", quality=80)
+    return "data:image/jpeg;base64," + base64.b64encode(file.getvalue()).decode()
+
+
+def video_cameras(animation: ls.Animation, view: ls.Camera) -> list[ls.Camera]:
+    """The camera of each frame: along the flight, else where a page looks from, with as many rows as that has."""
+    path, count = animation.camera_path, animation.frame_count
+    if path is None:
+        return [view] * count
+    return [path.at(time).scaled(height=view.height) for time in animation.times.tolist()]
+
+
+def video_file(pictures: Iterable[npt.NDArray[np.float32]], fps: float, suffix: str) -> bytes:
+    """The bytes of a video of images, 0..1.
+
+    Raises:
+        LumisplatError: It cannot be made.
+    """
+    return file_bytes(f"video.{suffix}", lambda path: ls.save_animation(path, pictures, fps))
+
+
+def _part(steps: Generator[float, None, ls.Frame], number: int, count: int) -> Generator[float, None, ls.Frame]:
+    """The steps of one frame as steps of all of them."""
+    while True:
+        try:
+            share = next(steps)
+        except StopIteration as done:
+            yield (number + 1.0) / count
+            return done.value
+        yield (number + share) / count
