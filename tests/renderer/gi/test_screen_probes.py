@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from support.oracles.form_factors import polygon_irradiance
-from support.scenes.gi_surfaces import Doubles, Seen, box_exit, seen_in_box, seen_plane, tilted
+from support.scenes.gi_surfaces import Doubles, Seen, box_exit, pixel_rays, seen_in_box, seen_plane, tilted
 from support.scenes.probe_sequence import ProbeSequence, constant
 
 GREY = np.array([0.3, 1.0, 2.5])
@@ -223,3 +223,44 @@ def test_dark_sides_are_not_negative() -> None:
     light = [sequence.render(seen) for _ in range(4)][-1]
     assert light.min() == 0.0
     assert np.isfinite(light).all()
+
+
+def seen_floor(camera: ls.Camera, end: float, offset: tuple[float, float]) -> Seen:
+    """The floor y = 0 up to a wall at z = -end."""
+    seen = seen_plane(camera, (0, 1, 0), offset=offset)
+    eye, ways = pixel_rays(camera, offset)
+    wall = (ways[:, 2] < 0.0) & ((seen.share == 0.0) | (seen.position[:, 2] < -end))
+    t = (-end - eye[2]) / np.where(wall, ways[:, 2], -1.0)
+    seen.position[wall] = (eye + t[:, None] * ways)[wall]
+    seen.normal[wall] = 0.0, 0.0, 1.0
+    seen.distance[wall], seen.share[wall] = t[wall], 1.0
+    seen.previous = seen.position.copy()
+    return seen
+
+
+@pytest.mark.parametrize("slope", [1.0, -1.0])
+def test_a_floor_that_is_seen_at_a_slant_keeps_its_light(slope: float) -> None:
+    """Light that grows or falls with the distance is right far away, too, however long it stands; to 2 %.
+
+    A tile is metres of the floor there, of which a probe at its near end says little.
+    """
+    camera = ls.Camera.look_at((0, 0.3, 0), (0, 0.28, -6), (0.03, 1, 0), width=192, height=144, fov_y=0.9)
+
+    def glow(places: Doubles) -> Doubles:
+        return 1.05 + slope * np.clip(-places[:, 2] / 6.0, 0.0, 1.0) ** 2
+
+    def trace(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
+        return np.repeat(glow(origins)[:, None], 3, axis=1), np.full(len(ways), 9.0)
+
+    sequence = ProbeSequence(trace, tile=8)
+    found, truth = np.zeros(0), np.zeros(0)
+    rng = np.random.default_rng(3)
+    for frame in range(64):
+        across, down = rng.random(2)
+        seen = seen_floor(camera, 6.0, (across, down))
+        irradiance = sequence.render(seen)[:, 0]
+        far = (seen.normal[:, 1] == 1.0) & (seen.position[:, 2] < -3.0)
+        if frame >= 32:
+            found = np.append(found, irradiance[far])
+            truth = np.append(truth, np.pi * glow(seen.position[far]))
+    assert found.mean() == pytest.approx(truth.mean(), rel=0.02)

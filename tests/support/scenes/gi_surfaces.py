@@ -87,9 +87,11 @@ def seen_in_box(camera: ls.Camera, extent: float = 0.0, offset: tuple[float, flo
     return Seen(camera, ones, position, inward(face), t, extent * ones, position.copy(), face, offset)
 
 
-def seen_plane(camera: ls.Camera, normal: npt.ArrayLike, extent: float = 0.0) -> Seen:
+def seen_plane(
+    camera: ls.Camera, normal: npt.ArrayLike, extent: float = 0.0, offset: tuple[float, float] = CENTER
+) -> Seen:
     """The plane through the origin; pixels that miss it, or see it from below, show nothing."""
-    eye, ways = pixel_rays(camera)
+    eye, ways = pixel_rays(camera, offset)
     normal = np.asarray(normal, np.float64)
     facing = ways @ normal
     t = -(eye @ normal) / np.where(facing < -1e-3, facing, 1.0)
@@ -97,7 +99,7 @@ def seen_plane(camera: ls.Camera, normal: npt.ArrayLike, extent: float = 0.0) ->
     position = np.where(is_seen[:, None], eye + t[:, None] * ways, 0.0)
     normals = np.broadcast_to(normal, ways.shape).copy()
     share, distance = is_seen.astype(np.float64), np.where(is_seen, t, 0.0)
-    return Seen(camera, share, position, normals, distance, np.full(len(t), extent), position.copy())
+    return Seen(camera, share, position, normals, distance, np.full(len(t), extent), position.copy(), offset=offset)
 
 
 def tilted(normals: Doubles, degrees: float, seed: int) -> Doubles:

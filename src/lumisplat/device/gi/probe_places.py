@@ -25,6 +25,8 @@ LOOKS = wp.constant(4)
 """Parts of the way from a pixel to a probe, between which it is looked whether a nearer surface cuts the probe off."""
 NEARER = wp.constant(wp.float32(0.95))
 """How far away such a surface is at most, as a share of the nearer of the two."""
+AS_FAR = wp.constant(wp.float32(0.85))
+"""Least share of the larger distance from the eye: a tile of a floor that is seen at a slant may be metres long."""
 UNIT_32 = wp.constant(wp.float32(2.0**-32))
 
 
@@ -117,6 +119,7 @@ def match_of(
 ) -> Match:
     """The nearest probe of the frame before on the surface of a pixel, in the tile that showed it then.
 
+    It is the nearest one in the image: in space, of a floor that is seen at a slant, near rows would always win.
     Camera, probes and ``adaptive_of`` are those of the frame before; ``of_adaptive``: for an adaptive probe.
     """
     match = Match()
@@ -131,13 +134,19 @@ def match_of(
     for adaptive in range(2):
         i = probe_of_tile(tile, adaptive, adaptive_of)
         if fits(probes, i, position, surfaces.normal[pixel], reach, surfaces.extent[pixel]):
-            distance = wp.length(probes.position[i] - position)
+            distance = wp.length(seen_at(camera, probes.position[i]) - seen)
             if adaptive == 1 and not of_adaptive:
                 distance += SECOND
             if probes.rounds[i] > 0 and distance < match.distance:
                 match.probe = i
                 match.distance = distance
     return match
+
+
+@wp.func
+def is_as_far(distance: float, other: float) -> bool:
+    """Whether two points of one surface are so near to each other that one probe is enough, by how far they are."""
+    return wp.min(distance, other) > AS_FAR * wp.max(distance, other)
 
 
 @wp.func
@@ -150,7 +159,9 @@ def is_covered(grid: ProbeGrid, camera: CameraData, x: int, y: int, surfaces: Su
     for k in range(4):
         i = tile_of(grid, left + k % 2, above + k // 2)
         if fits(probes, i, surfaces.position[pixel], surfaces.normal[pixel], reach, surfaces.extent[pixel]):
-            if not is_cut_off(pixel, i, grid, surfaces, probes):
+            if is_as_far(surfaces.distance[pixel], probes.distance[i]) and not is_cut_off(
+                pixel, i, grid, surfaces, probes
+            ):
                 return True
     return False
 

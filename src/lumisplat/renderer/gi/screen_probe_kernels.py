@@ -6,8 +6,9 @@ The method is in docs/method/realtime.md#screen-probes. Every kernel writes each
 import warp as wp
 
 from lumisplat.constants.realtime import PROBE_STAYS_PX
+from lumisplat.device.camera.seen_at import seen_at
 from lumisplat.device.gi.octahedral import cell_of_direction, cell_width, direction_in_cell
-from lumisplat.device.gi.probe_places import LOOKED_AT, place_among, place_in_tile, reach_of
+from lumisplat.device.gi.probe_places import LOOKED_AT, place_among, place_in_tile
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, SurfacePixels, TileNeeds
 
@@ -45,11 +46,10 @@ def is_as_before(
 
     Samples move in their pixels: a probe that went along would lose what it sees near at hand.
     """
-    position = surfaces.position[pixel]
-    if not wp.length(surfaces.previous[pixel] - position) == 0.0:  # NaN: it is new
+    if not wp.length(surfaces.previous[pixel] - surfaces.position[pixel]) == 0.0:  # NaN: it is new
         return False
-    pixel_width = reach_of(grid, camera, surfaces.distance[pixel]) / float(grid.tile)
-    return wp.length(before.position[source] - position) < STAYS_PX * pixel_width
+    center = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
+    return wp.length(seen_at(camera, before.position[source]) - center) < STAYS_PX
 
 
 @wp.func
@@ -81,6 +81,7 @@ def set_probe(
             probes_out.position[i] = before.position[source]
             probes_out.normal[i] = before.normal[source]
             probes_out.extent[i] = before.extent[source]
+            probes_out.distance[i] = wp.length(before.position[source] - camera.eye)
         probes_out.rounds[i] = before.rounds[source]
         probes_out.refreshed[i] = before.refreshed[source]
 
