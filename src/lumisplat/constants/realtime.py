@@ -81,6 +81,13 @@ RAY_LIFT = 1e-4
 """Share of the largest coordinate by which rays start above a mesh whose triangle is not known any more: rounding must
 not put them below."""
 
+SPECULAR_WAVES = 8
+"""Smooth surfaces after one another that reflect such a ray or let it pass: two panes are four."""
+
+MIRRORED_SOLID_ANGLE = 0.02
+"""Least solid angle, steradians, as which a light counts that a mirror shows: a tenth of a probe's cell. Without it one
+ray in thousands would be thousands of times too bright."""
+
 LOBE_ALPHA_FROM = 0.16
 """Width of highlights (GGX, roughness 0.4) from which on their rays count less beside what screen probes see: their
 cells are 0.4 wide. GI-1.1 follows rays to a roughness of 0.2, and probes take over without a blend."""

@@ -52,6 +52,8 @@ class CellLight:
     """Of lamps and sky."""
     indirect: wp.vec3
     """Of other surfaces."""
+    is_known: bool
+    """Whether anything is known of that."""
 
 
 @wp.func
@@ -179,8 +181,12 @@ def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3
 
 
 @wp.func
-def far_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int, level: int) -> CellLight:
-    """Direct and indirect radiance where a sample is, from its level, else from the next coarser, else the next finer.
+def far_radiance(
+    tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int, position: wp.vec3, level: int
+) -> CellLight:
+    """Direct and indirect radiance of a sample, at a place that is its own or in its plane beside it.
+
+    It is from a level, else from the next coarser, else the next finer.
 
     Neighbouring levels know what is there when the camera has come nearer or gone.
     """
@@ -189,7 +195,7 @@ def far_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: i
     for step in range(3):
         if direct[3] < grid.samples_min or indirect[3] < grid.samples_min:
             # 0, 1, -1
-            place = cell_at(samples.position[i], samples.normal[i], level + (step & 1) - (step >> 1), False)
+            place = cell_at(position, samples.normal[i], level + (step & 1) - (step >> 1), False)
             slot = slot_of(tiles, place.key)
             direct = well_known(tiles.direct, slot, place.cell, grid.samples_min, direct)
             indirect = well_known(tiles.indirect, slot, place.cell, grid.samples_min, indirect)
@@ -198,6 +204,7 @@ def far_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: i
     if direct[3] > 0.0:
         light.direct = color_of(direct)
     light.indirect = reflected_light(samples, i, indirect)
+    light.is_known = indirect[3] > 0.0
     return light
 
 
@@ -214,8 +221,8 @@ def cached_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i
         near = well_known(tiles.indirect, slot_of(tiles, place.key), place.cell, 1.0, wp.vec4())
         if near[3] > 0.0:
             return samples.radiance[i] + reflected_light(samples, i, near)
-        return samples.radiance[i] + far_radiance(tiles, grid, samples, i, level).indirect
-    far = far_radiance(tiles, grid, samples, i, level)
+        return samples.radiance[i] + far_radiance(tiles, grid, samples, i, samples.position[i], level).indirect
+    far = far_radiance(tiles, grid, samples, i, samples.position[i], level)
     return far.direct + far.indirect
 
 

@@ -16,7 +16,7 @@ from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.math.color import encode_srgb_color, is_black
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
 from lumisplat.device.mesh.varied_layers import material_at
-from lumisplat.device.structs.rays import Bounce
+from lumisplat.device.structs.rays import Bounce, Boundary
 from lumisplat.device.structs.scene import ALPHA_BLEND, MeshData, MeshInstanceData, SmoothData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
@@ -148,13 +148,14 @@ def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 
 @wp.func
-def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """The bounce of ray ``i`` at the mesh that it hits."""
+def bounce_across(
+    i: int, boundary: Boundary, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> Bounce:
+    """The bounce of ray ``i`` at the mesh that it hits, which is a boundary of these media."""
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     meshes = scene[0].meshes
     corners = meshes.indices[wave[0].meshes.face[i]]
     weights = hit_weights(wave[0].meshes.weights[i])
-    boundary = boundary_of_ray(i, scene, wave)
     bounce = straight(face_normal(instance, meshes, corners), wave[0].rays.direction[i])
     if boundary.exists:
         bounce = bounce_of(
@@ -169,6 +170,12 @@ def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.arr
     bounce.media = boundary.media
     bounce.media_behind = boundary.media_behind
     return blended(bounce, mesh_coverage(i, scene, wave))
+
+
+@wp.func
+def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
+    """The bounce of ray ``i`` at the mesh that it hits."""
+    return bounce_across(i, boundary_of_ray(i, scene, wave), lit, scene, wave)
 
 
 @wp.func

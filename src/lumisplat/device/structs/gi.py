@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.rays import RayData
 
 
 @struct
@@ -199,10 +200,28 @@ class BouncedRays:
 
     seen: wp.array[wp.vec3]
     """Radiance of captures, and of what shines and is no light; linear."""
-    share: wp.array[float]
+    share: wp.array[wp.vec3]
     """Of the surface that the ray meets, in the radiance of the ray; 0: it meets none."""
     sampled: wp.array[wp.vec3]
     """Radiance that this surface reflects of a sampled light, unshadowed; linear."""
+
+
+@struct
+class OnwardRays:
+    """Rays of `BouncedRays` that go on at smooth surfaces; without elements where there are none."""
+
+    rays: RayData
+    """Where the next wave begins; a ray that has met its surface is not active."""
+    goes_on: wp.array[int]
+    """1: the ray is active."""
+    way: wp.array[float]
+    """Its length before, scene units."""
+    mirrored: wp.array[int]
+    """1: a mirror has reflected it, in whose light it sees lamps."""
+    weights: wp.array[wp.vec3]
+    """Share of what it sees in the radiance of the first one."""
+    media: wp.array[wp.vec4i]
+    """The media that it has entered, as ``Boundary``; without elements: none."""
 
 
 # --- Screen probes (docs/method/realtime.md#screen-probes) ---

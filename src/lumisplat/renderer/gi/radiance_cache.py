@@ -115,12 +115,19 @@ class RadianceCache:
         """
         return self._look_up("radiance", samples)
 
-    def look_up_indirect(self, samples: CacheSamples) -> DeviceArray:
-        """As ``look_up``, of light from other surfaces alone, whatever the radiance of the samples."""
+    def look_up_indirect(self, samples: CacheSamples, places: DeviceArray | None = None) -> DeviceArray:
+        """As ``look_up``, of light from other surfaces alone, whatever the radiance of the samples.
+
+        Args:
+            samples: The surfaces.
+            places: Where to look instead, a point in the plane of each, random where the edges of cells are not to be
+                seen; where nothing is known there, and with None, it is the sample's own.
+        """
         count = len(device_array(samples.is_active))
         radiance = self._get("indirect", wp.vec3, count)
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.look_up_indirect, count, self._grid, samples, self._tiles, radiance)
+            inputs = self._grid, samples, places, self._tiles, radiance
+            self._launcher.run_banded(kernels.look_up_indirect, count, *inputs)
         return radiance
 
     def cell_numbers(self, samples: CacheSamples) -> DeviceArray:

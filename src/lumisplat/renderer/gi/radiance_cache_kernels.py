@@ -9,6 +9,7 @@ import warp as wp
 from lumisplat.constants.realtime import CELL_RAYS_MAX
 from lumisplat.device.gi.means import mean_weight
 from lumisplat.device.gi.radiance_cache import (
+    CellLight,
     cached_radiance,
     cell_key,
     cell_of_sample,
@@ -183,14 +184,27 @@ def look_up_samples(
 
 @wp.kernel
 def look_up_indirect(
-    start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, radiance_out: wp.array[wp.vec3]
+    start: int,
+    grid: CacheGrid,
+    samples: CacheSamples,
+    places: wp.array[wp.vec3],
+    tiles: CacheTiles,
+    radiance_out: wp.array[wp.vec3],
 ):
-    """What each sample's surface reflects of light from other surfaces, linear; 0 where there is none."""
+    """What each sample's surface reflects of light from other surfaces, linear; 0 where there is none.
+
+    It is looked up at its place, if something is known there; else, and without elements, where the sample is.
+    """
     i = start + wp.tid()
     radiance_out[i] = wp.vec3()
     if samples.is_active[i]:
         level = level_of(grid, samples.position[i], samples.from_eye[i])
-        radiance_out[i] = far_radiance(tiles, grid, samples, i, level).indirect
+        light = CellLight()
+        if places:
+            light = far_radiance(tiles, grid, samples, i, places[i], level)
+        if not light.is_known:
+            light = far_radiance(tiles, grid, samples, i, samples.position[i], level)
+        radiance_out[i] = light.indirect
 
 
 @wp.kernel

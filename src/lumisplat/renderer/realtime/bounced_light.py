@@ -8,7 +8,8 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.device.structs.gi import BouncedRays
+from lumisplat.constants.realtime import SPECULAR_WAVES
+from lumisplat.device.structs.gi import BouncedRays, OnwardRays
 from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.gi.light_grid import LightGrids
@@ -18,8 +19,10 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.renderer.trace.ray_wave import Carried
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import prefix_sum
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,7 @@ class BouncedLight:
         self._grids = LightGrids(launcher, buffers)
 
     def find(self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str) -> BouncedHits:
-        """What rays meet, with direct light there.
+        """What rays meet, with direct light there; at smooth surfaces they go on.
 
         Args:
             scene: The scene on the device.
@@ -58,16 +61,27 @@ class BouncedLight:
             rays: A multiple of ``PACKET_RAYS``.
             name: Of the buffers that hold the result.
         """
-        hits = self._tracer.find_hits(scene, rays, name, bounced=True)
-        count, run = hits.count, self._launcher.run_banded
+        count, run = len(rays.t_max), self._launcher.run_banded
         samples = self._buffers.struct(f"{name}.samples", CacheSamples, count)
         bounced = self._buffers.struct(f"{name}.bounced", BouncedRays, count)
         shadow_rays = self._buffers.struct(f"{name}.shadow_rays", RayData, count)
+        found = samples, bounced, shadow_rays
+        run(kernels.clear_bounced, count, *found)
+        goes_on = plan.max_bounces > 0
+        onward = self._onward(plan, count) if goes_on else OnwardRays()
+        media = device_array(onward.media) if plan.has_media else None
+        carried = Carried(device_array(onward.weights), media) if goes_on else None
+        for _ in range(1 + SPECULAR_WAVES * goes_on):
+            hits = self._tracer.find_hits(scene, rays, name, bounced=True)
+            with self._launcher.stage("bounced"):
+                wave = self._surfaces.shade(scene, plan, hits, 1, carried=carried, may_branch=False)
+                grid = self._grids.of_wave(scene, wave)
+                inputs = not plan.casts_shadows, grid, scene.camera, scene.shading, wave.data, *found, onward
+                run(kernels.meet_surfaces, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)
+            if not goes_on or self._number(onward) == 0:
+                break
+            rays = onward.rays
         with self._launcher.stage("bounced"):
-            wave = self._surfaces.shade(scene, plan, hits, 1, may_branch=False)
-            grid = self._grids.of_wave(scene, wave)
-            inputs = not plan.casts_shadows, grid, scene.camera, scene.shading, wave.data, samples, bounced, shadow_rays
-            run(kernels.meet_surfaces, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)
             visibility = bounced.sampled
             if plan.casts_shadows:
                 visibility = self._shadows.trace(
@@ -75,6 +89,25 @@ class BouncedLight:
                 )
             run(kernels.light_samples, count, bounced, shadow_rays, visibility, samples)
         return BouncedHits(bounced, samples)
+
+    def _onward(self, plan: FramePlan, count: int) -> OnwardRays:
+        """Rays that may go on at smooth surfaces, at their beginning."""
+        onward, get = OnwardRays(), self._buffers.get
+        onward.rays = self._buffers.struct("bounced.onward", RayData, count)
+        onward.goes_on = get("bounced.goes_on", wp.int32, count)
+        onward.way, onward.mirrored = get("bounced.way", wp.float32, count), get("bounced.mirrored", wp.int32, count)
+        onward.weights = get("bounced.weights", wp.vec3, count)
+        if plan.has_media:
+            onward.media = get("bounced.media", wp.vec4i, count)
+        self._launcher.run_banded(kernels.begin_onward, count, onward)
+        return onward
+
+    def _number(self, onward: OnwardRays) -> int:
+        """How many rays go on. The host waits for it."""
+        goes_on = device_array(onward.goes_on)
+        ends = self._buffers.get("bounced.ends", wp.int32, len(goes_on))
+        prefix_sum(goes_on, ends, inclusive=True)
+        return int(ends[-1:].numpy()[0])
 
     def seen(self, hits: BouncedHits, reflected: DeviceArray, name: str) -> tuple[DeviceArray, DeviceArray]:
         """Radiance of the rays, linear, and the distances of what they meet; inf: nothing.

@@ -4,21 +4,47 @@ import warp as wp
 
 from lumisplat.device.gi.albedo import matte_albedo
 from lumisplat.device.gi.light_grid import SLOTS
-from lumisplat.device.gi.light_sample import lit_surface, sample_choice
+from lumisplat.device.gi.light_sample import CELL_BRANCH, lit_surface, sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
+from lumisplat.device.math.directions import around
+from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import LightGrid
 from lumisplat.device.structs.path import LightChoice
 from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import ShadingScene, WaveData
+from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
 
+@wp.func
+def beside(j: int, ray: int, width: float, interaction: Interaction, wave: wp.array[WaveData]) -> wp.vec3:
+    """A random point of the plane of an interaction, at most so far away: over frames, it hides the edges of cells."""
+    key = branch_key(wave[0].rays.sample_key[ray], CELL_BRANCH + j // wave[0].rays.is_active.shape[0])
+    u = sobol_2d(key, 0)
+    return interaction.position + (width * wp.sqrt(u[0])) * around(interaction.normal, 0.0, 1.0, u[1])
+
+
 @wp.kernel
-def list_surfaces(start: int, camera: wp.array[CameraData], wave: wp.array[WaveData], samples_out: CacheSamples):
-    """Item = interaction: its surface, as the cache is asked for it."""
+def list_surfaces(
+    start: int,
+    cell_size: float,
+    camera: wp.array[CameraData],
+    wave: wp.array[WaveData],
+    samples_out: CacheSamples,
+    places_out: wp.array[wp.vec3],
+):
+    """Item = interaction: its surface, as the cache is asked for it, and where.
+
+    Args:
+        start: First item.
+        cell_size: Width of cells as a share of their distance: places are random within it; 0: they are not.
+        camera: Of the frame.
+        wave: Of the rays.
+        samples_out: The surfaces.
+        places_out: In their planes.
+    """
     j = start + wp.tid()
     ray = j % wave[0].rays.is_active.shape[0]
     exists = wave[0].rays.is_active[ray] and wave[0].interactions.exists[j]
@@ -27,11 +53,12 @@ def list_surfaces(start: int, camera: wp.array[CameraData], wave: wp.array[WaveD
         return
     interaction = load_interaction(j, wave)
     cosine = wp.max(wp.dot(interaction.normal, interaction.wo), 0.0)
+    samples_out.from_eye[j] = wp.length(interaction.position - camera[0].eye)
     samples_out.position[j] = interaction.position
+    places_out[j] = beside(j, ray, 0.5 * cell_size * samples_out.from_eye[j], interaction, wave)
     samples_out.normal[j] = interaction.normal
     samples_out.direction[j] = -interaction.wo
     samples_out.distance[j] = wp.length(interaction.position - wave[0].rays.origin[ray])
-    samples_out.from_eye[j] = wp.length(interaction.position - camera[0].eye)
     samples_out.albedo[j] = matte_albedo(interaction.bsdf, cosine)
     samples_out.radiance[j] = wp.vec3(0.0)
     samples_out.extent[j] = 0.0

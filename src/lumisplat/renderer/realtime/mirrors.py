@@ -53,6 +53,8 @@ class Mirrors:
         self._direct_light = DirectLight(launcher, buffers, config)
         self._grids = LightGrids(launcher, buffers)
         self._specular = SpecularWaves(launcher, buffers)
+        realtime = config.realtime
+        self._hidden_width = realtime.cache.cell_size if realtime.antialiasing else 0.0
 
     def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
         """Adds what they show to the first wave; that alone, linear, one element a ray.
@@ -119,6 +121,8 @@ class Mirrors:
     def _add_cached(self, scene: DeviceScene, wave: RayWave) -> None:
         """Adds the indirect light of what a wave meets."""
         samples = self._buffers.struct("mirrors.samples", CacheSamples, 2 * wave.count)
-        self._launcher.run_banded(kernels.list_surfaces, 2 * wave.count, scene.camera, wave.data, samples)
-        indirect = self._cache.look_up_indirect(samples)
+        places = self._buffers.get("mirrors.places", wp.vec3, 2 * wave.count)
+        inputs = self._hidden_width, scene.camera, wave.data, samples, places
+        self._launcher.run_banded(kernels.list_surfaces, 2 * wave.count, *inputs)
+        indirect = self._cache.look_up_indirect(samples, places)
         self._launcher.run_banded(kernels.add_cached, wave.count, indirect, wave.data)

@@ -1,0 +1,94 @@
+"""Rays on which light bounces go on at smooth surfaces: what glass and mirrors leave of the light of a room."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.config import PathPrimary
+from support.scenes.light_scenes import box, clear_glass, matte, parallelogram
+from support.scenes.path_rooms import floor_and_walls
+
+MIRROR = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
+EYE = ls.Camera.look_at((1.4, 1.1, 2.4), (0.0, 0.2, 0.0), (0.0, 1.0, 0.0), width=48, height=36, fov_y=0.7)
+INSIDE = ls.Camera.look_at((2.1, 1.5, 4.9), (1.95, 1.15, 0.0), (0.1, 1.0, 0.0), width=48, height=36, fov_y=0.8)
+
+
+def last_frames(scene: ls.Scene, camera: ls.Camera, frames: int = 40) -> np.ndarray:
+    """Mean of the last half of a sequence, linear, shape (H, W, 3)."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=8)  # the camera's, through two panes
+    renderer = ls.create_renderer(config, "cpu")
+    seen = [renderer.render(scene, camera).color for _ in range(frames)]
+    return np.stack(seen[frames // 2 :]).astype(np.float64).mean(axis=0)
+
+
+def paths(scene: ls.Scene, camera: ls.Camera, samples: int) -> ls.Frame:
+    """The truth."""
+    config = ls.RenderConfig(
+        pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=32, path=ls.PathConfig(primary=PathPrimary.ISO)
+    )
+    return ls.render(scene, camera, config, device="cpu")
+
+
+@pytest.mark.parametrize("material", [MIRROR, clear_glass(), replace(clear_glass(), metallic=0.5)])
+def test_a_floor_before_a_smooth_wall_is_as_bright_as_the_sky(material: ls.MaterialPbr) -> None:
+    """In an even sky of 1, white things, mirrors and clear glass are 1, however light gets to them.
+
+    To 2 %: the error of a step in harmonics.
+    """
+    floor = parallelogram((-3.0, 0.0, -3.0), (0.0, 0.0, 6.0), (6.0, 0.0, 0.0), matte(1.0))
+    wall = ls.MeshInstance(box((1.6, 1.2, 0.1), material), position=(0.0, 0.65, -0.3))
+    scene = ls.Scene((), [floor, wall], [ls.LightEnvironment(np.ones((8, 16, 3), np.float32))])
+    seen = last_frames(scene, EYE)
+    frame = ls.render(scene, EYE, ls.RenderConfig(), device="cpu")
+    near = (frame.instance_index == 0) & (frame.depth < 3.0)
+    assert near.sum() > 300
+    assert seen[near].mean() == pytest.approx(1.0, abs=0.02)
+
+
+def room_with(*things: ls.MeshInstance) -> ls.Scene:
+    """A closed room with a lamp that no ray meets, and things in it."""
+    ceiling = parallelogram((0.0, 3.0, 0.0), (4.0, 0.0, 0.0), (0.0, 0.0, 5.0), matte(0.6))
+    behind = parallelogram((4.0, 0.0, 5.0), (-4.0, 0.0, 0.0), (0.0, 3.0, 0.0), matte(0.6))
+    return ls.Scene((), [*floor_and_walls(), ceiling, behind, *things], [ls.LightPoint((2.0, 2.6, 2.5), intensity=9.0)])
+
+
+PANE = ls.MeshInstance(box((3.6, 2.6, 0.1), clear_glass()), position=(2.0, 1.5, 0.2))
+GREEN = replace(clear_glass(), base_color=(0.5, 0.9, 0.6))
+
+
+@pytest.mark.parametrize(
+    "things",
+    [
+        [PANE],
+        [PANE, ls.MeshInstance(PANE.mesh, position=(2.0, 1.5, 0.5))],
+        [ls.MeshInstance(box((3.0, 0.08, 3.5), GREEN), position=(2.0, 1.9, 2.2))],
+        [ls.MeshInstance(box((0.05, 2.4, 4.0), MIRROR), position=(0.1, 1.4, 2.5))],
+    ],
+    ids=["a pane before a wall", "two panes", "a coloured table", "a mirror on a wall"],
+)
+def test_a_room_with_glass_is_as_bright_as_by_paths(things: list[ls.MeshInstance]) -> None:
+    """In the mean and in each channel within 4 %; as black bodies they would take 10 to 50 %."""
+    scene = room_with(*things)
+    seen, truth = last_frames(scene, INSIDE, 60), paths(scene, INSIDE, 96).color
+    ratio = seen.mean(axis=(0, 1)) / truth.mean(axis=(0, 1))
+    np.testing.assert_allclose(ratio, 1.0, atol=0.04)
+
+
+def test_a_lamp_lights_by_a_mirror_what_it_does_not_see() -> None:
+    """A floor behind a screen, to 10 % of what paths find; hardly any light falls there otherwise."""
+    shining = replace(matte(0.0), emissive=(6.0, 6.0, 6.0))
+    lamp = ls.MeshInstance(box((1.6, 0.6, 1.8), shining), position=(1.3, 0.9, 0.0))
+    screen = ls.MeshInstance(box((0.05, 2.4, 2.4), matte(0.0)), position=(0.3, 1.2, 0.0))
+    mirror = ls.MeshInstance(box((4.0, 0.05, 4.0), MIRROR), position=(0.0, 3.2, 0.0))
+    floor = parallelogram((-2.0, 0.0, -1.5), (0.0, 0.0, 3.0), (2.2, 0.0, 0.0), matte(0.6))
+    eye = ls.Camera.look_at((-2.5, 2.4, 2.0), (-0.9, 0.0, 0.0), (0.0, 1.0, 0.0), width=48, height=36, fov_y=0.6)
+    scene = ls.Scene((), [floor, lamp, screen, mirror])
+    truth = paths(scene, eye, 256)
+    on_floor = truth.instance_index == 0
+    assert truth.color[on_floor].mean() > 0.03
+    seen = last_frames(scene, eye)
+    assert seen[on_floor].mean() == pytest.approx(truth.color[on_floor].mean(), rel=0.1)
