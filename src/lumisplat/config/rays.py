@@ -168,7 +168,8 @@ class ShadowConfig:
     other methods do not depend on it."""
     offset: float = SHADOW_OFFSET
     """A splat surface is not shadowed by Gaussians nearer than this many times their largest scale or that of its own
-    Gaussian, whichever is less, 0..100 (docs/method/shadows.md#offset)."""
+    Gaussian, whichever is less, 0..100 (docs/method/shadows.md#offset), unless they are of another layer
+    (docs/method/shadows.md#layers)."""
     offset_absolute: float = 0.0
     """Added to that, scene units, 0..1e6."""
     transmittance_min: float = TRANSMITTANCE_MIN

@@ -205,6 +205,19 @@ SHADOW_OFFSET = 4.0
 smaller one of the two decides. Of three captures, lit from where they are seen, 2 leaves 1.6 to 4.6 % of the light in
 their own shadow, 3 0.8 to 3.1 %, 4 0.6 to 2.2 %; by the surface's alone, 3 left 0.6 to 1.7 % (docs/adr/0018)."""
 
+LAYER_FLATNESS = 0.15
+"""Smallest over middle scale of a Gaussian up to which its thin axis tells the layer that it is of (docs/adr/0088)."""
+
+LAYER_COSINE = 0.35
+"""Cosine between the normals of two layers up to which only their order decides: 70 degrees apart and more."""
+
+LAYER_HEIGHT = 0.0625
+"""How far before a surface the mean of a Gaussian of another layer stands at least, and how far before its plane the
+surface, in shadow offsets: a quarter of a scale."""
+
+LAYER_RISE = 1.0
+"""By how much that rises with the cosine beyond ``LAYER_COSINE``: to 2.85 scales between parallel layers."""
+
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
 """Shadow rays of a stochastic sample, active or not, per Gaussian, from which on its hierarchies are shrunk. That costs
 what one ray per Gaussian saves in a capture that is all surface, and pays off far earlier if rays cross much of it."""
@@ -573,7 +586,7 @@ SAMPLING_OPACITY = 0.995
 """Above ALPHA_MAX, so that a disc's centre is as opaque as a Gaussian can be."""
 
 SAMPLING_THICKNESS = 0.05
-"""Scale along the normal, as a share of the larger wide one."""
+"""Scale along the normal, as a share of the smaller wide one: flat enough to tell layers (docs/adr/0088)."""
 
 SAMPLING_FIRST_SCALE = 0.7
 """Wide scales before they grow; without holes to close they stay."""

@@ -128,6 +128,7 @@ class RayRig:
         rays.t_max.assign(np.full(count, t_max, np.float32))
         rays.path_length.zero_()
         rays.spread.zero_()
+        rays.normal.zero_()
         rays.sample_key.assign(np.arange(count, dtype=np.uint32))
         rays.pixel_key.assign(np.arange(count, dtype=np.uint32))
         rays.sample.zero_()

@@ -53,6 +53,7 @@ class ShadowRig:
         t_min: Any = 0.0,
         t_max: Any = np.inf,
         skips: Any = 0,
+        normals: Any = 0.0,
         sample: int = 0,
         opaque: bool = False,
         **shadow: Any,
@@ -69,7 +70,7 @@ class ShadowRig:
             self._shadows[config] = ShadowRays(self._launcher, Buffers(self._device), config)
         shadows = self._shadows[config]
         origins, directions = np.atleast_2d(origins), np.atleast_2d(directions)
-        rays, skipping = self._rays(origins, directions, t_min, t_max, skips)
+        rays, skipping = self._rays(origins, directions, t_min, t_max, skips, normals)
         rays.pixel_key.assign(sample_keys(np.arange(len(rays.pixel_key)), 0, config.seed))
         rays.sample.fill_(sample)
         shadows.begin_sample(sample)
@@ -78,7 +79,7 @@ class ShadowRig:
         return light.numpy()[: len(origins)].astype(float)
 
     def _rays(
-        self, origins: np.ndarray, directions: np.ndarray, t_min: Any, t_max: Any, skips: Any
+        self, origins: np.ndarray, directions: np.ndarray, t_min: Any, t_max: Any, skips: Any, normals: Any
     ) -> tuple[RayData, Any]:
         count = max(len(origins), len(directions))
         places = whole_packets(max(count, PACKET_RAYS))
@@ -91,6 +92,7 @@ class ShadowRig:
         rays.is_active.assign(_padded(np.broadcast_to(np.greater(t_max, 0.0), count), places).astype(bool))
         rays.path_length.zero_()
         rays.spread.zero_()
+        rays.normal.assign(_padded(np.broadcast_to(normals, (count, 3)), places))
         rays.sample_key.zero_()
         skipping.assign(_padded(np.broadcast_to(skips, count), places).astype(bool))
         return rays, skipping

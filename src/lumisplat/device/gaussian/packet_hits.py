@@ -8,11 +8,13 @@ import warp as wp
 from lumisplat.device.bvh.footprint import footprint_variance
 from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
+from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.particle import alpha_of_degree
 from lumisplat.device.gaussian.projection import alpha_from_log
-from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, Particle
+from lumisplat.device.structs.bvh import FAR, HIT_FAR, HIT_HULL, HIT_MEAN, HIT_NEAR, HIT_NONE, Particle, SceneBvh
 from lumisplat.device.structs.packet import PacketRays
-from lumisplat.device.structs.scene import KernelData
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.scene import KernelData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -23,6 +25,7 @@ class PacketHits(NamedTuple):
     hit_distances: Any
     hit_responses: Any
     alphas_at: Any
+    counted_hits: Any
 
 
 @functools.cache
@@ -35,9 +38,9 @@ def packet_hits_of(lanes: int) -> PacketHits:
     def hit_distances(particle: Particle, scale: float, hit_distance: int, begin: float, packet: PacketRays):
         """Where each ray hits a Gaussian, widened by the ray's footprint.
 
-        Returns the distance by which hits are ordered, FAR where there is none, and the squared canonical distance at
-        the peak of the response. That must lie between ``t_min``, or ``begin`` if that is nearer, and ``t_max``,
-        wherever the Gaussian counts as hit.
+        Returns the distance by which hits are ordered, FAR where there is none, the squared canonical distance at the
+        peak of the response, and what the hit is: HIT_NONE, HIT_FAR, or HIT_NEAR. The peak of a hit lies before
+        ``t_max``; that of a near one not beyond ``t_min``, or ``begin`` if that is nearer.
         """
         origin = packet.origin
         direction = packet.direction
@@ -50,6 +53,7 @@ def packet_hits_of(lanes: int) -> PacketHits:
         largest_scale = scale * particle.largest_scale
         t = Floats()
         distance2 = Floats()
+        kind = Ints()
         for lane in range(LANES):
             x = origin[0, lane] - mean[0]
             y = origin[1, lane] - mean[1]
@@ -81,23 +85,25 @@ def packet_hits_of(lanes: int) -> PacketHits:
             peak = -(fx * cx * ex + fy * cy * ey + fz * cz * ez) * per_unit
             inside = particle.reach2 - d2
             back = wp.where(hit_distance == HIT_HULL, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)
-            is_hit = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > lesser(packet.t_min[lane], begin), 1, 0)
+            is_hit = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > 0.0, 1, 0)
             is_hit = is_hit & wp.where(peak < packet.t_max[lane], 1, 0)
+            kind[lane] = wp.where(peak > lesser(packet.t_min[lane], begin), HIT_FAR, HIT_NEAR) * is_hit
             t[lane] = wp.where(is_hit != 0, wp.where(hit_distance == HIT_MEAN, middle, peak - back), FAR)
             distance2[lane] = d2
-        return t, distance2
+        return t, distance2, kind
 
     @wp.func
     def hit_responses(particle: Particle, begin: float, packet: PacketRays):
         """Whether each ray hits a Gaussian, as ``hit_distances`` has it, without the distance.
 
-        Returns 0 or 1, and two numbers whose quotient is the squared canonical distance: most rays do not need it.
+        Returns what the hit is, and two numbers whose quotient is the squared canonical distance: most rays do not need
+        it.
         """
         origin = packet.origin
         direction = packet.direction
         w = particle.canonical_from_object
         mean = particle.mean
-        is_hit = Ints()
+        kind = Ints()
         across2 = Floats()
         along2 = Floats()
         for lane in range(LANES):
@@ -117,10 +123,11 @@ def packet_hits_of(lanes: int) -> PacketHits:
             e2 = ex * ex + ey * ey + ez * ez
             peak = -(cx * ex + cy * ey + cz * ez)
             hit = wp.where(k2 <= particle.reach2 * e2, 1, 0) & wp.where(peak < packet.t_max[lane] * e2, 1, 0)
-            is_hit[lane] = hit & wp.where(peak > lesser(packet.t_min[lane], begin) * e2, 1, 0)
+            hit = hit & wp.where(peak > 0.0, 1, 0)
+            kind[lane] = wp.where(peak > lesser(packet.t_min[lane], begin) * e2, HIT_FAR, HIT_NEAR) * hit
             across2[lane] = k2
             along2[lane] = e2
-        return is_hit, across2, along2
+        return kind, across2, along2
 
     @wp.func
     def alphas_at(kernel: KernelData, particle: Particle, distance2: Floats) -> Floats:
@@ -133,4 +140,52 @@ def packet_hits_of(lanes: int) -> PacketHits:
                 alpha[lane] = alpha_of_degree(kernel, particle.log_opacity, distance2[lane])
         return alpha
 
-    return PacketHits(hit_distances, hit_responses, alphas_at)
+    @wp.func
+    def counted_hits(
+        kind: wp.ref[Ints],
+        begin: float,
+        packet: PacketRays,
+        particle: Particle,
+        instance: SplatInstanceData,
+        scene: SceneBvh,
+        rays: RayData,
+        first: int,
+    ) -> int:
+        """Leaves of near hits those on Gaussians of another layer; returns 0 if no hit is left.
+
+        Args:
+            kind: Of the hits.
+            begin: As of ``hit_distances``.
+            packet: The rays, in the space of the Gaussian.
+            particle: The Gaussian.
+            instance: Its placement.
+            scene: The scene.
+            rays: The rays in the world.
+            first: The ray of lane 0.
+        """
+        found = int(0)
+        for lane in range(LANES):
+            found = found | kind[lane]
+        if (found & HIT_NEAR) == 0:
+            return found
+        kinds = kind
+        found = int(0)
+        axis = thin_axis(particle, instance)
+        if wp.length_sq(axis) == 0.0:
+            for lane in range(LANES):
+                kinds[lane] = kinds[lane] & HIT_FAR
+                found = found | kinds[lane]
+            kind = kinds
+            return found
+        mean = world_mean(particle, instance)
+        gaussians = scene.assets[instance.asset].gaussians
+        for lane in range(LANES):
+            if kinds[lane] == HIT_NEAR:
+                near = lesser(packet.t_min[lane], begin)
+                if not is_other_layer(first + lane, near, mean, axis, particle, instance, gaussians, rays):
+                    kinds[lane] = HIT_NONE
+            found = found | kinds[lane]
+        kind = kinds
+        return found
+
+    return PacketHits(hit_distances, hit_responses, alphas_at, counted_hits)

@@ -31,6 +31,7 @@ from lumisplat.device.structs.bvh import (
     FAR,
     HIT_HULL,
     HIT_MEAN,
+    HIT_NONE,
     HIT_PEAK,
     STRATEGY_HIT,
     STRATEGY_PASS,
@@ -193,7 +194,6 @@ def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData, scen
     """Begins a pass of all rays, also those of the group; returns the least distance at which a hit may count."""
     begin = float(FAR)
     slots = traced.hits.shape[0] // traced.rays.shape[0]
-    nearest_offset = wp.where(config.offset < FAR, config.offset_absolute, FAR)
     for lane in range(traced.rays.shape[0]):
         begin_ray_pass(traced.rays[lane], lane * slots)
         traced.cut_t[lane] = end_of_hits(packet.limit[lane], scene)
@@ -201,7 +201,7 @@ def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData, scen
         if packet.limit[lane] > 0.0:
             start = traced.rays[lane].start_t
             before = start - REWIND * wp.abs(start)
-            from_t = lesser(packet.t_min[lane], nearest_offset)
+            from_t = wp.where(config.offset < FAR, 0.0, packet.t_min[lane])
             if scene.hit_distance == HIT_PEAK:
                 before = larger(from_t, before)
             if scene.hit_distance == HIT_HULL:
@@ -277,6 +277,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
     HITS = lanes * (HITS_KEPT_CUDA if lanes == 1 else HITS_KEPT_CPU)
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
     hit_distances, alphas_at = packet_hits_of(lanes).hit_distances, packet_hits_of(lanes).alphas_at
+    counted_hits = packet_hits_of(lanes).counted_hits
 
     @struct
     class TracedStorage:
@@ -298,14 +299,17 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
         return traced
 
     @wp.func
-    def hits_before_cut(traced: TracedPacket, t: Floats, index: int):
-        """Hits before their ray's cut, FAR for the others; and whether there are any."""
+    def hits_before_cut(traced: TracedPacket, t: wp.ref[Floats], kind: Ints, index: int) -> int:
+        """Replaces distances of hits that do not count, or lie behind their ray's cut, by FAR; whether any is left."""
         found = int(0)
+        distances = t
         for lane in range(LANES):
-            is_kept = wp.where(is_before(t[lane], index, traced.cut_t[lane], traced.cut_index[lane]), 1, 0)
-            t[lane] = wp.where(is_kept != 0, t[lane], FAR)
+            is_kept = wp.where(is_before(distances[lane], index, traced.cut_t[lane], traced.cut_index[lane]), 1, 0)
+            is_kept = is_kept & wp.where(kind[lane] != HIT_NONE, 1, 0)
+            distances[lane] = wp.where(is_kept != 0, distances[lane], FAR)
             found = found | is_kept
-        return t, found
+        t = distances
+        return found
 
     @wp.func
     def accepted_hits(t: Floats, index: int, alpha: Floats, config: TraceData, rays: RayData, first: int) -> Floats:
@@ -323,6 +327,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
         particle: Particle,
         instance: SplatInstanceData,
         config: TraceData,
+        scene: SceneBvh,
         rays: RayData,
         first: int,
     ) -> float:
@@ -331,9 +336,11 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
         begin = float(FAR)
         if config.offset < FAR:
             begin = config.offset * instance.scale * particle.largest_scale + config.offset_absolute
-        t, distance2 = hit_distances(particle, instance.scale, instance.hit_distance, begin, packet)
-        t, found = hits_before_cut(traced, t, index)
+        t, distance2, kind = hit_distances(particle, instance.scale, instance.hit_distance, begin, packet)
         nearest = float(FAR)
+        if counted_hits(kind, begin, packet, particle, instance, scene, rays, first) == 0:
+            return nearest
+        found = hits_before_cut(traced, t, kind, index)
         if found == 0:
             return nearest
         alpha = alphas_at(instance.kernel, particle, distance2)

@@ -42,8 +42,8 @@ def hit_particle(
         ray: In its space.
         scale: World from that space.
         hit_distance: HIT_PEAK, HIT_HULL or HIT_MEAN.
-        begin: The peak of the response must lie beyond this distance.
-        end: And before this one.
+        begin: Hits whose response peaks up to this distance are near ones.
+        end: The peak must lie before this one.
     """
     hit = ParticleHit()
     hit.t = FAR
@@ -65,9 +65,10 @@ def hit_particle(
     across2 = wp.dot(across, across)
     along2 = wp.dot(e, e)
     peak = -wp.dot(c, e)
-    if across2 <= particle.reach2 * along2 and peak > begin * along2 and peak < end * along2:
+    if across2 <= particle.reach2 * along2 and peak > 0.0 and peak < end * along2:
         hit.distance2 = across2 / along2
         hit.t = peak / along2
+        hit.is_near = not peak > begin * along2
         if hit_distance == HIT_MEAN:
             hit.t = middle
         if hit_distance == HIT_HULL:

@@ -56,6 +56,7 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
     rays_out.origin[ray] = position
     rays_out.direction[ray] = direction
     rays_out.t_min[ray] = grid.offset * extent
+    rays_out.normal[ray] = normal
     rays_out.t_max[ray] = wp.inf
     rays_out.path_length[ray] = 0.0
     rays_out.spread[ray] = 0.0

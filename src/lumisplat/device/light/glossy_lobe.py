@@ -38,6 +38,8 @@ class LobeRay:
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
+    normal: wp.vec3
+    """Of its layer, as of ``RayData``."""
     weight: wp.vec3
     """Share of what it sees in what the surface reflects; of `lobe_ray`, in the colour of the ray it branches off."""
 
@@ -106,6 +108,7 @@ def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData
     j = slot * (wave[0].interactions.exists.shape[0] // 2) + i
     ray.origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
     ray.t_min = wave[0].interactions.spawn_t_min[j]
+    ray.normal = wave[0].interactions.geometric_normal[j]
     if sampled.density > 0.0 and wp.dot(interaction.horizon_normal, sampled.direction) > 0.0:
         ray.weight = sampled.weight
     return ray

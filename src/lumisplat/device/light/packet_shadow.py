@@ -22,6 +22,7 @@ from lumisplat.device.structs.bvh import (
     DRAWS_PER_RAY,
     DRAWS_SHARED,
     FAR,
+    HIT_NONE,
     WORLD,
     Particle,
     SceneBvh,
@@ -104,16 +105,6 @@ def shadow_begin(config: ShadowData, particle: Particle, instance: SplatInstance
 
 
 @wp.func
-def nearest_begin(config: ShadowData, packet: PacketRays) -> float:
-    """The least distance at which a hit may count."""
-    begin = config.offset_absolute
-    for lane in range(packet.t_min.shape[0]):
-        if packet.limit[lane] > 0.0:
-            begin = lesser(begin, packet.t_min[lane])
-    return begin
-
-
-@wp.func
 def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
     """The largest distance at which a hit may count."""
     reach = float(-FAR)
@@ -161,6 +152,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
     LANES = lanes
     Floats, Vec3s = packet_of(lanes).floats, packet_of(lanes).vec3s
     hit_responses, alphas_at = packet_hits_of(lanes).hit_responses, packet_hits_of(lanes).alphas_at
+    counted_hits = packet_hits_of(lanes).counted_hits
 
     @struct
     class AbsorptionStorage:
@@ -187,14 +179,14 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         instance: SplatInstanceData,
         config: ShadowData,
         scene: SceneBvh,
+        rays: RayData,
+        first: int,
         key: wp.uint32,
     ) -> int:
         """Adds what a Gaussian absorbs, and ends the rays that it blocks; returns 1 if a ray hits it, else 0."""
         begin = shadow_begin(config, particle, instance)
-        is_hit, across2, along2 = hit_responses(particle, begin, packet)
-        found = int(0)
-        for lane in range(LANES):
-            found = found | is_hit[lane]
+        kind, across2, along2 = hit_responses(particle, begin, packet)
+        found = counted_hits(kind, begin, packet, particle, instance, scene, rays, first)
         if found == 0:
             return 0
         distance2 = Floats()
@@ -209,7 +201,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
             for lane in range(LANES):
                 alpha[lane] = lesser(alpha[lane] / config.acceptance_scale, 1.0)
         for lane in range(LANES):
-            alpha[lane] = wp.where(is_hit[lane] != 0, alpha[lane], 0.0)
+            alpha[lane] = wp.where(kind[lane] != HIT_NONE, alpha[lane], 0.0)
             passed = absorption.transmittance[lane] * (1.0 - alpha[lane])
             is_blocked = passed <= absorption.floor[lane]
             absorption.transmittance[lane] = wp.where(is_blocked, 0.0, passed)
@@ -232,6 +224,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
     HITS = lanes * HIT_COUNTS[-1]
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
     hit_distances, alphas_at = packet_hits_of(lanes).hit_distances, packet_hits_of(lanes).alphas_at
+    counted_hits = packet_hits_of(lanes).counted_hits
 
     @struct
     class FirstHitsStorage:
@@ -254,21 +247,28 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
 
     @wp.func
     def keep_first_hits(
-        first_hits: FirstHits, packet: PacketRays, particle: Particle, instance: SplatInstanceData, config: ShadowData
+        first_hits: FirstHits,
+        packet: PacketRays,
+        particle: Particle,
+        instance: SplatInstanceData,
+        config: ShadowData,
+        scene: SceneBvh,
+        rays: RayData,
+        first: int,
     ) -> int:
         """Adds the hits of a Gaussian to the lists of their rays; returns 1 if a ray hits it, else 0."""
         begin = shadow_begin(config, particle, instance)
-        t, distance2 = hit_distances(particle, instance.scale, config.hit_distance, begin, packet)
-        found = int(0)
-        for lane in range(LANES):
-            found = found | wp.where(t[lane] < FAR, 1, 0)
+        t, distance2, kind = hit_distances(particle, instance.scale, config.hit_distance, begin, packet)
+        found = counted_hits(kind, begin, packet, particle, instance, scene, rays, first)
         if found == 0:
             return 0
         alpha = alphas_at(instance.kernel, particle, distance2)
         hit = Hit()
         hit.index = instance.first + particle.index
         for lane in range(LANES):
-            if is_before(t[lane], hit.index, first_hits.cut_t[lane], first_hits.cut_index[lane]):
+            if kind[lane] != HIT_NONE and is_before(
+                t[lane], hit.index, first_hits.cut_t[lane], first_hits.cut_index[lane]
+            ):
                 hit.t = t[lane]
                 hit.alpha = alpha[lane]
                 # The farthest hit of a full list is the cut, so this one is nearer.

@@ -59,6 +59,7 @@ def start_shadow_ray(
     rays_out.origin[ray] = spawn_origin(j, contribution.direction, lift, scene, wave)
     rays_out.direction[ray] = contribution.direction
     rays_out.t_min[ray] = wave[0].interactions.spawn_t_min[j]
+    rays_out.normal[ray] = wave[0].interactions.geometric_normal[j]
     rays_out.t_max[ray] = contribution.distance
     if number < scene[0].settings[0].light_count:  # else it is one of triangles that shine
         rays_out.t_max[ray] = wp.min(contribution.distance, scene[0].lights[number].range)

@@ -4,6 +4,7 @@ import warp as wp
 
 from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.compositing import instance_of
+from lumisplat.device.gaussian.layers import is_flat
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
@@ -214,3 +215,10 @@ def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float
     asset = scene[0].splats[surface.instance].asset
     largest = scene[0].splats[surface.instance].scale * wp.max(scene[0].attributes[asset].scales[surface.gaussian])
     return scene[0].settings[0].shadow_offset * largest + scene[0].settings[0].shadow_offset_absolute
+
+
+@wp.func
+def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
+    """Normal of the layer that the surface's Gaussian is of: its shading normal, zero unless it is flat."""
+    scales = scene[0].attributes[scene[0].splats[surface.instance].asset].scales[surface.gaussian]
+    return wp.where(is_flat(scales), normal, wp.vec3(0.0))

@@ -61,6 +61,7 @@ def start_shown_ray(
     shadows[0].rays.origin[j] = wave[0].rays.origin[i]
     shadows[0].rays.direction[j] = wave[0].rays.direction[i]
     shadows[0].rays.t_min[j] = wave[0].rays.t_min[i]
+    shadows[0].rays.normal[j] = wave[0].rays.normal[i]
     shadows[0].rays.t_max[j] = t
     shadows[0].rays.path_length[j] = 0.0
     shadows[0].rays.spread[j] = 0.0

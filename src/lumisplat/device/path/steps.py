@@ -150,6 +150,7 @@ def scattered_step(
         step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
     step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
     step.t_min = wave[0].interactions.spawn_t_min[j]
+    step.layer_normal = wave[0].interactions.geometric_normal[j]
     return step
 
 

@@ -66,6 +66,13 @@ HIT_MEAN: int = wp.constant(2)
 """They are ordered by where their mean projects onto the ray, and lie where they respond most."""
 
 
+HIT_NONE: int = wp.constant(0)
+HIT_FAR: int = wp.constant(1)
+"""A Gaussian is hit beyond the offset of the ray."""
+HIT_NEAR: int = wp.constant(2)
+"""It is hit within: it counts if it is of another layer."""
+
+
 @struct
 class AssetBvh:
     """A Gaussian set as rays hit it."""

@@ -124,6 +124,8 @@ class ParticleHit:
     """The distance by which hits are ordered; FAR: it does not."""
     distance2: float
     """Squared canonical distance at the peak of the response."""
+    is_near: bool
+    """It is within the offset of the ray: it counts if the Gaussian is of another layer."""
 
 
 @struct

@@ -46,6 +46,7 @@ class PathSteps:
     origin: wp.array[wp.vec3]
     direction: wp.array[wp.vec3]
     t_min: wp.array[float]
+    layer_normal: wp.array[wp.vec3]
     path_length: wp.array[float]
     spread: wp.array[float]
     throughput: wp.array[wp.vec3]
@@ -137,6 +138,8 @@ class PathStep:
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
+    layer_normal: wp.vec3
+    """Of the surface, as of ``RayData``."""
     path_length: float
     """Behind the origin, to the unfolded eye, scene units, as of its ray; 0 where a surface has scattered the path:
     what it receives does not depend on who looks."""

@@ -34,6 +34,9 @@ class RayData:
     """Where the ray ends; inf: nowhere. Shadow rays end at their light."""
     path_length: wp.array[float]
     spread: wp.array[float]
+    normal: wp.array[wp.vec3]
+    """Of the layer of flat Gaussians that the ray leaves, unit, on its side: Gaussians of another layer count before
+    ``t_min``, too. Zero: none do."""
     sample_key: wp.array[wp.uint32]
     """Key of the ray's random numbers."""
     pixel_key: wp.array[wp.uint32]

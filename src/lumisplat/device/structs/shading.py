@@ -199,8 +199,9 @@ class Interactions:
     spawn_point: wp.array[wp.vec3]
     """Origin of the shadow rays; without elements in frames without shadow rays, as what follows."""
     spawn_t_min: wp.array[float]
-    """Distance along them within which Gaussians do not block, scene units."""
+    """Distance along them within which Gaussians of the same layer do not block, scene units."""
     geometric_normal: wp.array[wp.vec3]
+    """Of Gaussians that of their layer: zero unless they are flat."""
     smooth_height: wp.array[float]
 
 

@@ -103,6 +103,7 @@ def start_lobes(
     rays_out.origin[ray] = lobe.origin
     rays_out.direction[ray] = lobe.direction
     rays_out.t_min[ray] = lobe.t_min
+    rays_out.normal[ray] = lobe.normal
     rays_out.t_max[ray] = wp.inf
     rays_out.path_length[ray] = 0.0  # what a surface scatters does not depend on how far away the eye is
     rays_out.spread[ray] = 0.0

@@ -239,6 +239,7 @@ def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveDa
     steps[0].origin[i] = step.origin
     steps[0].direction[i] = step.direction
     steps[0].t_min[i] = step.t_min
+    steps[0].layer_normal[i] = step.layer_normal
     steps[0].path_length[i] = step.path_length
     steps[0].spread[i] = step.spread
     steps[0].density[i] = step.density
@@ -377,6 +378,7 @@ def spawn_paths(
     rays_out.origin[child] = steps[0].origin[i]
     rays_out.direction[child] = steps[0].direction[i]
     rays_out.t_min[child] = steps[0].t_min[i]
+    rays_out.normal[child] = steps[0].layer_normal[i]
     rays_out.t_max[child] = wp.inf
     rays_out.path_length[child] = steps[0].path_length[i]
     rays_out.spread[child] = steps[0].spread[i]

@@ -13,6 +13,7 @@ from lumisplat.device.light.mesh_interaction import (
 )
 from lumisplat.device.light.splat_surface import (
     is_over_light,
+    layer_normal,
     reflects_light,
     sees_far,
     shadow_offset,
@@ -177,6 +178,7 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
         if splats.exists:
             wave[0].interactions.spawn_point[i] = splats.position
             wave[0].interactions.spawn_t_min[i] = shadow_offset(surface, scene)
+            wave[0].interactions.geometric_normal[i] = layer_normal(surface, splats.normal, scene)
             wave[0].interactions.smooth_height[i] = 0.0
         if mesh.exists:
             wave[0].interactions.spawn_point[j] = mesh_spawn_point(i, mesh.geometric_normal, scene, wave)

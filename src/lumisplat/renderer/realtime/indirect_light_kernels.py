@@ -63,6 +63,7 @@ def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: R
     rays_out.origin[i] = position + wp.where(points.extent[i] > 0.0, 0.0, lift) * normal
     rays_out.direction[i] = around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
     rays_out.t_min[i] = offset * points.extent[i]
+    rays_out.normal[i] = normal
     rays_out.t_max[i] = wp.inf
     rays_out.path_length[i] = 0.0
     rays_out.spread[i] = 0.0

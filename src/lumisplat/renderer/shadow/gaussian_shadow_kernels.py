@@ -25,7 +25,6 @@ from lumisplat.device.light.packet_shadow import (
     begin_first_hits,
     end_rays,
     farthest_reach,
-    nearest_begin,
     packet_absorption_of,
     packet_first_hits_of,
     shadow_of_list,
@@ -80,7 +79,6 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             begin_absorption(absorption, packet, config, rays, first)
-            begin = nearest_begin(config, packet)
             top = push_root(stack)
             enter_instance(place, packet, WORLD, scene, rays, first)
             reach = end_rays(packet, place, skips, first)
@@ -90,11 +88,13 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                 if number != place.number:
                     enter_instance(place, packet, number, scene, rays, first)
                     reach = end_rays(packet, place, skips, first)
-                leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST, HIT_PEAK, FAR)
+                leaf_count = visit_node(stack, top, leaves, place, scene, 0.0, reach, FAR_FIRST, HIT_PEAK, FAR)
                 found = int(0)
                 for leaf in range(leaf_count):
                     load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
-                    found = found | absorb(absorption, packet, particle, place.instance, config, scene, key)
+                    found = found | absorb(
+                        absorption, packet, particle, place.instance, config, scene, rays, first, key
+                    )
                 if found != 0 and largest(absorption.transmittance) <= 0.0:
                     top = int(0)
             for lane in range(LANES):
@@ -148,7 +148,6 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             begin_first_hits(first_hits)
-            begin = nearest_begin(config, packet)
             reach = farthest_reach(first_hits, packet)
             top = push_root(stack)
             enter_instance(place, packet, WORLD, scene, rays, first)
@@ -161,11 +160,13 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                         enter_instance(place, packet, number, scene, rays, first)
                         counted = end_rays(packet, place, skips, first)
                     near = lesser(reach, counted)
-                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, near, NEAR_FIRST, HIT_PEAK, FAR)
+                    leaf_count = visit_node(stack, top, leaves, place, scene, 0.0, near, NEAR_FIRST, HIT_PEAK, FAR)
                     found = int(0)
                     for leaf in range(leaf_count):
                         load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
-                        found = found | keep_first_hits(first_hits, packet, particle, place.instance, config)
+                        found = found | keep_first_hits(
+                            first_hits, packet, particle, place.instance, config, scene, rays, first
+                        )
                     if found != 0:
                         reach = farthest_reach(first_hits, packet)
             for lane in range(LANES):

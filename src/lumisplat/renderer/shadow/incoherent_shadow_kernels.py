@@ -16,6 +16,7 @@ from lumisplat.device.bvh.ray_nodes import (
 )
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS
 from lumisplat.device.gaussian.aligned import load_particle
+from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.ray_hit import alpha_at, begin_past, hit_particle, ray_in_instance, world_ray
 from lumisplat.device.light.shadow import passed_share, shadow_floor, shadow_key, shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified
@@ -78,7 +79,12 @@ def absorb_in_instance(
             load_particle(scene.assets[instance.asset].particles, ~link, particle)
             begin = begin_past(t_min, config.offset, config.offset_absolute, particle, instance.scale)
             hit = hit_particle(particle, ray, instance.scale, HIT_PEAK, begin, end)
-            if hit.t < FAR:
+            counts = hit.t < FAR
+            if counts and hit.is_near:
+                gaussians = scene.assets[instance.asset].gaussians
+                mean, axis = world_mean(particle, instance), thin_axis(particle, instance)
+                counts = is_other_layer(i, begin, mean, axis, particle, instance, gaussians, rays)
+            if counts:
                 alpha = alpha_at(instance.kernel, particle, hit.distance2)
                 alpha = absorbed_share(alpha, instance.first + particle.index, config, key)
                 light.transmittance *= 1.0 - alpha

@@ -44,6 +44,7 @@ def start_rays(
     rays_out.origin[i] = ray.origin
     rays_out.direction[i] = ray.direction
     rays_out.t_min[i] = ray.t_min
+    rays_out.normal[i] = wp.vec3(0.0)
     rays_out.t_max[i] = wp.inf
     rays_out.path_length[i] = 0.0
     rays_out.spread[i] = ray.spread
@@ -75,6 +76,7 @@ def load_rays(
     rays_out.origin[i] = origins[i]
     rays_out.direction[i] = directions[i]
     rays_out.t_min[i] = starts[i]
+    rays_out.normal[i] = wp.vec3(0.0)
     rays_out.t_max[i] = ends[i]
     rays_out.path_length[i] = 0.0
     rays_out.spread[i] = 0.0

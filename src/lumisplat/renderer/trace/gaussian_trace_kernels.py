@@ -115,7 +115,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                         )
                         for leaf in range(leaf_count):
                             load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
-                            first_t = keep_hits(traced, packet, particle, place.instance, config, rays, first)
+                            first_t = keep_hits(traced, packet, particle, place.instance, config, scene, rays, first)
                             if first_t < FAR:
                                 nearest = lesser(nearest, first_t)
                                 own_reach = largest(traced.cut_t)

@@ -66,6 +66,7 @@ def spawn_lobe_ray(
     rays_out.origin[child] = lobe.origin
     rays_out.direction[child] = lobe.direction
     rays_out.t_min[child] = lobe.t_min
+    rays_out.normal[child] = lobe.normal
     rays_out.spread[child] = 0.0
     weights_out[child] = lobe.weight
     path_weights_out[child] = wave[0].path_weights[i] * wp.max(lobe.weight)
@@ -119,6 +120,7 @@ def spawn_rays(
     )
     rays_out.direction[child] = direction
     rays_out.t_min[child] = 0.0
+    rays_out.normal[child] = wp.vec3(0.0)
     rays_out.spread[child] = wave[0].rays.spread[i]
     weights_out[child] = weight
     path_weights_out[child] = wave[0].path_weights[i] * wp.max(weight)

@@ -18,6 +18,7 @@ from lumisplat.device.bvh.ray_nodes import (
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS
 from lumisplat.device.gaussian.aligned import load_particle
 from lumisplat.device.gaussian.compositing import empty_pixel
+from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.packet_tracing import ray_of, surface_distance
 from lumisplat.device.gaussian.ray_compositing import add_relit, begin_relit, blend_hit, store_pixel
 from lumisplat.device.gaussian.ray_hit import alpha_at, begin_past, hit_particle, ray_in_instance, world_ray
@@ -63,7 +64,12 @@ def meet_in_instance(
                 begin = begin_past(t_min, config.offset, config.offset_absolute, particle, instance.scale)
                 hit = hit_particle(particle, ray, instance.scale, instance.hit_distance, begin, end)
                 index = instance.first + particle.index
-                if hit.t < met.t or (hit.t == met.t and index < met.index):
+                counts = hit.t < met.t or (hit.t == met.t and index < met.index)
+                if counts and hit.is_near:
+                    gaussians = scene.assets[instance.asset].gaussians
+                    mean, axis = world_mean(particle, instance), thin_axis(particle, instance)
+                    counts = is_other_layer(i, begin, mean, axis, particle, instance, gaussians, rays)
+                if counts:
                     alpha = alpha_at(instance.kernel, particle, hit.distance2)
                     if draw(key, wp.uint32(index)) * config.acceptance_scale < alpha:
                         met.t = hit.t

@@ -107,7 +107,7 @@ def _opaque_discs(
     """Gaussians with scales ``wide`` along their wide axes, shape (N, 2), and with the properties of a material."""
     count = len(positions)
     is_pbr = isinstance(material, MaterialPbr)
-    thin = SAMPLING_THICKNESS * wide.max(axis=1, keepdims=True)
+    thin = SAMPLING_THICKNESS * wide.min(axis=1, keepdims=True)
     return Gaussians(
         means=positions.astype(np.float32),
         rotations_wxyz=quaternions_from_matrices(axes),

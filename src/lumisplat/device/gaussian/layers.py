@@ -1,0 +1,87 @@
+"""Whether a Gaussian near the surface that a ray leaves is of another layer (docs/method/shadows.md#layers)."""
+
+import warp as wp
+
+from lumisplat.constants import LAYER_COSINE, LAYER_FLATNESS, LAYER_HEIGHT, LAYER_RISE
+from lumisplat.device.structs.bvh import Particle
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+
+wp.set_module_options({"enable_backward": False})
+
+COSINE = wp.constant(wp.float32(LAYER_COSINE))
+FLATNESS = wp.constant(wp.float32(LAYER_FLATNESS))
+HEIGHT = wp.constant(wp.float32(LAYER_HEIGHT))
+RISE = wp.constant(wp.float32(LAYER_RISE))
+
+
+@wp.func
+def is_flat(scales: wp.vec3) -> bool:
+    """Whether the thin axis of a Gaussian with these scales is the normal of its layer."""
+    thin = wp.min(scales)
+    middle = wp.max(wp.min(scales[0], scales[1]), wp.min(wp.max(scales[0], scales[1]), scales[2]))
+    return thin < FLATNESS * middle
+
+
+@wp.func
+def thin_axis(particle: Particle, instance: SplatInstanceData) -> wp.vec3:
+    """Unit normal of a flat Gaussian, of either sign, world space; zero unless ``is_flat`` holds."""
+    rows = particle.canonical_from_object
+    sharp = wp.vec3(wp.length_sq(rows[0]), wp.length_sq(rows[1]), wp.length_sq(rows[2]))
+    thinnest = int(0)
+    if sharp[1] > sharp[0]:
+        thinnest = 1
+    if sharp[2] > sharp[thinnest]:
+        thinnest = 2
+    next_sharp = wp.max(sharp[(thinnest + 1) % 3], sharp[(thinnest + 2) % 3])
+    if not next_sharp < FLATNESS * FLATNESS * sharp[thinnest]:
+        return wp.vec3(0.0)
+    return instance.world_from_object * rows[thinnest] / wp.sqrt(sharp[thinnest])
+
+
+@wp.func
+def world_mean(particle: Particle, instance: SplatInstanceData) -> wp.vec3:
+    """Mean of a Gaussian of an instance, world space."""
+    return instance.scale * (instance.world_from_object * (particle.mean - instance.object_from_world_offset))
+
+
+@wp.func
+def is_other_layer(
+    i: int,
+    near: float,
+    mean: wp.vec3,
+    axis: wp.vec3,
+    particle: Particle,
+    instance: SplatInstanceData,
+    gaussians: GaussianData,
+    rays: RayData,
+) -> bool:
+    """Whether a Gaussian that ray ``i`` meets within the offset is of another layer than the surface that it leaves.
+
+    Two flat Gaussians can tell: its mean stands before that surface, by little if it is turned away from it, by more
+    if the two are parallel; and the ray meets it from the front, or comes from well before its plane.
+
+    Args:
+        i: The ray.
+        near: The offset within which Gaussians of the ray's own layer do not block it, scene units.
+        mean: Of the Gaussian, world space.
+        axis: Its ``thin_axis``.
+        particle: The Gaussian.
+        instance: Its placement.
+        gaussians: Its set.
+        rays: With normals of layers.
+    """
+    normal = rays.normal[i]
+    away = mean - rays.origin[i]
+    height = wp.dot(normal, away)
+    # Most Gaussians near a surface are not flat, or of its own layer.
+    if not height > HEIGHT * near or wp.length_sq(axis) == 0.0:
+        return False
+    beyond = wp.max(wp.abs(wp.dot(normal, axis)) - COSINE, 0.0)
+    if not height > (HEIGHT + RISE * beyond) * near:
+        return False
+    if gaussians.normals:
+        if wp.dot(gaussians.normals[particle.index], instance.object_from_world * rays.direction[i]) < 0.0:
+            return True
+    # A surface reaches a little through the one that it ends at: from there, that is not in the way.
+    return wp.abs(wp.dot(axis, away)) > HEIGHT * near

@@ -1,0 +1,172 @@
+"""Gaussians of another layer block light however near they are: rooms are tight, and no layer shadows itself."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.oracles.layer_oracle import other_layers
+from support.scenes.light_rig import PIPELINES, lit
+from support.scenes.path_scenes import diffuse, paths, quad
+from support.scenes.raster_scenes import flat_sh, similarity
+from support.scenes.shadow_rig import SCHEDULES, ShadowRig
+
+SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
+X, Y, Z = np.eye(3)
+
+
+def one_near_each_ray(count: int, *, own: bool) -> tuple[ls.Gaussians, np.ndarray, np.ndarray, np.ndarray]:
+    """Gaussians far apart, of all shapes and tilts; beside each a point of a layer, its normal and a ray through it."""
+    rng = np.random.default_rng(4)
+    normals, axes = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, count, 3)))
+    half = axes + Z
+    turns = np.stack([half[:, 2], -half[:, 1], half[:, 0], np.zeros(count)], axis=1)
+    scales = 0.1 * np.stack([np.ones(count), rng.uniform(0.5, 1.0, count), rng.choice([0.02, 0.1, 0.4], count)], axis=1)
+    means = 10.0 * np.stack([np.arange(count) % 20, np.arange(count) // 20 % 20, np.arange(count) // 400], axis=1)
+    gaussians = ls.Gaussians(
+        means,
+        turns / np.linalg.norm(turns, axis=1, keepdims=True),
+        scales,
+        np.full(count, 0.9),
+        flat_sh(np.full((count, 3), 0.5)),
+        normals=rng.choice([-1.0, 1.0], (count, 1)) * axes if own else None,
+    )
+    ways = normals + 0.9 * rng.normal(size=(count, 3)) / np.sqrt(3.0)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    points = means - rng.uniform(0.02, 0.35, (count, 1)) * ways
+    return gaussians, points, normals, ways
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("method", [ls.ShadowMethod.EXACT, ls.ShadowMethod.FIRST_HITS], ids=lambda method: method.value)
+@pytest.mark.parametrize("own", [False, True], ids=["planes", "own normals"])
+def test_near_gaussians_block_by_their_layer(schedule: str, method: ls.ShadowMethod, own: bool) -> None:
+    """As the float64 twin has it, also where the set is placed turned and larger; without a normal none does."""
+    gaussians, points, normals, ways = one_near_each_ray(1200, own=own)
+    near = np.full(len(points), 4.0 * 0.1)
+    expected = other_layers(gaussians, points, normals, ways, near)
+    assert 0.15 < expected.mean() < 0.85
+    placed = similarity((0.4, -0.3, 0.8), 1.1, 3.0, (1.0, -2.0, 0.5))
+    turn = placed[:3, :3] / 3.0
+    scene = ls.Scene([ls.SplatInstance(gaussians, placed)])
+    origins, along = points @ placed[:3, :3].T + placed[:3, 3], ways @ turn.T
+    settings = {"t_min": 9.0, "t_max": 6.0, "method": method}
+    rig = ShadowRig(schedule)
+    found = rig.light(scene, origins, along, normals=normals @ turn.T, **settings)[:, 0] < 0.5
+    # Rounding decides where a number is within 1e-3 of its bound.
+    moved = [
+        other_layers(gaussians, points + step * normals, normals, ways, near * (1.0 + grow))
+        for step in (-1e-4, 1e-4)
+        for grow in (-1e-3, 1e-3)
+    ]
+    sure = (np.array(moved) == expected).all(axis=0)
+    assert sure.mean() > 0.97
+    np.testing.assert_array_equal(found[sure], expected[sure])
+    assert (rig.light(scene, origins, along, **settings)[:, 0] == 1.0).all()
+
+
+@functools.cache
+def room(count: int) -> ls.Scene:
+    """A closed white box of 2 m in a sky of 1, made of Gaussians whose normals face inwards."""
+    low, size = np.full(3, -1.0), 2.0
+    sides = [
+        quad(low + shift, size * u, size * v, diffuse(0.8))
+        for u, v, shift in (
+            (X, Y, 0 * X),
+            (Y, X, size * Z),
+            (Y, Z, 0 * X),
+            (Z, Y, size * X),
+            (Z, X, 0 * X),
+            (X, Z, size * Y),
+        )
+    ]
+    positions = np.concatenate([side.positions for side in sides])
+    indices = np.concatenate([side.indices + 4 * number for number, side in enumerate(sides)])
+    walls = ls.gaussians_from_mesh(ls.Mesh(positions, indices, material=diffuse(0.8)), count)
+    return ls.Scene([ls.SplatInstance(walls, material=diffuse(1.0))], lights=[SKY])
+
+
+CORNER = ls.Camera.look_at((0.6, 0.3, 0.7), (-1.0, -0.6, -1.0), width=48, height=32, fov_y=1.2)
+
+
+@pytest.mark.parametrize(("count", "direct", "all_bounces"), [(20_000, 0.004, 0.01), (60_000, 0.002, 0.008)])
+def test_a_closed_room_is_dark(count: int, direct: float, all_bounces: float) -> None:
+    """Of a sky around it, less than 1 % arrives inside: 1.5 and 10 % did with 20,000 Gaussians."""
+    scene = room(count)
+    assert paths(scene, CORNER, 16, 0).color.mean() < direct
+    assert paths(scene, CORNER, 16, 16).color.mean() < all_bounces
+
+
+@PIPELINES
+def test_a_closed_room_gets_no_direct_light(pipeline: ls.Pipeline) -> None:
+    """Nor does any block of pixels at its edges get much of it: 1.3 % in the mean, and 8 % there, before."""
+    frame = lit(room(20_000), CORNER, pipeline, samples=8, shadows=ls.Shadows.SOFT)
+    light = frame.color[..., 1]
+    assert light.mean() < 0.005
+    assert light.reshape(4, 8, 6, 8).mean(axis=(1, 3)).max() < 0.025
+
+
+def discs(points: np.ndarray, normals: np.ndarray, scale: float) -> ls.Gaussians:
+    """Opaque thin discs with normals of their own."""
+    half = normals + Z
+    turns = np.stack([half[:, 2], -half[:, 1], half[:, 0], np.zeros(len(points))], axis=1)
+    return ls.Gaussians(
+        points,
+        turns / np.linalg.norm(turns, axis=1, keepdims=True),
+        np.tile([scale, scale, 0.05 * scale], (len(points), 1)),
+        np.full(len(points), 0.99),
+        flat_sh(np.full((len(points), 3), 0.5)),
+        normals=normals,
+    )
+
+
+def sheet(shape: str) -> ls.Gaussians:
+    """Discs of scale 0.04 over a square of 2 m: flat, a hill, a bowl, or flat but for what is found of normals."""
+    rng = np.random.default_rng(5)
+    x, y = (0.03 * axis.ravel() for axis in np.mgrid[-33:34, -33:34])
+    bend = {"hill": -0.15, "bowl": 0.15}.get(shape, 0.0)
+    points = np.stack([x, y, bend * (x * x + y * y)], axis=1)
+    normals = np.stack([-2.0 * bend * x, -2.0 * bend * y, np.ones(len(x))], axis=1)
+    if shape == "noisy":
+        points[:, 2] += rng.normal(0.0, 0.3 * 0.04, len(x))
+        normals[:, :2] += rng.normal(0.0, 0.25, (len(x), 2))
+    return discs(points, normals / np.linalg.norm(normals, axis=1, keepdims=True), 0.04)
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda pipeline: pipeline.value)
+@pytest.mark.parametrize("own", [False, True], ids=["planes", "own normals"])
+@pytest.mark.parametrize(("shape", "lost"), [("flat", 0.002), ("hill", 0.002), ("bowl", 0.002), ("noisy", 0.035)])
+def test_layers_do_not_shadow_themselves(shape: str, lost: float, own: bool, pipeline: ls.Pipeline) -> None:
+    """In light 20 degrees above them and from overhead; noisy ones lost as much before layers were told apart."""
+    layer = sheet(shape)
+    layer = layer if own else replace(layer, normals=None)
+    camera = ls.Camera.look_at((0.0, -0.6, 2.0), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.45)
+    for elevation in (20.0, 80.0):
+        up, along = np.sin(np.radians(elevation)), np.cos(np.radians(elevation))
+        sun = ls.LightDirectional((along, 0.0, -up), intensity=3.0)
+        scene = ls.Scene([ls.SplatInstance(layer, material=diffuse(1.0))], lights=[sun])
+        settings = {"samples": 4, "pipeline": pipeline}
+        shown = lit(scene, camera, **settings).color.sum()
+        unshadowed = lit(scene, camera, **settings, shadows=ls.Shadows.OFF).color.sum()
+        assert shown > (1.0 - lost) * unshadowed, (elevation, shown / unshadowed)
+
+
+@PIPELINES
+def test_a_shadow_reaches_the_foot_of_a_wall(pipeline: ls.Pipeline) -> None:
+    """A wall of discs on a floor of discs of the same scale: the floor is dark up to it, not from four scales on."""
+    x, y = (0.03 * axis.ravel() for axis in np.mgrid[-25:26, -25:26])
+    ground = discs(np.stack([x, y, 0.0 * x], axis=1), np.tile(Z, (len(x), 1)), 0.04)
+    along, up = (axis.ravel() for axis in np.meshgrid(0.03 * np.arange(-25, 26), 0.012 + 0.03 * np.arange(20)))
+    wall = discs(np.stack([0.0 * up, along, up], axis=1), np.tile(X, (len(up), 1)), 0.04)
+    camera = ls.Camera.look_at((1.2, 0.0, 1.2), (0.08, 0.0, 0.0), Z, width=48, height=32, fov_y=0.16)
+    sun = ls.LightDirectional((1.0, 0.0, -1.0), intensity=3.0)
+    scene = ls.Scene([ls.SplatInstance(one, material=diffuse(1.0)) for one in (ground, wall)], lights=[sun])
+    frame = lit(scene, camera, pipeline, aovs=("lights",))
+    assert frame.light_shadow is not None and frame.position is not None
+    at_foot = (frame.instance_index == 0) & (frame.position[..., 0] > 0.02) & (frame.position[..., 0] < 0.14)
+    assert at_foot.sum() > 100
+    assert frame.light_shadow[0][at_foot].mean() < 0.02

@@ -1,0 +1,37 @@
+"""The float64 twin of layers: which Gaussians near a surface block its light (docs/method/shadows.md#layers)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lumisplat.constants import LAYER_COSINE, LAYER_FLATNESS, LAYER_HEIGHT, LAYER_RISE
+from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.scene.gaussians import Gaussians
+
+
+def other_layers(
+    gaussians: Gaussians, points: np.ndarray, normals: np.ndarray, ways: np.ndarray, near: np.ndarray
+) -> np.ndarray:
+    """Whether each of N Gaussians is of another layer than the surface that a ray leaves, shape (N,).
+
+    Args:
+        gaussians: Those that the rays meet, one each.
+        points: Where the rays start, (N, 3).
+        normals: Of the layers that they leave, unit, (N, 3).
+        ways: Their directions, unit, (N, 3).
+        near: Distances within which Gaussians of these layers do not count, (N,).
+    """
+    scales = np.sort(gaussians.scales.astype(float), axis=1)
+    axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(float))
+    rows = np.arange(len(points))
+    thin = axes[rows, :, gaussians.scales.argmin(axis=1)]
+    away = gaussians.means.astype(float) - points
+    height = np.sum(normals * away, axis=1) / near
+    beyond = np.maximum(np.abs(np.sum(normals * thin, axis=1)) - LAYER_COSINE, 0.0)
+    stands_before = height > LAYER_HEIGHT + LAYER_RISE * beyond
+    is_met_well = np.abs(np.sum(thin * away, axis=1)) / near > LAYER_HEIGHT
+    if gaussians.normals is not None:
+        is_met_well |= np.sum(gaussians.normals.astype(float) * ways, axis=1) < 0.0
+    is_flat = scales[:, 0] < LAYER_FLATNESS * scales[:, 1]
+    found: np.ndarray = is_flat & stands_before & is_met_well
+    return found
