@@ -4,19 +4,23 @@ USD_INSTANCES_MAX = 1_000_000
 """Most prims that a file may have, and most instances of point instancers: instances of instances multiply, so that a
 small file could ask for any number."""
 
-USD_ENTRIES_A_BYTE = 1024
-"""Most entries in a byte of a binary layer: integers take two bits at least, and LZ4 makes no more than 255 bytes of
-one. Eleven million in 93 bytes took 20 seconds and 740 MB before the library noticed."""
+USD_MEMORY = 2 * 2**30
+"""Memory, bytes, that the process that reads a stage may take at least: the library and Warp take 0.2 GB of it."""
 
-LZ4_EXPANSION_MAX = 256
-"""Bytes that LZ4 makes of one at most, and some."""
+USD_MEMORY_A_BYTE = 40
+"""Further bytes of memory for each byte of the files: text of 8 digits becomes doubles, which are held three times."""
 
-USD_ENTRY_BYTES = 40
-"""Memory that an entry takes while it is checked, bytes: four million paths took 142 MB."""
+USD_CPU_SECONDS = 30
+"""Processor time, seconds, that reading a stage may take at least: references nested 16 deep took minutes."""
 
-USD_NESTING_MAX = 64
-"""How deep values of a binary layer may lie in others: dictionaries in dictionaries, which the library reads by
-recursion."""
+USD_CPU_SECONDS_A_MEGABYTE = 1.0
+"""Further seconds for each 2^20 bytes of the files: text is read in 0.1 s."""
+
+USD_WALL_FACTOR = 10.0
+"""Time on the clock after which reading ends, as a factor of its processor time: on machines that are busy."""
+
+USD_IDLE_SECONDS = 60.0
+"""Time without a request, seconds, after which the process that has loaded the library ends."""
 
 USD_LAYERS_MAX = 10_000
 """Most layers of a stage."""

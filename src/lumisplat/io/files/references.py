@@ -28,6 +28,17 @@ def references_outside(allowed: bool) -> Generator[None]:
         _may_leave_folder.reset(token)
 
 
+def may_leave_folder() -> bool:
+    """Returns whether files may name files outside of their own folders here."""
+    return _may_leave_folder.get()
+
+
+def leaves_folder(path: PathLike, file: Path, folder: Path | None = None) -> bool:
+    """Returns whether a file is outside of a folder, which is not allowed; arguments as of `referenced_file`."""
+    home = os.path.abspath(Path(path).parent if folder is None else folder)
+    return not _may_leave_folder.get() and not Path(os.path.abspath(file)).is_relative_to(home)
+
+
 def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Path:
     """The path of a file that another one names; it need not exist.
 
@@ -43,8 +54,7 @@ def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Pa
         FormatError: It leaves the folder, which is not allowed.
     """
     found = named_path(Path(path).parent, name)
-    home = os.path.abspath(Path(path).parent if folder is None else folder)
-    if not _may_leave_folder.get() and not Path(os.path.abspath(found)).is_relative_to(home):
+    if leaves_folder(path, found, folder):
         raise FormatError(
             path,
             f"names {name[:200]!r}, which is not in its folder: move it there, or trust the file by --allow-outside "

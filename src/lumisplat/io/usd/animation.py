@@ -13,7 +13,9 @@ from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.cameras import cameras_of
+from lumisplat.io.usd.layers import check_loaded
 from lumisplat.io.usd.library import pxr, reading_usd
+from lumisplat.io.usd.process import Remote, read_apart
 from lumisplat.io.usd.scene import Reading, shape_codes
 from lumisplat.io.usd.stage import UsdFile, open_usd
 from lumisplat.io.usd.walk import Placed, prim_name
@@ -41,11 +43,15 @@ def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
         FormatError: The file cannot be read, or its times are no times.
         MissingExtraError: usd-core is not installed.
     """
-    path = Path(path)
-    pxr()
+    return read_apart(path, animation_of, drop_invalid)
+
+
+def animation_of(path: Path, drop_invalid: bool) -> Animation:
+    """Reads an animation in this process, which goes on to read what deforms; as of `read_usd_animation`."""
     with reading_usd(path):
         file = open_usd(path)
         animation = _read(file, drop_invalid)
+        check_loaded(path)
     file.remarks.report()
     return animation
 
@@ -66,7 +72,7 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
         for actor in _actors(file, stage.GetPrimAtPath(key), instances, codes[key], (codes[key] - first) / rate)
     ]
     actors += [
-        Actor(Deforming(partial(_shape_at, reading, placed, first, rate)), name=placed.name, loop=False)
+        Actor(Deforming(Remote(partial(_shape_at, reading, placed, first, rate))), name=placed.name, loop=False)
         for placed, _ in reading.deforming.values()
     ]
     played = [*reading.moving.values(), *(instances for _, instances in reading.deforming.values())]
@@ -91,7 +97,9 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
 def _shape_at(reading: Reading, placed: Placed, first: float, rate: float, time: float) -> tuple[Instance, ...]:
     """What deforms at a time, seconds."""
     with reading_usd(reading.file.path):
-        return tuple(reading.at(placed, first + time * rate))
+        shown = tuple(reading.at(placed, first + time * rate))
+        check_loaded(reading.file.path)
+        return shown
 
 
 def _cameras(file: UsdFile) -> Iterator[Any]:

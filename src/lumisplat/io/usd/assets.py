@@ -9,7 +9,8 @@ from typing import Any
 
 from lumisplat.constants import FILE_BYTES_MAX
 from lumisplat.errors import FormatError
-from lumisplat.io.files.references import read_reference
+from lumisplat.io.files.references import read_reference, referenced_file
+from lumisplat.io.files.source import check_regular
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.stage import UsdFile
 
@@ -37,12 +38,16 @@ def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
     if not ar.IsPackageRelativePath(found):
         return read_reference(file.path, found)
     package, inner = ar.SplitPackageRelativePathOuter(found)
+    place = referenced_file(file.path, package)
     try:
+        check_regular(place, place.stat())
         # A package in a package is not unpacked: USD advises against them.
-        with zipfile.ZipFile(package) as held:
+        with zipfile.ZipFile(place) as held:
             entry = held.getinfo(inner)
             if entry.file_size > FILE_BYTES_MAX or entry.compress_type != zipfile.ZIP_STORED:
                 raise FormatError(file.path, f"{label} names {name[:200]!r}, which is packed or too large")
             return held.read(entry)
+    except FormatError:
+        raise
     except (KeyError, OSError, zipfile.BadZipFile):
         raise FormatError(file.path, f"{label} names {name[:200]!r}, which {Path(package).name} lacks") from None

@@ -17,7 +17,9 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.node_pose import pose_of_node
 from lumisplat.io.cameras.sizes import size_of_aspect
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.usd.layers import check_loaded
 from lumisplat.io.usd.library import pxr, reading_usd
+from lumisplat.io.usd.process import read_apart
 from lumisplat.io.usd.stage import UsdFile, open_usd
 from lumisplat.io.usd.values import number, shortest, value
 from lumisplat.io.usd.walk import Placed, placed_prims
@@ -47,11 +49,15 @@ def read_usd_cameras(path: PathLike, width: int | None = None, height: int | Non
         FormatError: The file cannot be read, or a camera is invalid; names it.
         MissingExtraError: usd-core is not installed.
     """
-    path = Path(path)
-    pxr()
+    return read_apart(path, cameras_in, width, height)
+
+
+def cameras_in(path: Path, width: int | None, height: int | None) -> list[Camera]:
+    """Reads cameras in this process; as of `read_usd_cameras`."""
     with reading_usd(path):
-        file = open_usd(path)
-        return cameras_of(file, width, height)
+        found = cameras_of(open_usd(path), width, height)
+        check_loaded(path)
+        return found
 
 
 def cameras_of(file: UsdFile, width: int | None = None, height: int | None = None) -> list[Camera]:

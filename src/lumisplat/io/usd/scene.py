@@ -15,11 +15,13 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.io.gltf.gaussians.placed import alone
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.io.splats.columns import gaussians_from_columns
+from lumisplat.io.usd.layers import check_loaded
 from lumisplat.io.usd.library import pxr, reading_usd
 from lumisplat.io.usd.lights import is_light, read_light
 from lumisplat.io.usd.materials import UsdMaterials
 from lumisplat.io.usd.meshes import UsdMeshes
 from lumisplat.io.usd.particles import is_field, read_particles
+from lumisplat.io.usd.process import read_apart
 from lumisplat.io.usd.stage import UsdFile, open_usd
 from lumisplat.io.usd.values import hints_of
 from lumisplat.io.usd.walk import Placed, placed_prims
@@ -47,12 +49,16 @@ def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
         FormatError: The file, or one that it names, is missing or damaged, or nothing in it can be read.
         MissingExtraError: usd-core is not installed.
     """
-    path = Path(path)
-    pxr()
+    return read_apart(path, scene_of, drop_invalid)
+
+
+def scene_of(path: Path, drop_invalid: bool) -> Gaussians | Scene:
+    """Reads a scene in this process; as of `read_usd`."""
     with reading_usd(path):
         file = open_usd(path)
         found = Reading(file, drop_invalid).run()
         loaded = found.as_capture() or found.scene()
+        check_loaded(path)
     file.remarks.report()
     return loaded
 
@@ -64,8 +70,11 @@ def shows_one_capture(path: PathLike) -> bool:
         FormatError: The file cannot be read.
         MissingExtraError: usd-core is not installed.
     """
-    path = Path(path)
-    pxr()
+    return read_apart(path, is_one_capture)
+
+
+def is_one_capture(path: Path) -> bool:
+    """Looks for one field of particles in this process; as of `shows_one_capture`."""
     with reading_usd(path):
         file = open_usd(path)
         shown = [one.prim for one in placed_prims(file) if one.visible and not one.is_flat]
