@@ -87,6 +87,9 @@ def read_apart(path: PathLike, function: Callable[..., Any], *arguments: Any) ->
     child = _Child.take()
     try:
         result = child.call(request, request.path)
+    except LumisplatError:
+        child.rest()
+        raise
     except BaseException:
         child.end()
         raise
@@ -152,7 +155,7 @@ class _Child:
         """Ends the reading of a file, unless functions of it are still there: then the last of them does."""
         if self._remotes:
             return
-        with contextlib.suppress(OSError, EOFError):
+        with contextlib.suppress(OSError, EOFError, ValueError):  # it may have ended, and its streams be closed
             self._send("done")
             if _FORKS and self._receive()[0] == "ended":
                 with self._lock:
