@@ -8,7 +8,6 @@ docs/method/relighting.md#baking.
 import warp as wp
 
 from lumisplat.device.gaussian.compositing import instance_of
-from lumisplat.device.gaussian.layers import is_flat
 from lumisplat.device.gaussian.particle import canonical_from_object, gaussian_color, gaussian_facing, reach_squared
 from lumisplat.device.gaussian.projection import towards
 from lumisplat.device.math.directions import TWO_PI
@@ -120,7 +119,6 @@ def start_ray(
     origin: wp.vec3,
     direction: wp.vec3,
     t_min: float,
-    normal: wp.vec3,
     sample: SampleData,
     rays: RayData,
 ):
@@ -129,7 +127,7 @@ def start_ray(
     rays.origin[i] = origin
     rays.direction[i] = direction
     rays.t_min[i] = t_min
-    rays.normal[i] = normal
+    rays.normal[i] = wp.vec3(0.0)  # as cameras see Gaussians: whatever layer is before them
     rays.t_max[i] = wp.inf
     rays.path_length[i] = 0.0
     rays.spread[i] = 0.0
@@ -195,10 +193,9 @@ def meet_gaussians(
     origin = instance.scale * (instance.world_from_object * (place - instance.object_from_world_offset))
 
     store_hit(i, sh_degree, instance, gaussians, k, along, hits_out)
-    start_ray(i, first + i, origin, views.direction[i], 0.0, wp.vec3(0.0), sample, rays_out)
+    start_ray(i, first + i, origin, views.direction[i], 0.0, sample, rays_out)
     offset = settings.shadow_offset * instance.scale * wp.max(scales) + settings.shadow_offset_absolute
-    layer = wp.where(is_flat(scales), hits_out.normal[i], wp.vec3(0.0))
-    start_ray(i, first + i, origin, -views.direction[i], offset, layer, sample, outward_out)
+    start_ray(i, first + i, origin, -views.direction[i], offset, sample, outward_out)
 
 
 @wp.func

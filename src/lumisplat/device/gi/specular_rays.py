@@ -74,6 +74,7 @@ def start_onward(i: int, kind: int, step: PathStep, wave: wp.array[WaveData], ra
     rays_out.origin[i] = step.origin
     rays_out.direction[i] = step.direction
     rays_out.t_min[i] = 0.0
+    rays_out.normal[i] = wp.vec3(0.0)
     rays_out.t_max[i] = wp.inf
     rays_out.path_length[i] = 0.0
     rays_out.spread[i] = 0.0

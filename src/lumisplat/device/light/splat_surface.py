@@ -219,6 +219,18 @@ def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float
 
 @wp.func
 def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Normal of the layer that the surface's Gaussian is of: its shading normal, zero unless it is flat."""
-    scales = scene[0].attributes[scene[0].splats[surface.instance].asset].scales[surface.gaussian]
-    return wp.where(is_flat(scales), normal, wp.vec3(0.0))
+    """Normal of the layer that the surface's Gaussian is of: its shading normal; zero if it does not tell one.
+
+    It must be flat and, by its own normal, seen from the front: silhouettes show some Gaussians from behind, from where
+    all others of their layer stand before them.
+    """
+    # Fields are read one by one: copying these structs for each ray would cost more than the shading.
+    instance = surface.instance
+    asset = scene[0].splats[instance].asset
+    if not is_flat(scene[0].attributes[asset].scales[surface.gaussian]):
+        return wp.vec3(0.0)
+    if scene[0].attributes[asset].normals:
+        own = scene[0].splats[instance].world_from_object * scene[0].attributes[asset].normals[surface.gaussian]
+        if wp.dot(own, normal) < 0.0:
+            return wp.vec3(0.0)
+    return normal

@@ -60,6 +60,7 @@ class SplatAttributes:
 
     means: wp.array[wp.vec3]
     scales: wp.array[wp.vec3]
+    normals: wp.array[wp.vec3]
     roughness: wp.array[float]
     metallic: wp.array[float]
 
@@ -201,7 +202,7 @@ class Interactions:
     spawn_t_min: wp.array[float]
     """Distance along them within which Gaussians of the same layer do not block, scene units."""
     geometric_normal: wp.array[wp.vec3]
-    """Of Gaussians that of their layer: zero unless they are flat."""
+    """Of Gaussians that of their layer: zero unless they are flat and seen from the front."""
     smooth_height: wp.array[float]
 
 

@@ -107,6 +107,7 @@ def start_ambient_rays(
         rays_out.origin[i] = wave[0].rays.origin[i]
         rays_out.direction[i] = wave[0].rays.direction[i]
         rays_out.t_min[i] = wave[0].rays.t_min[i]
+        rays_out.normal[i] = wave[0].rays.normal[i]
         rays_out.t_max[i] = wp.inf
         rays_out.path_length[i] = 0.0
         rays_out.spread[i] = 0.0

@@ -32,7 +32,7 @@ def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
 def upload_attributes(gaussians: Gaussians, data: GaussianData, device: str) -> SplatAttributes:
     """The attributes of an asset's Gaussians that shading reads, some of which are in ``data``."""
     row = SplatAttributes()
-    row.means, row.scales = data.means, data.scales
+    row.means, row.scales, row.normals = data.means, data.scales, data.normals
     for name, dtype, values in _materials_of(gaussians):
         setattr(row, name, as_device_array(values, dtype, device))
     return row
