@@ -153,6 +153,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.ops.estimate_normals import estimate_normals
     from lumisplat.scene.ops.framing import frame_camera
     from lumisplat.scene.ops.ground import stand_on_ground
+    from lumisplat.scene.ops.insertion import insert
     from lumisplat.scene.ops.orbit import orbit_cameras
     from lumisplat.scene.ops.recolor import scale_light
     from lumisplat.scene.ops.smooth_normals import smooth_normals
@@ -323,6 +324,7 @@ _MODULE_OF = {
     "forget_training": "training.run_folder",
     "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
+    "insert": "scene.ops.insertion",
     "join_windows": "io.images.rows.joined",
     "level": "scene.editing.levelling",
     "limit_sh_degree": "scene.editing.sh_degree",
@@ -535,6 +537,7 @@ __all__ = [
     "forget_training",
     "frame_camera",
     "gaussians_from_mesh",
+    "insert",
     "join_windows",
     "level",
     "limit_sh_degree",

@@ -21,6 +21,7 @@ position = [10, 0, 0]
 [[meshes]]
 path = "mesh.obj"
 scale = 2.0
+upright = false
 
 [[lights]]
 type = "point"

@@ -19,7 +19,9 @@ from support.scenes.trace_scenes import GLASS, slab
 def frame() -> ls.Frame:
     """Splats over a grey background, a mesh among them."""
     scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
-    return ls.render(scene, scenes.front_camera(40, 30), ls.RenderConfig(background=(0.5, 0.25, 0.125)), device="cpu")
+    return ls.render(
+        scene, scenes.front_camera(40, 30), ls.RenderConfig(background=(0.5, 0.25, 0.125), lighting=False), device="cpu"
+    )
 
 
 def test_depth_z_is_depth_along_the_axis(frame: ls.Frame) -> None:
@@ -34,7 +36,7 @@ def test_depth_z_is_depth_along_the_axis(frame: ls.Frame) -> None:
 def test_premultiplied_takes_the_background_away(frame: ls.Frame) -> None:
     """The same view without a background has the radiance that ``premultiplied`` recovers."""
     scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
-    bare = ls.render(scene, frame.camera, ls.RenderConfig(background=None), device="cpu")
+    bare = ls.render(scene, frame.camera, ls.RenderConfig(background=None, lighting=False), device="cpu")
     np.testing.assert_allclose(frame.premultiplied(), bare.color, atol=1e-6)
     np.testing.assert_allclose(frame.premultiplied(), frame.straight() * frame.alpha[..., None], atol=1e-6)
 
@@ -49,7 +51,9 @@ def test_png_shows_the_colours_as_trained(frame: ls.Frame, tmp_path: Path) -> No
 def test_transparent_png_keeps_straight_alpha(tmp_path: Path) -> None:
     """Without a background the PNG has an alpha channel and colours that are not darkened by it."""
     scene = ls.Scene([scenes.one_gaussian(opacity=0.5, color=(0.8, 0.4, 0.2))])
-    frame = ls.render(scene, scenes.front_camera(31, 31), ls.RenderConfig(background=None), device="cpu")
+    frame = ls.render(
+        scene, scenes.front_camera(31, 31), ls.RenderConfig(background=None, lighting=False), device="cpu"
+    )
     frame.save(tmp_path / "a.png")
     center = frame.alpha[15, 15]
     assert center == pytest.approx(0.5, abs=0.01)

@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import sh_basis
-from lumisplat.relighting.cubemap import cube_solid_angles, render_cube
+from lumisplat.renderer.cubemap import cube_solid_angles, render_cube
 from support.scenes.raster_scenes import flat_sh, one_gaussian, random_gaussians, rotation
 from support.scenes.sphere import sphere_quadrature, unit
 
@@ -122,7 +122,7 @@ def test_faces_are_not_mirrored() -> None:
     renderer = ls.create_renderer(ls.RenderConfig(), "cpu")
     for direction in unit(8, 24):
         ball = one_gaussian(tuple(4.0 * direction), 0.15, 1.0, (1.0, 1.0, 1.0))
-        seen = render_cube(ls.Scene([ball]), np.zeros(3), renderer, 48, 0.01)
+        seen = render_cube(ls.Scene([ball]), np.zeros(3), renderer.render, 48, 0.01)
         found = seen.weights * seen.radiance[:, 0] @ seen.directions
         assert found @ direction > np.cos(np.radians(0.5)) * np.linalg.norm(found)
 
@@ -152,7 +152,7 @@ def test_partly_covered_pixels_are_decoded_as_frames_are() -> None:
     """Without a background, a pixel is un-premultiplied before it is decoded, as in a frame's EXR."""
     renderer = ls.create_renderer(ls.RenderConfig(background=None), "cpu")
     half = one_gaussian((0.0, 0.0, 4.0), 50.0, 0.5, (0.5, 0.5, 0.5))
-    seen = render_cube(ls.Scene([half]), np.zeros(3), renderer, 8, 0.01)
+    seen = render_cube(ls.Scene([half]), np.zeros(3), renderer.render, 8, 0.01)
     brightest = seen.radiance[np.argmax(seen.directions[:, 2])]
     np.testing.assert_allclose(brightest, 0.5 * decode_srgb(np.array(0.5)), rtol=1e-2)
 

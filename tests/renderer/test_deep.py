@@ -13,7 +13,7 @@ import pytest
 import lumisplat as ls
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
-TRACED = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
+TRACED = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False)
 
 
 def card(depth: float, color: float = 0.3) -> ls.MeshInstance:

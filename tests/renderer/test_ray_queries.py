@@ -21,7 +21,7 @@ ORIGIN = np.zeros((1, 3))
 
 def tracer(**trace: object) -> ls.Renderer:
     """A renderer that traces on the CPU."""
-    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=replace(ls.TraceConfig(), **trace))
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, trace=replace(ls.TraceConfig(), **trace))
     return ls.create_renderer(config, "cpu")
 
 

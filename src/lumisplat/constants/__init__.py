@@ -530,6 +530,18 @@ exactly, and enough for a solution where directions are too few."""
 PROBE_IMAGE_ROWS = 64
 """Rows of a probe's latitude-longitude image: several pixels to the narrowest wave of degree 8."""
 
+CAPTURED_LIGHT_ROWS = 32
+"""Rows of the image of a capture around meshes without lights: 5.6 degrees, finer than most highlights."""
+
+CAPTURED_LIGHT_COVERED = 0.75
+"""Share of all directions that a capture must cover around meshes to light them; else a light at the camera does. Rooms
+and places under a sky cover nearly all; ground without a sky covers half, from below, and would show meshes nearly
+black."""
+
+CAPTURED_LIGHT_DRAWS = 32
+"""Directions in which each pixel of a mesh looks for the light of a capture, over all samples of a frame: without
+shadow rays they cost little, and a frame needs one sample only. docs/adr/0093-meshes-put-into-captures.md."""
+
 NORMAL_NEIGHBOURS = 24
 """Median number of neighbours through which the plane of a Gaussian's normal is fitted: over two rings on a surface."""
 

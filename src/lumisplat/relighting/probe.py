@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +27,10 @@ from lumisplat.math.arrays import (
 from lumisplat.math.panorama import panorama_directions, panorama_lookup, panorama_solid_angles
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.math.sh import sh_basis
-from lumisplat.relighting.cubemap import render_cube
+from lumisplat.renderer.cubemap import render_cube
 from lumisplat.renderer.renderer import Renderer, create_renderer
+from lumisplat.renderer.scene.frame_plan import bounces_light
+from lumisplat.scene.checks import check_kind
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
 
@@ -113,7 +115,12 @@ class EnvironmentProbe:
             raise ConfigError("a renderer has its own config: give one of the two")
         place = three_numbers("position", position)
         renderer = create_renderer(config, device) if renderer is None else renderer
-        samples = render_cube(scene, place, renderer, int(face_px), float(near))
+        check_kind("scene", scene, Scene, "a Scene")
+        bounces = bool(scene.splats) and bounces_light(renderer.config)
+        if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights and not bounces:
+            # What lights meshes where there are no lights is at the viewer, or was captured by a probe.
+            renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)
+        samples = render_cube(scene, place, renderer.render, int(face_px), float(near))
         return cls(_fit(samples.directions, samples.radiance, samples.weights, degree, ridge))
 
     @classmethod

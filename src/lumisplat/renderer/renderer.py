@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import Pipeline, Projection, RasterStrategy, RenderConfig
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
@@ -21,6 +21,7 @@ from lumisplat.frame.redistorted import pinhole_of, redistorted
 from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.progress import Progress
+from lumisplat.renderer.captured_light import MeshSurroundings, takes_captured_light
 from lumisplat.renderer.catcher_meshes import (
     catcher_config,
     has_catcher_meshes,
@@ -101,6 +102,7 @@ class Renderer:
         self._warnings = RasterWarnings()
         self._grain = GrainWarning()
         self._media = MediaWarning()
+        self._surroundings = MeshSurroundings()
         self._frame_number = 0
         """Of the next frame, where each adds to what those before it have found."""
         self._catchers: Renderer | None = None
@@ -153,6 +155,7 @@ class Renderer:
             if resume is not None:
                 raise ConfigError("a frame with meshes that are shadow catchers cannot be resumed")
             return self._with_caught(scene, camera, progress, stop)
+        scene = self._lit(scene)
         plan = FramePlan.of(self.config, scene)
         if plan.rasterises and not plan.is_unscented and camera.is_distorted:
             refuse_lens(camera, self.config.pipeline)
@@ -202,6 +205,7 @@ class Renderer:
         check_camera(camera)
         if has_catcher_meshes(scene):
             raise ConfigError("samples of a frame with meshes that are shadow catchers cannot be split")
+        scene = self._lit(scene)
         plan = FramePlan.of(self.config, scene)
         check_blocks(self.config, plan, camera)
         self._check(plan, scene, camera, None)
@@ -252,6 +256,7 @@ class Renderer:
         """As ``reset``, and lets go of the scene of the last frame, which it else holds until the next frame."""
         self.reset()
         self._scene.release()
+        self._surroundings = MeshSurroundings()
 
     def _sampled(
         self,
@@ -365,6 +370,19 @@ class Renderer:
     def _local(self, points: npt.NDArray[np.floating]) -> FloatArray:
         """Returns world positions as the device has them, once the scene is synced, shape (N, 3)."""
         return self._scene.frame.points(points).astype(np.float32)
+
+    def _lit(self, scene: Scene) -> Scene:
+        """The scene with the light of its captures on its meshes, if it has no lights and nobody has decided."""
+        if not takes_captured_light(self.config, scene):
+            return scene
+        return self._surroundings.lit(scene, self._render_surroundings)
+
+    def _render_surroundings(self) -> Callable[[Scene, Camera], Frame]:
+        """What renders captures as they are, for a short while: it has a copy of them on the device."""
+        launcher = Launcher(self.device, self._launcher.threads, parallel=self._launcher.is_parallel)
+        raster = replace(self.config.raster, strategy=RasterStrategy.SORTED, projection=Projection.EWA)
+        config = RenderConfig(background=None, lighting=False, raster=raster, response=self.config.response)
+        return Renderer(config, launcher).render
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:
         """Refuses what cannot be drawn, and logs what is drawn differently."""

@@ -7,8 +7,8 @@ All lights have a ``color`` (linear Rec.709, at least 0, multiplied with the int
 from __future__ import annotations
 
 import math
-from dataclasses import InitVar, dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import InitVar, dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -353,6 +353,22 @@ class LightEnvironment:
 
 Light = LightPoint | LightSpot | LightDirectional | LightSphere | LightRect | LightEnvironment
 """Any light."""
+
+
+def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
+    """Moves a light with the thing that it belongs to; the scale changes neither its intensity nor its range.
+
+    Args:
+        light: Any light; environments stay as they are.
+        world_from_light: Similarity transform, shape (4, 4).
+    """
+    linear = world_from_light[:3, :3]
+    changes: dict[str, Any] = {
+        name: linear @ getattr(light, name) for name in ("direction", "edge_u", "edge_v") if hasattr(light, name)
+    }
+    if not isinstance(light, LightDirectional | LightEnvironment):
+        changes["position"] = linear @ light.position + world_from_light[:3, 3]
+    return replace(light, **changes)
 
 
 def _check_shared(light: Light) -> None:

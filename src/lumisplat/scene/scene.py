@@ -164,12 +164,12 @@ class Scene:
 
     @property
     def is_lit_by_default(self) -> bool:
-        """Whether frames are lit unless ``RenderConfig.lighting`` decides: it has lights, or it is of meshes alone.
+        """Whether frames are lit unless ``RenderConfig.lighting`` decides: it has lights or meshes.
 
-        Meshes without any light are flat areas of colour; a headlight at the camera shows their shape. Captures bring
-        their light with them.
+        Meshes without any light would be flat areas of colour: captures around them light them, or a headlight at the
+        camera. Captures bring their light with them.
         """
-        return bool(self.lights) or (bool(self.meshes) and not self.splats)
+        return bool(self.lights or self.meshes)
 
     @property
     def gaussian_count(self) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.io.gltf.vertex_colors import usable_colors
 from support.files.gltf_writer import Gltf
 from support.files.rig_files import BEND, CARRY, VANISH, TubeRig, quaternion_xyzw
 from support.kinds import expect_kind, present
@@ -323,6 +324,20 @@ def test_a_matrix_is_not_animated(tmp_path: Path) -> None:
     rig.nodes[3] = {"children": [4], "matrix": np.eye(4).reshape(-1).tolist()}
     with pytest.raises(ls.FormatError, match=r"moves nodes\[3\], which has a matrix"):
         load(rig, tmp_path)
+
+
+def test_black_vertex_colours_of_textured_meshes_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
+    """Masks would hide the texture; colours stay, and so do black ones where there is no texture."""
+    texture = np.zeros((2, 2, 3), np.uint8)
+    plain, textured = ls.MaterialPbr(), ls.MaterialPbr(base_color_texture=texture)
+    black, gray = np.zeros((4, 3), np.float32), np.full((4, 3), 0.2, np.float32)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert usable_colors("a.glb", gray, textured, "head", "export it") is gray and not caplog.records
+        assert usable_colors("a.glb", black, textured, "head", "export it") is None
+        assert usable_colors("a.glb", black, plain, "head", "export it") is black
+    left_out, used = (record.getMessage() for record in caplog.records)
+    assert left_out.endswith("'head' black: the mesh has a texture, and COLOR_0 is left out")
+    assert used.endswith("'head' black: if it is no colour, export it")
 
 
 def test_black_vertex_colours_are_logged_and_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

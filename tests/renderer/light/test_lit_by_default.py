@@ -31,13 +31,13 @@ def test_meshes_alone_are_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
     [
         (ls.Scene(), False),
         (ls.Scene([one_gaussian()]), False),
-        (ls.Scene([one_gaussian()], [octahedron((0.0, 0.0, 4.0), 0.5)]), False),
+        (ls.Scene([one_gaussian()], [octahedron((0.0, 0.0, 4.0), 0.5)]), True),
         (ls.Scene([], [octahedron((0.0, 0.0, 4.0), 0.5)]), True),
         (ls.Scene([one_gaussian()], lights=[LAMP]), True),
     ],
 )
-def test_captures_are_shown_as_trained(scene: ls.Scene, is_lit: bool) -> None:
-    """Unless there are lights: a capture brings its own, also to meshes that stand in it."""
+def test_captures_alone_are_shown_as_trained(scene: ls.Scene, is_lit: bool) -> None:
+    """Unless there are lights: a capture brings its own. Meshes are always lit."""
     assert scene.is_lit_by_default is is_lit
     assert (ls.render(scene, front_camera(8, 6), device="cpu").light is not None) is is_lit
 

@@ -90,10 +90,12 @@ def test_resume_tells_light_from_none() -> None:
 
 
 def test_lighting_by_default_follows_the_scene() -> None:
-    """Lights make it a lit frame; without any it is drawn as trained, and lit by the camera's own if told to."""
+    """Lights and meshes make it a lit frame; captures alone are as trained, and lit by the camera's own if told to."""
     dark = replace(scene(), lights=())
+    captures = replace(dark, meshes=())
     assert ls.render(scene(), camera(), config(), device="cpu").color_space == "linear"
-    assert ls.render(dark, camera(), config(), device="cpu").light is None
+    assert ls.render(dark, camera(), config(), device="cpu").color_space == "linear"
+    assert ls.render(captures, camera(), config(), device="cpu").light is None
     assert ls.render(scene(), camera(), config(lighting=False), device="cpu").color_space == "srgb"
     assert checked(ls.render(dark, camera(), config(lighting=True), device="cpu").light).max() > 0.1
 
@@ -213,7 +215,7 @@ def test_moving_a_lamp_needs_no_upload() -> None:
     frames = [renderer.render(each, camera()) for each in (left, right, left)]
     np.testing.assert_array_equal(frames[0].color, frames[2].color)
     assert np.abs(frames[0].color - frames[1].color).max() > 0.05
-    unlit = renderer.render(replace(assets, lights=()), camera())
+    unlit = renderer.render(replace(assets, lights=(), meshes=()), camera())
     assert unlit.light is None
     allocations = renderer._buffers.allocations
     renderer.render(left, camera())

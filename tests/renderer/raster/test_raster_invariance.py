@@ -233,7 +233,8 @@ def test_background_fills_the_rest(way: str, name: str) -> None:
     """Over any background, a frame is the transparent one plus (1 - alpha) times it."""
     case = next(case for case in cases() if case.name == name)
     bare, over = (
-        renderer_of(way, ls.RenderConfig(background=b)).render(case.scene, case.camera) for b in (None, (0.3, 0.9, 0.6))
+        renderer_of(way, ls.RenderConfig(background=b, lighting=False)).render(case.scene, case.camera)
+        for b in (None, (0.3, 0.9, 0.6))
     )
     expected = bare.color + (1.0 - bare.alpha)[..., None] * np.array([0.3, 0.9, 0.6], np.float32)
     assert_close(over.color, expected, atol=1e-6)

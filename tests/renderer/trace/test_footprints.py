@@ -20,7 +20,9 @@ FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 def traced(scene: ls.Scene, camera: ls.Camera, **changes: object) -> ls.Frame:
     """A traced frame; ``changes`` are fields of ``TraceConfig``."""
     trace = replace(ls.TraceConfig(), **changes)
-    return ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace), device="cpu")
+    return ls.render(
+        scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, trace=trace), device="cpu"
+    )
 
 
 def expected_alpha(camera: ls.Camera, area: np.ndarray, dilation: float) -> np.ndarray:
@@ -117,7 +119,10 @@ def test_shadows_have_no_footprint() -> None:
     scene, camera = ls.Scene([above], [quad(6.0, 3.0)], lights), front_camera(48, 32, 40.0, camera_from_world=below)
     wide, thin = (
         ls.render(
-            scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(dilation=d)), device="cpu"
+            scene,
+            camera,
+            ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, trace=ls.TraceConfig(dilation=d)),
+            device="cpu",
         ).color
         for d in (8.0, 0.0)
     )

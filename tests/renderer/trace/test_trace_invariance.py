@@ -42,7 +42,7 @@ def way(request: pytest.FixtureRequest) -> str:
 def settings(strategy: ls.TraceStrategy = SORTED, seed: int = 0, **changes: object) -> ls.RenderConfig:
     """Settings of the ray tracer; ``changes`` are fields of ``TraceConfig``."""
     trace = replace(ls.TraceConfig(strategy=strategy), **changes)
-    return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace, seed=seed)
+    return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, trace=trace, seed=seed)
 
 
 @functools.cache
@@ -459,7 +459,7 @@ def test_normals_that_hybrid_frames_do_not_have(caplog: pytest.LogCaptureFixture
     for pipeline, lines in ((ls.Pipeline.HYBRID, 1), (ls.Pipeline.TRACE, 0), (ls.Pipeline.RASTER, 0)):
         caplog.clear()
         trace = ls.TraceConfig(normal_method=ls.NormalMethod.ELLIPSOID)
-        renderer = ls.create_renderer(ls.RenderConfig(pipeline=pipeline, trace=trace), "cpu")
+        renderer = ls.create_renderer(ls.RenderConfig(pipeline=pipeline, lighting=False, trace=trace), "cpu")
         for _ in range(2):
             renderer.render(scene, camera)
         said = [record.getMessage() for record in caplog.records if "NormalMethod.ELLIPSOID" in record.getMessage()]

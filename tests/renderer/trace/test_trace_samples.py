@@ -191,8 +191,8 @@ def test_resume_refuses_what_does_not_fit() -> None:
     ):
         renderer("cpu").render(other, view(), resume=frame)
     with pytest.raises(ls.ConfigError, match=r"sorted rasteriser cannot be resumed"):
-        ls.create_renderer(device="cpu").render(scene(), view(), resume=frame)
-    rasterised = ls.render(scene(), view(), ls.RenderConfig(background=frame.background), device="cpu")
+        ls.create_renderer(ls.RenderConfig(lighting=False), "cpu").render(scene(), view(), resume=frame)
+    rasterised = ls.render(scene(), view(), ls.RenderConfig(background=frame.background, lighting=False), device="cpu")
     assert rasterised.samples == 0
     with pytest.raises(ls.ConfigError, match="cannot resume a rasterised frame"):
         renderer("cpu").render(scene(), view(), resume=rasterised)

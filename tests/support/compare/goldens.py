@@ -20,7 +20,7 @@ class Golden:
     view: str
     """Name of the demo camera."""
     why: str
-    config: ls.RenderConfig = field(default_factory=ls.RenderConfig)
+    config: ls.RenderConfig = field(default_factory=lambda: ls.RenderConfig(lighting=False))
 
     @property
     def path(self) -> Path:
@@ -36,6 +36,10 @@ class Golden:
 
 CASES = [
     Golden("hero", "the picture of the README: everything at once"),
-    Golden("detail", "splats larger than a pixel, a mesh against them", ls.RenderConfig(background=(1.0, 1.0, 1.0))),
+    Golden(
+        "detail",
+        "splats larger than a pixel, a mesh against them",
+        ls.RenderConfig(background=(1.0, 1.0, 1.0), lighting=False),
+    ),
     Golden("above", "another up in the image, grazing walls"),
 ]

@@ -48,7 +48,9 @@ def trace_config(
 ) -> RenderConfig:
     """Settings of a traced frame, hits in the order of their peaks; ``changes`` as for ``changed_rays``."""
     trace = TraceConfig(hit_distance=HitDistance.PEAK)
-    config = RenderConfig(pipeline=Pipeline.TRACE, background=background, max_bounces=bounces, trace=trace)
+    config = RenderConfig(
+        pipeline=Pipeline.TRACE, background=background, lighting=False, max_bounces=bounces, trace=trace
+    )
     return changed_rays(config, **changes)
 
 

@@ -31,7 +31,7 @@ class Demo(DeviceCommand):
         shots = plan_shots([camera.scaled(self.width) for camera in cameras], (), self.output, "png")
         check_writable(self.output)
         with progress_bars() as report:
-            renderer = self.start_renderer(report)
+            renderer = self.start_renderer(report, ls.RenderConfig(lighting=False))
             make_folder(self.output)
             scene = ls.demo_scene(report)
             if self.save_assets:

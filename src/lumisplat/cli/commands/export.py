@@ -12,8 +12,8 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.file_marks import gltf_document, toml_values
 from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
-from lumisplat.cli.options.command import LoadingCommand
-from lumisplat.cli.options.up import UpOption, say_guessed_up, upright
+from lumisplat.cli.options.command import Flag, LoadingCommand
+from lumisplat.cli.options.up import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 
@@ -46,6 +46,14 @@ class Export(LoadingCommand):
     """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml or
     the capture says, else y down with a capture, y up for meshes alone."""
 
+    keep_coordinates: Flag = False
+    """As for render."""
+
+    @property
+    def keeps_places(self) -> bool:
+        """As the option says."""
+        return self.keep_coordinates
+
     def run(self) -> None:
         """Loads, writes, and prints what is in the file."""
         ls.check_format(self.output, scene=True)  # found now, rather than after the work
@@ -53,7 +61,10 @@ class Export(LoadingCommand):
         cameras = self._cameras()
         with progress_bars() as report:
             animation = self._animation(report)
-            scene = upright(animation.scene if animation else self.load_scene(self.scene, report), self.up)
+            scene = upright(
+                animation.scene if animation else self.load_scene(self.scene, report, given_up=parse_up(self.up)),
+                self.up,
+            )
             say_guessed_up(scene)
             report("writing", 0.0)
             if animation:

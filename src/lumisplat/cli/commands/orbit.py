@@ -20,6 +20,7 @@ from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.command import Flag, ViewsCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
+from lumisplat.cli.options.up import parse_up
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.pictures import check_writable
@@ -94,7 +95,7 @@ class Orbit(ViewsCommand, FrameCommand):
         whole = next((f"--{name}" for name in ("lod", "lod_budget") if getattr(self, name) is not None), "")
         lit, up = environment is not None, self.viewpoint.upright
         blocks = block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole.replace("_", "-"), upright=up)
-        scene = blocks.preview if blocks else up(self.load_scene(self.scene, report))
+        scene = blocks.preview if blocks else self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
         config = self.light.exposed_captures(renderer, config, scene)
         cameras = along or self._round(scene, count)

@@ -24,6 +24,7 @@ from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
 from lumisplat.cli.options.unused import not_used
+from lumisplat.cli.options.up import parse_up
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.frame_progress import FrameProgress
@@ -204,7 +205,7 @@ class Render(ViewsCommand, FrameCommand):
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
         blocks = self._blocks(config, lit=environment is not None)
-        scene = blocks.preview if blocks else self.viewpoint.upright(self.load_scene(self.scene, report))
+        scene = blocks.preview if blocks else self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
         config = self.light.exposed_captures(renderer, config, scene)
         if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(self, _OF_REALTIME)):

@@ -17,12 +17,20 @@ BLOCKS = "blocks.json"
 """The index of a capture in blocks."""
 
 
-def load_scene(paths: Sequence[Path], load: Callable[[Path], ls.Gaussians | ls.Mesh | ls.Scene]) -> ls.Scene:
-    """Loads files of any kind into one scene, each in its own coordinates.
+def load_scene(
+    paths: Sequence[Path],
+    load: Callable[[Path], ls.Gaussians | ls.Mesh | ls.Scene],
+    up: str | tuple[float, float, float] | None = None,
+    *,
+    keep_coordinates: bool = False,
+) -> ls.Scene:
+    """Loads files of any kind into one scene. Meshes beside captures are put into these, as of `lumisplat.insert`.
 
     Args:
         paths: The files.
         load: Reads one of them.
+        up: Up of the scene; None: as the files say.
+        keep_coordinates: Whether meshes stay as they are in their files.
 
     Raises:
         ConfigError: No file was given.
@@ -30,13 +38,20 @@ def load_scene(paths: Sequence[Path], load: Callable[[Path], ls.Gaussians | ls.M
     """
     if not paths:
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
-    scenes = [as_scene(load(path)) for path in paths]
-    return ls.Scene(
-        up=next((scene.up for scene in scenes if scene.up is not None), None),
-        splats=tuple(splat for scene in scenes for splat in scene.splats),
-        meshes=tuple(mesh for scene in scenes for mesh in scene.meshes),
-        lights=tuple(light for scene in scenes for light in scene.lights),
+    scenes = {path: as_scene(load(path)) for path in paths}
+    put = [path for path in scenes if path.suffix.lower() != ".toml" and not scenes[path].splats]
+    if keep_coordinates or not any(scene.splats for scene in scenes.values()):
+        put = []
+    stated = [scene for path, scene in scenes.items() if path not in put]
+    scene = ls.Scene(
+        up=up or next((scene.up for scene in stated if scene.up is not None), None),
+        splats=tuple(splat for scene in stated for splat in scene.splats),
+        meshes=tuple(mesh for scene in stated for mesh in scene.meshes),
+        lights=tuple(light for scene in stated for light in scene.lights),
     )
+    for path in put:
+        scene = ls.insert(scene, scenes[path], name=path.name)
+    return scene
 
 
 def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:

@@ -75,6 +75,11 @@ class LoadingCommand(Command):
         return False
 
     @property
+    def keeps_places(self) -> bool:
+        """Whether meshes beside captures stay as they are in their files."""
+        return False
+
+    @property
     def levels(self) -> dict[str, int | None]:
         """``lod`` and ``budget`` of `lumisplat.load`, if a command has options for them."""
         return {}
@@ -105,7 +110,11 @@ class LoadingCommand(Command):
         )
 
     def load_scene(
-        self, paths: Sequence[Path], report: Report, up: tuple[float, float, float] | None = None
+        self,
+        paths: Sequence[Path],
+        report: Report,
+        up: tuple[float, float, float] | None = None,
+        given_up: str | tuple[float, float, float] | None = None,
     ) -> ls.Scene:
         """Loads files of any kind into one scene.
 
@@ -113,12 +122,15 @@ class LoadingCommand(Command):
             paths: The files.
             report: Shows the progress.
             up: As of `lumisplat.load`.
+            given_up: Up of the scene that an option gives; None: none does.
 
         Raises:
             ConfigError: No file was given.
             FormatError: A file cannot be read.
         """
-        return load_scene(paths, lambda path: self.load_asset(path, report, up))
+        return load_scene(
+            paths, lambda path: self.load_asset(path, report, up), given_up, keep_coordinates=self.keeps_places
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,11 +170,15 @@ class LevelsCommand(LoadingCommand):
             )
 
     def load_scene(
-        self, paths: Sequence[Path], report: Report, up: tuple[float, float, float] | None = None
+        self,
+        paths: Sequence[Path],
+        report: Report,
+        up: tuple[float, float, float] | None = None,
+        given_up: str | tuple[float, float, float] | None = None,
     ) -> ls.Scene:
         """As `LoadingCommand.load_scene`, after `check_levels`."""
         self.check_levels(paths)
-        return super().load_scene(paths, report, up)
+        return super().load_scene(paths, report, up, given_up)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,3 +188,11 @@ class ViewsCommand(LevelsCommand):
     lod_pixels: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: 0, the finest of all)")] = None
     """Of captures in blocks that are shown view by view: blocks that are far are of a coarser level, whose mean
     Gaussian is no larger than this."""
+    keep_coordinates: Flag = False
+    """Meshes beside a capture stay as they are in their files. Without, they stand upright on its ground, where nothing
+    else is, and those in other units are scaled; a scene.toml places them."""
+
+    @property
+    def keeps_places(self) -> bool:
+        """As the option says."""
+        return self.keep_coordinates

@@ -80,6 +80,8 @@ class ShadingSettings:
     """1: some medium inside a mesh absorbs light."""
     soft: int
     """1: lights are sampled over their extent."""
+    more_draws: int
+    """Directions in which interactions look for an environment that casts no shadow, besides the first."""
     changes_shadows: int
     """1: shadow rays darken or tint what they let through, as rays that meet lights do not."""
     capture_gain: float

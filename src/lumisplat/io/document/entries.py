@@ -8,10 +8,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
+import numpy as np
+
+from lumisplat.io.document.written import placement_table
 from lumisplat.io.scene_toml.actors import Load, Subjects, read_actor
 from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
+from lumisplat.io.scene_toml.placement import is_placed, placement
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.io.scene_toml.toml_text import plain_value
 from lumisplat.math.arrays import Doubles, FloatArray
@@ -103,8 +107,11 @@ class EntryReader:
     _assets: Assets | None = None
     _subjects: Subjects | None = None
 
-    def read(self, number: int, kind: EntryKind, values: Mapping[str, Any]) -> SceneEntry:
+    def read(self, number: int, kind: EntryKind, values: Mapping[str, Any], around: Scene | None = None) -> SceneEntry:
         """The entry of a table, of which it has a copy.
+
+        A mesh or an actor that says no place is put into the captures that are ``around`` it; its table then says where
+        it stands, so that it stays there.
 
         Raises:
             FormatError: An entry is unknown or invalid, or a file cannot be read.
@@ -119,10 +126,11 @@ class EntryReader:
         if kind == "actors":
             if self._subjects is None:
                 self._subjects = Subjects(self.load)
-            actor = read_actor(table, self._subjects, self.up)
-            return replace(entry, actor=actor, world_from_file=actor.world_from_object)
-        placed = self.assets.splats(table) if kind == "splats" else self.assets.meshes(table)
-        return replace(
+            actor = read_actor(table, self._subjects, self.up, around)
+            entry = replace(entry, actor=actor, world_from_file=actor.world_from_object)
+            return self.read(number, kind, explicit_table(entry)) if is_inserted(entry) else entry
+        placed = self.assets.splats(table) if kind == "splats" else self.assets.meshes(table, around)
+        entry = replace(
             entry,
             splats=placed.splats,
             meshes=placed.meshes,
@@ -130,6 +138,7 @@ class EntryReader:
             world_from_file=placed.world_from_file,
             _assets=placed.assets,
         )
+        return self.read(number, kind, explicit_table(entry)) if is_inserted(entry) else entry
 
     def part_names(self, entry: SceneEntry) -> list[str]:
         """The names of the meshes of an entry's file."""
@@ -155,6 +164,21 @@ class EntryReader:
             assert read.image is not None
             self.skies[path] = read.image
         return with_checked(light, image=self.skies[path])
+
+
+def is_inserted(entry: SceneEntry) -> bool:
+    """Whether an entry whose table says no place stands elsewhere than its file has it."""
+    if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
+        return False
+    return not np.array_equal(entry.world_from_file, placement(TomlTable.of(Path(), dict(entry.table))))
+
+
+def explicit_table(entry: SceneEntry) -> dict[str, Any]:
+    """The table of a mesh or an actor that says where it stands, whatever it is read beside."""
+    if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
+        return dict(entry.table)
+    rest = {key: value for key, value in entry.table.items() if key != "ground"}
+    return rest | placement_table(entry.world_from_file)
 
 
 def shown_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple[Scene, list[SceneEntry]]:

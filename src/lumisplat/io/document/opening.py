@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lumisplat.errors import ConfigError, FormatError, MissingExtraError, SceneError
-from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry
+from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry, shown_scene
 from lumisplat.io.document.saving import relative_path
 from lumisplat.io.files.source import parsing
 from lumisplat.io.formats import USD
 from lumisplat.io.gltf.scene import shows_one_capture
 from lumisplat.io.ply_files import holds_mesh
+from lumisplat.io.scene_toml.placement import is_placed
 from lumisplat.io.scene_toml.scene_file import read_document
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.io.scene_toml.up import scene_up
@@ -24,6 +25,8 @@ from lumisplat.scene.scene import Scene
 from lumisplat.scene.up import up_vector
 
 _MESHES = (".obj", ".stl")
+_PUT = ("meshes", "actors")
+"""Headings of what is put into captures if it says no place."""
 
 
 @dataclass(slots=True)
@@ -84,28 +87,33 @@ def read_entries(reader: EntryReader, listing: Listing) -> tuple[list[SceneEntry
     Raises:
         FormatError: None of them can.
     """
-    entries: list[SceneEntry] = []
+    entries: dict[int, SceneEntry] = {}
     problems: list[str] = []
-    for number, (kind, table) in enumerate(listing.tables):
+    numbered = list(enumerate(listing.tables))
+    # What says no place is put among what does.
+    for number, (kind, table) in sorted(numbered, key=lambda one: one[1][0] in _PUT and not is_placed(one[1][1])):
+        around = shown_scene(list(entries.values()), reader.up, 0.0)[0] if kind in _PUT else None
         try:
-            entries.append(read_entry(reader, number, kind, table))
+            entries[number] = read_entry(reader, number, kind, table, around)
         except FormatError as error:
             problems.append(" ".join(str(error).split()))
             if len(listing.tables) == 1:
                 raise
     if problems and not entries:
         raise SceneError("; ".join(problems))
-    return entries, problems
+    return [entries[number] for number in sorted(entries)], problems
 
 
-def read_entry(reader: EntryReader, number: int, kind: EntryKind, table: Mapping[str, Any]) -> SceneEntry:
-    """One entry.
+def read_entry(
+    reader: EntryReader, number: int, kind: EntryKind, table: Mapping[str, Any], around: Scene | None = None
+) -> SceneEntry:
+    """One entry; ``around`` as of `EntryReader.read`.
 
     Raises:
         FormatError: It is invalid, or a file cannot be read.
     """
     with parsing(reader.file, "a scene file"):
-        return reader.read(number, kind, table)
+        return reader.read(number, kind, table, around)
 
 
 def heading_of(file: Path) -> Literal["splats", "meshes"]:

@@ -18,7 +18,14 @@ from lumisplat import io
 from lumisplat.config import AvatarLightingConfig, RenderConfig
 from lumisplat.config.checks import suggestion
 from lumisplat.errors import ConfigError, FormatError, SceneError
-from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry, shown_scene
+from lumisplat.io.document.entries import (
+    KINDS,
+    EntryKind,
+    EntryReader,
+    SceneEntry,
+    explicit_table,
+    shown_scene,
+)
 from lumisplat.io.document.memory import entries_of
 from lumisplat.io.document.opening import heading_of, listed_files, read_entries, read_entry, reader_of
 from lumisplat.io.document.saving import relocated, saved_assets
@@ -224,6 +231,8 @@ class SceneDocument:
     def added(self, kind: EntryKind, table: Mapping[str, Any]) -> tuple[SceneDocument, int]:
         """Adds an entry, and returns its id, too.
 
+        A mesh or an actor that says no place is put into the captures: upright, on the ground, as of `insert`.
+
         Args:
             kind: Its heading.
             table: Its keys and values; paths start from the folder of `file`.
@@ -239,7 +248,8 @@ class SceneDocument:
         number = 1 + max((entry.id for entry in self.entries), default=-1)
         number = max(number, self._reader.next_id)
         self._reader.next_id = number + 1
-        entry = read_entry(self._reader, number, kind, dict(table))
+        around = self.scene() if kind in ("meshes", "actors") else None
+        entry = read_entry(self._reader, number, kind, dict(table), around)
         return replace(self, entries=(*self.entries, entry), _scenes={}), number
 
     def duplicated(self, number: int) -> tuple[SceneDocument, int]:
@@ -249,7 +259,7 @@ class SceneDocument:
             ConfigError: It is an environment.
         """
         entry = self.entry(number)
-        copied = dict(entry.table)
+        copied = explicit_table(entry)
         if copied.get("name"):
             names = {other.name for other in self.entries}
             copied["name"] = next(name for n in range(2, len(names) + 3) if (name := f"{entry.name} {n}") not in names)
@@ -326,7 +336,9 @@ class SceneDocument:
         tables: dict[str, Any] = relocated(dict(self.top), self.file.parent, target)
         for kind in KINDS:
             listed = [
-                relocated(dict(entry.table), self.file.parent, target) for entry in self.entries if entry.kind == kind
+                relocated(self._written(entry), self.file.parent, target)
+                for entry in self.entries
+                if entry.kind == kind
             ]
             if listed:
                 tables[kind] = listed[0] if kind == "environment" else listed
@@ -357,6 +369,11 @@ class SceneDocument:
             raise FormatError(path, "cannot be written: a file that it names has a name that is no text") from None
         with atomic_write(target) as temporary:
             Path(temporary).write_bytes(text)
+
+    def _written(self, entry: SceneEntry) -> dict[str, Any]:
+        """The table of an entry as it is saved: beside captures, meshes and actors say where they stand."""
+        beside = any(other.kind == "splats" for other in self.entries)
+        return explicit_table(entry) if beside else dict(entry.table)
 
     def _with(self, changed: SceneEntry) -> SceneDocument:
         entries = tuple(changed if entry.id == changed.id else entry for entry in self.entries)

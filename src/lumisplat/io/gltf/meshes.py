@@ -12,7 +12,7 @@ from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.materials import GltfMaterials, texture_uvs
 from lumisplat.io.gltf.primitive import GltfPrimitive
 from lumisplat.io.gltf.skins import Influences, read_influences
-from lumisplat.io.gltf.vertex_colors import warn_black
+from lumisplat.io.gltf.vertex_colors import usable_colors
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, unit_normals
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
@@ -84,9 +84,10 @@ def read_meshes(
         indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
         if indices.size:
             unit = None if normals is None else unit_normals(normals, positions, indices)
-            mesh = Mesh(positions, indices, unit, raw.uvs, raw.material, raw.colors, raw.name)
-            if mesh.colors is not None:
-                warn_black(file.path, mesh.colors, raw.name, "export the mesh without it")
+            colors = raw.colors
+            if colors is not None:
+                colors = usable_colors(file.path, colors, raw.material, raw.name, "export the mesh without it")
+            mesh = Mesh(positions, indices, unit, raw.uvs, raw.material, colors, raw.name)
             meshes.append(drop_unplaced_textures(file.path, mesh))
     return meshes
 

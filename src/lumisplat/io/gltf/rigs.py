@@ -18,7 +18,7 @@ from lumisplat.io.gltf.meshes import RawPrimitive, read_raw
 from lumisplat.io.gltf.nodes import hierarchy, instance_places, node_columns, node_matrix, scene_nodes
 from lumisplat.io.gltf.scene import check_extensions
 from lumisplat.io.gltf.skins import Influences, Skin, read_skin
-from lumisplat.io.gltf.vertex_colors import warn_black
+from lumisplat.io.gltf.vertex_colors import usable_colors
 from lumisplat.io.meshes.mesh_arrays import placeable_material
 from lumisplat.math.arrays import Doubles, IntArray, read_only_view
 from lumisplat.scene.animation.clips import Channel, Clip
@@ -177,8 +177,8 @@ def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_co
     colors = None
     if vertex_colors and any(raw.colors is not None for raw, _ in pieces):
         per_piece = [np.ones_like(raw.positions) if raw.colors is None else raw.colors for raw, _ in pieces]
-        colors = read_only_view(np.concatenate(per_piece))
-        warn_black(file.path, colors, first.name, "leave it out (vertex_colors = false)")
+        advice = "leave it out (vertex_colors = false)"
+        colors = usable_colors(file.path, read_only_view(np.concatenate(per_piece)), first.material, first.name, advice)
     uv_parts = [raw.uvs for raw, _ in pieces if raw.uvs is not None]
     uvs = read_only_view(np.concatenate(uv_parts)) if uv_parts else None
     material = placeable_material(file.path, first.material, uvs, first.name)

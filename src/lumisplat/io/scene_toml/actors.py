@@ -26,7 +26,7 @@ import numpy as np
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.rigs import is_rigged, read_rig
-from lumisplat.io.scene_toml.placement import PLACEMENT, STANDING, placement
+from lumisplat.io.scene_toml.placement import PLACEMENT, STANDING, inserted, is_placed, placement, turned_upright
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, TABLES, TEXT, WHOLE, TomlTable, Values
 from lumisplat.io.scene_toml.up import scene_up
 from lumisplat.io.splats.sequence import read_sequence
@@ -70,28 +70,31 @@ Load = Callable[..., Gaussians | Mesh | Scene]
 """Loads a file by its path; entries that say so give ``lod`` and ``budget``, too."""
 
 
-def read_actors(document: TomlTable, load: Load) -> list[Actor]:
+def read_actors(document: TomlTable, load: Load, around: Scene) -> list[Actor]:
     """The actors of a scene file that are not hidden, in order. A file named twice in the same form is loaded once.
 
     Args:
         document: Top table of the scene file.
         load: Reads one capture or mesh.
+        around: What stands still.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
     """
     subjects, up = Subjects(load), scene_up(document)
-    actors = [(read_actor(table, subjects, up), table) for table in document.tables("actors")]
+    actors = [(read_actor(table, subjects, up, around), table) for table in document.tables("actors")]
     return [actor for actor, table in actors if not table.values.get("hidden", False)]
 
 
-def read_actor(table: TomlTable, subjects: Subjects, up: Vector) -> Actor:
+def read_actor(table: TomlTable, subjects: Subjects, up: Vector, around: Scene | None = None) -> Actor:
     """The actor of an entry.
 
     Args:
         table: The entry.
         subjects: Makes what it shows.
         up: Unit vector that points up in the scene.
+        around: What stands still; an actor that says no place is put into its captures. None: it stays as it is in its
+            file.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
@@ -100,6 +103,11 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector) -> Actor:
     world_from_file = placement(table, up)
     motion = _motion(table)
     subject = subjects.get(table, given)
+    if around is not None and around.splats and not is_placed(given) and subjects.is_upright(table, given):
+        if motion is None:
+            world_from_file = inserted(table, around, Actor(subject).at(0.0), None)
+        elif not any("rotation_wxyz" in frame.values for frame in table.tables("keyframes")):
+            world_from_file = turned_upright(table, up)
     settings = {key: given[key] for key in ("name", "clip", "loop", "speed", "casts_shadow", "relight") if key in given}
     try:
         return Actor(subject, motion, world_from_file, **settings)
@@ -134,6 +142,13 @@ class Subjects:
 
     load: Load
     _made: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])
+    _captures: set[Path] = field(default_factory=set[Path])
+    """Files of captures, which have the up of captures; others have y up."""
+
+    def is_upright(self, table: TomlTable, given: Values) -> bool:
+        """Whether the file of an entry has y up: it is no capture, and no folder of such."""
+        self.get(table, given)
+        return table.file("path") not in self._captures
 
     def get(self, table: TomlTable, given: Values) -> Subject:
         """The subject of an entry."""
@@ -157,6 +172,7 @@ class Subjects:
         mesh_keys = {"form"} if as_mesh else {"form", "count"}
         if file.is_dir() and not (file / "meta.json").is_file():
             _refuse_others(table, given, {"fps"}, "a folder of frames")
+            self._captures.add(file)
             return read_sequence(file, given.get("fps", 25.0), self.load)
         if file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file)):
             _refuse_others(table, given, {*mesh_keys, "vertex_colors"}, "a rig as a mesh" if as_mesh else "a rig")
@@ -165,6 +181,7 @@ class Subjects:
         loaded = self.load(file)
         if isinstance(loaded, Gaussians):
             _refuse_others(table, given, set(), "a capture")
+            self._captures.add(file)
             return loaded
         if isinstance(loaded, Scene) and not loaded.meshes:
             raise table.error(f"path is {given['path']!r}, which has nothing to see", "path")

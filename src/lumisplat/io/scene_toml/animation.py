@@ -37,7 +37,8 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
         document = read_document(path)
         if not document.tables("actors") and read_camera_path(document) is None:
             raise document.error("lists no [[actors]]: there is nothing to animate, nor a camera with keyframes")
-        animation = animation_of(document, static_scene(document, load), read_actors(document, load))
+        scene = static_scene(document, load)
+        animation = animation_of(document, scene, read_actors(document, load, scene))
         return replace(animation, cameras=tuple(read_scene_cameras(document, load_cameras)))
 
 

@@ -25,14 +25,20 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.format import STREAMED_SOG, format_of
 from lumisplat.io.meshes.mesh_arrays import drop_unplaced_textures
 from lumisplat.io.scene_toml.actors import Load
-from lumisplat.io.scene_toml.lights import move_light
 from lumisplat.io.scene_toml.materials import MaterialTable, entry_material
-from lumisplat.io.scene_toml.placement import PLACEMENT, STANDING, placement
+from lumisplat.io.scene_toml.placement import (
+    PLACEMENT,
+    STANDING,
+    inserted,
+    is_placed,
+    placement,
+)
 from lumisplat.io.scene_toml.shapes import SIZE, shape_mesh
 from lumisplat.io.scene_toml.toml_table import (
     FLAG,
     NAME_OR_NUMBER,
     NUMBER,
+    NUMBER_OR_FALSE,
     TEXT,
     TEXT_OR_TABLE,
     VECTOR,
@@ -44,7 +50,7 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.scene.checks import with_checked
 from lumisplat.scene.editing.crop import crop
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import Light
+from lumisplat.scene.lights import Light, move_light
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.ground import lowest
 from lumisplat.scene.ops.smooth_normals import smooth_normals
@@ -55,7 +61,7 @@ _ENTRY = {
     "path": TEXT,
     **PLACEMENT,
     **STANDING,
-    "ground": NUMBER,
+    "ground": NUMBER_OR_FALSE,
     "name": TEXT,
     "material": TEXT_OR_TABLE,
     "hidden": FLAG,
@@ -137,11 +143,19 @@ class Assets:
         except SceneError as error:
             raise table.failed(error) from None
 
-    def meshes(self, table: TomlTable) -> PlacedEntry:
-        """The meshes and lights of an entry in the world, and the captures of a scene that has such."""
+    def meshes(self, table: TomlTable, around: Scene | None = None) -> PlacedEntry:
+        """The meshes and lights of an entry in the world, and the captures of a scene that has such.
+
+        Args:
+            table: The entry.
+            around: What is there already; an entry that says no place is put into its captures. None: it stays as it
+                is in its file.
+        """
         given, world_from_file = _read_entry(table, "meshes", self.up)
         assets = self._assets(table, "meshes", given)
         scene = self._part(table, given, assets[-1])
+        if around is not None and around.splats and (scene.meshes or scene.splats) and not is_placed(given):
+            world_from_file = inserted(table, around, (*scene.meshes, *scene.splats), scene.up)
         wanted = scene.lights if given.get("lights", True) else ()
         try:
             meshes = [
@@ -192,7 +206,7 @@ class Assets:
     def _lift(self, given: Values, placed: Sequence[SplatInstance | MeshInstance]) -> Doubles:
         """What moves the lowest point of an entry to its ``ground``, shape (4, 4); without that, nothing."""
         move = np.eye(4)
-        if "ground" in given and placed:
+        if not isinstance(given.get("ground", False), bool) and placed:
             height = min(lowest(instance, self.up) for instance in placed)
             move[:3, 3] = (given["ground"] - height) * np.array(self.up)
         return move

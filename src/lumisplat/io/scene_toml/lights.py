@@ -14,11 +14,7 @@ intensity = 0.5
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, TypeVar
-
-import numpy as np
-import numpy.typing as npt
+from typing import TypeVar
 
 from lumisplat.config.checks import suggestion
 from lumisplat.errors import SceneError
@@ -112,19 +108,3 @@ def _make(table: TomlTable, kind: type[_Light], values: Values) -> _Light:
         return kind(**values)
     except SceneError as error:
         raise table.failed(error) from None
-
-
-def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
-    """Moves a light of a glTF file; the scale changes neither its intensity nor its range, as in the file.
-
-    Args:
-        light: A light with a position, a direction or both.
-        world_from_light: Similarity transform, shape (4, 4).
-    """
-    changes: dict[str, Any] = {}
-    linear = world_from_light[:3, :3]
-    if isinstance(light, LightPoint | LightSpot):
-        changes["position"] = linear @ light.position + world_from_light[:3, 3]
-    if isinstance(light, LightSpot | LightDirectional):
-        changes["direction"] = linear @ light.direction
-    return replace(light, **changes)

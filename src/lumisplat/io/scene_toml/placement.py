@@ -1,6 +1,13 @@
-"""Placement of an entry of a scene file: points of its file are scaled, then rotated, then translated."""
+"""Placement of an entry of a scene file: points of its file are scaled, then rotated, then translated.
+
+A mesh or an actor whose entry says nothing of that is put into the captures of the scene: `inserted`.
+"""
 
 from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -8,13 +15,85 @@ import numpy.typing as npt
 from lumisplat.errors import SceneError
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, TEXT, VECTOR, TomlTable
 from lumisplat.math.rotations import rotation_matrix
+from lumisplat.scene.ops.insertion import insertion
 from lumisplat.scene.placing import Placing, placed
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import Vector
+
+_log = logging.getLogger("lumisplat")
 
 PLACEMENT = {"position": VECTOR, "rotation_wxyz": QUATERNION, "scale": NUMBER}
 """Keys of the placement of an entry."""
 STANDING = {"rotation_degrees": VECTOR, "look_at": VECTOR, "front": TEXT, "upright": FLAG}
 """Further keys of captures, meshes and actors: rotations in other words than a quaternion."""
+
+
+_ROUNDING = 1e-15
+"""Of the length of a direction that was normalised."""
+_TURNS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
+
+
+def is_placed(values: Mapping[str, Any]) -> bool:
+    """Whether an entry says where it is or how it is turned: then it stands as it says, and nothing is assumed."""
+    return any(key in values for key in ("position", *_TURNS)) or values.get("ground", False) is not False
+
+
+def keep_saved_places(document: TomlTable) -> None:
+    """Keeps meshes and actors of a scene file that a program saved where they were: at the origin, it wrote no place.
+
+    Programs write up as a direction of length 1, to the last digit. Those of today write all places.
+    """
+    up: Any = document.values.get("up")
+    is_written = VECTOR.accepts(up) and all(isinstance(value, float) for value in up)
+    if not is_written or abs(float(np.linalg.norm(up)) - 1.0) > _ROUNDING:
+        return
+    for heading in ("meshes", "actors"):
+        for table in document.tables(heading):
+            if "path" in table.values and not is_placed(table.values):
+                table.values["upright"] = False
+                _say(table, "says no place, in a file that was saved: it is as in its file; upright = true stands it")
+
+
+def inserted(
+    table: TomlTable, scene: Scene, things: Sequence[MeshInstance | SplatInstance], things_up: Vector | None
+) -> npt.NDArray[np.float64]:
+    """Puts what an entry without a place shows into the captures of a scene, and says so: ``world_from_file``.
+
+    Args:
+        table: The entry; ``scale`` and ``ground = false`` are obeyed.
+        scene: What is there already, with a capture at least.
+        things: What the entry shows, where its file has it.
+        things_up: Up in that file; None: y.
+
+    Raises:
+        FormatError: The scale is not positive.
+    """
+    try:
+        found = insertion(scene, things, things_up, table.values.get("scale"))
+    except SceneError as error:
+        raise table.failed(error) from None
+    matrix = found.world_from_thing
+    if "ground" in table.values:
+        matrix[:3, 3] = 0.0
+        _say(table, "says no place, and stands upright where its file has it (upright = false: as in its file)")
+    else:
+        _say(table, f"says no place, and stands upright on the ground (upright = false: as in its file): {found}")
+    return matrix
+
+
+def turned_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
+    """Stands an actor upright that keyframes move, but do not turn, and says so: ``world_from_file``.
+
+    Raises:
+        FormatError: The scale is not positive.
+    """
+    matrix = placement(TomlTable.of(table.path, {**table.values, "upright": True}), up)
+    _say(table, "says no rotation, and stands upright (upright = false: as in its file)")
+    return matrix
+
+
+def _say(table: TomlTable, line: str) -> None:
+    _log.warning("%s", table.error(line))
 
 
 def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.float64]:

@@ -38,6 +38,7 @@ from lumisplat.io.scene_toml.actors import Load, read_actors
 from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
+from lumisplat.io.scene_toml.placement import keep_saved_places
 from lumisplat.io.scene_toml.timing import read_timing
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.io.scene_toml.up import scene_up
@@ -58,6 +59,7 @@ def read_document(path: PathLike) -> TomlTable:
     """
     document = TomlTable.read(path, "a scene file")
     document.check_keys(_TOP)
+    keep_saved_places(document)
     captures = document.tables("splats")
     if captures:
         document.values["splats"] = [with_present_keys(table.values) for table in captures]
@@ -88,7 +90,7 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
             raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
         read_timing(document)  # of no use to one frame, but its mistakes are found where the file is first tried
         scene = static_scene(document, load)
-        shown = [instance for actor in read_actors(document, load) for instance in actor.at(0.0)]
+        shown = [instance for actor in read_actors(document, load, scene) for instance in actor.at(0.0)]
         splats = tuple(instance for instance in shown if isinstance(instance, SplatInstance))
         meshes = tuple(instance for instance in shown if isinstance(instance, MeshInstance))
         return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
@@ -104,15 +106,18 @@ def static_scene(document: TomlTable, load: Load) -> Scene:
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
     assets = Assets(load, read_materials(document), scene_up(document))
     splats = [(assets.splats(table), table) for table in document.tables("splats")]
-    meshes = [(assets.meshes(table), table) for table in document.tables("meshes")]
     captures = [entry for entry, table in splats if not table.values.get("hidden", False)]
-    surfaces = [entry for entry, table in meshes if not table.values.get("hidden", False)]
-    return Scene(
-        splats=tuple(splat for entry in (*captures, *surfaces) for splat in entry.splats),
-        meshes=tuple(mesh for entry in surfaces for mesh in entry.meshes),
-        lights=(*lights, *(light for entry in surfaces for light in entry.lights), *environment),
-        up=scene_up(document),
-    )
+    scene = Scene(splats=tuple(splat for entry in captures for splat in entry.splats), up=scene_up(document))
+    for table in document.tables("meshes"):
+        entry = assets.meshes(table, scene)
+        if not table.values.get("hidden", False):
+            scene = replace(
+                scene,
+                splats=(*scene.splats, *entry.splats),
+                meshes=(*scene.meshes, *entry.meshes),
+                lights=(*scene.lights, *entry.lights),
+            )
+    return replace(scene, lights=(*lights, *scene.lights, *environment))
 
 
 def _heading(key: str) -> str:

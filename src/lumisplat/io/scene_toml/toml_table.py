@@ -31,6 +31,10 @@ class Kind(NamedTuple):
     """Whether a value is of this kind."""
 
 
+def _is_number_or_false(value: object) -> bool:
+    return value is False or _is_number(value)
+
+
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
@@ -73,6 +77,7 @@ def is_array_of_tables(value: object) -> TypeGuard[list[dict[str, object]]]:
 TEXT = Kind("a string", _is_instance(str))
 FLAG = Kind("true or false", _is_instance(bool))
 NUMBER = Kind("a number", _is_number)
+NUMBER_OR_FALSE = Kind("a number or false", _is_number_or_false)
 WHOLE = Kind("a whole number", _is_whole)
 VECTOR = Kind("three numbers", _is_vector(3))
 PAIR = Kind("two numbers", _is_vector(2))

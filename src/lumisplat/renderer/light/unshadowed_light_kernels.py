@@ -36,11 +36,15 @@ def sampled_light(
 ) -> wp.vec3:
     """Contribution of the unshadowed lights that are sampled: the environment, and soft lights."""
     total = wp.vec3(0.0)
+    draws = 1 + scene[0].settings[0].more_draws
+    share = 1.0 / float(draws)
     for number in range(scene[0].settings[0].light_count):
         if is_unshadowed(number, no_shadows, scene):
             if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                total += environment_contribution(number, False, interaction, pixel_key, sample, scene).color
-                total += environment_contribution(number, True, interaction, pixel_key, sample, scene).color
+                for draw in range(draws):
+                    index = draws * sample + draw
+                    total += share * environment_contribution(number, False, interaction, pixel_key, index, scene).color
+                    total += share * environment_contribution(number, True, interaction, pixel_key, index, scene).color
             elif scene[0].settings[0].soft != 0:
                 total += light_sample_contribution(number, interaction, pixel_key, sample, scene).color
     return total

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from lumisplat.config import (
@@ -18,6 +19,7 @@ from lumisplat.config import (
 )
 from lumisplat.constants import (
     AMBIENT_RAYS_OF_FRAMES,
+    CAPTURED_LIGHT_DRAWS,
     METAL_MIN,
     PATH_BOUNCES,
     SAMPLES_OF_PATHS,
@@ -45,6 +47,11 @@ UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
 SKY = "the environment"
 SOFT_LIGHTS = "lights that have a size"
 SURROUNDINGS = "what is around rough surfaces"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CapturedLight(LightEnvironment):
+    """The light of captures around meshes, in place of the lights that a scene does not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +122,8 @@ class FramePlan:
     """How many its light needs, so that none of it is grainy."""
     grain: tuple[str, ...]
     """Light that comes from random directions, in words: too few samples show it as grain."""
+    environment_draws: int
+    """Directions in which each interaction and sample looks for an environment that casts no shadow."""
     has_lobes: bool
     """Rough surfaces reflect what is around them, by a ray within their highlights."""
     max_bounces: int
@@ -199,6 +208,7 @@ class FramePlan:
         is_open = config.time_limit is not None or config.noise is not None
         adapts = may_adapt(config) and (config.noise is not None if config.adaptive is None else config.adaptive)
         spreads = is_realtime or is_open or config.samples is not None or not keeps
+        samples = config.samples or (SAMPLES_OPEN if is_open else samples_wanted)
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
@@ -211,7 +221,7 @@ class FramePlan:
             splat_shadows=splat_shadows,
             spawns_shadow_rays=casts_shadows or traces_paths or has_lobes or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises or is_unscented,
-            samples=config.samples or (SAMPLES_OPEN if is_open else samples_wanted),
+            samples=samples,
             time_limit=config.time_limit,
             noise=config.noise,
             adapts=adapts,
@@ -219,6 +229,7 @@ class FramePlan:
             jitters_meshes=may_jitter(config, is_lit=is_lit) and not spreads and not adapts and bool(scene.meshes),
             samples_wanted=samples_wanted,
             grain=grain,
+            environment_draws=math.ceil(CAPTURED_LIGHT_DRAWS / samples) if draws_captured_light(config, scene) else 1,
             has_lobes=has_lobes,
             max_bounces=bounces_of(config, is_lit=is_lit, has_mirrors=has_mirrors, has_lobes=has_lobes),
             has_headlight=is_lit and not scene.lights and not (bounces and config.lighting is None and shines(scene)),
@@ -358,8 +369,17 @@ def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
     """The lights whose direction differs from sample to sample, in words."""
     lights = [light for light in scene.lights if light.enabled]
     environment = any(isinstance(light, LightEnvironment) for light in lights)
+    environment = environment and not draws_captured_light(config, scene)
     soft = config.shadows is Shadows.SOFT and any(has_size(light) for light in lights)
     return (SKY,) * environment + (SOFT_LIGHTS,) * soft
+
+
+def draws_captured_light(config: RenderConfig, scene: Scene) -> bool:
+    """Whether each sample looks for the light of captures in many directions, so that one sample is smooth.
+
+    Images of single lights are added up by passes that look in one.
+    """
+    return "lights" not in config.aovs and any(isinstance(light, CapturedLight) for light in scene.lights)
 
 
 def samples_of(grain: tuple[str, ...], scene: Scene) -> int:

@@ -124,6 +124,7 @@ class ShadingTables:
         row["light_count"] = self._table.count
         row["absorbs"] = plan.absorbs
         row["soft"] = config.shadows is Shadows.SOFT or plan.traces_paths
+        row["more_draws"] = plan.environment_draws - 1
         row["changes_shadows"] = config.shadow_rays.changes_shadows
         row["shadow_offset"] = config.shadow_rays.offset
         row["capture_gain"] = 2.0**config.capture_gain

@@ -13,7 +13,7 @@ from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.settings import changed_config, setting, without_none
-from lumisplat.cli.options.up import UpOption, upright
+from lumisplat.cli.options.up import UpOption, parse_up
 from lumisplat.cli.output.console import byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
@@ -70,7 +70,7 @@ class Bake(LoadingCommand, DeviceCommand):
         environment = light.environment_light()
         with progress_bars() as report:
             self.quiet_warp()
-            scene = upright(self.load_scene(self.scene, report), self.up)
+            scene = self.load_scene(self.scene, report, given_up=parse_up(self.up))
             scene = light.lit_scene(replace(scene, splats=tuple(map(_with_material, scene.splats))), environment)
             baked = ls.bake(
                 scene,

@@ -14,7 +14,7 @@ from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import changed_config, setting
-from lumisplat.cli.options.up import UpOption, say_guessed_up, upright
+from lumisplat.cli.options.up import UpOption, parse_up, say_guessed_up
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
@@ -83,7 +83,7 @@ class Relight(LoadingCommand, DeviceCommand):
         with progress_bars() as report:
             renderer = self.start_renderer(report, rendering)
             avatar = self._loaded_avatar(report)
-            scene = upright(self.load_scene(self.scene, report), self.up)
+            scene = self.load_scene(self.scene, report, given_up=parse_up(self.up))
             place = at or _middle(avatar)
             report("gathering light", 0.0)
             probe = ls.EnvironmentProbe.capture(scene, place, self.degree, near=self.near, renderer=renderer)

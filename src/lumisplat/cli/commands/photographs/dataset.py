@@ -21,6 +21,7 @@ from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import RayGroup, RayOptions
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import given_options, setting, without_none
+from lumisplat.cli.options.up import parse_up
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_source import FrameSource
@@ -140,7 +141,7 @@ class Dataset(FrameCommand):
         check_folder(self.output)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
-        scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+        scene = self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
         views = ls.DatasetViews(
             scene,

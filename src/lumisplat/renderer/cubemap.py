@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -11,11 +12,9 @@ import numpy as np
 
 from lumisplat.errors import SceneError
 from lumisplat.frame.frame import Frame
-from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray, IntArray
 from lumisplat.math.tone_map import captured_radiance
-from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.checks import check_kind
 from lumisplat.scene.ops.pixel_rays import world_rays
 from lumisplat.scene.scene import Scene
 
@@ -44,6 +43,15 @@ class CubeSamples(NamedTuple):
     """Solid angles, steradians, shape (N,)."""
 
 
+class CubeFaces(NamedTuple):
+    """What the pixels of the six faces of a cube show, P pixels along an edge, face by face and row by row."""
+
+    radiance: FloatArray
+    """Linear Rec.709, shape (6 P P, 3); without a background it is premultiplied."""
+    alpha: FloatArray
+    """How much of each pixel the scene covers, 0..1, shape (6 P P,)."""
+
+
 class _Cube(NamedTuple):
     """The faces of a cube around the origin."""
 
@@ -54,38 +62,44 @@ class _Cube(NamedTuple):
     """Solid angles of the pixels, shape (6 P P,)."""
 
 
-def render_cube(scene: Scene, position: Doubles, renderer: Renderer, face_px: int, near: float) -> CubeSamples:
+def render_faces(
+    scene: Scene, position: Doubles, render: Callable[[Scene, Camera], Frame], face_px: int, near: float
+) -> CubeFaces:
     """Renders a scene from a place to the six faces of a cube.
 
-    Unlit frames are decoded by `captured_radiance`, lit ones are linear. Uncovered pixels have the renderer's
-    background, or in lit frames the scene's visible environment. Pixels that are not finite are left out, and counted
-    in a log line.
+    Unlit frames are decoded by `captured_radiance`, lit ones are linear. Uncovered pixels have the background of the
+    frames, or in lit ones the scene's visible environment.
 
     Args:
         scene: The scene.
         position: The centre of the cube, world space, shape (3,).
-        renderer: Renders the faces.
+        render: Renders a face, as `lumisplat.Renderer.render` does.
         face_px: Pixels along a face's edge.
         near: Half the side of the cube inside which nothing is seen, scene units.
 
     Raises:
-        SceneError: No pixel is finite, or the renderer refuses the scene.
+        SceneError: The scene is refused.
     """
-    check_kind("scene", scene, Scene, "a Scene")
-    if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights:
-        # The headlight that shows meshes alone goes with the viewer: it is no light of the place.
-        renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)
+    frames = [render(scene, _moved(camera, position, near)) for camera in _cube(face_px).cameras]
+    radiance = np.concatenate([_radiance(frame).reshape(-1, 3) for frame in frames])
+    return CubeFaces(radiance, np.concatenate([frame.alpha.ravel() for frame in frames]))
+
+
+def render_cube(
+    scene: Scene, position: Doubles, render: Callable[[Scene, Camera], Frame], face_px: int, near: float
+) -> CubeSamples:
+    """Samples the radiance that arrives at a place, as of `render_faces`.
+
+    Pixels that are not finite are left out, and counted in a log line.
+
+    Raises:
+        SceneError: No pixel is finite, or the scene is refused.
+    """
     cube = _cube(face_px)
-    colors: list[FloatArray] = []
-    covered = 0.0
-    for camera in cube.cameras:
-        frame = renderer.render(scene, _moved(camera, position, near))
-        colors.append(_radiance(frame).reshape(-1, 3))
-        covered = max(covered, float(np.nanmax(frame.alpha)))
-    if covered == 0.0:
+    radiance, alpha = render_faces(scene, position, render, face_px, near)
+    if np.nanmax(alpha) == 0.0:
         place = ", ".join(f"{x:g}" for x in position)
         _log.warning("a probe at (%s) sees nothing of the scene, only the background", place)
-    radiance = np.concatenate(colors)
     finite = np.isfinite(radiance).all(axis=1)
     if not finite.any():
         raise SceneError("a probe sees no pixel that is finite: are colours or lights of the scene too large?")
@@ -93,6 +107,23 @@ def render_cube(scene: Scene, position: Doubles, renderer: Renderer, face_px: in
         _log.warning("%d pixels of a probe's faces are not finite, and left out", np.count_nonzero(~finite))
         return CubeSamples(cube.directions[finite], radiance[finite], cube.weights[finite])
     return CubeSamples(cube.directions, radiance, cube.weights)
+
+
+def face_pixels(directions: Doubles, face_px: int) -> IntArray:
+    """Finds the pixels of a cube's faces that lie along directions.
+
+    Args:
+        directions: World space, of any length above 0, shape (N, 3).
+        face_px: Pixels along a face's edge, P.
+
+    Returns:
+        Rows of `CubeFaces`, shape (N,).
+    """
+    seen = np.stack([directions @ camera.camera_from_world[:3, :3].T for camera in _cube(face_px).cameras])
+    face = np.argmax(seen[:, :, 2], axis=0)
+    x, y, z = seen[face, np.arange(len(directions))].T
+    column, row = (np.clip((0.5 + 0.5 * axis / z) * face_px, 0, face_px - 1).astype(np.int32) for axis in (x, y))
+    return (face * face_px + row) * face_px + column
 
 
 def cube_solid_angles(face_px: int) -> Doubles:

@@ -1,0 +1,324 @@
+"""Putting things into captures: upright, of a sensible size, on the ground, where nothing else is.
+
+The ground is found cell by cell, seen from above as a picture would be: Gaussians cover a cell with their opacity times
+the area of their shadow on it. The decisions are in docs/adr/0093-meshes-put-into-captures.md.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles, Flags, Rows
+from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import transform_points
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.checks import check_argument, check_positive
+from lumisplat.scene.lights import move_light
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, bulk_extent
+from lumisplat.scene.up import Vector, up_vector, y_up_from
+
+_log = logging.getLogger("lumisplat")
+
+SIZES = (0.02, 0.75)
+"""Diagonals of things, as shares of that of the captures, that are taken for the same units."""
+OWN_SIZE = 0.25
+"""Share of the captures that others are scaled to: a thing in the picture, not the picture."""
+_CELLS_ACROSS = 6
+"""Cells of the ground across the wider side of a thing."""
+_REACH = 64
+"""Cells in each direction from the place where a free one is looked for: ten times the thing."""
+_COVERED = 0.5
+"""Coverage of a cell at which it counts as covered: half of a picture shows the Gaussians up to there."""
+_LAYER = 0.1
+"""Share of a thing's height within which all that is above the lowest covered height belongs to the ground: grass."""
+_BLOCKED = 0.05
+"""Mean coverage, between the ground and the height of a thing, up to which a place is free."""
+_KNOWN = 0.75
+"""Share of a place whose ground must be captured."""
+_FLOOR = 0.1
+"""Share of the cells with a ground that may lie below the floor."""
+_RISE = 0.5
+"""How far above the floor the ground may rise, in heights of the thing; what is higher hangs over the ground."""
+_ASIDE = 0.5
+"""How much nearer a place to the front and the right counts, as a share of its distance: seen, and nothing hidden."""
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """Where a thing stands in captures."""
+
+    world_from_thing: Doubles
+    """A similarity, shape (4, 4)."""
+    scale: float
+    """Of it."""
+
+    def __str__(self) -> str:
+        """Returns the keys of a scene file that place it alike."""
+        place = ", ".join(f"{value:.4g}" for value in self.world_from_thing[:3, 3])
+        scale = f", scale = {self.scale:.4g}" if self.scale != 1.0 else ""
+        return f"upright = true, position = [{place}]{scale}"
+
+
+def insert(scene: Scene, asset: Mesh | Scene, *, scale: float | None = None, name: str = "") -> Scene:
+    """Puts a mesh into a scene of captures: upright, on the ground under it, and where nothing else is.
+
+    What has y up, as most files, or the up of its own scene, is turned to `Scene.up_direction`. It stays where its
+    coordinates put it, but for its height, unless the captures do not reach there or show something there: then it
+    stands beside. One that is less than 2 % or more than 75 % as large as the captures is in other units, and is scaled
+    to a quarter of them. A log line says where it stands. In a scene without captures it stays as it is.
+
+    Args:
+        scene: Where it is put.
+        asset: A mesh, or all that a file of several has; its lights move along.
+        scale: Its scale factor, above 0; None: 1, or as above.
+        name: What the line calls it; without, its own name.
+
+    Raises:
+        SceneError: An argument is out of range.
+    """
+    check_argument("insert", scene, Scene, "a Scene", ": ls.Scene([gaussians]) makes one")
+    if not isinstance(cast("object", asset), Mesh | Scene):
+        raise SceneError(f"insert takes a Mesh or a Scene to put into another, got a {type(asset).__name__}")
+    things = Scene(meshes=(MeshInstance(asset),)) if isinstance(asset, Mesh) else asset
+    matrix = np.eye(4)
+    if scene.splats and (things.meshes or things.splats):
+        found = insertion(scene, (*things.meshes, *things.splats), things.up, scale)
+        matrix = found.world_from_thing
+        label = name or next((i.name or i.mesh.name for i in things.meshes), "") or "the mesh"
+        _log.warning("%s says no place, and stands upright on the ground: %s", label, found)
+
+    def placed(instance: SplatInstance | MeshInstance) -> dict[str, object]:
+        return {"world_from_object": matrix @ instance.transform}
+
+    return replace(
+        scene,
+        splats=(*scene.splats, *(replace(one, **placed(one)) for one in things.splats)),
+        meshes=(*scene.meshes, *(replace(one, **placed(one)) for one in things.meshes)),
+        lights=(*scene.lights, *(move_light(light, matrix) for light in things.lights)),
+    )
+
+
+def insertion(
+    scene: Scene,
+    things: Sequence[MeshInstance | SplatInstance],
+    things_up: Vector | None = None,
+    scale: float | None = None,
+) -> Insertion:
+    """Finds where things stand in a scene: as `insert` puts them, all together.
+
+    Args:
+        scene: With a capture at least.
+        things: At least one, where their file has them.
+        things_up: Up in that file; None: y.
+        scale: Of the things; None: 1, or what makes them fit.
+
+    Raises:
+        SceneError: The scale is out of range.
+    """
+    turn = y_up_from(scene.up_direction)
+    own_turn = y_up_from(up_vector("y-up" if things_up is None else things_up))
+    points = np.concatenate([_points(thing) for thing in things]) @ own_turn.T
+    low, high = points.min(axis=0), points.max(axis=0)
+    seen = _Seen.of(scene, turn)
+    if scale is None:
+        share = float(np.linalg.norm(high - low)) / seen.size
+        scale = 1.0 if SIZES[0] <= share <= SIZES[1] else float(f"{OWN_SIZE / max(share, 1e-12):.3g}")
+    check_positive("scale", scale)
+    low, high = scale * low, scale * high
+    middle = 0.5 * (low + high)
+    place, height = _place(seen, middle[[0, 2]], high - low)
+    moved = np.array([place[0] - middle[0], height - low[1], place[1] - middle[2]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * turn.T @ own_turn
+    matrix[:3, 3] = turn.T @ moved
+    return Insertion(matrix, scale)
+
+
+def _points(thing: MeshInstance | SplatInstance) -> Doubles:
+    """Points around a thing, where its file has it, shape (N, 3)."""
+    if isinstance(thing, MeshInstance):
+        return transform_points(thing.transform, thing.mesh.positions[np.unique(thing.mesh.indices)])
+    low, high = Scene(splats=(thing,)).bulk_bounds()
+    return np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What captures show, in coordinates with x to the right, y up, and z to the front."""
+
+    means: Doubles
+    """Shape (N, 3)."""
+    areas: Doubles
+    """Of the shadows of Gaussians on the ground, times their opacities, shape (N,)."""
+    low: Doubles
+    """Corner of the bulk, shape (3,)."""
+    high: Doubles
+    boxes: tuple[tuple[Doubles, Doubles], ...]
+    """Corners of what has been put there, shape (3,) each."""
+    view: Camera | None
+    """From where the captures are looked at first, in these coordinates."""
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the bulk, above 0."""
+        return max(float(np.linalg.norm(self.high - self.low)), 1e-12)
+
+    @classmethod
+    def of(cls, scene: Scene, turn: Doubles) -> _Seen:
+        """Returns what a scene shows; ``turn`` is a rotation to these coordinates, shape (3, 3)."""
+        means: list[Doubles] = []
+        areas: list[Doubles] = []
+        ends: list[list[tuple[float, float]]] = []
+        view: Camera | None = None
+        for capture in scene.splats:
+            gaussians = capture.gaussians
+            here = capture.world_means @ turn.T
+            linear = turn @ capture.transform[:3, :3]
+            axes = linear @ matrices_from_quaternions(gaussians.rotations_wxyz) * gaussians.scales[:, None, :]
+            x, z = axes[:, 0], axes[:, 2]
+            squared = (x * x).sum(axis=1) * (z * z).sum(axis=1) - (x * z).sum(axis=1) ** 2
+            means.append(here)
+            areas.append(2.0 * np.pi * np.sqrt(np.maximum(squared, 0.0)) * gaussians.opacities)
+            ends.append([bulk_extent(axis, gaussians.opacities) for axis in here.T])
+            if view is None and gaussians.first_view is not None:
+                own = gaussians.first_view.camera_from_world
+                moved = np.eye(4)
+                moved[:3, :3] = turn
+                world_from_camera = moved @ capture.transform @ np.linalg.inv(own)
+                world_from_camera[:3, :3] /= capture.scale
+                view = replace(gaussians.first_view, camera_from_world=np.linalg.inv(world_from_camera))
+        low, high = np.min(ends, axis=0)[:, 0], np.max(ends, axis=0)[:, 1]
+        points = (_points(mesh) @ turn.T for mesh in scene.meshes)
+        boxes = tuple((world.min(axis=0), world.max(axis=0)) for world in points)
+        return cls(np.concatenate(means), np.concatenate(areas), low, high, boxes, view)
+
+
+def _place(seen: _Seen, own: Doubles, size: Doubles) -> tuple[Doubles, float]:
+    """Finds where a thing stands: x and z of its middle, shape (2,), and the height of the ground there.
+
+    Args:
+        seen: What is there.
+        own: Where its coordinates put it, x and z, shape (2,).
+        size: Of its box, shape (3,).
+    """
+    low, high, footprint = seen.low[[0, 2]], seen.high[[0, 2]], size[[0, 2]]
+    start = _start(seen, own)
+    cell = max(float(footprint.max()), 1e-3 * seen.size) / _CELLS_ACROSS
+    corner = start - (_REACH + 0.5) * cell
+    ground, blocked = _ground(seen, corner, cell, max(float(size[1]), cell))
+    half = np.ceil(0.5 * footprint / cell - 0.5).astype(int)
+    steps = np.arange(2 * _REACH + 1) - _REACH
+    offset = cell * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
+    centers = start + offset
+    is_near = ((centers >= low - footprint) & (centers <= high + footprint)).all(axis=-1)
+    is_free = (_box_mean(blocked, half) <= _BLOCKED) & is_near
+    has_ground = is_free & (_box_mean(np.isfinite(ground).astype(np.float64), half) >= _KNOWN)
+    cost = np.linalg.norm(offset, axis=-1) - _ASIDE * offset.sum(axis=-1) / np.sqrt(2.0)
+    row, column = _REACH, _REACH
+    for wanted in (has_ground & _in_view(seen, centers), has_ground, is_free):
+        if wanted.any():
+            if not wanted[row, column]:
+                row, column = np.unravel_index(np.argmin(np.where(wanted, cost, np.inf)), cost.shape)
+            break
+    under = ground[max(row - half[0], 0) : row + half[0] + 1, max(column - half[1], 0) : column + half[1] + 1]
+    height = float(np.nanmedian(under)) if np.isfinite(under).any() else float(seen.low[1])
+    return centers[row, column], height
+
+
+def _start(seen: _Seen, own: Doubles) -> Doubles:
+    """Returns the place by which one is looked for, x and z, shape (2,): a thing's own, unless nobody would see it."""
+    middle = 0.5 * (seen.low + seen.high)
+    inside = bool(((seen.low[[0, 2]] <= own) & (own <= seen.high[[0, 2]])).all())
+    if seen.view is None:
+        return own if inside else middle[[0, 2]]
+    if inside and _in_view(seen, own):
+        return own
+    forward = seen.view.camera_from_world[2, :3]
+    reach = float((middle - seen.view.eye) @ forward)
+    ahead = seen.view.eye + max(reach, 0.1 * seen.size) * forward
+    return np.clip(ahead[[0, 2]], seen.low[[0, 2]], seen.high[[0, 2]])
+
+
+def _in_view(seen: _Seen, places: Doubles) -> Flags:
+    """Whether the first view, if there is one, shows places on the ground, x and z, shape (..., 2), well inside."""
+    if seen.view is None:
+        return np.ones(places.shape[:-1], bool)
+    view = seen.view
+    points = np.insert(places, 1, seen.low[1], axis=-1)
+    x, y, z = np.moveaxis(points @ view.camera_from_world[:3, :3].T + view.camera_from_world[:3, 3], -1, 0)
+    across, down = view.fx * x / np.maximum(z, 1e-12), view.fy * y / np.maximum(z, 1e-12)
+    return (z > 0.0) & (np.abs(across) < 0.4 * view.width) & (np.abs(down) < 0.5 * view.height)
+
+
+def _ground(seen: _Seen, corner: Doubles, cell: float, height: float) -> tuple[Doubles, Doubles]:
+    """Finds the ground of square cells, and what stands on it.
+
+    Seen from below, the lowest Gaussians that cover half of a cell begin the ground; seen from above, those that cover
+    half of it end it. In between lies what nobody sees, and grass.
+
+    Args:
+        seen: What is there.
+        corner: x and z of the first cell's corner, shape (2,).
+        cell: Edge of a cell.
+        height: Of the thing that is to stand there.
+
+    Returns:
+        Heights, NaN where the captures show no ground; and coverage above it up to the height, 0..1. Both have shape
+        (C, C) with C twice `_REACH` and one.
+    """
+    count = 2 * _REACH + 1
+    rows = np.floor((seen.means[:, [0, 2]] - corner) / cell).astype(np.int64)
+    inside = np.flatnonzero(((rows >= 0) & (rows < count)).all(axis=1))
+    number = rows[inside, 0] * count + rows[inside, 1]
+    heights, covers = seen.means[inside, 1], np.minimum(seen.areas[inside] / cell**2, 1.0)
+    order = np.lexsort((heights, number))
+    number, heights, covers = number[order], heights[order], covers[order]
+    ground = np.full(count * count, np.nan)
+    lowest = _first_covered(number, covers, count * count)
+    found = lowest >= 0
+    ground[found] = heights[lowest[found]]
+    with np.errstate(invalid="ignore"):
+        above = heights - ground[number]
+    in_layer = np.flatnonzero((above >= 0.0) & (above <= _LAYER * height))[::-1]
+    top = _first_covered(number[in_layer], covers[in_layer], count * count)
+    found = top >= 0
+    ground[found] = heights[in_layer[top[found]]]
+    known = ground[np.isfinite(ground)]
+    floor = float(np.quantile(known, _FLOOR)) if known.size else seen.low[1]
+    ground[ground > floor + _RISE * height] = np.nan
+    above = heights - np.where(np.isfinite(ground), ground, floor)[number]
+    stands = (above > _LAYER * height) & (above < height)
+    blocked = np.minimum(np.bincount(number[stands], covers[stands], count * count), 1.0).reshape(count, count)
+    for low, high in seen.boxes:
+        first, last = (np.floor((end[[0, 2]] - corner) / cell).astype(np.int64) for end in (low, high))
+        first, last = np.clip(first, 0, count), np.clip(last + 1, 0, count)
+        blocked[first[0] : last[0], first[1] : last[1]] = 1.0
+    return ground.reshape(count, count), blocked
+
+
+def _first_covered(number: Rows, covers: Doubles, count: int) -> Rows:
+    """Returns, of each cell, the row at which its coverage reaches `_COVERED`, or -1; rows of a cell are together."""
+    sums = np.cumsum(covers)
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    before = np.repeat((sums - covers)[starts], np.diff(starts, append=number.size))
+    reached = np.flatnonzero(sums - before >= _COVERED)
+    first = np.full(count, -1, np.int64)
+    first[number[reached][::-1]] = reached[::-1]  # the first of several is written last
+    return first
+
+
+def _box_mean(values: Doubles, half: Rows) -> Doubles:
+    """Returns means over boxes of 2 ``half`` + 1 cells around each cell; outside there is nothing."""
+    rows, columns = (int(number) for number in half)
+    padded = np.pad(values, ((rows + 1, rows), (columns + 1, columns)))
+    sums = padded.cumsum(axis=0).cumsum(axis=1)
+    high, wide = 2 * rows + 1, 2 * columns + 1
+    boxes = sums[high:, wide:] - sums[:-high, wide:] - sums[high:, :-wide] + sums[:-high, :-wide]
+    return boxes / (high * wide)

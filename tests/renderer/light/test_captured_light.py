@@ -1,0 +1,163 @@
+"""Meshes in captures without lights: lit by what the captures show around them, or from the camera."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.sh import even_directions
+from lumisplat.renderer import captured_light
+from support.scenes.pipelines import DIRECT
+from support.scenes.raster_scenes import flat_sh, front_camera, octahedron, one_gaussian
+
+PLACE = np.array([0.2, -0.1, 4.0])
+MATT = ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1), base_color=(0.5, 0.5, 0.5))
+
+
+@pytest.fixture(autouse=True)
+def _unsaid() -> Iterator[None]:
+    captured_light._say.cache_clear()
+    yield
+    captured_light._say.cache_clear()
+
+
+def shell(colors: np.ndarray, share: float = 1.0, radius: float = 8.0) -> ls.Gaussians:
+    """A sphere of dense Gaussians around the mesh, as a room is; of ``share`` below 1 only those at its bottom.
+
+    Args:
+        colors: Display-referred, of all Gaussians or one for each of 3,000.
+        share: Of the sphere, by solid angle, from +y on.
+        radius: Scene units.
+    """
+    along = even_directions(3000)
+    kept = along[:, 1] >= 1.0 - 2.0 * share
+    count = int(kept.sum())
+    return ls.Gaussians(
+        PLACE + radius * along[kept],
+        np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        np.full((count, 3), 0.05 * radius),
+        np.ones(count),
+        flat_sh(np.broadcast_to(colors, (3000, 3))[kept]),
+    )
+
+
+def ball(radius: float = 0.8, **attributes: Any) -> ls.Mesh:
+    """A smooth ball at the place."""
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    positions = sphere.vertices + PLACE
+    return ls.Mesh(positions, sphere.faces, normals=sphere.vertex_normals, material=MATT, **attributes)
+
+
+def light_on(scene: ls.Scene, **settings: Any) -> np.ndarray:
+    """Linear colours of the pixels inside of the ball."""
+    frame = ls.render(scene, front_camera(64, 48), ls.RenderConfig(**settings), device="cpu")
+    assert frame.color_space == "linear"
+    return frame.color[frame.instance_index == 1]
+
+
+@pytest.mark.parametrize("pipeline", DIRECT)
+def test_a_matt_mesh_in_an_even_capture_shows_albedo_times_its_radiance(pipeline: ls.Pipeline) -> None:
+    """A white furnace, from every side of the mesh, in one sample."""
+    color = np.array([0.9, 0.6, 0.3])
+    seen = light_on(ls.Scene([shell(color)], [ball()]), pipeline=pipeline)
+    np.testing.assert_allclose(seen.mean(axis=0), 0.5 * decode_srgb(color), rtol=0.01)
+    assert seen.std(axis=0).max() < 0.02
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_light_comes_from_where_the_capture_shows_it(axis: int) -> None:
+    """Half of the sphere shines: irradiance is (1 + cosine) / 2 of it by the normal's angle to that side."""
+    along = even_directions(3000)
+    colors = np.where(along[:, axis, None] > 0.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])
+    camera = front_camera(96, 72)
+    frame = ls.render(ls.Scene([shell(colors)], [ball()]), camera, device="cpu")
+    inside = frame.instance_index == 1
+    expected = 0.5 * 0.5 * (1.0 + frame.normal[inside][:, axis])
+    error = frame.color[inside].mean(axis=1) - expected
+    assert abs(error.mean()) < 0.01 and np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_captured_light_is_that_of_paths() -> None:
+    """Paths find what captures show around a mesh by bouncing; the mean over the mesh agrees within 5 %."""
+    along = even_directions(3000)
+    colors = 0.5 + 0.4 * along[:, [1, 0, 2]]
+    scene = ls.Scene([shell(colors, radius=50.0)], [ball()])
+    seen, truth = light_on(scene), light_on(scene, pipeline=ls.Pipeline.PATH, samples=32, jitter=False)
+    np.testing.assert_allclose(seen.mean(axis=0), truth.mean(axis=0), rtol=0.05)
+
+
+def test_captures_stay_as_they_were_to_the_byte() -> None:
+    """Only pixels of the mesh change."""
+    scene = ls.Scene([shell(np.array([0.7, 0.5, 0.2]))], [ball()])
+    camera = front_camera(64, 48)
+    lit, flat = (
+        ls.render(scene, camera, ls.RenderConfig(lighting=lighting), device="cpu") for lighting in (None, False)
+    )
+    outside = lit.instance_index == 0
+    assert outside.any()
+    np.testing.assert_array_equal(lit.pixels_srgb()[outside], flat.pixels_srgb()[outside])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_what_a_capture_does_not_surround_is_lit_from_the_camera(share: float) -> None:
+    """A figure without a room, or ground without a sky: the frame is that of lighting=True."""
+    capture = shell(np.array([0.5, 0.5, 0.5]), share) if share else one_gaussian((1.5, 0.0, 4.0))
+    scene = ls.Scene([capture], [octahedron((0.0, 0.0, 4.0), 1.0)])
+    frame, asked = (
+        ls.render(scene, front_camera(40, 30), ls.RenderConfig(lighting=lighting), device="cpu")
+        for lighting in (None, True)
+    )
+    np.testing.assert_array_equal(frame.color, asked.color)
+
+
+def test_lights_and_settings_that_are_given_decide() -> None:
+    """A lamp, a lamp that is off, and lighting=True and False: none of them takes light from the capture."""
+    capture, lamp = shell(np.array([0.2, 0.2, 0.8])), ls.LightPoint(PLACE - (0, 0, 3), intensity=5.0)
+    scene = ls.Scene([capture], [ball()])
+    for lights, lighting in (((lamp,), None), ((replace(lamp, enabled=False),), None), ((), True)):
+        seen = light_on(replace(scene, lights=lights), lighting=lighting)
+        np.testing.assert_allclose(seen[:, 2], seen[:, 0], atol=1e-6)  # nothing blue
+    flat = ls.render(scene, front_camera(64, 48), ls.RenderConfig(lighting=False), device="cpu")
+    assert np.ptp(flat.color[flat.instance_index == 1], axis=0).max() < 1e-6
+
+
+def test_light_follows_the_mesh_and_is_the_same_for_any_renderer() -> None:
+    """A renderer that has shown other places shows what a new one does, to the bit, with any number of threads."""
+    along = even_directions(3000)
+    scene = ls.Scene([shell(np.where(along[:, :1] > 0.0, 0.9, 0.1) * np.ones(3))], [ball()])
+    moved = replace(scene, meshes=[ls.MeshInstance(ball(), position=(1.5, 0.0, 0.0))])
+    camera = front_camera(48, 36)
+    renderer = ls.create_renderer(device="cpu", threads=1)
+    first, other, again = (renderer.render(one, camera) for one in (scene, moved, scene))
+    np.testing.assert_array_equal(first.color, again.color)
+    np.testing.assert_array_equal(other.color, ls.create_renderer(device="cpu", threads=3).render(moved, camera).color)
+    middle = first.instance_index == 1
+    assert abs(float(first.color[middle].mean()) - float(other.color[other.instance_index == 1].mean())) > 0.01
+
+
+def test_more_samples_and_images_of_lights_agree_with_one_sample() -> None:
+    """Directions are spread over samples; where each light has an image, one a sample is looked for."""
+    scene = ls.Scene([shell(np.array([0.9, 0.6, 0.3]))], [ball()])
+    one = light_on(scene).mean(axis=0)
+    np.testing.assert_allclose(light_on(scene, samples=8, jitter=False).mean(axis=0), one, rtol=0.01)
+    np.testing.assert_allclose(light_on(scene, aovs=("lights",), jitter=False).mean(axis=0), one, rtol=0.02)
+
+
+def test_it_is_said_once_what_lights_the_meshes(caplog: pytest.LogCaptureFixture) -> None:
+    """Two renderers and three frames: one line, which names the setting."""
+    scene = ls.Scene([shell(np.array([0.5, 0.5, 0.5]))], [ball()])
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        for _ in range(2):
+            ls.render(scene, front_camera(8, 6), device="cpu")
+        ls.render(ls.Scene(scene.splats), front_camera(8, 6), device="cpu")
+    lines = [record.getMessage() for record in caplog.records]
+    assert len(lines) == 1 and "by the capture around them" in lines[0] and "RenderConfig.lighting=False" in lines[0]

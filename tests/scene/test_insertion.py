@@ -1,0 +1,174 @@
+"""Meshes put into captures: upright, on the ground, beside what stands there, of a sensible size."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.scene.up import up_vector, y_up_from
+from support.scenes.raster_scenes import flat_sh
+
+UPS = ("y-down", "y-up", "z-up", "x-down", (0.3, -0.9, 0.2))
+
+
+def capture(up: Any, blocks: tuple[tuple[float, float], ...] = (), ground: float = 0.7) -> ls.Gaussians:
+    """A square of ground of 8 units, at a height, and blocks of 1 unit on it at places to the right and the front."""
+    side = np.linspace(-4.0, 4.0, 81)
+    x, z = (axis.ravel() for axis in np.meshgrid(side, side))
+    points = [np.stack([x, np.full(x.size, ground), z], axis=1)]
+    edge = np.linspace(-0.5, 0.5, 11)
+    for right, front in blocks:
+        a, b, c = (axis.ravel() for axis in np.meshgrid(edge, edge + 0.5, edge))
+        points.append(np.stack([a + right, b + ground, c + front], axis=1))
+    means = np.concatenate(points) @ y_up_from(up_vector(up))
+    count = len(means)
+    return ls.Gaussians(
+        means, np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), 0.05), np.full(count, 0.99),
+        flat_sh(np.full((count, 3), 0.5)),
+    )  # fmt: skip
+
+
+def cone(height: float = 1.0, at: tuple[float, float] = (0.0, 0.0)) -> ls.Mesh:
+    """A pyramid with y up: its tip is its highest point, its front edge points to +z."""
+    x, z = at
+    base = [(-0.3, 0, -0.3), (0.3, 0, -0.3), (0.3, 0, 0.3), (-0.3, 0, 0.3), (0, 1, 0)]
+    points = height * np.array(base, np.float64) + (x, 5.0, z)
+    return ls.Mesh(points, [(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4), (0, 2, 1), (0, 3, 2)], name="cone")
+
+
+def corners(scene: ls.Scene, number: int = -1) -> np.ndarray:
+    """World positions of a mesh's corners, x to the right, y up, z to the front."""
+    instance = scene.meshes[number]
+    world = instance.mesh.positions @ instance.transform[:3, :3].T + instance.transform[:3, 3]
+    return world @ y_up_from(scene.up_direction).T
+
+
+@pytest.mark.parametrize("up", UPS, ids=str)
+def test_a_mesh_stands_upright_on_the_ground_under_it(up: Any) -> None:
+    """Whatever is up in the capture: the tip is above the base, the base is on the ground, the place is its own."""
+    scene = ls.insert(ls.Scene([capture(up)], up=up), cone(at=(1.0, -0.5)))
+    base, tip = corners(scene)[:4], corners(scene)[4]
+    np.testing.assert_allclose(base[:, 1], 0.7, atol=0.06)
+    np.testing.assert_allclose(tip - base.mean(axis=0), [0.0, 1.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(tip[[0, 2]], [1.0, -0.5], atol=1e-6)
+
+
+def test_it_stands_beside_what_is_there() -> None:
+    """Neither in a captured block nor in a mesh that was put there before, and on the ground all the same."""
+    scene = ls.Scene([capture("y-down", ((0.0, 0.0),))], up="y-down")
+    for _ in range(2):
+        scene = ls.insert(scene, cone())
+    for number in range(2):
+        place = corners(scene, number)
+        assert np.abs(place[4, [0, 2]]).max() > 0.75, "it stands in the block"
+        np.testing.assert_allclose(place[:4, 1], 0.7, atol=0.06)
+    assert np.abs(corners(scene, 0)[4] - corners(scene, 1)[4]).max() > 0.55, "one stands in the other"
+
+
+def test_a_figure_alone_has_it_at_its_feet() -> None:
+    """A capture of a block without any ground: beside it, as low as its lowest part."""
+    whole = capture("y-down", ((0.0, 0.0),))
+    kept = np.abs(whole.means[:, [0, 2]]).max(axis=1) < 0.52
+    alone = ls.Gaussians(
+        whole.means[kept], whole.rotations_wxyz[kept], whole.scales[kept], whole.opacities[kept], whole.sh[kept]
+    )
+    placed = corners(ls.insert(ls.Scene([alone], up="y-down"), cone(0.3)))
+    assert np.abs(placed[4, [0, 2]]).max() > 0.5
+    np.testing.assert_allclose(placed[:4, 1], 0.7, atol=0.1)
+
+
+@pytest.mark.parametrize(("height", "scaled"), [(1.0, False), (1000.0, True), (0.01, True)])
+def test_other_units_are_scaled_and_said(height: float, scaled: bool, caplog: pytest.LogCaptureFixture) -> None:
+    """Millimetres and kilometres become a quarter of the capture; what fits stays as large as it is."""
+    ground = ls.Scene([capture("y-down")], up="y-down")
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        placed = corners(ls.insert(ground, cone(height)))
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert ("scale = " in line) is scaled and "upright = true, position = [" in line
+    expected = 1.0 if not scaled else 0.25 * np.linalg.norm([8.0, 8.0]) / np.linalg.norm([0.6, 1.0, 0.6])
+    np.testing.assert_allclose(np.ptp(placed[:, 1]), expected, rtol=0.05)
+    assert np.ptp(corners(ls.insert(ground, cone(height), scale=2.0))[:, 1]) == pytest.approx(2.0 * height, rel=1e-3)
+
+
+def test_scenes_of_meshes_alone_are_only_joined() -> None:
+    """There is no capture to stand in."""
+    scene = ls.insert(ls.Scene(meshes=[cone()]), cone(2.0))
+    np.testing.assert_array_equal(scene.meshes[1].transform, np.eye(4))
+
+
+def test_lights_move_along_and_what_is_wrong_is_said() -> None:
+    """A lamp over a mesh stays over it; what is no mesh is refused."""
+    ground = ls.Scene([capture("y-down")], up="y-down")
+    lamp = ls.LightSpot((0.0, 7.0, 0.0), (0.0, -1.0, 0.0))
+    scene = ls.insert(ground, ls.Scene(meshes=[cone()], lights=[lamp]))
+    up, tip = np.array(scene.up_direction), scene.meshes[0].bounds()
+    (moved,) = scene.lights
+    assert isinstance(moved, ls.LightSpot)
+    np.testing.assert_allclose(moved.direction, -up, atol=1e-6)
+    assert np.array(moved.position) @ up > np.array(tip).max(axis=0) @ up
+    with pytest.raises(ls.SceneError, match=r"^insert takes a Mesh or a Scene to put into another, got a int$"):
+        ls.insert(ground, 3)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ls.SceneError, match="scale"):
+        ls.insert(ground, cone(), scale=0.0)
+
+
+def scene_file(folder: Path, mesh: str, top: str = 'up = "y-down"') -> Path:
+    """A scene file with the capture and a mesh."""
+    ls.save(folder / "ground.ply", capture("y-down"))
+    text = "\n".join(f"v {x} {y} {z}" for x, y, z in cone().positions) + "\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n"
+    (folder / "cone.obj").write_text(text)
+    file = folder / "scene.toml"
+    file.write_text(f'{top}\n[[splats]]\npath = "ground.ply"\n[[meshes]]\npath = "cone.obj"\n{mesh}\n')
+    return file
+
+
+def loaded(file: Path) -> ls.Scene:
+    """The scene of a scene file."""
+    scene = ls.load(file)
+    assert isinstance(scene, ls.Scene)
+    return scene
+
+
+def test_an_entry_without_a_place_stands_and_one_line_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The line names the entry, and what undoes it."""
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        scene = loaded(scene_file(tmp_path, ""))
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert "meshes[0]: says no place, and stands upright on the ground (upright = false: as in its file)" in line
+    heights, own = corners(scene)[:, 1], scene.meshes[0].mesh.positions[:, 1]
+    np.testing.assert_allclose(heights - heights.min(), own - own.min(), atol=1e-6)
+    np.testing.assert_allclose(heights.min(), 0.7, atol=0.06)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    ["position = [0, 0, 0]", "rotation_wxyz = [1, 0, 0, 0]", "rotation_degrees = [0, 0, 0]", "upright = false"],
+)
+def test_an_entry_with_a_place_is_obeyed_as_it_stands(tmp_path: Path, keys: str) -> None:
+    """Each key that says where or how: the mesh is as in its file."""
+    np.testing.assert_array_equal(loaded(scene_file(tmp_path, keys)).meshes[0].transform, np.eye(4))
+
+
+def test_ground_false_leaves_it_at_its_own_height(tmp_path: Path) -> None:
+    """It stands upright about the origin of its file."""
+    transform = loaded(scene_file(tmp_path, "ground = false")).meshes[0].transform
+    np.testing.assert_allclose(transform, np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-12)
+
+
+def test_files_that_were_saved_keep_their_meaning(tmp_path: Path) -> None:
+    """Up as programs wrote it marks files of before; those of today say each place, and read as they were seen."""
+    old = loaded(scene_file(tmp_path, "", "up = [0.0, -1.0, 0.0]"))
+    np.testing.assert_array_equal(old.meshes[0].transform, np.eye(4))
+    made = ls.SceneDocument.of(ls.Scene([capture("y-down")], [cone()]))
+    made.save(tmp_path / "made.toml")
+    np.testing.assert_array_equal(loaded(tmp_path / "made.toml").meshes[0].transform, np.eye(4))
+    opened = ls.SceneDocument.open([tmp_path / "cone.obj", tmp_path / "ground.ply"])
+    opened.save(tmp_path / "opened.toml")
+    (seen,) = opened.scene().meshes
+    assert not np.array_equal(seen.transform, np.eye(4))
+    np.testing.assert_array_equal(loaded(tmp_path / "opened.toml").meshes[0].transform, seen.transform)
