@@ -416,6 +416,7 @@ DEFAULTS: dict[str, Any] = {
     "shadow_threshold": CONFIG.shadow_rays.transmittance_threshold,
     "shadow_color": CONFIG.shadow_rays.color_strength,
     "tone_map": CONFIG.tone_map,
+    "capture_gain": CONFIG.capture_gain,
     "environment_rotation": 0,
     "lod": "0, the finest",
     "lod_pixels": "0, the finest of all",

@@ -48,7 +48,7 @@ def test_overwriting_removes_what_a_training_has_left_and_nothing_else(tmp_path:
 def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFixture) -> None:
     """Random ones are added, and that is said; where there are enough, or none at all, nothing is."""
     config, seen = ls.TrainConfig(cap=1000, initial=400), cameras(5)
-    few, many = np.zeros((19, 3), np.float32), np.zeros((20, 3), np.float32)
+    few, many = np.zeros((19, 3)), np.zeros((20, 3))
     with caplog.at_level(logging.WARNING, "lumisplat"):
         points, colors = enough_points(few, None, seen, config)
         assert points is not None and colors is not None and points.shape == colors.shape == (400, 3)

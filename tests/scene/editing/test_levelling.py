@@ -107,7 +107,7 @@ def test_a_stated_up_stays_where_there_is_no_ground() -> None:
     up = (0.2, 0.1, 0.9)
     found = ls.find_up(ls.Scene([capture(GUITAR, up=up)]))
     assert (found.source, found.height) == ("stated", None)
-    assert off(found, up / np.linalg.norm(up)) < 1e-5
+    assert off(found, np.array(up) / np.linalg.norm(up)) < 1e-5
 
 
 def test_a_wall_is_no_ground_of_a_capture_that_states_its_up() -> None:

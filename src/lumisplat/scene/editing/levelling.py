@@ -135,11 +135,11 @@ def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussi
 
 def _turn_between(start: Doubles, end: Doubles) -> Doubles:
     """Returns the smallest rotation that turns one unit vector to another, shape (3, 3)."""
-    axis, cosine = np.cross(start, end), float(start @ end)
+    axis, cosine = np.asarray(np.cross(start, end), np.float64), float(start @ end)
     if np.linalg.norm(axis) < 1e-12:
         if cosine > 0.0:
             return np.eye(3)
-        axis = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
+        axis = np.asarray(np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))]), np.float64)
     return axis_rotation(unit_vector(axis), math.atan2(float(np.linalg.norm(np.cross(start, end))), cosine))
 
 
