@@ -94,6 +94,7 @@ def lit_capture(kind: str, seed: int, device: str = "auto") -> LitCapture:
         parts += [_Part(_placed(ls.box((0.08, y - 0.15, 0.08)), (x, 0.5 * y - 0.1, z)), 0.3) for x, y, z in lamps]
         world = _World.of(parts, device)
     shown = _captured(rng, world, parts, views, lamps=lamps, sun=sun, is_open=kind in ("sunny", "overcast"))
+    shown = [replace(part, antialiased=False) for part in shown]  # as captures are trained
     capture = merge_gaussians([*shown, _floaters(rng, size)])
     place = _free_place(rng, size, world, views)
     turn = np.eye(4)

@@ -45,7 +45,9 @@ def reference_of(name: str) -> Reference:
 
 def frame_of(one: LightScene, pipeline: ls.Pipeline, **changes: object) -> ls.Frame:
     """Our frame of a scene, lit."""
-    config = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=one.shadows, max_bounces=8)
+    # The references have direct light alone: what rough metals reflect of other surfaces is not in them.
+    direct = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=one.shadows, max_bounces=8)
+    config = replace(direct, glossy_reflections=False)
     frame = ls.render(one.scene, one.camera, replace(config, **changes), device="cpu")
     assert frame.color_space == "linear"
     return frame

@@ -100,7 +100,7 @@ def test_a_lamp_that_is_placed() -> None:
     camera = ls.Camera.look_at(away + np.array([0, 0.3, 0.002]), away, (0, 0, -1), width=32, height=24, fov_y=0.002)
     floor = quad(away - (3, 0, 3), (0, 0, 6), (6, 0, 0), diffuse(ALBEDO))
     scenes = [ls.Scene(meshes=[floor, ls.MeshInstance(square, matrix)]) for matrix in (np.eye(4), placed)]
-    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=64, max_bounces=0)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=0)
     renderer = ls.create_renderer(config, "cpu")
     frames = [renderer.render(scene, camera) for scene in scenes]
     assert frames[0].color.max() < 1e-6

@@ -362,7 +362,9 @@ def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pi
     light = ls.LightDirectional((0.5, -1.0, 0.0), color=(1.0, 0.6, 0.3), intensity=4.0)
     camera = ls.Camera.look_at((0.0, 3.0, 0.01), (0.3, 0.0, 0.0), (0.0, 0.0, -1.0), width=64, height=48, fov_y=0.45)
     frame = lit(ls.Scene([capture], [lid], [light]), camera, pipeline)
-    unlit = ls.render(ls.Scene([capture], [lid]), camera, ls.RenderConfig(pipeline=pipeline), device="cpu")
+    unlit = ls.render(
+        ls.Scene([capture], [lid]), camera, ls.RenderConfig(pipeline=pipeline, lighting=False), device="cpu"
+    )
     points = floor_points(camera)
     assert frame.light is not None
     assert frame.captured is not None

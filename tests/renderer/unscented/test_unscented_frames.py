@@ -132,6 +132,7 @@ def rim(seed: int, camera: ls.Camera, degrees: float) -> ls.Gaussians:
 def cut_off(camera: ls.Camera, seeds: range, scene_of: Callable[[int], ls.Gaussians] = large) -> int:
     """Fails where tiles cut off parts of Gaussians; returns in how many pixels some were seen."""
     renderer = ls.create_renderer(unscented(transmittance_min=0.0, dilation=0.0), "cpu")
+    camera = replace(camera, near=0.011)  # the default follows the size of the scene, and the twin does not
     twin = Twin(camera, dilation=0.0, transmittance_min=0.0)
     seen = 0
     for seed in seeds:

@@ -26,7 +26,8 @@ def painted_ball() -> ls.Gaussians:
     ball = ls.gaussians_from_mesh(ls.sphere(1.0), 800, 3)
     x, y, z = ball.means.T
     albedo = np.clip(np.stack([0.4 + 0.2 * x, 0.5 + 0.3 * y, 0.3 + 0.1 * z], axis=1), 0.0, 1.0)
-    return replace(ball, albedo=albedo, roughness=0.5 + 0.3 * y, normals=ball.means, sh=0.8 * ball.sh)
+    look = {"albedo": albedo, "roughness": 0.5 + 0.3 * y, "normals": ball.means, "sh": 0.8 * ball.sh}
+    return replace(ball, **look, antialiased=False)  # as captures are trained
 
 
 def cameras() -> list[ls.Camera]:

@@ -118,7 +118,7 @@ class RayRig:
         t_min: float | np.ndarray = 0.0,
         t_max: float | np.ndarray = np.inf,
     ) -> RayData:
-        origins = np.asarray(origins, np.float32)
+        origins = self.scene.frame.points(np.asarray(origins)).astype(np.float32)
         count = len(origins)
         rays = self.buffers.struct("test.rays", RayData, count)
         rays.origin.assign(origins)
@@ -138,4 +138,5 @@ class RayRig:
         active = np.asarray(rays.is_active.numpy(), bool)
         fields = ("origin", "direction", "path_length", "sample_key")
         wave = {name: getattr(rays, name).numpy()[active] for name in fields}
+        wave["origin"] = wave["origin"] + self.scene.frame.origin
         self.waves.append(SimpleNamespace(**wave, t_max=meshes.t.numpy()[active]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ def fitted_document(document: ls.SceneDocument, fit: ls.LightFit, output: Path) 
         if isinstance(light, ls.LightEnvironment):
             table: dict[str, Any] = _sky_table(light)
             if fit.environment is not None:
-                image = {"path": str(_written(fit, output))}
+                image = {"path": _named(document, _written(fit, output))}
             document, _ = document.added("environment", table | (image if light.image is not None else {}))
     return document, remarks
 
@@ -64,6 +65,14 @@ def assets_of(output: Path) -> Path:
     return output.with_name(f"{output.stem}.assets").absolute()
 
 
+def _named(document: ls.SceneDocument, path: Path) -> str:
+    """The name of a file from the folder of a document; its whole path, if that is on another drive."""
+    try:
+        return Path(os.path.relpath(path, document.file.absolute().parent)).as_posix()
+    except ValueError:
+        return str(path)
+
+
 def _made_assets(output: Path) -> Path:
     """The same, which is there."""
     folder = assets_of(output)
@@ -85,7 +94,7 @@ def _with_captures(document: ls.SceneDocument, fit: ls.LightFit, output: Path) -
             continue
         path = _made_assets(output) / f"{stem}.ply"
         ls.save(path, after.splats[number].gaussians)
-        document = document.changed(entry.id, path=str(path))
+        document = document.changed(entry.id, path=_named(document, path))
     return document, remarks
 
 
