@@ -98,7 +98,7 @@ def test_a_lamp_that_is_placed() -> None:
     placed, away = np.eye(4), np.array([200.0, -50.0, 70.0])
     placed[:3] = np.stack([u, 3.0 * np.cross(u, v), v, corner + away], axis=1)
     camera = ls.Camera.look_at(away + np.array([0, 0.3, 0.002]), away, (0, 0, -1), width=32, height=24, fov_y=0.002)
-    floor = quad(away - (3, 0, 3), (0, 0, 6), (6, 0, 0), diffuse(ALBEDO))
+    floor = quad(away - (0.03, 0, 0.03), (0, 0, 0.06), (0.06, 0, 0), diffuse(ALBEDO))
     scenes = [ls.Scene(meshes=[floor, ls.MeshInstance(square, matrix)]) for matrix in (np.eye(4), placed)]
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=0)
     renderer = ls.create_renderer(config, "cpu")
