@@ -111,7 +111,7 @@ def task_of(photographs: ls.Photographs, seconds: float) -> Task:
         intrinsics=np.array([intrinsics_of(one.camera) for one in learnt], np.float32),
         shown_poses=np.stack([one.camera.camera_from_world for one in shown]).astype(np.float32),
         shown_intrinsics=np.array([intrinsics_of(one.camera) for one in shown], np.float32),
-        points=None if photographs.points is None else photographs.points.astype(np.float32),
+        points=photographs.points.astype(np.float32),
         colors=photographs.point_colors,
         extent=np.array(photographs.extent, np.float32),
         seconds=np.array(seconds, np.float32),
