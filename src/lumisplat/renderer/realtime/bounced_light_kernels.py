@@ -60,8 +60,9 @@ def clear_bounced(start: int, samples_out: CacheSamples, bounced_out: BouncedRay
 
 @wp.kernel
 def begin_onward(start: int, onward_out: OnwardRays):
-    """Item = ray: it is at its beginning, in air."""
+    """Item = ray: it is at its beginning, in air, and does not go on yet."""
     i = start + wp.tid()
+    onward_out.rays.is_active[i] = False
     onward_out.way[i] = 0.0
     onward_out.mirrored[i] = 0
     onward_out.weights[i] = wp.vec3(1.0)
