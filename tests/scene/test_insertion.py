@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,66 @@ def test_it_stands_beside_what_is_there() -> None:
         assert np.abs(place[4, [0, 2]]).max() > 0.75, "it stands in the block"
         np.testing.assert_allclose(place[:4, 1], 0.7, atol=0.06)
     assert np.abs(corners(scene, 0)[4] - corners(scene, 1)[4]).max() > 0.55, "one stands in the other"
+
+
+def covered(mesh: ls.Mesh, at: tuple[float, float, float]) -> np.ndarray:
+    """Points on a mesh, moved, with y up."""
+    return ls.gaussians_from_mesh(mesh, 2000).means + np.array(at)
+
+
+def gaussians_at(points: np.ndarray, up: Any = "y-down", scale: float = 0.05) -> ls.Gaussians:
+    """Opaque Gaussians at points with y up, in a scene with another up."""
+    count = len(points)
+    return ls.Gaussians(
+        points @ y_up_from(up_vector(up)), np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), scale),
+        np.full(count, 0.99), flat_sh(np.full((count, 3), 0.5)),
+    )  # fmt: skip
+
+
+def floor_points(y: float = 0.0, count: int = 61) -> np.ndarray:
+    """A grid on a floor of 6 units."""
+    x, z = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-3.0, 3.0, count)]))
+    return np.stack([x, np.full(x.size, y), z], axis=1)
+
+
+ARCH = [covered(ls.box((0.3, 1.5, 0.3)), (x, 0.75, 0.0)) for x in (-0.45, 0.45)]
+ARCH.append(covered(ls.box((1.2, 1.0, 0.4)), (0.0, 2.0, 0.0)))
+TABLE = [covered(ls.box((1.6, 0.1, 1.6)), (0.0, 0.8, 0.0))]
+CUPBOARD = [covered(ls.box((1.2, 2.0, 1.2)), (0.0, 1.0, 0.0))]
+
+
+@pytest.mark.parametrize(
+    ("there", "with_floor", "outside"),
+    [(ARCH, False, (0.6, 0.2)), (ARCH, True, (0.6, 0.2)), (TABLE, True, (0.8, 0.8)), (CUPBOARD, True, (0.6, 0.6))],
+    ids=["between legs", "between legs on a floor", "under a table", "in a cupboard"],
+)
+def test_it_stands_beside_a_thing_not_under_or_in_it(
+    there: list[np.ndarray], with_floor: bool, outside: tuple[float, float]
+) -> None:
+    """A thing of half a unit, at whose own place is room that nobody means."""
+    points = np.concatenate([*there, floor_points()] if with_floor else there)
+    placed = corners(ls.insert(ls.Scene([gaussians_at(points)], up="y-down"), cone(0.5)))
+    assert (np.abs(placed[4, [0, 2]]) > np.array(outside) + 0.15).any()
+    np.testing.assert_allclose(placed[:4, 1], 0.0, atol=0.07)
+
+
+def test_a_plane_that_catches_shadows_takes_no_place() -> None:
+    """A mesh counts as its surface: one stands on a proxy of the ground, and beside a box of the same size."""
+    ground = ls.Scene([capture("y-down")], up="y-down")
+    plane = ls.MeshInstance(ls.plane(8.0, 8.0), position=(0.0, -0.72, 0.0), up="y-down", shadow_catcher=True)
+    on_plane = corners(ls.insert(replace(ground, meshes=[plane]), cone()))
+    np.testing.assert_allclose(on_plane[4, [0, 2]], 0.0, atol=1e-6)
+    box = ls.MeshInstance(ls.box(3.0), position=(0.0, -2.2, 0.0))
+    assert np.abs(corners(ls.insert(replace(ground, meshes=[box]), cone()))[4, [0, 2]]).max() > 1.5
+
+
+@pytest.mark.parametrize("size", [0.15, 0.5])
+def test_few_gaussians_are_a_ground_as_well(size: float) -> None:
+    """A thing that is smaller than the distance between them."""
+    sparse = ls.Scene([gaussians_at(floor_points(0.7, 13), scale=0.25)], up="y-down")
+    placed = corners(ls.insert(sparse, cone(size), scale=1.0))
+    np.testing.assert_allclose(placed[:4, 1], 0.7, atol=0.06)
+    np.testing.assert_allclose(placed[4, [0, 2]], 0.0, atol=1e-6)
 
 
 def test_a_figure_alone_has_it_at_its_feet() -> None:
@@ -172,3 +233,11 @@ def test_files_that_were_saved_keep_their_meaning(tmp_path: Path) -> None:
     (seen,) = opened.scene().meshes
     assert not np.array_equal(seen.transform, np.eye(4))
     np.testing.assert_array_equal(loaded(tmp_path / "opened.toml").meshes[0].transform, seen.transform)
+
+
+def test_actors_without_places_stand_beside_each_other(tmp_path: Path) -> None:
+    """Two of the same file, in a file of captures: neither is in the other."""
+    file = scene_file(tmp_path, "position = [3.0, 0.0, 3.0]")
+    file.write_text(file.read_text() + '[[actors]]\npath = "cone.obj"\nform = "mesh"\n' * 2)
+    _, first, second = (np.array(mesh.bounds()) for mesh in loaded(file).meshes)
+    assert (np.minimum(first[1], second[1]) <= np.maximum(first[0], second[0]))[[0, 2]].any()

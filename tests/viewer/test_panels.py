@@ -31,12 +31,13 @@ from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Options, Session, State, within_memory
 from lumisplat.viewer.state.sun import direction_of_angles, direction_of_hour, sun_angles
 from lumisplat.viewer.things import adding
-from lumisplat.viewer.things.adding import free_name, light_tables, standing, with_sky
+from lumisplat.viewer.things.adding import AddPanel, free_name, light_tables, with_sky
 from lumisplat.viewer.things.crop import crop_ends, crop_reach, crop_table, cropped
 from lumisplat.viewer.things.inspector import light_fields, look_of, put_field
 from lumisplat.viewer.things.things_panel import on_ground
 from lumisplat.viewer.things.tree import tree_html
 from support.files.hdr_files import write_hdr
+from support.scenes.raster_scenes import random_gaussians
 
 EXTENT = Extent((0.0, 0.0, 0.0), 2.0)
 
@@ -307,17 +308,27 @@ def test_the_ends_of_a_crop_are_told_in_numbers() -> None:
     assert crop_table(ends).splitlines()[2:] == ["| x | -1 | 2 |", "| y | 0.25 | 1000 |", "| z | 0.001 | 12.35 |"]
 
 
-def test_new_meshes_stand_where_people_see_them(tmp_path: Path) -> None:
-    """In the middle, on the ground, upright; one that is far too large is made smaller, others keep their size."""
-    extent = Extent((1.0, 2.0, 3.0), 4.0, height_below=1.5)
-    for size, wanted in ((0.5, 0.5), (1000.0, 0.25 * 4.0 / np.sqrt(3.0))):
-        document, number = ls.SceneDocument.of(ls.Scene(up="y-down")).added("meshes", {"shape": "box", "size": size})
-        box = Boxes().of(document.entry(number))
-        assert box is not None
-        low, high = standing(document, number, box, extent).scene().meshes[0].bounds()
-        np.testing.assert_allclose(high - low, np.full(3, wanted), rtol=1e-5)
-        np.testing.assert_allclose(0.5 * (low + high)[[0, 2]], (1.0, 3.0), atol=1e-6)
-        assert high[1] == pytest.approx(2.0 + 1.5)  # down is +y
+def test_what_is_added_stands_as_on_the_command_line() -> None:
+    """Beside captures it is placed and scaled as `ls.insert` does it; beside meshes it is not in them either."""
+    capture = random_gaussians(3, count=200)
+    for around in (ls.Scene([capture], up="z-up"), ls.Scene(meshes=[ls.box(1.0)])):
+        session = Session(Options())
+        session.open(State(ls.SceneDocument.of(around), ls.RenderConfig()))
+        panel = AddPanel.__new__(AddPanel)
+        panel._session = session
+        for size in (0.2, 1000.0):
+            assert panel._insert("meshes", {"shape": "box", "size": size})
+            number = session.selected
+            assert number is not None
+            added = session.state.document.entry(number).meshes[0]
+            if around.splats:
+                expected = ls.insert(around, ls.box(size)).meshes[-1].transform
+                np.testing.assert_allclose(added.transform, expected, atol=1e-6)
+            else:
+                low, high = added.bounds()
+                assert low[1] == pytest.approx(-0.5) and np.abs(0.5 * (low + high))[[0, 2]].max() > 0.5
+                assert float((high - low)[0]) == pytest.approx(0.2 if size < 1.0 else 0.25, rel=0.01)
+            session.apply(lambda document, number=number: document.removed(number))
 
 
 def test_a_sky_takes_the_place_of_another(tmp_path: Path) -> None:

@@ -110,8 +110,8 @@ class EntryReader:
     def read(self, number: int, kind: EntryKind, values: Mapping[str, Any], around: Scene | None = None) -> SceneEntry:
         """The entry of a table, of which it has a copy.
 
-        A mesh or an actor that says no place is put into the captures that are ``around`` it; its table then says where
-        it stands, so that it stays there.
+        A mesh or an actor that says no place is put into what is ``around`` it, which is not empty; its table then says
+        where it stands, so that it stays there.
 
         Raises:
             FormatError: An entry is unknown or invalid, or a file cannot be read.

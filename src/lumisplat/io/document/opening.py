@@ -93,6 +93,7 @@ def read_entries(reader: EntryReader, listing: Listing) -> tuple[list[SceneEntry
     # What says no place is put among what does.
     for number, (kind, table) in sorted(numbered, key=lambda one: one[1][0] in _PUT and not is_placed(one[1][1])):
         around = shown_scene(list(entries.values()), reader.up, 0.0)[0] if kind in _PUT else None
+        around = around if around is not None and around.splats else None
         try:
             entries[number] = read_entry(reader, number, kind, table, around)
         except FormatError as error:

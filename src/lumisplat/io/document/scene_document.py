@@ -231,7 +231,7 @@ class SceneDocument:
     def added(self, kind: EntryKind, table: Mapping[str, Any]) -> tuple[SceneDocument, int]:
         """Adds an entry, and returns its id, too.
 
-        A mesh or an actor that says no place is put into the captures: upright, on the ground, as of `insert`.
+        A mesh or an actor that says no place is put into what is there: upright, on the ground, as of `insert`.
 
         Args:
             kind: Its heading.
@@ -249,6 +249,7 @@ class SceneDocument:
         number = max(number, self._reader.next_id)
         self._reader.next_id = number + 1
         around = self.scene() if kind in ("meshes", "actors") else None
+        around = around if around is not None and (around.splats or around.meshes) else None
         entry = read_entry(self._reader, number, kind, dict(table), around)
         return replace(self, entries=(*self.entries, entry), _scenes={}), number
 

@@ -17,8 +17,8 @@ position = [1.0, 0.0, 0.0]
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +36,7 @@ from lumisplat.scene.animation.rigged_gaussians import bind_gaussians
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.multi_mesh_sampling import gaussians_from_instances
-from lumisplat.scene.scene import MeshInstance, Scene
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import Vector
 
 ACTOR_KEYS = {
@@ -76,14 +76,26 @@ def read_actors(document: TomlTable, load: Load, around: Scene) -> list[Actor]:
     Args:
         document: Top table of the scene file.
         load: Reads one capture or mesh.
-        around: What stands still.
+        around: What stands still; an actor that says no place is put into its captures, beside the actors before it.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
     """
     subjects, up = Subjects(load), scene_up(document)
-    actors = [(read_actor(table, subjects, up, around), table) for table in document.tables("actors")]
-    return [actor for actor, table in actors if not table.values.get("hidden", False)]
+    actors: list[Actor] = []
+    for table in document.tables("actors"):
+        actor = read_actor(table, subjects, up, around if around.splats else None)
+        if not table.values.get("hidden", False):
+            actors.append(actor)
+            around = with_instances(around, actor.at(0.0))
+    return actors
+
+
+def with_instances(scene: Scene, instances: Sequence[SplatInstance | MeshInstance]) -> Scene:
+    """Returns a scene with further captures and meshes."""
+    splats = tuple(instance for instance in instances if isinstance(instance, SplatInstance))
+    meshes = tuple(instance for instance in instances if isinstance(instance, MeshInstance))
+    return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
 
 
 def read_actor(table: TomlTable, subjects: Subjects, up: Vector, around: Scene | None = None) -> Actor:
@@ -93,8 +105,8 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, around: Scene |
         table: The entry.
         subjects: Makes what it shows.
         up: Unit vector that points up in the scene.
-        around: What stands still; an actor that says no place is put into its captures. None: it stays as it is in its
-            file.
+        around: What is there already, not empty; an actor that says no place is put into it. None: it stays as it is in
+            its file.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
@@ -103,7 +115,7 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, around: Scene |
     world_from_file = placement(table, up)
     motion = _motion(table)
     subject = subjects.get(table, given)
-    if around is not None and around.splats and not is_placed(given) and subjects.is_upright(table, given):
+    if around is not None and not is_placed(given) and subjects.is_upright(table, given):
         if motion is None:
             world_from_file = inserted(table, around, Actor(subject).at(0.0), None)
         elif not any("rotation_wxyz" in frame.values for frame in table.tables("keyframes")):

@@ -148,13 +148,13 @@ class Assets:
 
         Args:
             table: The entry.
-            around: What is there already; an entry that says no place is put into its captures. None: it stays as it
+            around: What is there already, not empty; an entry that says no place is put into it. None: it stays as it
                 is in its file.
         """
         given, world_from_file = _read_entry(table, "meshes", self.up)
         assets = self._assets(table, "meshes", given)
         scene = self._part(table, given, assets[-1])
-        if around is not None and around.splats and (scene.meshes or scene.splats) and not is_placed(given):
+        if around is not None and (scene.meshes or scene.splats) and not is_placed(given):
             world_from_file = inserted(table, around, (*scene.meshes, *scene.splats), scene.up)
         wanted = scene.lights if given.get("lights", True) else ()
         try:

@@ -34,7 +34,7 @@ import numpy.typing as npt
 
 from lumisplat.config.renamed import with_present_keys
 from lumisplat.io.files.source import PathLike, parsing
-from lumisplat.io.scene_toml.actors import Load, read_actors
+from lumisplat.io.scene_toml.actors import Load, read_actors, with_instances
 from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
@@ -43,7 +43,7 @@ from lumisplat.io.scene_toml.timing import read_timing
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.io.scene_toml.up import scene_up
 from lumisplat.scene.lights import Light
-from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+from lumisplat.scene.scene import Scene
 from lumisplat.scene.up import up_vector
 
 _TOP = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")
@@ -91,9 +91,7 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
         read_timing(document)  # of no use to one frame, but its mistakes are found where the file is first tried
         scene = static_scene(document, load)
         shown = [instance for actor in read_actors(document, load, scene) for instance in actor.at(0.0)]
-        splats = tuple(instance for instance in shown if isinstance(instance, SplatInstance))
-        meshes = tuple(instance for instance in shown if isinstance(instance, MeshInstance))
-        return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
+        return with_instances(scene, shown)
 
 
 def static_scene(document: TomlTable, load: Load) -> Scene:
@@ -109,7 +107,7 @@ def static_scene(document: TomlTable, load: Load) -> Scene:
     captures = [entry for entry, table in splats if not table.values.get("hidden", False)]
     scene = Scene(splats=tuple(splat for entry in captures for splat in entry.splats), up=scene_up(document))
     for table in document.tables("meshes"):
-        entry = assets.meshes(table, scene)
+        entry = assets.meshes(table, scene if scene.splats else None)
         if not table.values.get("hidden", False):
             scene = replace(
                 scene,

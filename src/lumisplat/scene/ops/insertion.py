@@ -7,7 +7,7 @@ the area of their shadow on it. The decisions are in docs/adr/0093-meshes-put-in
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -21,6 +21,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.lights import move_light
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.sampling.surface_points import stratified_points
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, bulk_extent
 from lumisplat.scene.up import Vector, up_vector, y_up_from
 
@@ -36,12 +37,26 @@ _REACH = 64
 """Cells in each direction from the place where a free one is looked for: ten times the thing."""
 _COVERED = 0.5
 """Coverage of a cell at which it counts as covered: half of a picture shows the Gaussians up to there."""
+_SPACINGS = 1.5
+"""Smallest cell, in spacings that the points of a scene would have, spread evenly over the ground."""
+_MESH_POINTS = 400_000
+"""Points on all meshes of a scene, and at most a twentieth of them on one."""
+_UPRIGHT = 0.2
+"""Least shadow of a part of a mesh on the ground, as a share of its area: a wall stands there, too."""
 _LAYER = 0.1
 """Share of a thing's height within which all that is above the lowest covered height belongs to the ground: grass."""
 _BLOCKED = 0.05
 """Mean coverage, between the ground and the height of a thing, up to which a place is free."""
+_MARGIN = 0.25
+"""Free margin around a thing, as a share of its footprint: beside what is there, not between its legs."""
+_OPEN = 2.0
+"""Height above the ground that is better open where there is a ceiling, in heights of the thing: not under a table."""
+_ROOFED = 0.5
+"""Share of the ground with something above it, at any height, from which that is a ceiling."""
 _KNOWN = 0.75
 """Share of a place whose ground must be captured."""
+_WIDE = 0.25
+"""Share of the largest part of the free ground that another must have: what is inside of a cupboard is free, too."""
 _FLOOR = 0.1
 """Share of the cells with a ground that may lie below the floor."""
 _RISE = 0.5
@@ -151,17 +166,17 @@ def _points(thing: MeshInstance | SplatInstance) -> Doubles:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What captures show, in coordinates with x to the right, y up, and z to the front."""
+    """What a scene shows, in coordinates with x to the right, y up, and z to the front."""
 
     means: Doubles
-    """Shape (N, 3)."""
+    """Of Gaussians, and points on meshes, shape (N, 3)."""
     areas: Doubles
-    """Of the shadows of Gaussians on the ground, times their opacities, shape (N,)."""
+    """Of the shadows of these on the ground, times their opacities, shape (N,)."""
+    solid: Flags
+    """Whether there is no room below a point, as it is on a closed mesh, shape (N,)."""
     low: Doubles
-    """Corner of the bulk, shape (3,)."""
+    """Corner of the bulk of the captures, without any of the meshes, shape (3,)."""
     high: Doubles
-    boxes: tuple[tuple[Doubles, Doubles], ...]
-    """Corners of what has been put there, shape (3,) each."""
     view: Camera | None
     """From where the captures are looked at first, in these coordinates."""
 
@@ -194,10 +209,41 @@ class _Seen:
                 world_from_camera = moved @ capture.transform @ np.linalg.inv(own)
                 world_from_camera[:3, :3] /= capture.scale
                 view = replace(gaussians.first_view, camera_from_world=np.linalg.inv(world_from_camera))
+        points = _MESH_POINTS // max(len(scene.meshes), 20)
+        for place, area in (_surface(mesh, points, turn) for mesh in scene.meshes):
+            means.append(place)
+            areas.append(area)
+            if not scene.splats:
+                ends.append(list(zip(place.min(axis=0), place.max(axis=0), strict=True)))
         low, high = np.min(ends, axis=0)[:, 0], np.max(ends, axis=0)[:, 1]
-        points = (_points(mesh) @ turn.T for mesh in scene.meshes)
-        boxes = tuple((world.min(axis=0), world.max(axis=0)) for world in points)
-        return cls(np.concatenate(means), np.concatenate(areas), low, high, boxes, view)
+        solid = np.zeros(sum(map(len, means)), bool)
+        first = sum(capture.gaussians.count for capture in scene.splats)
+        for mesh, place in zip(scene.meshes, means[len(scene.splats) :], strict=True):
+            solid[first : first + len(place)] = _is_closed(mesh.mesh)
+            first += len(place)
+        return cls(np.concatenate(means), np.concatenate(areas), solid, low, high, view)
+
+
+def _surface(instance: MeshInstance, count: int, turn: Doubles) -> tuple[Doubles, Doubles]:
+    """Points on a placed mesh, and the areas of their shadows, as of `_Seen`; upright parts have some, too."""
+    mesh = instance.mesh
+    world = transform_points(instance.transform, mesh.positions) @ turn.T
+    corners = world[mesh.indices]
+    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sizes = np.linalg.norm(vectors, axis=1)
+    if not sizes.any():
+        return world, np.zeros(len(world))
+    points = stratified_points(mesh, sizes, count, np.random.default_rng(0))
+    slopes = np.maximum(np.abs(vectors[:, 1]), _UPRIGHT * sizes) / np.maximum(sizes, 1e-300)
+    return transform_points(instance.transform, points.positions) @ turn.T, slopes[points.faces] * sizes.sum() / count
+
+
+def _is_closed(mesh: Mesh) -> bool:
+    """Whether triangles enclose a tenth of a mesh's box at least, and face outwards: an object, and no room."""
+    positions = mesh.positions.astype(np.float64)
+    corners = (positions - positions.mean(axis=0))[mesh.indices]
+    x, y, z = (float(extent) for extent in np.ptp(positions, axis=0))
+    return float(np.linalg.det(corners).sum()) / 6.0 > 0.1 * x * y * z
 
 
 def _place(seen: _Seen, own: Doubles, size: Doubles) -> tuple[Doubles, float]:
@@ -210,25 +256,36 @@ def _place(seen: _Seen, own: Doubles, size: Doubles) -> tuple[Doubles, float]:
     """
     low, high, footprint = seen.low[[0, 2]], seen.high[[0, 2]], size[[0, 2]]
     start = _start(seen, own)
-    cell = max(float(footprint.max()), 1e-3 * seen.size) / _CELLS_ACROSS
+    spacing = np.sqrt(float(np.prod(high - low)) / len(seen.means))
+    cell = max(float(footprint.max()) / _CELLS_ACROSS, _SPACINGS * spacing, 1e-4 * seen.size)
     corner = start - (_REACH + 0.5) * cell
-    ground, blocked = _ground(seen, corner, cell, max(float(size[1]), cell))
-    half = np.ceil(0.5 * footprint / cell - 0.5).astype(int)
+    tall = max(float(size[1]), cell)
+    ground, blocked = _ground(seen, corner, cell, tall)
     steps = np.arange(2 * _REACH + 1) - _REACH
     offset = cell * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
     centers = start + offset
-    is_near = ((centers >= low - footprint) & (centers <= high + footprint)).all(axis=-1)
-    is_free = (_box_mean(blocked, half) <= _BLOCKED) & is_near
+    half, wide = (np.ceil(0.5 * share * footprint / cell - 0.5).astype(int) for share in (1.0, 1.0 + 2.0 * _MARGIN))
+    is_near = ((centers >= low - 1.5 * footprint) & (centers <= high + 1.5 * footprint)).all(axis=-1)
+    is_free = (_box_mean(blocked(tall), half) <= _BLOCKED) & is_near
+    is_beside = is_free & (_box_mean(blocked(tall), wide) <= _BLOCKED)
     has_ground = is_free & (_box_mean(np.isfinite(ground).astype(np.float64), half) >= _KNOWN)
+    has_ground &= _wide((blocked(tall) <= _BLOCKED) & np.isfinite(ground) & is_near)
+    view = _in_view(seen, centers)
+    if has_ground.any():
+        has_ceiling = (blocked(np.inf)[np.isfinite(ground)] > _BLOCKED).mean() > _ROOFED
+        is_open = is_beside & (_box_mean(blocked(_OPEN * tall if has_ceiling else np.inf), half) <= _BLOCKED)
+        choices = [has_ground & chosen for chosen in (view & is_open, view & is_beside, view, is_beside)]
+        choices.append(has_ground)
+    else:  # a figure: beside all of it, and not below what it holds out
+        choices = [is_beside & (_box_mean(blocked(np.inf), wide) <= _BLOCKED), is_free]
     cost = np.linalg.norm(offset, axis=-1) - _ASIDE * offset.sum(axis=-1) / np.sqrt(2.0)
     row, column = _REACH, _REACH
-    for wanted in (has_ground & _in_view(seen, centers), has_ground, is_free):
-        if wanted.any():
-            if not wanted[row, column]:
-                row, column = np.unravel_index(np.argmin(np.where(wanted, cost, np.inf)), cost.shape)
-            break
-    under = ground[max(row - half[0], 0) : row + half[0] + 1, max(column - half[1], 0) : column + half[1] + 1]
-    height = float(np.nanmedian(under)) if np.isfinite(under).any() else float(seen.low[1])
+    wanted = next((choice for choice in choices if choice.any()), None)
+    if wanted is not None and not wanted[row, column]:
+        row, column = np.unravel_index(np.argmin(np.where(wanted, cost, np.inf)), cost.shape)
+    ends = [slice(max(int(at) - reach, 0), int(at) + reach + 1) for at, reach in zip((row, column), half, strict=True)]
+    heights = ground[ends[0], ends[1]]
+    height = float(np.nanmedian(heights)) if np.isfinite(heights).any() else float(seen.low[1])
     return centers[row, column], height
 
 
@@ -257,7 +314,7 @@ def _in_view(seen: _Seen, places: Doubles) -> Flags:
     return (z > 0.0) & (np.abs(across) < 0.4 * view.width) & (np.abs(down) < 0.5 * view.height)
 
 
-def _ground(seen: _Seen, corner: Doubles, cell: float, height: float) -> tuple[Doubles, Doubles]:
+def _ground(seen: _Seen, corner: Doubles, cell: float, height: float) -> tuple[Doubles, Callable[[float], Doubles]]:
     """Finds the ground of square cells, and what stands on it.
 
     Seen from below, the lowest Gaussians that cover half of a cell begin the ground; seen from above, those that cover
@@ -270,8 +327,8 @@ def _ground(seen: _Seen, corner: Doubles, cell: float, height: float) -> tuple[D
         height: Of the thing that is to stand there.
 
     Returns:
-        Heights, NaN where the captures show no ground; and coverage above it up to the height, 0..1. Both have shape
-        (C, C) with C twice `_REACH` and one.
+        Heights, NaN where no ground is shown, shape (C, C) with C twice `_REACH` and one; and a function of a height
+        above the ground, which returns the coverage up to there, 0..1, of that shape.
     """
     count = 2 * _REACH + 1
     rows = np.floor((seen.means[:, [0, 2]] - corner) / cell).astype(np.int64)
@@ -279,7 +336,7 @@ def _ground(seen: _Seen, corner: Doubles, cell: float, height: float) -> tuple[D
     number = rows[inside, 0] * count + rows[inside, 1]
     heights, covers = seen.means[inside, 1], np.minimum(seen.areas[inside] / cell**2, 1.0)
     order = np.lexsort((heights, number))
-    number, heights, covers = number[order], heights[order], covers[order]
+    number, heights, covers, solid = number[order], heights[order], covers[order], seen.solid[inside[order]]
     ground = np.full(count * count, np.nan)
     lowest = _first_covered(number, covers, count * count)
     found = lowest >= 0
@@ -294,13 +351,27 @@ def _ground(seen: _Seen, corner: Doubles, cell: float, height: float) -> tuple[D
     floor = float(np.quantile(known, _FLOOR)) if known.size else seen.low[1]
     ground[ground > floor + _RISE * height] = np.nan
     above = heights - np.where(np.isfinite(ground), ground, floor)[number]
-    stands = (above > _LAYER * height) & (above < height)
-    blocked = np.minimum(np.bincount(number[stands], covers[stands], count * count), 1.0).reshape(count, count)
-    for low, high in seen.boxes:
-        first, last = (np.floor((end[[0, 2]] - corner) / cell).astype(np.int64) for end in (low, high))
-        first, last = np.clip(first, 0, count), np.clip(last + 1, 0, count)
-        blocked[first[0] : last[0], first[1] : last[1]] = 1.0
+
+    def blocked(reach: float) -> Doubles:
+        stands = (above > _LAYER * height) & ((above < reach) | solid)
+        return np.minimum(np.bincount(number[stands], covers[stands], count * count), 1.0).reshape(count, count)
+
     return ground.reshape(count, count), blocked
+
+
+def _wide(free: Flags) -> Flags:
+    """Returns the parts of free cells that hang together and are a quarter of the largest: not inside of furniture."""
+    label = np.where(free, np.arange(1, free.size + 1).reshape(free.shape), 0)
+    while True:
+        around = np.pad(label, 1)
+        sides = (around[2:, 1:-1], around[:-2, 1:-1], around[1:-1, 2:], around[1:-1, :-2])
+        joined = np.where(free, np.maximum.reduce([label, *sides]), 0)
+        if (joined == label).all():
+            break
+        label = joined
+    sizes = np.bincount(label.ravel())
+    sizes[0] = 0
+    return free & (sizes[label] >= _WIDE * sizes.max())
 
 
 def _first_covered(number: Rows, covers: Doubles, count: int) -> Rows:

@@ -15,8 +15,6 @@ from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.panels.desk import pose_of_page
 from lumisplat.viewer.server.turns import in_turn
-from lumisplat.viewer.state.boxes import Box, world_corners
-from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
@@ -37,10 +35,6 @@ _LAMP_AT = (-0.45, -0.7, 0.5)
 distance to what it looks at: near enough to the middle not to be behind the panel."""
 _BRIGHTNESS = 3.0
 """Irradiance of new lamps at what the page looks at."""
-_SIZES = (0.02, 1.5)
-"""Sizes of meshes, as shares of the scene's, that are left as they are in their files."""
-_OWN_SIZE = 0.25
-"""Share that others are scaled to."""
 
 
 class AddPanel:
@@ -93,7 +87,7 @@ class AddPanel:
         elif kind in tables:
             self._insert("lights", {"type": kind, **tables[kind]})
         elif kind in _SHAPES:
-            self._insert("meshes", {"shape": kind, "size": 0.1 * self._session.extent.size, "upright": True})
+            self._insert("meshes", {"shape": kind, "size": 0.1 * self._session.extent.size})
 
     def _add_file(self, asked: tuple[str, bool]) -> None:
         """Adds a file beside the scene: one of those that are there, whatever a page says; perhaps as an actor."""
@@ -125,23 +119,17 @@ class AddPanel:
         kind, table = _kind_of(path), {"path": name}
         if kind == "environment":
             return self._session.apply(lambda document: self._selected(*with_sky(document, name)))
-        table |= {"upright": True} if kind == "meshes" else {}
         done = self._insert("actors" if moves else kind, table)
         self._moves.value = False
         return done
 
     def _insert(self, kind: Any, table: dict[str, Any]) -> bool:
-        """Adds an entry and selects it; meshes are put where people see them."""
-        extent, has_more = self._session.extent, bool(self._session.state.document.entries)
+        """Adds an entry and selects it; a mesh or an actor stands beside what is there, as of `SceneDocument.added`."""
 
         def insert(document: ls.SceneDocument) -> ls.SceneDocument:
-            document, number = document.added(kind, table)
-            if kind in ("meshes", "actors") and has_more:
-                with self._session.changed:
-                    box = self._session.boxes.of(document.entry(number))
-                assert box is not None
-                document = standing(document, number, box, extent)
-            return self._selected(document, number)
+            scene = document.scene()
+            is_first = kind == "meshes" and not (scene.splats or scene.meshes)
+            return self._selected(*document.added(kind, {**table, "upright": True} if is_first else table))
 
         return self._session.apply(insert)
 
@@ -178,30 +166,6 @@ def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
 
 def _listed(vector: Any) -> list[float]:
     return [float(x) for x in vector]
-
-
-def standing(document: ls.SceneDocument, number: int, box: Box, extent: Extent) -> ls.SceneDocument:
-    """The document with an entry in the middle of the scene, on its ground, scaled if it is far too small or large.
-
-    Args:
-        document: The scene.
-        number: Id of the entry.
-        box: Around what it shows, in its own coordinates.
-        extent: Of the scene.
-    """
-    placed = np.array(document.entry(number).world_from_file, np.float64)
-    placed[:3, 3] = 0.0
-    size = float(np.linalg.norm(placed[:3, :3] @ (box[1] - box[0])))
-    low, high = _SIZES
-    if not low * extent.size <= size <= high * extent.size:
-        placed[:3, :3] *= _OWN_SIZE * extent.size / max(size, 1e-9)
-    up = np.array(document.scene().up_direction)
-    corners = world_corners(box, placed)
-    foot = float((corners @ up).min())
-    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    ground = np.array(extent.center) - extent.height_below * up
-    placed[:3, 3] = ground - (middle - (middle @ up) * up) - foot * up
-    return document.placed(number, placed)
 
 
 def with_sky(document: ls.SceneDocument, path: str) -> tuple[ls.SceneDocument, int]:
