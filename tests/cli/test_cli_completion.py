@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
 import lumisplat as ls
+from lumisplat import cli
 from lumisplat.cli.commands.machine.completion_scripts import SCRIPTS, command_words, script_for
+from lumisplat.cli.input.positionals import gathered_positionals
 
 _CASES = (
     (("re",), ["relight", "render"]),
@@ -77,6 +81,30 @@ def test_all_commands_are_there(capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["completion", shell]) == 0
         script = capsys.readouterr().out
         assert all(name in script for name in ("render", "doctor", "shadow-method", "hybrid"))
+
+
+def test_files_may_stand_between_options() -> None:
+    """In every command: what follows a flag is a file, what follows another option is its value."""
+    table = command_words(
+        subprocess.run(
+            [sys.executable, "-m", "lumisplat", "--tyro-print-completion", "bash"],
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+    )
+    kinds = cli._commands(cli._Command)
+    farmed = cli._commands(get_args(get_type_hints(kinds.pop("farm"), include_extras=True)["what"])[0])
+    for name, kind in (kinds | {f"farm {name}": kind for name, kind in farmed.items()}).items():
+        words = table[name]
+        for option in words.options:
+            given = gathered_positionals(["a", option, "b", "c"], kind)
+            values = 1 if option in words.choices else 0
+            expected = ["a", *("b", "c")[values:], option, *("b",)[:values]]
+            assert given == expected or option == "--objects", (name, option)
+    typed = ["render", "a.ply", "--lod", "3", "b.obj", "--stats", "c.obj", "-o", "x.png"]
+    assert cli._arguments(typed) == ["render", "a.ply", "b.obj", "c.obj", "--lod", "3", "--stats", "-o", "x.png"]
+    assert cli._arguments(["dataset", "a", "--objects", "b", "c"]) == ["dataset", "a", "--objects", "b", "c"]
 
 
 def test_another_tyro_is_told() -> None:

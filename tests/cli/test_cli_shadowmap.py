@@ -25,7 +25,9 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
 
 def run(work: Workplace, *args: str) -> tuple[int, str, str]:
     """Casts the mesh's shadow onto the capture."""
-    outcome = work.run("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--device", "cpu", *args)
+    outcome = work.run(
+        "shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--keep-coordinates", "--device", "cpu", *args
+    )
     return outcome.status, outcome.out, outcome.err
 
 
@@ -112,3 +114,21 @@ def test_casters_of_a_scene_file_stand_in_the_capture(work: Workplace) -> None:
         shadows[name] = work.capture(f"{name}.ply").sh
     np.testing.assert_array_equal(shadows["own"], shadows["down"])
     assert (shadows["own"] != shadows["up"]).any()
+
+
+def test_meshes_that_cast_are_put_onto_the_capture(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Where `render` puts them beside it; --keep-coordinates leaves them in their files' places."""
+    args = ("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
+    put = work.run(*args, "-o", "@put.ply")
+    assert put.status == 0 and "mesh.obj says no place, and stands upright on the ground" in caplog.text
+    caplog.clear()
+    kept = work.run(*args, "--keep-coordinates", "-o", "@kept.ply")
+    assert kept.status == 0 and not caplog.text
+    capture = work.capture("capture.ply")
+    placed = ls.insert(ls.Scene([capture]), ls.load(work.path("mesh.obj")))  # pyright: ignore[reportArgumentType]
+    lighter = ls.AvatarLighter(
+        ls.Scene([capture]), [ls.LightPoint((0, 0, -6))], ls.AvatarLightingConfig(relight=False), device="cpu"
+    )
+    expected = lighter.light(list(placed.meshes)).splats[0].gaussians
+    np.testing.assert_array_equal(work.capture("put.ply").sh, expected.sh)
+    assert (work.capture("put.ply").sh != work.capture("kept.ply").sh).any()

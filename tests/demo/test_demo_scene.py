@@ -139,3 +139,10 @@ def test_relit_demo_is_well_exposed(lit: ls.Scene) -> None:
         assert (brightest > 0.99).mean() < 0.02, camera.name
         assert (brightest < 0.02).mean() < 0.05, camera.name
         assert frame.stats is not None and frame.stats.nonfinite_count == 0
+
+
+def test_y_is_up(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
+    """The capture says so, also where it is taken out of the scene: nothing has to be guessed."""
+    scene = demo_and_progress[0]
+    for shown in (scene, ls.demo_scene_lit(), ls.Scene(splats=scene.splats)):
+        assert (shown.up_direction, shown.up_source) == ((0.0, 1.0, 0.0), "capture")

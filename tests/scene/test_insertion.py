@@ -241,3 +241,49 @@ def test_actors_without_places_stand_beside_each_other(tmp_path: Path) -> None:
     file.write_text(file.read_text() + '[[actors]]\npath = "cone.obj"\nform = "mesh"\n' * 2)
     _, first, second = (np.array(mesh.bounds()) for mesh in loaded(file).meshes)
     assert (np.minimum(first[1], second[1]) <= np.maximum(first[0], second[0]))[[0, 2]].any()
+
+
+@pytest.mark.parametrize(("front", "axis"), [("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("-x", (-1, 0, 0))])
+def test_its_front_faces_who_sees_the_scene_from_the_front(tmp_path: Path, front: str, axis: Any) -> None:
+    """In Python and in a scene file, of a mesh and of an actor; the document that is saved says it in full."""
+    ground = ls.Scene([capture("y-down")], up="y-down")
+    actor = f'[[actors]]\npath = "cone.obj"\nform = "mesh"\nfront = "{front}"\n'
+    file = scene_file(tmp_path, f'front = "{front}"\n{actor}')
+    meshes = [*loaded(file).meshes, ls.insert(ground, cone(), front=front).meshes[0]]
+    ls.SceneDocument.open(file).save(tmp_path / "saved.toml")
+    for mesh in (*meshes, *loaded(tmp_path / "saved.toml").meshes):
+        np.testing.assert_allclose(mesh.transform[:3, :3] @ np.array(axis), (0.0, 0.0, -1.0), atol=1e-9)
+    with pytest.raises(ls.SceneError, match=r"front is 'z', expected one of \+z"):
+        ls.insert(ground, cone(), front="z")
+
+
+def test_a_front_alone_stands_a_mesh_without_captures(tmp_path: Path) -> None:
+    """It is upright in the scene, and turned."""
+    scene_file(tmp_path, "")
+    file = tmp_path / "meshes.toml"
+    file.write_text('up = "z-up"\n[[meshes]]\npath = "cone.obj"\nfront = "-z"\n')
+    turn = loaded(file).meshes[0].transform[:3, :3]
+    np.testing.assert_allclose(
+        turn @ np.array([(0, 1, 0), (0, 0, -1)]).T, np.array([(0, 0, 1), (0, -1, 0)]).T, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [("position = [0, 0, 0]", True), ("ground = 0.5", True), ("position = [0, 0, 0]\nupright = false", False),
+     ("position = [0, 0, 0]\nrotation_wxyz = [1, 0, 0, 0]", False), ("position = [0, 0, 0]\nfront = '-z'", False)],
+)  # fmt: skip
+def test_a_place_without_a_rotation_is_told(
+    tmp_path: Path, keys: str, said: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its file's y is not up in the scene: one line says so, and what stands it; what is up to the user is silent."""
+    file = scene_file(tmp_path, keys)
+    for read in (ls.load, ls.SceneDocument.open):
+        caplog.clear()
+        read(file)
+        lines = [record.getMessage() for record in caplog.records]
+        assert len(lines) == said and all("upright = true stands it" in line for line in lines)
+    file.write_text(file.read_text().replace("y-down", "y-up"))
+    caplog.clear()
+    ls.load(file)
+    assert not caplog.records

@@ -9,7 +9,7 @@ import io
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any, get_args, get_type_hints
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, subcommand
@@ -40,6 +40,7 @@ from lumisplat.cli.commands.shadowmap import ShadowMap
 from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors
+from lumisplat.cli.input.positionals import gathered_positionals
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.options.help_text import joined_lines
 from lumisplat.cli.output.console import one_line
@@ -138,7 +139,7 @@ def main(args: Sequence[str] | None = None) -> int:
         with panels_as_errors(), joined_lines():
             command = tyro.cli(
                 _Command,  # pyright: ignore[reportArgumentType]
-                args=joined_numbers(args) or ["--help"],
+                args=_arguments(args) or ["--help"],
                 prog="lumisplat",
                 description=_DESCRIPTION,
                 config=(FlagCreatePairsOff,),
@@ -149,6 +150,20 @@ def main(args: Sequence[str] | None = None) -> int:
     except SystemExit:  # after the help
         return 0
     return _run(command.what if isinstance(command, Farm) else command)
+
+
+def _arguments(args: Sequence[str]) -> list[str]:
+    """Arguments as the parser takes them: numbers of an option in one, files of a command together."""
+    words = joined_numbers(args)
+    farmed = get_type_hints(Farm, include_extras=True)["what"]
+    count = 2 if words[:1] == ["farm"] else 1
+    command = _commands(get_args(farmed)[0] if count == 2 else _Command).get("".join(words[count - 1 : count]))
+    return words if command is None else [*words[:count], *gathered_positionals(words[count:], command)]
+
+
+def _commands(union: Any) -> dict[str, type[Any]]:
+    """Commands of a union by their names."""
+    return {named.name: command for command, named in map(get_args, get_args(union))}
 
 
 def _run(command: Command) -> int:

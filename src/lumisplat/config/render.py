@@ -164,7 +164,8 @@ class RenderConfig:
     capture_gain: float = 0.0
     """Stops by which the light is brightened that captures shine onto what they light: their light sources are clipped
     at a display's white. What is seen of captures, in mirrors as well, stays as it is. `estimate_capture_gain` finds a
-    value. Of frames in which captures light anything: paths, real time, and glossy reflections."""
+    value. Of frames in which captures light anything: paths, real time, glossy reflections, and meshes in scenes
+    without lights."""
     energy_compensation: bool = False
     """Whether rough metals reflect what single scattering between their microfacets loses, in lit frames. Not by
     default, as in glTF's own viewer: white metal of roughness 1 then keeps half of its light."""

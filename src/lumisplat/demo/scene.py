@@ -21,6 +21,7 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
 from lumisplat.scene.sampling.surface_points import surface_area
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+from lumisplat.scene.up import up_vector
 
 DAYLIGHT = Daylight(sun_direction=(-1.0, 0.52, 0.36))
 """The light in which the demo's capture was taken: through the window on the left."""
@@ -67,7 +68,7 @@ def demo_scene(progress: Callable[[str, float], None] | None = None) -> Scene:
     garden = gaussians_from_mesh(demo_room.garden(), GARDEN_COUNT)
     report("lighting the demo scene", 1.0)
     return Scene(
-        splats=(SplatInstance(merge_gaussians([capture, garden]), name="room"),),
+        splats=(SplatInstance(replace(merge_gaussians([capture, garden]), up=up_vector("y-up")), name="room"),),
         meshes=tuple(MeshInstance(mesh, name=mesh.name) for mesh in meshes),
     )
 

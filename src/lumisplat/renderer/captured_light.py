@@ -46,11 +46,12 @@ class MeshSurroundings:
         """The captures and the meshes for which the light was found."""
         self._light: CapturedLight | None = None
 
-    def lit(self, scene: Scene, renderer: Callable[[], Callable[[Scene, Camera], Frame]]) -> Scene:
+    def lit(self, scene: Scene, stops: float, renderer: Callable[[], Callable[[Scene, Camera], Frame]]) -> Scene:
         """Returns the scene with the light of its captures; as it is where these do not surround its meshes.
 
         Args:
             scene: One that takes it, by `takes_captured_light`.
+            stops: ``RenderConfig.capture_gain``.
             renderer: Makes what renders unlit frames without a background, as `lumisplat.Renderer.render` does.
         """
         things = scene.splats, scene.meshes
@@ -64,7 +65,9 @@ class MeshSurroundings:
             else "there are no lights, and the capture does not surround the meshes: they are lit from the camera "
             "(RenderConfig.lighting=False: not at all; Pipeline.PATH: by the capture)"
         )
-        return scene if self._light is None else replace(scene, lights=(self._light,))
+        if self._light is None:
+            return scene
+        return replace(scene, lights=(replace(self._light, intensity=2.0**stops),))
 
 
 def captured_light(scene: Scene, render: Callable[[Scene, Camera], Frame]) -> CapturedLight | None:

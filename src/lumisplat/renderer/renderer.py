@@ -375,7 +375,7 @@ class Renderer:
         """The scene with the light of its captures on its meshes, if it has no lights and nobody has decided."""
         if not takes_captured_light(self.config, scene):
             return scene
-        return self._surroundings.lit(scene, self._render_surroundings)
+        return self._surroundings.lit(scene, self.config.capture_gain, self._render_surroundings)
 
     def _render_surroundings(self) -> Callable[[Scene, Camera], Frame]:
         """What renders captures as they are, for a short while: it has a copy of them on the device."""

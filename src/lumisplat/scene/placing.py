@@ -110,15 +110,27 @@ def placed(world_from_object: npt.ArrayLike | None, placing: Placing, origin: Ve
     return matrix_4x4("world_from_object", matrix)
 
 
+def front_turn(front: str | None) -> Doubles:
+    """Returns the rotation about y that turns the front of an object with y up to +z, shape (3, 3).
+
+    Args:
+        front: A key of `FRONT_AXES`; None: +z.
+
+    Raises:
+        SceneError: It is no such axis.
+    """
+    if front is not None and front not in FRONT_AXES:
+        raise SceneError(f"front is {front!r}, expected one of {', '.join(FRONT_AXES)}")
+    return axis_rotation((0, 1, 0), math.radians(FRONT_AXES[front or "+z"])).round()
+
+
 def _standing(placing: Placing, position: Doubles) -> Doubles:
     """Returns the rotation that stands an object with y up upright, and turns its front to what it looks at.
 
     Raises:
         SceneError: The front is no axis, or is turned to a point that is at no side.
     """
-    if placing.front is not None and placing.front not in FRONT_AXES:
-        raise SceneError(f"front is {placing.front!r}, expected one of {', '.join(FRONT_AXES)}")
-    to_z = axis_rotation((0, 1, 0), math.radians(FRONT_AXES[placing.front or "+z"])).round()
+    to_z = front_turn(placing.front)
     up = np.array(up_vector("y-up" if placing.up is None else placing.up))
     front = front_vector(up)
     if placing.look_at is not None:

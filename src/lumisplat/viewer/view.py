@@ -31,6 +31,7 @@ def view(
     drop_invalid: bool = False,
     lod: int | None = None,
     lod_budget: int | None = None,
+    keep_coordinates: bool = False,
 ) -> Viewer:
     """Opens a page on which people fly through a scene, edit it and see it lit.
 
@@ -54,6 +55,7 @@ def view(
         drop_invalid: Of files, as of `lumisplat.load`.
         lod: Of streamed SOGs, as of `lumisplat.load`.
         lod_budget: Of streamed SOGs, ``budget`` of `lumisplat.load`.
+        keep_coordinates: Of files, as of `lumisplat.SceneDocument.open`.
 
     Raises:
         ConfigError: ``height`` or ``budget_ms`` is out of its range.
@@ -64,7 +66,7 @@ def view(
 
     def load(progress: Progress) -> State:
         loading = partial(ls.load, drop_invalid=drop_invalid, lod=lod, budget=lod_budget)
-        document = _document(scene, up, loading, progress)
+        document = _document(scene, up, loading, progress, keep_coordinates=keep_coordinates)
         if isinstance(config, ls.RenderConfig):
             return State(document, config)
         settings = document.config
@@ -85,7 +87,9 @@ def _refuse_missing(scene: Any) -> None:
         raise ls.MissingFileError(paths[0], "no such file")
 
 
-def _document(scene: Any, up: Any, loading: Callable[..., Any], progress: Progress) -> ls.SceneDocument:
+def _document(
+    scene: Any, up: Any, loading: Callable[..., Any], progress: Progress, *, keep_coordinates: bool
+) -> ls.SceneDocument:
     """The document of what is to be seen."""
     if isinstance(scene, ls.SceneDocument):
         return scene
@@ -95,4 +99,4 @@ def _document(scene: Any, up: Any, loading: Callable[..., Any], progress: Progre
     def load(path: Path, **levels: int | None) -> Any:
         return loading(path, progress=partial(progress, f"loading {path.name}"), **levels)
 
-    return ls.SceneDocument.open(cast(Any, scene), load, up=up)
+    return ls.SceneDocument.open(cast(Any, scene), load, up=up, keep_coordinates=keep_coordinates)

@@ -14,10 +14,11 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
-from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
 from lumisplat.cli.options.rays import PipelineName, StrategyName
 from lumisplat.cli.options.settings import changed_config, setting, without_none
 from lumisplat.cli.options.unused import not_used
+from lumisplat.cli.options.up import parse_up
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 from lumisplat.cli.output.console import Report, byte_size, print_table, progress_bars
 from lumisplat.cli.output.stats import count_rows, stage_rows, stage_times
@@ -39,7 +40,7 @@ class _SteadyFrames:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench(LoadingCommand, DeviceCommand):
+class Bench(PlacingCommand, DeviceCommand):
     """Time loading, the first frame and steady frames of your scene, or of the demo.
 
     Every frame is of the same camera: the first of the file, or the one that render takes when it is given none. Times
@@ -74,7 +75,7 @@ class Bench(LoadingCommand, DeviceCommand):
             started = time.perf_counter()
             renderer = self.start_renderer(report, config)
             ready = time.perf_counter()
-            scene = self.load_scene(self.scene, report) if self.scene else ls.demo_scene(report)
+            scene = self._load(report)
             scene = self.viewpoint.upright(scene)
             loaded = time.perf_counter()
             camera = self._camera(cameras, scene)
@@ -94,6 +95,12 @@ class Bench(LoadingCommand, DeviceCommand):
         if peak is not None:
             rows.append(("peak of the process", byte_size(peak)))
         print_table(f"{renderer.device}, {camera.width} x {camera.height}", rows)
+
+    def _load(self, report: Report) -> ls.Scene:
+        """The scene of the files; without any, that of the demo."""
+        if not self.scene:
+            return ls.demo_scene(report)
+        return self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
 
     def _steady_frames(
         self, renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera, report: Report

@@ -12,14 +12,14 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.file_marks import gltf_document, toml_values
 from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
-from lumisplat.cli.options.command import Flag, LoadingCommand
+from lumisplat.cli.options.command import PlacingCommand
 from lumisplat.cli.options.up import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(LoadingCommand):
+class Export(PlacingCommand):
     """Write a scene for other programs: captures, meshes with their materials, lights and cameras in one file.
 
     For viewers on the web, Blender, engines: lumisplat export scene.toml -o scene.glb
@@ -45,14 +45,6 @@ class Export(LoadingCommand):
     up: UpOption = "auto"
     """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml or
     the capture says, else y down with a capture, y up for meshes alone."""
-
-    keep_coordinates: Flag = False
-    """As for render."""
-
-    @property
-    def keeps_places(self) -> bool:
-        """As the option says."""
-        return self.keep_coordinates
 
     def run(self) -> None:
         """Loads, writes, and prints what is in the file."""

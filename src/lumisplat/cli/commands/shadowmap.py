@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
+from lumisplat.cli.input.loading import scene_file
 from lumisplat.cli.input.numbers import vector
-from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
 from lumisplat.cli.options.settings import setting, without_none
 from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars, spoken_up
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
@@ -22,7 +23,7 @@ _CAPTURES = (".ply", ".spz")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShadowMap(LoadingCommand, DeviceCommand):
+class ShadowMap(PlacingCommand, DeviceCommand):
     """Cast shadows of avatars and objects onto a capture, and save it with them."""
 
     casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
@@ -68,22 +69,18 @@ class ShadowMap(LoadingCommand, DeviceCommand):
             capture = self.load_asset(self.onto, report)
             if not isinstance(capture, ls.Gaussians):
                 raise ls.FormatError(self.onto, "is not a capture: shadows are cast onto Gaussians only")
-            up = ls.Scene(splats=(ls.SplatInstance(capture),)).up_direction
-            casters = self.load_scene(self.casters, report, up)
+            receiver = ls.Scene(splats=(ls.SplatInstance(capture),))
+            up = receiver.up_direction
+            casters = self.load_scene(self.casters, report, up, around=receiver)
             report("casting shadows", 0.0)
             lights = lights or casters.lights
             save = self._save_map if is_map else self._save_capture
             summary = save(casters, capture, lights, report)
             report("casting shadows", 1.0)
         print(summary)
-        self._print_up(casters, up)
-
-    @staticmethod
-    def _print_up(casters: ls.Scene, up: tuple[float, float, float]) -> None:
-        """Says which way was up in a scene file: the capture's way, unless the file says another."""
-        if casters.up is not None:
+        if scene_file(self.casters):
             whose = "as in the capture" if casters.up == up else "as their scene.toml says"
-            print(f"casters: up is {spoken_up(casters.up)}, {whose}")
+            print(f"casters: up is {spoken_up(casters.up_direction)}, {whose}")
 
     def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
         """Writes the capture with the shadows; a summary."""

@@ -11,7 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
+from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand, PlacingCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting
@@ -21,7 +21,7 @@ _PORT = 8080
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(LevelsCommand, DeviceCommand):
+class View(LevelsCommand, PlacingCommand, DeviceCommand):
     """Look at a scene in a browser, edit it and light it.
 
     Prints one line, the address of the page, and serves it until it is interrupted. Drag to turn, scroll to come
@@ -70,6 +70,7 @@ class View(LevelsCommand, DeviceCommand):
             drop_invalid=self.drop_invalid,
             lod=levels["lod"],
             lod_budget=levels["budget"],
+            keep_coordinates=self.keep_coordinates,
         )
         try:
             print(viewer.url, flush=True)

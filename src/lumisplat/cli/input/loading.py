@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import lumisplat as ls
+from lumisplat.cli.input.file_marks import toml_values
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
 """Extensions of OpenUSD."""
@@ -23,6 +25,7 @@ def load_scene(
     up: str | tuple[float, float, float] | None = None,
     *,
     keep_coordinates: bool = False,
+    around: ls.Scene | None = None,
 ) -> ls.Scene:
     """Loads files of any kind into one scene. Meshes beside captures are put into these, as of `lumisplat.insert`.
 
@@ -31,6 +34,7 @@ def load_scene(
         load: Reads one of them.
         up: Up of the scene; None: as the files say.
         keep_coordinates: Whether meshes stay as they are in their files.
+        around: What is there already, and not part of the result; None: nothing.
 
     Raises:
         ConfigError: No file was given.
@@ -38,20 +42,36 @@ def load_scene(
     """
     if not paths:
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
+    around = around or ls.Scene()
     scenes = {path: as_scene(load(path)) for path in paths}
     put = [path for path in scenes if path.suffix.lower() != ".toml" and not scenes[path].splats]
-    if keep_coordinates or not any(scene.splats for scene in scenes.values()):
+    if keep_coordinates or not any(scene.splats for scene in (around, *scenes.values())):
         put = []
     stated = [scene for path, scene in scenes.items() if path not in put]
     scene = ls.Scene(
-        up=up or next((scene.up for scene in stated if scene.up is not None), None),
-        splats=tuple(splat for scene in stated for splat in scene.splats),
+        up=up or _stated_up(scenes, around),
+        splats=(*around.splats, *(splat for scene in stated for splat in scene.splats)),
         meshes=tuple(mesh for scene in stated for mesh in scene.meshes),
         lights=tuple(light for scene in stated for light in scene.lights),
     )
     for path in put:
         scene = ls.insert(scene, scenes[path], name=path.name)
-    return scene
+    if not around.splats:
+        return scene
+    return replace(scene, splats=scene.splats[len(around.splats) :], up=scene.up_direction)
+
+
+def _stated_up(scenes: Mapping[Path, ls.Scene], around: ls.Scene) -> tuple[float, float, float] | None:
+    """Up as a scene.toml says it, else as the first capture does; None: both say nothing.
+
+    That of a file of meshes is its own, unless there is no capture.
+    """
+    for path, scene in scenes.items():
+        if path.suffix.lower() == ".toml" and "up" in toml_values(path):
+            return scene.up
+    listed = (around, *scenes.values())
+    said = [scene for scene in listed if scene.splats] or listed
+    return next((scene.up_direction for scene in said if scene.up_source != "guess"), None)
 
 
 def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:

@@ -115,6 +115,7 @@ class LoadingCommand(Command):
         report: Report,
         up: tuple[float, float, float] | None = None,
         given_up: str | tuple[float, float, float] | None = None,
+        around: ls.Scene | None = None,
     ) -> ls.Scene:
         """Loads files of any kind into one scene.
 
@@ -123,14 +124,33 @@ class LoadingCommand(Command):
             report: Shows the progress.
             up: As of `lumisplat.load`.
             given_up: Up of the scene that an option gives; None: none does.
+            around: What is there already, and not part of the result: meshes are put into its captures, too.
 
         Raises:
             ConfigError: No file was given.
             FormatError: A file cannot be read.
         """
         return load_scene(
-            paths, lambda path: self.load_asset(path, report, up), given_up, keep_coordinates=self.keeps_places
+            paths,
+            lambda path: self.load_asset(path, report, up),
+            given_up,
+            keep_coordinates=self.keeps_places,
+            around=around,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacingCommand(LoadingCommand):
+    """Options of the commands that put meshes into captures."""
+
+    keep_coordinates: Flag = False
+    """Meshes beside a capture stay as they are in their files. Without, they stand upright on its ground, where nothing
+    else is, and those in other units are scaled; a scene.toml places them."""
+
+    @property
+    def keeps_places(self) -> bool:
+        """As the option says."""
+        return self.keep_coordinates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,24 +195,17 @@ class LevelsCommand(LoadingCommand):
         report: Report,
         up: tuple[float, float, float] | None = None,
         given_up: str | tuple[float, float, float] | None = None,
+        around: ls.Scene | None = None,
     ) -> ls.Scene:
         """As `LoadingCommand.load_scene`, after `check_levels`."""
         self.check_levels(paths)
-        return super().load_scene(paths, report, up, given_up)
+        return super().load_scene(paths, report, up, given_up, around)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewsCommand(LevelsCommand):
+class ViewsCommand(LevelsCommand, PlacingCommand):
     """Options of the commands that show captures in blocks view by view."""
 
     lod_pixels: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: 0, the finest of all)")] = None
     """Of captures in blocks that are shown view by view: blocks that are far are of a coarser level, whose mean
     Gaussian is no larger than this."""
-    keep_coordinates: Flag = False
-    """Meshes beside a capture stay as they are in their files. Without, they stand upright on its ground, where nothing
-    else is, and those in other units are scaled; a scene.toml places them."""
-
-    @property
-    def keeps_places(self) -> bool:
-        """As the option says."""
-        return self.keep_coordinates

@@ -177,7 +177,7 @@ def explicit_table(entry: SceneEntry) -> dict[str, Any]:
     """The table of a mesh or an actor that says where it stands, whatever it is read beside."""
     if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
         return dict(entry.table)
-    rest = {key: value for key, value in entry.table.items() if key != "ground"}
+    rest = {key: value for key, value in entry.table.items() if key not in ("ground", "front")}
     return rest | placement_table(entry.world_from_file)
 
 

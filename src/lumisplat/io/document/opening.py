@@ -15,7 +15,7 @@ from lumisplat.io.files.source import parsing
 from lumisplat.io.formats import USD
 from lumisplat.io.gltf.scene import shows_one_capture
 from lumisplat.io.ply_files import holds_mesh
-from lumisplat.io.scene_toml.placement import is_placed
+from lumisplat.io.scene_toml.placement import is_placed, say_unturned
 from lumisplat.io.scene_toml.scene_file import read_document
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.io.scene_toml.up import scene_up
@@ -40,8 +40,8 @@ class Listing:
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
 
 
-def listed_files(files: Sequence[Path]) -> Listing:
-    """Files as entries: those of a scene file, and one for each other file.
+def listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> Listing:
+    """Files as entries: those of a scene file, and one for each other file, whose place may be that of its file.
 
     Raises:
         ConfigError: There are two scene files, or no file at all.
@@ -56,6 +56,7 @@ def listed_files(files: Sequence[Path]) -> Listing:
     if scene_files:
         with parsing(listing.file, "a scene file"):
             document = read_document(listing.file)
+            say_unturned(document, scene_up(document))
             listing.top = {key: value for key, value in document.values.items() if key not in KINDS}
             for kind in KINDS[:-1]:
                 for table in document.tables(kind):
@@ -65,7 +66,9 @@ def listed_files(files: Sequence[Path]) -> Listing:
     for file in files:
         if file not in scene_files:
             path = str(file) if file.is_absolute() else relative_path(file, listing.file.absolute().parent)
-            listing.tables.append((heading_of(file), {"path": path}))
+            kind = heading_of(file)
+            kept = {"upright": False} if keep_coordinates and kind == "meshes" else {}
+            listing.tables.append((kind, {"path": path, **kept}))
     return listing
 
 

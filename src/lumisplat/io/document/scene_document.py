@@ -75,6 +75,7 @@ class SceneDocument:
         load: Callable[[Path], Gaussians | Mesh | Scene] | None = None,
         *,
         up: str | npt.ArrayLike | None = None,
+        keep_coordinates: bool = False,
     ) -> SceneDocument:
         """Opens files as one scene; those that cannot be read are left out and listed in ``problems``.
 
@@ -82,13 +83,15 @@ class SceneDocument:
             paths: Captures, meshes, and at most one ``scene.toml``, whose tables stay as they are; comments are lost.
             load: Reads one capture or mesh; None: `lumisplat.load`.
             up: Up, if the scene file does not say it; None: as `lumisplat.Scene.up_direction`.
+            keep_coordinates: Whether meshes beside captures stay as they are in their files; else they are put into
+                them as of `lumisplat.insert`. A scene file places its own.
 
         Raises:
             ConfigError: There are two scene files, or no file at all.
             FormatError: The scene file itself cannot be read, or none of the files.
         """
         files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
-        listing = listed_files(files)
+        listing = listed_files(files, keep_coordinates=keep_coordinates)
         if up is not None:
             listing.top.setdefault("up", list(up_vector(up)))
         reader = reader_of(listing, load or io.load)

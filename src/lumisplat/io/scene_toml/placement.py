@@ -33,6 +33,17 @@ _ROUNDING = 1e-15
 _TURNS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
 
 
+_LEANS = 0.7
+"""Height of y along up below which what has y up does not stand."""
+
+
+def _is_saved(document: TomlTable) -> bool:
+    """Whether a program has saved a scene file: up is a direction of length 1, to the last digit."""
+    up: Any = document.values.get("up")
+    is_written = VECTOR.accepts(up) and all(isinstance(value, float) for value in up)
+    return is_written and abs(float(np.linalg.norm(up)) - 1.0) <= _ROUNDING
+
+
 def is_placed(values: Mapping[str, Any]) -> bool:
     """Whether an entry says where it is or how it is turned: then it stands as it says, and nothing is assumed."""
     return any(key in values for key in ("position", *_TURNS)) or values.get("ground", False) is not False
@@ -43,9 +54,7 @@ def keep_saved_places(document: TomlTable) -> None:
 
     Programs write up as a direction of length 1, to the last digit. Those of today write all places.
     """
-    up: Any = document.values.get("up")
-    is_written = VECTOR.accepts(up) and all(isinstance(value, float) for value in up)
-    if not is_written or abs(float(np.linalg.norm(up)) - 1.0) > _ROUNDING:
+    if not _is_saved(document):
         return
     for heading in ("meshes", "actors"):
         for table in document.tables(heading):
@@ -54,13 +63,35 @@ def keep_saved_places(document: TomlTable) -> None:
                 _say(table, "says no place, in a file that was saved: it is as in its file; upright = true stands it")
 
 
+def say_unturned(document: TomlTable, up: Vector) -> None:
+    """Says of meshes and actors of files that they lie as in their files, where y is not up, though they have a place.
+
+    Files that a program saved mean it, and so does who writes ``upright = false``.
+    """
+    if not document.tables("splats") or up[1] > _LEANS or _is_saved(document):
+        return
+    for heading in ("meshes", "actors"):
+        for table in document.tables(heading):
+            keys = table.values.keys()
+            if (
+                "path" in keys
+                and is_placed(table.values)
+                and keys.isdisjoint((*_TURNS, "front", "hidden", "keyframes"))
+            ):
+                _say(
+                    table,
+                    "says a place and no rotation, and has y up as in its file, though y is not up in the scene: "
+                    "upright = true stands it (upright = false: as it is, without this line)",
+                )
+
+
 def inserted(
     table: TomlTable, scene: Scene, things: Sequence[MeshInstance | SplatInstance], things_up: Vector | None
 ) -> npt.NDArray[np.float64]:
     """Puts what an entry without a place shows into the captures of a scene, and says so: ``world_from_file``.
 
     Args:
-        table: The entry; ``scale`` and ``ground = false`` are obeyed.
+        table: The entry; ``scale``, ``front`` and ``ground = false`` are obeyed.
         scene: What is there already, with a capture at least.
         things: What the entry shows, where its file has it.
         things_up: Up in that file; None: y.
@@ -69,7 +100,7 @@ def inserted(
         FormatError: The scale is not positive.
     """
     try:
-        found = insertion(scene, things, things_up, table.values.get("scale"))
+        found = insertion(scene, things, things_up, *(table.values.get(key) for key in ("scale", "front")))
     except SceneError as error:
         raise table.failed(error) from None
     matrix = found.world_from_thing
@@ -112,7 +143,7 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
         if "rotation_wxyz" in table.values:
             raise table.error(f"rotation_wxyz and {words[0]} are both given: choose one of them", words[0])
         given = {key: table.values.get(key) for key in ("position", "rotation_degrees", "scale", "look_at", "front")}
-        stands = table.values.get("upright", False) or "look_at" in table.values
+        stands = table.values.get("upright", "front" in table.values) or "look_at" in table.values
         try:
             return placed(None, Placing(**given, up=up if stands else None))
         except SceneError as error:

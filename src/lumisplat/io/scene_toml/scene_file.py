@@ -38,7 +38,7 @@ from lumisplat.io.scene_toml.actors import Load, read_actors, with_instances
 from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
-from lumisplat.io.scene_toml.placement import keep_saved_places
+from lumisplat.io.scene_toml.placement import keep_saved_places, say_unturned
 from lumisplat.io.scene_toml.timing import read_timing
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.io.scene_toml.up import scene_up
@@ -102,10 +102,12 @@ def static_scene(document: TomlTable, load: Load) -> Scene:
     """
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
-    assets = Assets(load, read_materials(document), scene_up(document))
+    up = scene_up(document)
+    say_unturned(document, up)
+    assets = Assets(load, read_materials(document), up)
     splats = [(assets.splats(table), table) for table in document.tables("splats")]
     captures = [entry for entry, table in splats if not table.values.get("hidden", False)]
-    scene = Scene(splats=tuple(splat for entry in captures for splat in entry.splats), up=scene_up(document))
+    scene = Scene(splats=tuple(splat for entry in captures for splat in entry.splats), up=up)
     for table in document.tables("meshes"):
         entry = assets.meshes(table, scene if scene.splats else None)
         if not table.values.get("hidden", False):

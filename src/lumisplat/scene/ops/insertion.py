@@ -21,6 +21,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.lights import move_light
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.placing import front_turn
 from lumisplat.scene.sampling.surface_points import stratified_points
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, bulk_extent
 from lumisplat.scene.up import Vector, up_vector, y_up_from
@@ -81,7 +82,9 @@ class Insertion:
         return f"upright = true, position = [{place}]{scale}"
 
 
-def insert(scene: Scene, asset: Mesh | Scene, *, scale: float | None = None, name: str = "") -> Scene:
+def insert(
+    scene: Scene, asset: Mesh | Scene, *, scale: float | None = None, front: str | None = None, name: str = ""
+) -> Scene:
     """Puts a mesh into a scene of captures: upright, on the ground under it, and where nothing else is.
 
     What has y up, as most files, or the up of its own scene, is turned to `Scene.up_direction`. It stays where its
@@ -93,6 +96,8 @@ def insert(scene: Scene, asset: Mesh | Scene, *, scale: float | None = None, nam
         scene: Where it is put.
         asset: A mesh, or all that a file of several has; its lights move along.
         scale: Its scale factor, above 0; None: 1, or as above.
+        front: Which of its axes is turned to who sees the scene from the front, ``"+z"`` (as in glTF, and the default),
+            ``"-z"``, ``"+x"`` or ``"-x"``, where y is up.
         name: What the line calls it; without, its own name.
 
     Raises:
@@ -104,7 +109,7 @@ def insert(scene: Scene, asset: Mesh | Scene, *, scale: float | None = None, nam
     things = Scene(meshes=(MeshInstance(asset),)) if isinstance(asset, Mesh) else asset
     matrix = np.eye(4)
     if scene.splats and (things.meshes or things.splats):
-        found = insertion(scene, (*things.meshes, *things.splats), things.up, scale)
+        found = insertion(scene, (*things.meshes, *things.splats), things.up, scale, front)
         matrix = found.world_from_thing
         label = name or next((i.name or i.mesh.name for i in things.meshes), "") or "the mesh"
         _log.warning("%s says no place, and stands upright on the ground: %s", label, found)
@@ -125,6 +130,7 @@ def insertion(
     things: Sequence[MeshInstance | SplatInstance],
     things_up: Vector | None = None,
     scale: float | None = None,
+    front: str | None = None,
 ) -> Insertion:
     """Finds where things stand in a scene: as `insert` puts them, all together.
 
@@ -133,12 +139,13 @@ def insertion(
         things: At least one, where their file has them.
         things_up: Up in that file; None: y.
         scale: Of the things; None: 1, or what makes them fit.
+        front: Of the things, as of `insert`.
 
     Raises:
-        SceneError: The scale is out of range.
+        SceneError: The scale is out of range, or the front is no axis.
     """
     turn = y_up_from(scene.up_direction)
-    own_turn = y_up_from(up_vector("y-up" if things_up is None else things_up))
+    own_turn = front_turn(front) @ y_up_from(up_vector("y-up" if things_up is None else things_up))
     points = np.concatenate([_points(thing) for thing in things]) @ own_turn.T
     low, high = points.min(axis=0), points.max(axis=0)
     seen = _Seen.of(scene, turn)

@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
-from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
+from lumisplat.cli.options.command import DeviceCommand, Flag, PlacingCommand
 from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.settings import changed_config, setting, without_none
 from lumisplat.cli.options.up import UpOption, parse_up
@@ -20,7 +20,7 @@ from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_outpu
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bake(LoadingCommand, DeviceCommand):
+class Bake(PlacingCommand, DeviceCommand):
     """Write the splat sets of a scene as a capture of how they look in its light, shadows and bounces included.
 
     Every viewer of captures shows it. Meshes and lights do their part, and are not in it.

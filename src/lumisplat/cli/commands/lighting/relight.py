@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import vector
-from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
 from lumisplat.cli.options.settings import changed_config, setting
 from lumisplat.cli.options.up import UpOption, parse_up, say_guessed_up
 from lumisplat.cli.output.console import Report, counted, progress_bars
@@ -25,7 +25,7 @@ _GAMMA_MAX = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relight(LoadingCommand, DeviceCommand):
+class Relight(PlacingCommand, DeviceCommand):
     """Relight a captured avatar or object by the light of a scene, and write it as a capture again.
 
     The scene is rendered all around the place where the avatar stands; how bright it is towards each Gaussian's normal

@@ -15,7 +15,7 @@ from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
-from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.command import Flag, PlacingCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import RayGroup, RayOptions
@@ -36,7 +36,7 @@ _NOT_OF_VIEWS = ("views", "shard_views")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dataset(FrameCommand):
+class Dataset(FrameCommand, PlacingCommand):
     """Make training data: views of a scene from random places, in random light, with objects put into it.
 
     With layers such as depth, normals and ids, cameras for nerfstudio, and shards for WebDataset. A view follows from
