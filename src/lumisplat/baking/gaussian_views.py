@@ -14,7 +14,6 @@ from lumisplat.constants.baking import VIEW_SPREAD
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, MeshHits, RayData
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.shadow_catcher import CatcherLight
 from lumisplat.progress import Progress
 from lumisplat.renderer.given_rays import whole_packets
 from lumisplat.renderer.kernel_modules import frame_modules
@@ -24,6 +23,35 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class CatcherLight:
+    """Irradiance of shadow catchers, arrays of one shape; `catcher_change` of the device is the same in one channel."""
+
+    sent: Doubles
+    """Irradiance by the scene's lights, without anything that was added."""
+    change: Doubles
+    """Its change by all that was added, bounced light included."""
+    own_sent: Doubles
+    """Irradiance by the captures around the surface, without anything that was added, as far as it was found."""
+    own_change: Doubles
+    """Its change by all that was added; what added surfaces emit counts here."""
+    ambient: Doubles
+    """Given irradiance besides that of lights; 0: what was found of the captures is all there is."""
+    blocked: Doubles
+    """The part of ``ambient`` that something added blocks."""
+    least: Doubles
+    """Lower bound of the irradiance: no surface reflects more than it receives."""
+
+    def change_and_received(self) -> tuple[Doubles, Doubles]:
+        """Returns the change of the irradiance by all that was added, and the irradiance before."""
+        given, rest = self.ambient > 0.0, self.least - self.sent
+        ambient = np.maximum(np.where(given, self.ambient, self.own_sent), rest)
+        own_share = np.divide(ambient, self.own_sent, out=np.ones_like(rest), where=given & (self.own_sent > ambient))
+        blocked = np.divide(self.blocked, self.ambient, out=np.zeros_like(rest), where=given)
+        unseen = np.where(given, np.maximum(ambient - self.own_sent, 0.0), 0.0)
+        return self.change + own_share * self.own_change - unseen * blocked, self.sent + ambient
 
 
 @dataclass(frozen=True, slots=True, eq=False)

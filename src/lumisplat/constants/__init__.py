@@ -232,6 +232,20 @@ CATCHER_AMBIENT = 0.5
 """Ambient light, as radiance over albedo, on a shadow catcher that does not say it, in scenes with lights and without
 an environment: half of what makes white paper white."""
 
+CATCHER_STEPS = 144
+"""The noise of depths is measured between pixels so many of which are the longer side of a picture: as far apart as
+Gaussians of short trainings are large. Between neighbours their depths are smooth."""
+
+CATCHER_BLUR = 2.0
+"""Standard deviation by which the ratio of a catcher is smoothed, over that of its height; a pixel's is taken off. At 2, a
+wall of 12,000 Gaussians has a shadow with one edge; floors with a surface stay as they are to the bit."""
+
+CATCHER_BLUR_STEPS = 2
+"""Its most, in those distances."""
+
+CATCHER_DEPTHS = 16.0
+"""Standard deviation of depths that are one layer for it, over that of the height."""
+
 CATCHER_FILL_PX = 3
 """Pixels by which the ratio of meshes that catch shadows is carried on behind the edges of objects."""
 

@@ -46,6 +46,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.is_sampled:
         modules += _kernels("trace.camera_ray_kernels", "film.film_kernels")
         modules += _kernels("film.adaptive_kernels") if plan.adapts else []
+        modules += _kernels("film.catcher_kernels") if plan.has_shadow_only or plan.has_receivers else []
     if plan.traces_rays:
         modules += _kernels("trace.mesh_trace_kernels")
     if launcher.is_cuda:

@@ -195,7 +195,7 @@ def test_a_mirror_shows_indirect_light() -> None:
     assert frame.color[on_mirror].mean() == pytest.approx(truth.color[on_mirror].mean(), rel=0.15)
 
 
-def test_shadow_only_captures_are_darkened_as_in_hybrid_frames() -> None:
+def test_shadow_catchers_are_darkened_as_in_hybrid_frames() -> None:
     """Nothing but shadows falls on them."""
     floor = with_gaussians(PathRoom(ROOM, VIEW), 3000).scene.splats[0]
     receiver = replace(floor, shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))

@@ -11,9 +11,9 @@ import OpenEXR
 import pytest
 
 import lumisplat as ls
+from lumisplat.baking.gaussian_views import CatcherLight
 from lumisplat.demo.shapes import sphere
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.shadow_catcher import CatcherLight
 
 RADIUS, HEIGHT = 0.5, 0.4
 SHARE = RADIUS**2 / (RADIUS**2 + HEIGHT**2)
@@ -181,3 +181,46 @@ def test_light_that_blocks_and_bounces_adds_up() -> None:
     assert change(sent=1.0, own_sent=4.0, own_change=-2.0, ambient=1.0, blocked=0.7) == pytest.approx(-0.25)
     # Less was found: the rest of what is given comes from everywhere.
     assert change(sent=1.0, own_sent=1.0, own_change=-1.0, ambient=2.0, blocked=1.0) == pytest.approx(-1.5 / 3.0)
+
+
+def fog(depth: float = 0.12, seed: int = 5) -> ls.SplatInstance:
+    """A captured floor without a surface: floaters up to so far below and above y = 0, through which others show."""
+    random, count = np.random.default_rng(seed), 12000
+    means = random.uniform((-0.8, -depth, -0.6), (0.8, depth, 0.6), (count, 3))
+    wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    sh = np.full((count, 1, 3), 0.4, np.float32)
+    capture = ls.Gaussians(means, wxyz, np.full((count, 3), 0.008), random.uniform(0.3, 0.95, count), sh)
+    return ls.SplatInstance(capture, shadow_catcher=True)
+
+
+def shadow_of_a_disc(catcher: ls.SplatInstance, pipeline: ls.Pipeline) -> npt.NDArray[np.float32]:
+    """Ratios of the shadow that a slanting sun casts through a disc on y = 0, seen from above; (H, W)."""
+    sun = ls.LightDirectional((1.0, -1.0, 0.0), intensity=3.0)
+    lid = replace(disc(), positions=disc().positions * np.array([0.6, 1.0, 0.6]) + np.array([-0.8, 0.4, 0.0]))
+    camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=160, height=120, fov_y=0.3)
+    frame = rendered(ls.Scene([catcher], [lid], [sun]), camera, pipeline)
+    assert frame.shadow_ratio is not None
+    return frame.shadow_ratio.mean(axis=2)
+
+
+def sharp_steps(ratio: npt.NDArray[np.float32]) -> int:
+    """How many pixels differ from the next one to the right by half of what the shadow takes."""
+    return int((np.abs(np.diff(ratio, axis=1)) > 0.3).sum())
+
+
+@pytest.mark.parametrize(
+    "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.PATH], ids=lambda one: one.value
+)
+def test_captures_without_a_surface_have_one_soft_shadow(pipeline: ls.Pipeline) -> None:
+    """Each floater ends the shadow elsewhere: what is seen is their mean. The middle is as dark, and far is bright."""
+    ratio = shadow_of_a_disc(fog(), pipeline)
+    assert sharp_steps(ratio) < 20
+    assert ratio[50:70, 70:90].max() < 0.5
+    assert ratio[:, 130:].min() > 0.85
+
+
+def test_captures_with_a_surface_keep_the_sharp_edges_of_shadows() -> None:
+    """All pixels at the edge are in the shadow or in the light, as the rays found."""
+    ratio = shadow_of_a_disc(floor(0.6), ls.Pipeline.HYBRID)
+    rows = (ratio < 0.6).any(axis=1).sum()
+    assert rows > 70 and sharp_steps(ratio) >= 2 * rows - 4

@@ -354,7 +354,7 @@ def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
 
 
 @PIPELINES
-def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pipeline) -> None:
+def test_shadow_catchers_are_darkened_by_what_their_lights_lack(pipeline: ls.Pipeline) -> None:
     """Without ambient light nothing is left of one light, of two the other's share; outside all is as captured."""
     capture = sheet(shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
     lid = parallelogram((-0.4, 0.7, 0.4), (0.8, 0.0, 0.0), (0.0, 0.0, -0.8), matte(0.5))
@@ -395,7 +395,7 @@ def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pi
 
 @PIPELINES
 @pytest.mark.parametrize("aovs", [(), ("lights",)], ids=["", "lights"])
-def test_shadow_only_sets_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: tuple[str, ...]) -> None:
+def test_shadow_catchers_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: tuple[str, ...]) -> None:
     """With nothing else in the scene they stay as captured, to the bit, and all of the light arrives."""
     over = ls.SplatInstance(stack(), shadow_catcher=True)
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
@@ -413,7 +413,7 @@ def test_shadow_only_sets_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs:
 
 
 @PIPELINES
-def test_other_sets_shadow_shadow_only_ones(pipeline: ls.Pipeline) -> None:
+def test_other_sets_shadow_shadow_catchers(pipeline: ls.Pipeline) -> None:
     """Where only Gaussians are in the way, the exact product is what is left of the light."""
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
     shares = []

@@ -213,8 +213,10 @@ def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
     It is a share of the mean, with a mean of its own: means of display-referred colours and of linear ones do not
     subtract.
     """
+    if not film[0].ratio:
+        return wp.vec3(0.0)
     captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
-    return wp.cw_mul(captured, captured_ratio(pixel, film) - wp.vec3(1.0))
+    return wp.cw_mul(captured, film[0].ratio[pixel] - wp.vec3(1.0))
 
 
 @wp.func

@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False})
 def catcher_change(light: CatcherLight) -> float:
     """Relative change of the light on a shadow catcher by all that was added to its place, in one channel.
 
-    `lumisplat.math.shadow_catcher` is the same in NumPy.
+    `lumisplat.baking.gaussian_views.CatcherLight` is the same in NumPy.
     """
     change = light.change
     received = light.sent

@@ -103,6 +103,9 @@ class FilmData:
     """Ambient irradiance."""
     captured_open: wp.array[wp.vec3]
     """The part of it that nothing added blocks."""
+    ratio: wp.array[wp.vec3]
+    """What shadows leave of the captured part of a pixel, or light makes of it, once all samples are drawn; without
+    elements in frames without shadow catchers."""
     count: wp.array[int]
     """Samples of each pixel that were finite, which alone count."""
     sums: PixelSums

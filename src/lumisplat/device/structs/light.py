@@ -184,7 +184,7 @@ class BsdfSample:
 
 @struct
 class CatcherLight:
-    """Irradiance of a shadow catcher in one channel, as `lumisplat.math.shadow_catcher.CatcherLight`."""
+    """Irradiance of a shadow catcher in one channel, as `lumisplat.baking.gaussian_views.CatcherLight`."""
 
     sent: float
     change: float

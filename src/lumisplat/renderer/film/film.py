@@ -20,6 +20,7 @@ from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
+from lumisplat.renderer.film.catcher_ratios import CatcherRatios
 from lumisplat.renderer.film.noise import least_luminance, quantile
 from lumisplat.renderer.film.picture import encoded_lit_pixels, encoded_pixels, picture_data, picture_of
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums
@@ -60,6 +61,7 @@ class Film:
         self._light_count = 0
         self._drawn = 0
         self._adaptive = AdaptiveRays(launcher, buffers)
+        self._catchers = CatcherRatios(launcher, buffers)
 
     def begin(
         self, scene: DeviceScene, plan: FramePlan, resume: Frame | None = None, part: SamplePart | None = None
@@ -79,7 +81,7 @@ class Film:
         self._size = scene.image_size
         self._light_count = len(scene.lights.names)
         is_more = plan.samples > 1 or resume is not None or part is not None
-        self._has_sums = is_more or plan.has_shadow_only or plan.has_receivers
+        self._has_sums = is_more or self._has_catchers
         row = FilmData()
         row.width, row.height, row.in_blocks = *self._size, 1
         row.in_sequence = int(plan.has_history)
@@ -92,6 +94,8 @@ class Film:
         if plan.has_receivers:
             for name in RECEIVED:
                 setattr(row, name, self._image(name))
+        if self._has_catchers:
+            row.ratio = self._ratio
         if self._has_sums:
             row.sums = self._sums[0]
             self._sums[1].zero_()
@@ -140,17 +144,19 @@ class Film:
 
     def finish(self, scene: DeviceScene) -> None:
         """After the last sample: makes the images of the sums, and counts; on CUDA by a captured graph."""
-        self._launcher.replay("finish", (scene.graph_key, self._has_sums), self._finish)
+        self._launcher.replay("finish", (scene.graph_key, self._has_sums), lambda: self._finish(scene))
 
-    def _finish(self) -> None:
+    def _finish(self, scene: DeviceScene) -> None:
         with self._launcher.stage("store"):
             if self._has_sums:
                 self._launcher.run_banded(film_kernels.average_samples, self._pixel_count, self._data)
             if "variance" in self._plan.aovs:
                 variance = self._image("variance")
                 self._launcher.run_banded(film_kernels.estimate_variance, self._pixel_count, self._data, variance)
-            if "shadow_ratio" in self._plan.aovs:
-                self._launcher.run_banded(film_kernels.store_ratios, self._pixel_count, self._data, self._ratio)
+            if self._has_catchers:
+                self._catchers.develop(scene, self._data, self._pixel_count)
+            elif "shadow_ratio" in self._plan.aovs:
+                self._ratio.fill_(1.0)
             if self._shows_captured:
                 inputs = self._data, self._image("emission"), self._image("emission_shown")
                 self._launcher.run_banded(film_kernels.add_captured, self._pixel_count, *inputs)
@@ -349,7 +355,11 @@ class Film:
 
     @property
     def _ratio(self) -> DeviceArray:
-        return self._image("shadow_ratio")
+        return self._catchers.room(self._pixel_count)
+
+    @property
+    def _has_catchers(self) -> bool:
+        return self._plan.has_shadow_only or self._plan.has_receivers
 
     @property
     def _pixel_count(self) -> int:

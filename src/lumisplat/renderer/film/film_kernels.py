@@ -9,7 +9,6 @@ from lumisplat.device.film.running_mean import add_color
 from lumisplat.device.film.sample_sums import (
     add_to_sums,
     captured_change,
-    captured_ratio,
     develop,
     is_finite_sample,
     mean_sample,
@@ -103,10 +102,10 @@ def restore_sums(start: int, film_inout: wp.array[FilmData]):
 
 @wp.kernel
 def average_samples(start: int, film_inout: wp.array[FilmData]):
-    """Item = pixel: makes the images of the sums."""
+    """Item = pixel: makes the images of the sums; colours of frames with shadow catchers follow with their ratios."""
     pixel = start + wp.tid()
     store_sample(pixel, mean_sample(pixel, film_inout), film_inout)
-    if film_inout[0].lit.light:
+    if film_inout[0].lit.light and not film_inout[0].ratio:
         develop(pixel, film_inout)
 
 
@@ -116,13 +115,6 @@ def add_captured(start: int, film: wp.array[FilmData], seen: wp.array[wp.vec3], 
     pixel = start + wp.tid()
     captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
     emission_out[pixel] = seen[pixel] + captured + captured_change(pixel, film)
-
-
-@wp.kernel
-def store_ratios(start: int, film: wp.array[FilmData], ratio_out: wp.array[wp.vec3]):
-    """Item = pixel: the ratio of its captured part with what was added to that without."""
-    pixel = start + wp.tid()
-    ratio_out[pixel] = captured_ratio(pixel, film)
 
 
 @wp.kernel

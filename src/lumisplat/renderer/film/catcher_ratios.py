@@ -1,0 +1,41 @@
+"""Host pass: how light that was added or blocked changes captured colours, smooth where captures have no surface."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.renderer.film import catcher_kernels as kernels
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Launcher
+
+
+class CatcherRatios:
+    """Finds the ratios of shadow catchers (docs/method/lighting.md#captures-without-a-surface).
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+
+    def room(self, count: int) -> DeviceArray:
+        """Returns the array of so many ratios, which ``FilmData.ratio`` is."""
+        return self._buffers.get("film.shadow_ratio", wp.vec3, count)
+
+    def develop(self, scene: DeviceScene, film: DeviceArray, count: int) -> None:
+        """Writes the ratios of the means of samples, and the colours of pixels that follow."""
+        get, run = self._buffers.get, self._launcher.run_banded
+        ratio, across = self.room(count), get("film.ratio_across", wp.vec3, count)
+        measured, rows = (get(f"film.{name}", wp.vec4, count) for name in ("depth_noise_sums", "depth_noise_rows"))
+        depths, noise = (get(f"film.{name}", wp.float32, count) for name in ("catcher_depths", "depth_noise"))
+        run(kernels.store_ratios, count, scene.camera, scene.shading, film, depths, ratio)
+        run(kernels.measure_depths, count, scene.camera, depths, measured)
+        run(kernels.sum_depths, count, False, scene.camera, measured, rows)
+        run(kernels.sum_depths, count, True, scene.camera, rows, measured)
+        run(kernels.find_noise, count, scene.camera, measured, noise)
+        run(kernels.smooth_ratios, count, False, scene.camera, film, depths, noise, ratio, across)
+        run(kernels.smooth_ratios, count, True, scene.camera, film, depths, noise, across, ratio)
+        run(kernels.develop_ratios, count, film)
