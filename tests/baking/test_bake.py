@@ -131,7 +131,7 @@ def test_what_is_kept_stays_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_a_shadow_falls_on_a_shadow_only_capture(pipeline: ls.Pipeline) -> None:
+def test_a_shadow_falls_on_a_shadow_catcher(pipeline: ls.Pipeline) -> None:
     """Where a mesh blocks the sun its colours are darker; where it does not, they are the same to the bit."""
     capture = replace(floor(1200), material=ls.MaterialSimple(ambient=0.0), shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((0.8, 0.02, 0.8), material=diffuse(0.0)), position=(-0.5, 0.5, 0.0))

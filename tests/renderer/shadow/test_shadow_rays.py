@@ -363,7 +363,7 @@ def test_opaque_asks_for_no_glass(rig: ShadowRig) -> None:
 # --- Rays that do not see everything, and those that are none ---
 
 
-def test_rays_skip_shadow_only_instances(rig: ShadowRig) -> None:
+def test_rays_skip_shadow_catchers(rig: ShadowRig) -> None:
     """Only marked rays skip them, not the others of the packet; all intersect the rest of the scene."""
     scene = ls.Scene(
         [
