@@ -78,7 +78,7 @@ class PageClient:
             up_direction=[0.0, -1.0, 0.0],
         )
 
-    def picture(self, after: int = 0, timeout: float = 60.0) -> np.ndarray:
+    def picture(self, after: int = 0, timeout: float = 300.0) -> np.ndarray:
         """The next picture after the first so many, (H, W, 3) uint8."""
         with self._arrived:
             assert self._arrived.wait_for(lambda: len(self.pictures) > after, timeout), "no picture came"
@@ -86,7 +86,7 @@ class PageClient:
 
     def control(self, label: str, folder: str | None = None) -> str:
         """The id of a control by its label, and that of its folder where several have that label."""
-        until = time.monotonic() + 10.0
+        until = time.monotonic() + 60.0
         while time.monotonic() < until:
             named = [(m, m["props"]) for m in list(self.messages) if "uuid" in m and isinstance(m.get("props"), dict)]
             folders = {m["uuid"] for m, props in named if props.get("label") == folder}

@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -515,6 +515,17 @@ def test_the_command_line_has_the_samples_of_the_settings(tmp_path: Path) -> Non
     assert "--samples" not in command_line(Path("a.toml"), pose, session)
 
 
+def test_the_command_line_loads_files_as_the_page_did_and_has_all_digits_of_the_view(tmp_path: Path) -> None:
+    """Files with Gaussians that are left out would be refused without the option; scenes may lie far away."""
+    ls.save(tmp_path / "ball.ply", cloud())
+    viewer = ls.view(tmp_path / "ball.ply", device="cpu", drop_invalid=True, lod_budget=1000)
+    viewer._loader.join()
+    pose = Pose((500000.125, 0.0, -5000000.25), (1.0, 0.0, 0.0, 0.0), 0.8, 1.6, 3.0)
+    line = command_line(Path("a.toml"), pose, viewer._session)
+    assert "--drop-invalid --lod-budget 1000" in line and "--eye=500000.125,0,-5000000.25" in line
+    viewer.close()
+
+
 @pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
 def test_suns_stand_where_their_angles_and_the_clock_say(up: tuple[float, float, float]) -> None:
     """Whatever is up: angles survive, it rises in the east at 6, is highest in front at 12, and sets in the west."""
@@ -595,20 +606,20 @@ def test_the_list_selects_hides_and_locks() -> None:
     """By what is clicked in it; what is locked is passed by, and not edited."""
     viewer = ls.view(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0), name="crate")]), height=90, device="cpu")
     viewer._loader.join()
-    session, things, problems = viewer._session, viewer._things, []
+    session, things, problems, client = viewer._session, viewer._things, [], cast(Any, None)
     session.errors.append(problems.append)
-    things._channel._take("select 0 1")
+    things._channel._take(("select 0 1", client))
     assert session.selected == 0 and "lumi-row selected" in things._tree.content
-    things._channel._take("hide 0 2")
+    things._channel._take(("hide 0 2", client))
     assert viewer.document.entry(0).hidden and not viewer.scene.meshes
-    things._channel._take("hide 0 3")
-    things._channel._take("lock 0 4")
+    things._channel._take(("hide 0 3", client))
+    things._channel._take(("lock 0 4", client))
     assert session.locked == {0} and viewer._gizmo._handle is None
     things.act("delete")
     assert viewer.document.entries and problems == ["crate is locked: unlock it in the list"]
     assert all(control.handle.disabled for control in things._inspector._controls.values())
     for nonsense in ("", "select", "select x 1", "explode 0 1", "select -1 2"):
-        things._channel._take(nonsense)
-    things._channel._take("lock 0 5")
+        things._channel._take((nonsense, client))
+    things._channel._take(("lock 0 5", client))
     assert not session.locked and session.selected == 0 and viewer._gizmo._handle is not None
     viewer.close()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Doubles, host_array
+from lumisplat.math.arrays import Doubles, host_array, unit_vector
 
 _Floats = npt.NDArray[np.floating]
 
@@ -101,3 +103,13 @@ def axis_rotation(axis: npt.ArrayLike, angle: float) -> Doubles:
     """The rotation about a unit axis, shape (3,), by an angle in radians, counter-clockwise seen against it, (3, 3)."""
     x, y, z = np.sin(0.5 * angle) * np.asarray(axis, dtype=np.float64)
     return rotation_matrix((np.cos(0.5 * angle), x, y, z))
+
+
+def rotation_between(start: Doubles, end: Doubles) -> Doubles:
+    """Returns the smallest rotation that turns one unit vector to another, shape (3, 3)."""
+    axis, cosine = np.asarray(np.cross(start, end), np.float64), float(start @ end)
+    if np.linalg.norm(axis) < 1e-12:
+        if cosine > 0.0:
+            return np.eye(3)
+        axis = np.asarray(np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))]), np.float64)
+    return axis_rotation(unit_vector(axis), math.atan2(float(np.linalg.norm(np.cross(start, end))), cosine))

@@ -47,6 +47,9 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat")
 
 Progress = Callable[[str, float], None]
+_STEEP = 0.94
+"""Cosine of the angle between a line of sight and the vertical, about 20 degrees, below which no picture is upright."""
+
 Load = Callable[[Progress], State]
 """Loads what is to be seen."""
 
@@ -92,6 +95,7 @@ class Viewer:
         self._build_panels(device)
         self._gizmo = Gizmo(self._viser.scene, self._session)
         self._session.errors.append(self._notes.problem)
+        self._session.on_change(self._follow_up)
         self._viser.on_client_connect(self._open_page)
         self._viser.on_client_disconnect(self._close_page)
         self._loader = threading.Thread(target=self._load, args=(load,), name="lumisplat loading", daemon=True)
@@ -174,7 +178,7 @@ class Viewer:
         add_buttons(gui, ["undo", "redo"], self._step)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Scene"):
-            self._things = ThingsPanel(gui, self._session, self._pages)
+            self._things = ThingsPanel(gui, self._session, self._pages, self._notes.tell)
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
         with tabs.add_tab("View"):
@@ -200,6 +204,7 @@ class Viewer:
         add("Hide what is selected", hotkey="H").on_trigger(pressed(self._actor("hide")))
         add("Delete what is selected", hotkey="X").on_trigger(pressed(self._actor("delete")))
         add("Stand what is selected on the ground", hotkey="G").on_trigger(pressed(self._actor("to the ground")))
+        add("Level: fit the ground").on_trigger(pressed(lambda _: self._things.level.fit()))
         add("Duplicate what is selected", hotkey="C").on_trigger(pressed(self._actor("duplicate")))
         add("Look at all of it", hotkey="F").on_trigger(pressed(self._viewpoints.look_at_all))
         add("Look at what is selected", hotkey="F", modifier="shift").on_trigger(
@@ -251,19 +256,35 @@ class Viewer:
         self._loop.start()
 
     def _place_camera(self, scene: ls.Scene) -> None:
-        """Where pages look from at first: at all of the scene, from the front; those that have moved stay."""
+        """Where pages look from at first: at all of the scene, from the front; those that have moved stay, upright."""
         up = scene.up_direction
         self._viser.scene.set_up_direction(up)
         if not (scene.splats or scene.meshes):
             return
-        self._first_view = FirstView.of(scene)
         initial, before = self._viser.initial_camera, self._viser.initial_camera.position
-        waiting = [client for client in self._viser.get_clients().values() if _is_at(client, before)]
+        clients = list(self._viser.get_clients().values())
+        waiting = [client for client in clients if _is_at(client, before) or self._is_unmoved(client)]
+        self._first_view = FirstView.of(scene)
         position, target = self._first_view.at(ASPECT)
         initial.fov, initial.up = self._first_view.fov_y, up
         initial.position, initial.look_at = position, target
-        for client in waiting:  # those that were here before the scene was
-            self._stand_back(client)
+        for client in clients:
+            if client in waiting or _looks_along(client, up):
+                self._stand_back(client)
+            else:
+                client.camera.up_direction = up
+                self._look(client)
+
+    def _follow_up(self) -> None:
+        """Turns pages upright when another way is up."""
+        scene = self._session.scene
+        if (scene.splats or scene.meshes) and scene.up_direction != self._first_view.up:
+            self._place_camera(scene)
+
+    def _is_unmoved(self, client: viser.ClientHandle) -> bool:
+        """Whether nobody has moved a page from where it was put."""
+        page = self._pages.get(client.client_id)
+        return page is not None and page.pose is not None and self._stands_back(page, page.pose)
 
     def _stand_back(self, client: viser.ClientHandle) -> None:
         """Moves a page so that it sees all of the scene, however narrow it is."""
@@ -274,6 +295,7 @@ class Viewer:
         client.camera.up_direction, client.camera.fov = self._first_view.up, self._first_view.fov_y
         client.camera.position = position  # first, for it takes along what is looked at
         client.camera.look_at = target
+        self._look(client)  # no frame of where it was, while it answers
 
     def _stands_back(self, page: Page, pose: Pose) -> bool:
         """Whether a page looks from where it was put, so that all of the scene fits into it, and nobody has moved."""
@@ -284,7 +306,7 @@ class Viewer:
     def _fly(self, camera: ls.Camera) -> None:
         """Moves all pages to a camera."""
         for client in self._viser.get_clients().values():
-            look_through(client, camera, self._session.extent.page_from_scene)
+            look_through(client, camera, self._session.extent.page_from_scene, self._session.scene.up_direction)
 
     def _decorated(self, picture: Picture, frame: ls.Frame) -> Picture:
         return decorated(picture, frame, self._session)
@@ -323,6 +345,8 @@ class Viewer:
         if page.frame is None:
             return
         across, down = (float(share) for share in event.screen_pos)
+        if self._things.level.take(page.frame, across, down):
+            return
         seen = select(self._session, page.frame, across, down, is_level=not page.frames_at_rest)
         if seen is not None:
             self._notes.tell(*seen)
@@ -331,6 +355,12 @@ class Viewer:
 def _import_ahead() -> None:
     """Imports what renders, while the page is made and the files are read: both take half a second."""
     _ = ls.create_renderer
+
+
+def _looks_along(client: viser.ClientHandle, up: tuple[float, float, float]) -> bool:
+    """Whether a page looks nearly straight up or down, so that it cannot be turned upright where it is."""
+    sight = np.asarray(client.camera.look_at) - np.asarray(client.camera.position)
+    return bool(abs(sight @ np.array(up)) > _STEEP * np.linalg.norm(sight))
 
 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:

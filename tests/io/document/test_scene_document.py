@@ -15,9 +15,11 @@ from hypothesis import strategies as st
 
 import lumisplat as ls
 from lumisplat.io.document.written import light_table
+from lumisplat.io.images.radiance import write_radiance
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.io.scene_toml.toml_text import toml_text
+from lumisplat.math.rotations import rotation_matrix
 
 SCENE = """
 up = "z-up"
@@ -322,3 +324,83 @@ VALUES = st.recursive(
 def test_toml_text_reads_back_to_what_was_written(values: dict[str, Any]) -> None:
     """Whatever the keys, the texts and the nesting."""
     assert tomllib.loads(toml_text(values)) == values
+
+
+def tilted(degrees: float) -> np.ndarray:
+    """A unit vector that leans by an angle from y down towards z."""
+    return np.array([0.0, -math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+
+
+def test_what_stands_upright_stands_upright_in_another_up(tmp_path: Path) -> None:
+    """About its foot, at its size; captures, lights and what leans stay, and the saved file shows the same."""
+    ls.save(tmp_path / "row.ply", row())
+    (tmp_path / "two.obj").write_text(TWO)
+    (tmp_path / "scene.toml").write_text(
+        '[[splats]]\npath = "row.ply"\nupright = true\n'
+        '[[meshes]]\npath = "two.obj"\nupright = true\nposition = [1.0, 2.0, 3.0]\nscale = 2.0\nname = "words"\n'
+        '[[meshes]]\nshape = "box"\nground = -0.5\nlook_at = [3.0, 0.0, 0.0]\nname = "looks"\n'
+        '[[meshes]]\nshape = "box"\nrotation_wxyz = [0.0, 1.0, 0.0, 0.0]\nname = "numbers"\n'
+        '[[meshes]]\nshape = "box"\nrotation_degrees = [30.0, 0.0, 0.0]\nname = "leans"\n'
+        '[[lights]]\ntype = "directional"\ndirection = [0.0, 1.0, 0.0]\n'
+    )
+    before, up = ls.SceneDocument.open(tmp_path / "scene.toml"), tilted(25.0)
+    after = before.with_up(up)
+    np.testing.assert_allclose(after.scene().up_direction, up, atol=1e-12)
+    for old, new in zip(before.entries, after.entries, strict=True):
+        if old.name not in ("words", "looks", "numbers"):
+            assert old.lights == new.lights and (old.world_from_file is None) == (new.world_from_file is None)
+            if old.world_from_file is not None and new.world_from_file is not None:
+                np.testing.assert_allclose(new.world_from_file, old.world_from_file, atol=1e-9)
+            continue
+        start, end = np.asarray(old.world_from_file), np.asarray(new.world_from_file)
+        assert np.cbrt(np.linalg.det(end[:3, :3])) == pytest.approx(np.cbrt(np.linalg.det(start[:3, :3])))
+        np.testing.assert_allclose(end[:3, 1] / np.linalg.norm(end[:3, 1]), up, atol=1e-9)
+        corners = [
+            np.asarray(e.meshes[0].mesh.positions) @ m[:3, :3].T + m[:3, 3] for e, m in ((old, start), (new, end))
+        ]
+        low, high = (corners[0].min(axis=0), corners[0].max(axis=0))
+        foot = 0.5 * (low + high) * (1.0, 0.0, 1.0) + (0.0, high[1], 0.0)  # y is down
+        back = np.linalg.inv(start) @ np.append(foot, 1.0)
+        np.testing.assert_allclose((end @ back)[:3], foot, atol=1e-6)
+        assert (corners[1] @ up).min() == pytest.approx(float(foot @ up), abs=1e-6)
+    after.save(tmp_path / "saved.toml")
+    saved = ls.load(tmp_path / "saved.toml")
+    assert isinstance(saved, ls.Scene)
+    np.testing.assert_allclose(saved.up_direction, up, atol=1e-12)
+    for one, other in zip((*after.scene().splats, *after.scene().meshes), (*saved.splats, *saved.meshes), strict=True):
+        np.testing.assert_allclose(one.transform, other.transform, atol=1e-9)
+
+
+def test_meshes_without_a_capture_stay_in_another_up(tmp_path: Path) -> None:
+    """They have the ground by which up is measured; their words become numbers, which mean the same in the new up."""
+    (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\nupright = true\nground = 1.0\n')
+    before = ls.SceneDocument.open(tmp_path / "scene.toml")
+    after = before.with_up("z-up")
+    places = [np.asarray(document.entries[0].world_from_file) for document in (before, after)]
+    np.testing.assert_allclose(places[1], places[0], atol=1e-9)
+    after.save(tmp_path / "saved.toml")
+    saved = ls.load(tmp_path / "saved.toml")
+    assert isinstance(saved, ls.Scene) and saved.up_direction == (0.0, 0.0, 1.0)
+    np.testing.assert_allclose(saved.meshes[0].transform, before.scene().meshes[0].transform, atol=1e-9)
+
+
+def test_an_environment_that_is_upright_turns_with_up(tmp_path: Path) -> None:
+    """Its horizon is that of the scene; one that leans was turned on purpose, and stays."""
+    write_radiance(tmp_path / "sky.exr", np.ones((4, 8, 3), np.float32))
+    text = '[[splats]]\npath = "row.ply"\n[environment]\npath = "sky.exr"\nrotation_wxyz = [{}, 1.0, 0.0, 0.0]\n'
+    ls.save(tmp_path / "row.ply", row())
+    for w, expected in ((0.0, tilted(25.0)), (0.1, None)):
+        (tmp_path / "scene.toml").write_text(text.format(w))
+        before = ls.SceneDocument.open(tmp_path / "scene.toml")
+        after = before.with_up(tilted(25.0))
+        skies: list[Any] = [document.scene().lights[0] for document in (before, after)]
+        rotations = [rotation_matrix(sky.rotation_wxyz) for sky in skies]
+        np.testing.assert_allclose(rotations[1][:, 1], rotations[0][:, 1] if expected is None else expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("up", ["upwards", (0.0, 0.0, 0.0), (math.nan, 0.0, 1.0)])
+def test_an_up_that_is_no_direction_is_refused(up: Any) -> None:
+    """In one line, and the document stays as it was."""
+    document = ls.SceneDocument.of(ls.Scene())
+    with pytest.raises(ls.SceneError, match="up is"):
+        document.with_up(up)

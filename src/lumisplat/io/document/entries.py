@@ -140,6 +140,10 @@ class EntryReader:
         )
         return self.read(number, kind, explicit_table(entry)) if is_inserted(entry) else entry
 
+    def with_up(self, up: Vector) -> EntryReader:
+        """A reader of scenes with another up, which shares what was read."""
+        return replace(self, up=up, _assets=None if self._assets is None else replace(self._assets, up=up))
+
     def part_names(self, entry: SceneEntry) -> list[str]:
         """The names of the meshes of an entry's file."""
         return self.assets.part_names(TomlTable.of(self.file, dict(entry.table), entry.kind))

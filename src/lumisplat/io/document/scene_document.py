@@ -29,7 +29,8 @@ from lumisplat.io.document.entries import (
 from lumisplat.io.document.memory import entries_of
 from lumisplat.io.document.opening import heading_of, listed_files, read_entries, read_entry, reader_of
 from lumisplat.io.document.saving import relocated, saved_assets
-from lumisplat.io.document.written import light_table, placement_table
+from lumisplat.io.document.standing import turned_with_up
+from lumisplat.io.document.written import PLACED_IN_WORDS, light_table, placement_table
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.scene_toml.animation import animation_of
@@ -44,9 +45,6 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene, check_similarity
 from lumisplat.scene.up import up_vector
-
-_PLACED_IN_WORDS = ("rotation_degrees", "look_at", "front", "upright", "ground")
-"""Keys that a placement by position, rotation and scale replaces."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,7 +227,7 @@ class SceneDocument:
         """
         matrix = matrix_4x4("world_from_file", world_from_file)
         check_similarity(matrix[:3, :3], "world_from_file", "an entry")
-        return self.changed(number, **dict.fromkeys(_PLACED_IN_WORDS), **placement_table(matrix))
+        return self.changed(number, **dict.fromkeys(PLACED_IN_WORDS), **placement_table(matrix))
 
     def added(self, kind: EntryKind, table: Mapping[str, Any]) -> tuple[SceneDocument, int]:
         """Adds an entry, and returns its id, too.
@@ -274,6 +272,23 @@ class SceneDocument:
         self.entry(number)
         return replace(self, entries=tuple(entry for entry in self.entries if entry.id != number), _scenes={})
 
+    def with_up(self, up: str | npt.ArrayLike) -> SceneDocument:
+        """Sets which way is up.
+
+        Meshes and actors that stand upright among captures are turned about their feet, so that they stand upright
+        again, and so is an environment whose image stands upright. All else stays where it is.
+
+        Args:
+            up: An axis (``"z-up"``) or a direction of any length, world space.
+
+        Raises:
+            SceneError: It is neither.
+        """
+        before, now = up_vector(self.top["up"]), up_vector(up)
+        reader, among = self._reader.with_up(now), any(entry.splats for entry in self.entries)
+        entries = tuple(turned_with_up(reader, entry, before, is_among_captures=among) for entry in self.entries)
+        return replace(self, entries=entries, top=dict(self.top) | {"up": list(now)}, _reader=reader, _scenes={})
+
     def split(self, number: int) -> SceneDocument:
         """Makes each mesh of a mesh entry's file an entry of its own; the lights of the file become entries, too.
 
@@ -287,7 +302,7 @@ class SceneDocument:
         document = self.removed(number)
         matrix = entry.world_from_file
         assert matrix is not None
-        rest = {key: value for key, value in entry.table.items() if key not in (*_PLACED_IN_WORDS, "lights")}
+        rest = {key: value for key, value in entry.table.items() if key not in (*PLACED_IN_WORDS, "lights")}
         for part, name in enumerate(names):
             document, _ = document.added(
                 "meshes", rest | placement_table(matrix) | {"part": part, "name": name or f"part {part}"}

@@ -19,6 +19,8 @@ from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material
 
+PLACED_IN_WORDS = ("rotation_degrees", "look_at", "front", "upright", "ground")
+"""Keys that a placement by position, rotation and scale replaces."""
 _ROUNDED = {"inner_angle": -1, "outer_angle": 1}
 """How angles of spots are rounded: the inner one stays below the outer one."""
 _STEPS = 3

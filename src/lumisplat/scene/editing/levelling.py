@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, finite_numbers, unit_vector
-from lumisplat.math.rotations import axis_rotation
+from lumisplat.math.rotations import rotation_between
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians
@@ -129,18 +129,8 @@ def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussi
     before = np.array(scene.up_direction)
     axis = max(UP_AXES.values(), key=lambda one: float(before @ np.array(one)))
     turn = np.eye(4)
-    turn[:3, :3] = _turn_between(now, np.array(axis))
+    turn[:3, :3] = rotation_between(now, np.array(axis))
     return replace(transform(gaussians, turn), up=axis)
-
-
-def _turn_between(start: Doubles, end: Doubles) -> Doubles:
-    """Returns the smallest rotation that turns one unit vector to another, shape (3, 3)."""
-    axis, cosine = np.asarray(np.cross(start, end), np.float64), float(start @ end)
-    if np.linalg.norm(axis) < 1e-12:
-        if cosine > 0.0:
-            return np.eye(3)
-        axis = np.asarray(np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))]), np.float64)
-    return axis_rotation(unit_vector(axis), math.atan2(float(np.linalg.norm(np.cross(start, end))), cosine))
 
 
 def _cloud(scene: Scene) -> _Cloud:

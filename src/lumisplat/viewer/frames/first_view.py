@@ -12,6 +12,8 @@ from lumisplat.viewer.state.extent import Extent
 
 ASPECT = 16.0 / 9.0
 """Width to height of a page that is as wide as screens are; narrower ones stand farther back."""
+_NARROW = 0.4
+"""Width to height of the narrowest pages: phones, above the panel."""
 FOV_Y = 0.8
 """Vertical field of view, radians."""
 
@@ -29,20 +31,29 @@ class FirstView:
     fov_y: float = FOV_Y
     """Vertical field of view, radians."""
     aspect: float = ASPECT
-    """Width to height of what must be seen; narrower pages stand farther back."""
+    """Width to height of a page that stands there; narrower ones stand farther back, as far as the scene is wide."""
+    narrow: float = ASPECT / _NARROW
+    """How much farther a page of the aspect `_NARROW` stands back."""
 
     @classmethod
     def of(cls, scene: ls.Scene) -> FirstView:
         """That of a scene, which is not empty."""
         stated, units = scene.first_view, Extent.of(scene).page_from_scene
         aspect = ASPECT if stated is None else min(ASPECT, stated.width / stated.height)
-        camera = ls.frame_camera(scene, fov_y=FOV_Y if stated is None else None, width=round(720 * aspect), height=720)
+        fov_y = FOV_Y if stated is None else None
+        camera = ls.frame_camera(scene, fov_y=fov_y, width=round(720 * aspect), height=720)
+        narrow = aspect / _NARROW
+        if stated is None:
+            other = ls.frame_camera(scene, fov_y=fov_y, width=round(720 * _NARROW), height=720)
+            narrow = other.focus_distance / camera.focus_distance
         eye, forward = camera.eye, camera.camera_from_world[2, :3]
         x, y, z = (float(value) for value in units * eye)
         u, v, w = (float(value) for value in units * (eye + camera.focus_distance * forward))
-        return cls((x, y, z), (u, v, w), scene.up_direction, camera.fov_y, aspect)
+        return cls((x, y, z), (u, v, w), scene.up_direction, camera.fov_y, aspect, narrow)
 
     def at(self, aspect: float) -> tuple[Point, Point]:
         """Where the eye is, and at what it looks, on a page of an aspect."""
         target = np.array(self.target)
-        return target + (np.array(self.position) - target) * max(1.0, self.aspect / aspect), target
+        # The distance that is needed is a convex function of height to width: between two, a line is never below it.
+        share = max(0.0, (1.0 / aspect - 1.0 / self.aspect) / (1.0 / _NARROW - 1.0 / self.aspect))
+        return target + (np.array(self.position) - target) * (1.0 + share * (self.narrow - 1.0)), target

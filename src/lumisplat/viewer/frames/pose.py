@@ -18,6 +18,8 @@ ASPECT_RANGE = (0.1, 10.0)
 """Width to height of a page's canvas, beyond which it is taken for this."""
 
 _WIDTH_MULTIPLE = 2
+_LEVEL = 1e-3
+"""Sine of the largest angle by which the horizon of a level camera leans."""
 
 
 @dataclass(frozen=True)
@@ -98,10 +100,20 @@ class Pose:
         return matrix
 
 
-def look_through(client: viser.ClientHandle, camera: ls.Camera, page_from_scene: float) -> None:
-    """Moves a page to a camera; it turns about what that focuses on."""
-    _, down, forward = camera.camera_from_world[:3, :3]
+def look_through(
+    client: viser.ClientHandle, camera: ls.Camera, page_from_scene: float, up: tuple[float, float, float]
+) -> None:
+    """Moves a page to a camera; it turns about what that focuses on.
+
+    Args:
+        client: The page.
+        camera: The camera.
+        page_from_scene: Units of the page in one of the scene.
+        up: Of the scene: the axis about which the page turns next, unless the camera's horizon leans.
+    """
+    right, down, forward = camera.camera_from_world[:3, :3]
+    is_level = abs(right @ np.array(up)) < _LEVEL < -down @ np.array(up)
     with client.atomic():
-        client.camera.up_direction, client.camera.fov = -down, camera.fov_y
+        client.camera.up_direction, client.camera.fov = up if is_level else -down, camera.fov_y
         client.camera.position = page_from_scene * camera.eye
         client.camera.look_at = page_from_scene * (camera.eye + camera.focus_distance * forward)

@@ -13,6 +13,7 @@ from lumisplat.viewer.hands.outlines import (
     draw_outlines,
     grid_outline,
     light_outline,
+    points_outline,
     sun_outline,
 )
 from lumisplat.viewer.state.boxes import pose_of, world_corners
@@ -20,6 +21,8 @@ from lumisplat.viewer.state.session import Session
 
 _LIGHT_SIZE = 0.03
 """Of marks of lights without a size, as a share of the scene's."""
+_POINT_SIZE = 0.008
+"""Of marks of points that were clicked, likewise."""
 _INSETS = ("depth", "normal")
 _INSET_SHARE = 0.22
 """Height of an inset, as a share of the picture's."""
@@ -32,6 +35,8 @@ def decorated(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
     with session.changed:
         options = session.options
         outlines = _outlines(session) if options.outlines else []
+        if session.ground_points:
+            outlines.append(points_outline(session.ground_points, _POINT_SIZE * session.extent.size))
         if options.grid:
             outlines.append(_grid(session))
     if outlines and len(picture) < options.height:  # lines of a view that moves are as fine as those of one at rest

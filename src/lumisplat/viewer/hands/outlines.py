@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -78,6 +79,17 @@ def sun_outline(light: ls.LightDirectional, center: npt.ArrayLike, radius: float
     ray = _straight(sun, middle)
     lines = (_circle(middle, radius, vertical), arc, ray, *_ball(sun, 0.05 * radius))
     return Outline(lines, _SELECTED)
+
+
+def points_outline(points: Sequence[npt.ArrayLike], size: float) -> Outline:
+    """Marks of points of a ground that were clicked, and the lines between them.
+
+    Args:
+        points: World positions.
+        size: Radius of the marks, scene units.
+    """
+    marks = [circle for point in points for circle in _ball(point, size)]
+    return Outline((*marks, *(_straight(a, b) for a, b in itertools.pairwise(points))), _SELECTED)
 
 
 def box_outline(corners: npt.ArrayLike) -> Outline:

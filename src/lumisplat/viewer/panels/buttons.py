@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from lumisplat.viewer.server.turns import chosen, in_turn
+from lumisplat.viewer.server.turns import in_turn
 
 if TYPE_CHECKING:
     import viser
@@ -55,12 +55,19 @@ class Channel:
     Args:
         gui: The pages' controls.
         actions: By the first word of what was clicked; each gets the number that is the second one.
+        moves: Likewise, for what is done to the page on which it was clicked, which they get, too.
     """
 
-    def __init__(self, gui: viser.GuiApi, actions: Mapping[str, Callable[[int], object]]) -> None:
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        actions: Mapping[str, Callable[[int], object]],
+        moves: Mapping[str, Callable[[int, viser.ClientHandle], object]] | None = None,
+    ) -> None:
         self._handle = gui.add_text("", "")
-        self._handle.on_update(chosen(str, self._take))
-        self._actions = actions
+        take: Any = in_turn(_said, self._take)
+        self._handle.on_update(take)
+        self._actions, self._moves = actions, moves or {}
 
     @property
     def id(self) -> str:
@@ -68,10 +75,19 @@ class Channel:
         handle: Any = self._handle
         return handle._impl.uuid
 
-    def _take(self, said: str) -> None:
-        words = said.split()
-        if len(words) >= 2 and words[0] in self._actions and words[1].isdecimal():
+    def _take(self, said: tuple[str, viser.ClientHandle]) -> None:
+        words = said[0].split()
+        if len(words) < 2 or not words[1].isdecimal():
+            return
+        if words[0] in self._actions:
             self._actions[words[0]](int(words[1]))
+        elif words[0] in self._moves:
+            self._moves[words[0]](int(words[1]), said[1])
+
+
+def _said(event: Any) -> tuple[str, viser.ClientHandle] | None:
+    """What was clicked, and on which page; None: it was set from here."""
+    return None if event.client is None else (str(event.target.value), event.client)
 
 
 def icon(name: str) -> str:

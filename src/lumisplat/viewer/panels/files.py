@@ -101,9 +101,10 @@ def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
     words = ["lumisplat", "animate" if has_actors else "render", shlex.quote(str(scene_file))]
     # An equals sign: a value that begins with a minus sign would be taken for an option.
     words += [
-        f"{name}={','.join(f'{x:.6g}' for x in at)}"
+        f"{name}={','.join(f'{x:.12g}' for x in at)}"
         for name, at in (("--eye", pose.position), ("--target", pose.target))
     ]
+    words += session.options.loading
     words += [f"--fov {np.degrees(pose.fov_y):.5g}", f"--width {camera.width}", f"--height {camera.height}"]
     words += [f"--exposure={camera.exposure:g}"] if camera.exposure else []
     words += [f"--samples {state.config.samples}"] if state.config.samples else []

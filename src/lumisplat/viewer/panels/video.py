@@ -17,6 +17,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.viewer.frames.picture import Picture, picture_of
+from lumisplat.viewer.frames.pose import look_through
 from lumisplat.viewer.output.stills import still_config
 from lumisplat.viewer.panels.buttons import Channel, button
 from lumisplat.viewer.panels.desk import Desk, file_bytes, pose_of_page
@@ -46,7 +47,9 @@ class VideoPanel:
     def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
         self._desk, self._session = desk, desk.session
         self._list = gui.add_html("")
-        self._channel = Channel(gui, {"sooner": self._sooner, "later": self._later, "delete": self._delete})
+        self._channel = Channel(
+            gui, {"sooner": self._sooner, "later": self._later, "delete": self._delete}, {"look": self._look}
+        )
         self._thumbnails: dict[str, str] = {}
         """Of key views, as addresses of their images, by what the views are."""
         hint = "From the last key view to the next one."
@@ -112,6 +115,13 @@ class VideoPanel:
     def _delete(self, number: int) -> None:
         self._session.apply(lambda document: without_key(document, number))
 
+    def _look(self, number: int, client: viser.ClientHandle) -> None:
+        """Moves a page to a key view."""
+        keys, session = keys_of(self._session.state.document), self._session
+        if number < len(keys):
+            up = session.scene.up_direction
+            look_through(client, camera_of(keys[number], up, _THUMBNAIL), session.extent.page_from_scene, up)
+
     def _delete_all(self, _: Any) -> None:
         if keys_of(self._session.state.document):
             self._session.apply(without_flight)
@@ -154,7 +164,8 @@ def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel:
     Args:
         keys: The key views.
         images: Addresses of their thumbnails; empty: it is not there yet.
-        channel: Id of the text control that gets ``sooner``, ``later`` or ``delete``, and the number of the view.
+        channel: Id of the text control that gets ``look``, ``sooner``, ``later`` or ``delete``, and the number of the
+            view.
     """
     if not keys:
         return '<div class="lumi-list">no flight yet: look from where it starts, and add that view</div>'
@@ -168,7 +179,8 @@ def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel:
                 ("delete", "cross", "delete"),
             )
         )
-        picture = f'<img src="{image}" alt="key view {number + 1}">' if image else ""
+        look = f'role="button" tabindex="0" data-say="look {number}" title="look from there"'
+        picture = f'<img src="{image}" alt="key view {number + 1}" {look}>' if image else ""
         time = f'<span class="lumi-name">{float(key["time"]):g} s</span>'
         cards.append(f'<div class="lumi-key">{picture}<div class="lumi-row">{time}{buttons}</div></div>')
     return f'<div class="lumi-keys" data-to="{html.escape(channel)}">{"".join(cards)}</div>'

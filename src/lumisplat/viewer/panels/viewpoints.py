@@ -67,7 +67,8 @@ class Viewpoints:
         elif self._place.value == _SELECTED:
             self.look_at_selected(event)
         elif camera is not None and event.client is not None:
-            look_through(event.client, camera, self._session.extent.page_from_scene)
+            session = self._session
+            look_through(event.client, camera, session.extent.page_from_scene, session.scene.up_direction)
 
     def _look_at(self, client: viser.ClientHandle, center: np.ndarray, radius: float) -> None:
         """Moves a page along the line of its sight so that a ball fills it."""

@@ -38,7 +38,8 @@ div:has(> .mantine-Flex-root label:empty):has(.mantine-TextInput-input) { displa
 .lumi-problem { color: #e5534b; padding: 0.2em 0.4em; }
 .lumi-keys { display: flex; flex-wrap: wrap; gap: 0.4em; padding: 0 0.5em 0.4em; font-size: 0.8em; }
 .lumi-key { width: 7.2em; border-radius: 4px; overflow: hidden; background: rgba(128, 128, 128, 0.15); }
-.lumi-key img { display: block; width: 100%; }
+.lumi-key img { display: block; width: 100%; cursor: pointer; }
+.lumi-key img:hover { opacity: 0.85; }
 .lumi-key .lumi-row { padding: 0 0.2em; gap: 0; }
 /* Over the picture, while there is none yet. */
 .lumi-wait { position: fixed; z-index: 5; left: calc(0.5 * (100vw - var(--lumi-panel, 0px)));

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -17,7 +18,7 @@ PAGE_SIZES = (0.3, 30.0)
 
 @dataclass(frozen=True)
 class Extent:
-    """The bulk of a scene, measured once when it is opened."""
+    """The bulk of a scene, measured when it is opened; its ground, when up changes, too."""
 
     center: Vector = (0.0, 0.0, 0.0)
     size: float = 1.0
@@ -33,8 +34,15 @@ class Extent:
         low, high = scene.bulk_bounds()
         size = float(np.linalg.norm(high - low))
         x, y, z = (float(value) for value in 0.5 * (low + high))
-        below = 0.5 * float(np.abs(np.array(scene.up_direction)) @ (high - low))
-        return cls((x, y, z), size if 1e-6 < size < math.inf else 1.0, below)
+        return cls((x, y, z), size if 1e-6 < size < math.inf else 1.0).with_ground(scene)
+
+    def with_ground(self, scene: ls.Scene) -> Extent:
+        """With the ground of a scene, at right angles to its up."""
+        instances, up = (*scene.splats, *scene.meshes), np.array(scene.up_direction)
+        if not instances:
+            return self
+        ground = min(lowest_height(instance, scene.up_direction) for instance in instances)
+        return replace(self, height_below=float(np.array(self.center) @ up) - ground)
 
     @property
     def page_from_scene(self) -> float:
@@ -46,3 +54,9 @@ class Extent:
     def dome_radius(self) -> float:
         """Of the dome on which suns are held, scene units: small enough to be in view when all of the scene is."""
         return 0.35 * self.size
+
+
+def lowest_height(instance: ls.SplatInstance | ls.MeshInstance, up: Vector) -> float:
+    """Height of the lowest point of an instance along up, of a capture without stray Gaussians below it."""
+    stood: Any = ls.stand_on_ground(cast(Any, instance), 0.0, up=up)
+    return float(np.array(up) @ (instance.transform[:3, 3] - stood.transform[:3, 3]))

@@ -51,6 +51,8 @@ class Options:
     """Whether lines on the ground show how large the scene is."""
     insets: bool = False
     """Whether depth and normals are shown in the corner."""
+    loading: tuple[str, ...] = ()
+    """Options of the command line by which files were loaded."""
     split: float | None = None
     """Share of the picture, from the left, that shows the state before the edits; None: none of it."""
 
@@ -78,6 +80,8 @@ class Session:
         """Id of the entry that people edit; None: none."""
         self.locked: frozenset[int] = frozenset()
         """Ids of entries that clicks pass by, and that are not edited until they are unlocked."""
+        self.ground_points: tuple[tuple[float, float, float], ...] | None = None
+        """Points of the ground that were clicked so far, world space; None: clicks select."""
         self.options = options
         self.revision = 0
         """Grows with every change of what frames show."""
@@ -98,6 +102,7 @@ class Session:
         with self.changed:
             self.extent, self.opened = Extent.of(state.document.scene(self.options.time)), state
             self._past, self._future, self._merging = [], [], None
+            self.ground_points = None
             self._show(state)
 
     def edit(self, change: Callable[[State], State], merge: str | None = None, *, within: float = MERGE_S) -> None:
@@ -219,6 +224,12 @@ class Session:
             self.locked ^= {entry}
             self._show(self.state)
 
+    def set_ground_points(self, points: tuple[tuple[float, float, float], ...] | None) -> None:
+        """Takes clicks for points of the ground, after those given; None: no longer."""
+        with self.changed:
+            self.ground_points = points
+            self._show(self.state)
+
     def set_options(self, **changes: object) -> None:
         """Shows the same state in another way.
 
@@ -253,7 +264,9 @@ class Session:
     def _show(self, state: State) -> None:
         if state.document is not self.state.document:
             self.boxes.keep(state.document)
-        self.state = state
+        before, self.state = self.state, state
+        if before.document.top.get("up") != state.document.top.get("up"):
+            self.extent = self.extent.with_ground(self.scene)
         if self.options.view != "color" and self.options.view not in self.views:
             self.options = replace(self.options, view="color")  # such frames have no image of it
         self.revision += 1

@@ -175,9 +175,19 @@ def with_sky(document: ls.SceneDocument, path: str) -> tuple[ls.SceneDocument, i
         FormatError: The image cannot be read.
     """
     sky = next((entry for entry in document.entries if entry.kind == "environment"), None)
+    upright = {"rotation_wxyz": upright_rotation(document.scene().up_direction)}
     if sky is None:
-        return document.added("environment", {"path": path})
-    return document.changed(sky.id, path=path), sky.id
+        return document.added("environment", {"path": path, **upright})
+    turn = {} if "path" in sky.table or "rotation_wxyz" in sky.table else upright
+    return document.changed(sky.id, path=path, **turn), sky.id
+
+
+def upright_rotation(up: tuple[float, float, float]) -> list[float]:
+    """The rotation, a quaternion, after which the upper edge of an environment's image is up."""
+    from viser import transforms
+
+    standing = ls.MeshInstance(ls.box(1.0), up=up).transform[:3, :3]
+    return _listed(transforms.SO3.from_matrix(standing).wxyz)
 
 
 def free_name(folder: Path, name: str) -> Path:

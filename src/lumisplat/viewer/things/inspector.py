@@ -76,7 +76,7 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
             degrees = replace(field, name=f"{field.name}_degrees", help=text, low=0.0, high=90.0)
             found.append((degrees, math.degrees(value)))
         elif field.name == "direction" and isinstance(light, ls.LightDirectional):
-            found += zip(_SUN, sun_angles(value, up), strict=True)
+            found += zip(_SUN, (round(angle, 2) for angle in sun_angles(value, up)), strict=True)
         else:
             unit = _UNITS.get(kind.__name__, "") if field.name == "intensity" else ""
             found.append((replace(field, unit=unit), value))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from lumisplat.viewer.hands.gizmo import moved
 from lumisplat.viewer.panels.buttons import Channel, add_buttons
 from lumisplat.viewer.panels.controls import set_if_changed
 from lumisplat.viewer.server.turns import in_turn
+from lumisplat.viewer.state.extent import lowest_height
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.things.adding import AddPanel
 from lumisplat.viewer.things.inspector import Inspector
+from lumisplat.viewer.things.level_panel import LevelPanel
 from lumisplat.viewer.things.tree import tree_html
 
 if TYPE_CHECKING:
@@ -29,9 +31,12 @@ class ThingsPanel:
         gui: The pages' controls.
         session: Has the entries.
         pages: Open pages by the id of their connection.
+        tell: Shows a note on all pages, by its title and its text.
     """
 
-    def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page], tell: Callable[[str, str], object]
+    ) -> None:
         self._session = session
         self._listed: tuple[object, ...] | None = None
         """What the list shows."""
@@ -44,6 +49,8 @@ class ThingsPanel:
         self._inspector = Inspector(gui, session, gui.add_folder(None))
         with gui.add_folder("add", expand_by_default=False):
             self._adding = AddPanel(gui, session, pages)
+        with gui.add_folder("level"):
+            self.level = LevelPanel(gui, session, tell)
         session.on_change(self._show)
 
     def list_files(self) -> None:
@@ -126,14 +133,8 @@ def on_ground(document: ls.SceneDocument, number: int) -> ls.SceneDocument:
     mine = entry.at(0.0)
     if not mine or not (others.splats or others.meshes):
         raise ls.SceneError("to the ground: it takes a capture, a mesh or an actor, and something else with a ground")
-    up = np.array(others.up_direction)
-    ground = min(_height(instance, up) for instance in (*others.splats, *others.meshes))
+    up = others.up_direction
+    ground = min(lowest_height(instance, up) for instance in (*others.splats, *others.meshes))
     shift = np.eye(4)
-    shift[:3, 3] = (ground - min(_height(instance, up) for instance in mine)) * up
+    shift[:3, 3] = (ground - min(lowest_height(instance, up) for instance in mine)) * np.array(up)
     return moved(document, entry, shift, 0.0)
-
-
-def _height(instance: ls.SplatInstance | ls.MeshInstance, up: Any) -> float:
-    """Height of the lowest point of an instance."""
-    stood: Any = ls.stand_on_ground(cast(Any, instance), 0.0, up=tuple(up))
-    return float(up @ (instance.transform[:3, 3] - stood.transform[:3, 3]))
