@@ -264,7 +264,7 @@ def test_what_is_saved_renders_the_same(viewer: ls.Viewer, tmp_path: Path) -> No
     [
         ({}, 0.0),
         ({"samples": 3, "shadows": ls.Shadows.SOFT, "tone_map": ls.ToneMap.AGX, "max_bounces": 2}, -1.5),
-        ({"pipeline": ls.Pipeline.PATH, "samples": 2, "background": (0.2, 0.4, 0.6)}, 0.5),
+        ({"pipeline": ls.Pipeline.PATH, "samples": 32, "background": (0.2, 0.4, 0.6)}, 0.5),
         ({"pipeline": ls.Pipeline.RASTER, "lighting": False, "raster": ls.RasterConfig(dilation=0.0)}, 0.0),
     ],
     ids=["as it is", "soft, toned", "paths", "as captured"],
