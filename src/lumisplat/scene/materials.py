@@ -81,6 +81,9 @@ class MaterialPbr:
     """Of the sheen, 0..1: less of it is at grazing angles the higher; below 0.1 as 0.1."""
     emissive: Color = (0.0, 0.0, 0.0)
     """Emitted linear radiance, at least 0; on a splat set, a factor of the captured colour."""
+    double_sided: bool = True
+    """Whether meshes emit from the back of their triangles as well, from which these are clockwise. False: the back is
+    black but for what it reflects, as with glTF's ``doubleSided``. Light is reflected on both sides either way."""
     base_color_texture: Texture | None = None
     """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); the fourth is alpha."""
     metallic_roughness_texture: Texture | None = None
@@ -139,6 +142,7 @@ class MaterialPbr:
             sheen_color: npt.ArrayLike = (0.0, 0.0, 0.0),
             sheen_roughness: float = 0.0,
             emissive: npt.ArrayLike = (0.0, 0.0, 0.0),
+            double_sided: bool = True,
             base_color_texture: Texture | None = None,
             metallic_roughness_texture: Texture | None = None,
             normal_texture: Texture | None = None,
@@ -180,8 +184,9 @@ class MaterialPbr:
         object.__setattr__(self, "attenuation_color", _color("attenuation_color", self.attenuation_color, 1.0))
         if not is_number(self.attenuation_distance) or not self.attenuation_distance > 0.0:
             raise SceneError(f"attenuation_distance is {self.attenuation_distance}, expected a length above 0, or inf")
-        if not is_flag(self.thin_walled):
-            raise SceneError(f"thin_walled is {self.thin_walled}, expected True or False")
+        for name in ("thin_walled", "double_sided"):
+            if not is_flag(getattr(self, name)):
+                raise SceneError(f"{name} is {getattr(self, name)}, expected True or False")
         if not is_whole(self.priority) or not -(2**31) <= self.priority < 2**31:
             raise SceneError(f"priority is {self.priority}, expected a whole number of 32 bits")
 

@@ -71,6 +71,16 @@ def test_without_textures_and_emission(tmp_path: Path) -> None:
     assert material.normal_texture is None and material.emissive_texture is None
 
 
+@pytest.mark.parametrize(
+    ("stored", "expected"), [({}, False), ({"doubleSided": False}, False), ({"doubleSided": True}, True)]
+)
+def test_emission_is_on_one_side_unless_said_otherwise(tmp_path: Path, stored: dict[str, bool], expected: bool) -> None:
+    """By ``doubleSided``, whose default is one side."""
+    material = read(tmp_path, textured(emissiveFactor=[1.0, 0.5, 0.25], **stored)).material
+    assert isinstance(material, ls.MaterialPbr)
+    assert material.double_sided is expected
+
+
 def test_unlit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """KHR_materials_unlit shines by its base colour and reflects nothing; its other textures are ignored."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, extensions={"KHR_materials_unlit": {}})

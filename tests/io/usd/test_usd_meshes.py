@@ -170,6 +170,15 @@ def test_values_of_a_surface(tmp_path: Path) -> None:
     assert (found.clearcoat, found.clearcoat_roughness) == (0.5, 0.125)
 
 
+@pytest.mark.parametrize(("stored", "expected"), [("", False), ("uniform bool doubleSided = 1", True)])
+def test_emission_is_on_one_side_unless_said_otherwise(tmp_path: Path, stored: str, expected: bool) -> None:
+    """By ``doubleSided`` of the mesh, whose default is one side."""
+    applied, binding = bound()
+    body = mesh(f"{binding}\n{stored}", applied=applied) + material("color3f inputs:emissiveColor = (4, 5, 6)")
+    found = expect_kind(ls.MaterialPbr, load_scene(tmp_path, body).meshes[0].mesh.material)
+    assert found.double_sided is expected
+
+
 @pytest.mark.parametrize(
     ("inputs", "mode", "alpha", "transmission"),
     [

@@ -42,6 +42,7 @@ def materials() -> list[ls.MaterialPbr]:
             occlusion_strength=0.6,
             emissive=(1.5, 0.2, 0.1),
             emissive_texture=plain,
+            double_sided=False,
             clearcoat=0.4,
             clearcoat_texture=plain,
             clearcoat_roughness=0.3,

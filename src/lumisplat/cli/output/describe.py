@@ -266,7 +266,8 @@ def _surface(material: Material) -> str:
         names = ("metallic", "roughness", "specular", "ior", "transmission")
         texts = [f"{name} {getattr(material, name):.3g}" for name in names]
         if any(material.emissive):
-            texts.append("emissive {:.3g} {:.3g} {:.3g}".format(*material.emissive))
+            sides = "" if material.double_sided else ", front only"
+            texts.append("emissive {:.3g} {:.3g} {:.3g}".format(*material.emissive) + sides)
         return "   ".join(texts)
     names = ("emissive", "ambient", "diffuse", "specular")
     texts = ["{} {:.3g} {:.3g} {:.3g}".format(name, *getattr(material, name)) for name in names]

@@ -84,6 +84,6 @@ def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[Sha
         instance = scene[0].mesh_instances[number]
         corners = scene[0].meshes.indices[instance.face_first + k - emitters.first[number]]
         coverage = surface_alpha(instance, scene[0].meshes, corners, weights)
-        radiance = coverage * emission_at(number, corners, weights, scene)
+        radiance = coverage * emission_at(number, corners, weights, sample.direction, scene)
         sample.irradiance = wp.min(radiance / sample.density, BRIGHTEST)
     return sample

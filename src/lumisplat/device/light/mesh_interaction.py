@@ -142,11 +142,24 @@ def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave:
 
 
 @wp.func
-def emission_at(number: int, corners: wp.vec3i, weights: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Linear radiance, without lights, of a point of mesh instance ``number``: emission and reflected ambient light."""
+def emission_at(
+    number: int, corners: wp.vec3i, weights: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]
+) -> wp.vec3:
+    """Linear radiance, without lights, of a point of a mesh: emission and reflected ambient light.
+
+    Args:
+        number: Of the mesh instance.
+        corners: Vertices of the triangle.
+        weights: Barycentric coordinates of the point.
+        direction: Of the ray that meets it, world space; some materials emit from the front of triangles alone.
+        scene: With the mesh.
+    """
     material = scene[0].materials[scene[0].splats.shape[0] + number]
     meshes = scene[0].meshes
     emission = material.emissive
+    if material.double_sided == 0 and not is_black(emission):
+        if wp.dot(face_normal(scene[0].mesh_instances[number], meshes, corners), direction) >= 0.0:
+            return wp.vec3(0.0)
     if material.model == BSDF_PBR:
         if material.emissive_texture.width > 0 and not is_black(emission):
             uv = hit_uv(meshes, corners, weights)
@@ -162,4 +175,5 @@ def emission_at(number: int, corners: wp.vec3i, weights: wp.vec3, scene: wp.arra
 def mesh_emission(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
     """The same where ray ``i`` hits a mesh."""
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
-    return emission_at(wave[0].meshes.instance[i], corners, hit_weights(wave[0].meshes.weights[i]), scene)
+    weights = hit_weights(wave[0].meshes.weights[i])
+    return emission_at(wave[0].meshes.instance[i], corners, weights, wave[0].rays.direction[i], scene)

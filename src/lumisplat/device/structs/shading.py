@@ -26,6 +26,8 @@ class MaterialData:
     shadow_only: int
     """1: splats keep their captured colours, darkened where lights are blocked."""
     emissive: wp.vec3
+    double_sided: int
+    """1: triangles emit from their backs, too."""
     ambient: wp.vec3
     diffuse: wp.vec3
     specular: wp.vec3

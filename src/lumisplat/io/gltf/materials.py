@@ -244,6 +244,7 @@ class GltfMaterials:
             return MaterialSimple(base_color=color, name=material.name or "", **shared)
         transmission = _extension(material, "transmission").get("transmissionFactor", 0.0)
         strength = _extension(material, "emissive_strength").get("emissiveStrength", 1.0)
+        emissive = tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0))
         return MaterialPbr(
             base_color=color,
             metallic=_or(pbr.get("metallicFactor"), 1.0),
@@ -254,7 +255,8 @@ class GltfMaterials:
             transmission=transmission,
             **_inside(material, transmission),
             **_layers(material),
-            emissive=tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0)),
+            emissive=emissive,
+            double_sided=bool(material.doubleSided) or not any(emissive),  # reflection is on both sides either way
             normal_scale=_or(getattr(material.normalTexture, "scale", None), 1.0),
             occlusion_strength=_or(getattr(material.occlusionTexture, "strength", None), 1.0),
             name=material.name or "",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from lumisplat.io.usd.assets import asset_bytes, asset_name
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.shaders import Placement, PreviewSurface, TextureInput, surface_of
 from lumisplat.io.usd.stage import UsdFile
+from lumisplat.io.usd.values import value
 from lumisplat.io.usd.walk import prim_name
 from lumisplat.math.color import encode_srgb
 from lumisplat.scene.materials import AlphaMode, MaterialPbr
@@ -45,6 +47,7 @@ class UsdMaterials:
     def __init__(self, file: UsdFile) -> None:
         self._file = file
         self._known: dict[str, ReadMaterial | None] = {}
+        self._one_sided: dict[int, MaterialPbr] = {}
         self._images: dict[str, _Texels] = {}
         self._total = TextureBytes(file.path)
 
@@ -69,6 +72,14 @@ class UsdMaterials:
             except SceneError as error:
                 raise FormatError(self._file.path, f"{material.GetPath()}: {error}") from None
         return self._known[key]
+
+    def sided(self, material: MaterialPbr, prim: Any) -> MaterialPbr:
+        """The material of a mesh, which emits from the front of its triangles alone if the mesh is not double-sided."""
+        if not material.is_emissive or value(self._file, prim, "doubleSided", False):
+            return material
+        if id(material) not in self._one_sided:
+            self._one_sided[id(material)] = replace(material, double_sided=False)
+        return self._one_sided[id(material)]
 
     def texels(self, texture: TextureInput) -> _Texels:
         """The texels of a texture as stored, shape (H, W, 3 or 4)."""

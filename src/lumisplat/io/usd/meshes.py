@@ -106,7 +106,7 @@ class UsdMeshes:
             triangles, arrays = _used(triangles, arrays)
         material = MaterialPbr(base_color=(1.0,) * 3 if "colors" in arrays else (GREY,) * 3)
         if read is not None:
-            material = read.material
+            material = self._materials.sided(read.material, prim)
             if "uvs" in arrays:
                 arrays["uvs"] = flip_v(read.placement.transform(arrays["uvs"]))
         if "colors" in arrays:
@@ -121,7 +121,7 @@ class UsdMeshes:
     def _shape(self, placed: Placed, read: ReadMaterial | None) -> Mesh:
         """A cube, sphere or plane as a mesh; ours have y up."""
         file, prim = self._file, placed.prim
-        material = MaterialPbr(base_color=(GREY,) * 3) if read is None else read.material
+        material = MaterialPbr(base_color=(GREY,) * 3) if read is None else self._materials.sided(read.material, prim)
         match str(prim.GetTypeName()):
             case "Cube":
                 mesh = box(number(file, prim, "size", 2.0), material=material)

@@ -100,7 +100,9 @@ def strength_of(light: Light) -> npt.NDArray[np.float64]:
 
 def emission_of(material: Material) -> tuple[object, ...]:
     """By what a material shines by itself, or by ambient light."""
-    return (material.emissive, material.ambient) if isinstance(material, MaterialSimple) else (material.emissive,)
+    if isinstance(material, MaterialSimple):
+        return material.emissive, material.ambient
+    return material.emissive, material.double_sided
 
 
 def is_suddenly_other(before: LightOfScene, now: LightOfScene) -> bool:

@@ -135,7 +135,7 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, c
 def _fill(row: Any, material: Material) -> None:
     row["emissive"] = material.emissive
     if isinstance(material, MaterialSimple):
-        row["model"] = BSDF_SIMPLE
+        row["model"], row["double_sided"] = BSDF_SIMPLE, 1
         for name in ("ambient", "diffuse", "specular", "shininess"):
             row[name] = getattr(material, name)
         row["roughness"] = 1.0  # never smooth
@@ -146,8 +146,9 @@ def _fill(row: Any, material: Material) -> None:
     fill_layers(row, material)
     row["sheen"] = material.sheen_color
     row["sheen_alpha"] = max(material.sheen_roughness, SHEEN_ROUGHNESS_MIN) ** 2
-    for name in ("metallic", "roughness", "ior", "transmission", "thin_walled", "normal_scale", "occlusion_strength"):
+    for name in ("double_sided", "metallic", "roughness", "ior", "transmission", "thin_walled"):
         row[name] = getattr(material, name)
+    row["normal_scale"], row["occlusion_strength"] = material.normal_scale, material.occlusion_strength
 
 
 def _fill_textures(row: Any, mesh: Mesh, texture_first: TextureFirst) -> None:

@@ -224,6 +224,8 @@ MATERIALS = [
     ls.MaterialPbr(base_color=(0.1, 0.2, 0.3), metallic=1.0, roughness=0.0, specular=0.5, ior=1.33),
     ls.MaterialPbr(emissive=(0.25, 0.5, 1.0)),
     ls.MaterialPbr(emissive=(2.0, 4.0, 8.0), emissive_texture=texels(1)),
+    ls.MaterialPbr(emissive=(0.25, 0.5, 1.0), double_sided=False),
+    ls.MaterialPbr(emissive=(0.25, 0.5, 1.0), transmission=1.0),
     ls.MaterialPbr(transmission=0.75, thin_walled=True),
     ls.MaterialPbr(transmission=1.0, attenuation_color=(0.5, 0.25, 1.0), attenuation_distance=2.5, ior=1.5),
     ls.MaterialPbr(transmission=1.0, transmission_texture=texels(2)),

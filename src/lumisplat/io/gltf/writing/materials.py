@@ -164,10 +164,10 @@ def _given(item: _Item) -> _Item:
 
 
 def _shared(material: Material) -> _Item:
-    """What materials of all kinds have. Surfaces are seen from both sides, but for those of bodies of glass."""
+    """What materials of all kinds have. Surfaces have two sides, unless they emit from one or are bodies of glass."""
     item: _Item = {"name": material.name} if material.name else {}
-    if not (isinstance(material, MaterialPbr) and material.is_solid):
-        item["doubleSided"] = True
+    if material.is_emissive or not (isinstance(material, MaterialPbr) and material.is_solid):
+        item["doubleSided"] = not isinstance(material, MaterialPbr) or material.double_sided
     if material.alpha_mode is not AlphaMode.OPAQUE:
         item["alphaMode"] = material.alpha_mode.value.upper()
     return item | ({"alphaCutoff": material.alpha_cutoff} if material.alpha_mode is AlphaMode.MASK else {})

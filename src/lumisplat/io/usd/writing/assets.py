@@ -102,7 +102,7 @@ def define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:
     defined = px.UsdGeom.Mesh.Define(writer.stage, path)
     prim = defined.GetPrim()
     defined.CreateSubdivisionSchemeAttr("none")
-    defined.CreateDoubleSidedAttr(True)
+    defined.CreateDoubleSidedAttr(not isinstance(mesh.material, MaterialPbr) or mesh.material.double_sided)
     defined.CreateFaceVertexCountsAttr(vt.IntArray.FromNumpy(np.full(mesh.face_count, 3, np.int32)))
     defined.CreateFaceVertexIndicesAttr(vt.IntArray.FromNumpy(mesh.indices.reshape(-1)))
     for name, values in mesh_values(mesh).items():
