@@ -71,6 +71,41 @@ def test_a_proxy_is_not_seen_itself(pipeline: ls.Pipeline) -> None:
     assert with_plane.color.mean() < 0.998 * without.color.mean()
 
 
+@pytest.mark.parametrize("albedo", [0.2, 0.7])
+def test_a_proxy_reflects_as_a_floor_of_its_color(albedo: float) -> None:
+    """Light goes to and fro between a white lid and the floor: the ratio of a proxy is that of a real floor."""
+    even = ls.LightEnvironment(color=(1.0, 1.0, 1.0), visible=False)
+    settings = {"background": (0.0, 0.0, 0.0), "samples": 64, "max_bounces": 6}
+    lid = disc(0.9)
+    proxy = rendered(ls.Scene([], [plane(diffuse(albedo)), lid], [even]), below(), ls.Pipeline.PATH, **settings)
+    floor = replace(plane(diffuse(albedo)), shadow_catcher=False)
+    shadowed, open_floor = (
+        ls.render(scene, below(), ls.RenderConfig(pipeline=ls.Pipeline.PATH, **settings), device="cpu").color.mean()
+        for scene in (ls.Scene([], [floor, lid], [even]), ls.Scene([], [floor], [even]))
+    )
+    assert proxy.shadow_ratio is not None
+    assert proxy.shadow_ratio.mean() == pytest.approx(shadowed / open_floor, rel=0.04)
+
+
+def test_a_light_without_blue_is_shadowed_in_red_and_green() -> None:
+    """The ratio of a channel without light is 1, as nothing is known of it."""
+    yellow = ls.LightEnvironment(color=(0.3, 0.4, 0.0), visible=False)
+    frame = rendered(ls.Scene([], [plane(), disc()], [yellow]), below(), ls.Pipeline.HYBRID, samples=16)
+    assert frame.shadow_ratio is not None
+    assert frame.shadow_ratio[..., :2].max() < 0.5
+    np.testing.assert_array_equal(frame.shadow_ratio[..., 2], 1.0)
+
+
+@PIPELINES
+def test_a_proxy_darkens_the_visible_environment_behind_it(pipeline: ls.Pipeline) -> None:
+    """An environment map is the plate where nothing was captured."""
+    even = ls.LightEnvironment(color=(0.3, 0.4, 0.9))
+    scene = ls.Scene([], [plane(), disc()], [even])
+    frame = rendered(scene, below(), pipeline)
+    assert frame.shadow_ratio is not None and frame.shadow_ratio.mean() < 0.6
+    np.testing.assert_allclose(frame.color, frame.shadow_ratio * np.array((0.3, 0.4, 0.9)), rtol=1e-3)
+
+
 def test_a_proxy_catches_a_clean_shadow_for_a_capture_without_a_surface() -> None:
     """Shadows on the floaters themselves break into flecks; on the plane through them they do not."""
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=64, height=64, fov_y=0.5)

@@ -246,6 +246,12 @@ CATCHER_BLUR_STEPS = 2
 CATCHER_DEPTHS = 16.0
 """Standard deviation of depths that are one layer for it, over that of the height."""
 
+CATCHER_ALBEDO = 0.5
+"""Albedo of meshes that catch shadows whose material has no base colour of its own: light bounces off them in paths."""
+
+CATCHER_ALBEDO_MIN = 0.02
+"""Least albedo of a mesh that catches shadows, in each channel: a black one would show no ratio."""
+
 CATCHER_FILL_PX = 3
 """Pixels by which the ratio of meshes that catch shadows is carried on behind the edges of objects."""
 

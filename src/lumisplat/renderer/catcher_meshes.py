@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from lumisplat.config import Pipeline, RenderConfig
-from lumisplat.constants import CATCHER_AMBIENT, CATCHER_FILL_PX
+from lumisplat.constants import CATCHER_ALBEDO, CATCHER_ALBEDO_MIN, CATCHER_AMBIENT, CATCHER_FILL_PX
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
@@ -65,18 +65,20 @@ def with_caught(frame: Frame, scene: Scene, render: Render, *, keeps_ratio: bool
     assert frame.captured is not None and frame.captured_weight is not None and frame.light is not None
     catchers = tuple(one for one in scene.meshes if one.shadow_catcher)
     added = _added(scene)
-    bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_white, catchers)))
+    bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
     seen, lit = render(bare), render(replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes)))
     there = (seen.instance_index >= 0) & ~_is_before(frame, scene, seen)
-    caught = there & (lit.instance_index >= len(added.splats) + len(added.meshes)) & (seen.color > 0.0).all(axis=2)
+    caught = there & (lit.instance_index >= len(added.splats) + len(added.meshes)) & (seen.color > 0.0).any(axis=2)
     ratio = np.ones_like(seen.color)
-    ratio[caught] = lit.color[caught] / seen.color[caught]
+    known = caught[..., None] & (seen.color > 0.0)  # a light may lack a channel
+    ratio[known] = lit.color[known] / seen.color[known]
     ratio = np.where(there[..., None], _filled(ratio, caught), np.float32(1.0))
     reflected = np.where(there[..., None], _reflections(scene, added, catchers, render), np.float32(0.0))
     captured = captured_radiance(frame.captured, frame.captured_weight)
     clear = 1.0 - frame.alpha if frame.background is None else np.zeros_like(frame.alpha)
     shown = np.clip(frame.captured_weight + clear, 0.0, 1.0)[..., None]
-    light = frame.light + captured * (ratio - 1.0) + shown * reflected
+    is_environment = (frame.instance_index < 0)[..., None]
+    light = frame.light * np.where(is_environment, ratio, 1.0) + captured * (ratio - 1.0) + shown * reflected
     darkness = 1.0 - np.clip(ratio.min(axis=2), 0.0, 1.0)
     changed = (light != frame.light).any(axis=2, keepdims=True)
     return replace(
@@ -119,10 +121,16 @@ def _lights(scene: Scene) -> tuple[Light, ...]:
     return (*lights, LightEnvironment(color=ambient, visible=False, name="ambient"))
 
 
-def _white(instance: MeshInstance) -> MeshInstance:
-    """A catcher that shows the light on it."""
-    material = MaterialSimple(emissive=0.0, diffuse=1.0)
-    return replace(instance, mesh=replace(instance.mesh, material=material), shadow_catcher=False)
+def _matte(instance: MeshInstance) -> MeshInstance:
+    """Returns a catcher that reflects diffusely in its material's base colour, in `CATCHER_ALBEDO` if none was given.
+
+    The ratio of two such pictures depends on that colour only by light that goes to and fro between the catcher and
+    what was added.
+    """
+    color = instance.mesh.material.base_color
+    given = CATCHER_ALBEDO if color == MaterialPbr().base_color else np.maximum(color, CATCHER_ALBEDO_MIN)
+    material = MaterialSimple(emissive=0.0, diffuse=1.0, base_color=given)
+    return replace(instance, mesh=replace(instance.mesh, material=material, colors=None), shadow_catcher=False)
 
 
 def _reflections(scene: Scene, added: Scene, catchers: tuple[MeshInstance, ...], render: Render) -> FloatArray:
