@@ -103,3 +103,24 @@ def test_settings_that_are_refused_leave_the_renderer_as_it_is() -> None:
     assert renderer.config == BASE
     for image, same in zip(images_of(renderer), before, strict=True):
         np.testing.assert_array_equal(image, same)
+
+
+def test_a_differentiable_renderer_changes_its_backward_pass_too() -> None:
+    """Gradients are those of a new renderer; what the class refuses is refused, and leaves it as it is."""
+    scene = ls.Scene([random_gaussians(1, count=60)])
+    raster, trace = (ls.RenderConfig(pipeline=pipeline) for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE))
+    given = np.ones((CAMERA.height, CAMERA.width, 3))
+    renderer = ls.DifferentiableRenderer(raster, "cpu")
+    renderer.render(scene, CAMERA)
+    renderer.reconfigure(trace)
+    with pytest.raises(ls.ConfigError, match="render a frame first"):
+        renderer.gradients(given)
+    fresh = ls.DifferentiableRenderer(trace, "cpu")
+    found = []
+    for one in (renderer, fresh):
+        one.render(scene, CAMERA)
+        found.append(one.gradients(given))
+    np.testing.assert_array_equal(found[0].sets[0].means, found[1].sets[0].means)
+    with pytest.raises(ls.ConfigError):
+        renderer.reconfigure(ls.RenderConfig(pipeline=ls.Pipeline.PATH))
+    assert renderer.config == trace

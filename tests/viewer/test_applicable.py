@@ -156,6 +156,9 @@ def test_no_background_can_be_chosen_and_taken_back() -> None:
         ("hit_distance is 'mean', expected 'peak'", "hit distance is 'mean'"),
         ("NormalMethod.ELLIPSOID is not used", "normal method ellipsoid is not used"),
         ("my_max_bounces.ply: cannot be read", "my_max_bounces.ply: cannot be read"),
+        ("/a/time_limit/b/max_bounces.toml: no such file", "/a/time_limit/b/max_bounces.toml: no such file"),
+        ("max_bounces-2.png is not written", "max_bounces-2.png is not written"),
+        ("set max_bounces.", "set max bounces."),
     ],
 )
 def test_messages_speak_of_the_controls_of_the_page(message: str, words: str) -> None:

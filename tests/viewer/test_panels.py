@@ -496,8 +496,18 @@ def test_undo_keeps_as_many_captures_as_memory_has_room_for() -> None:
         states.append(replace(states[-1], exposure=1.0))
     captures = [state.document.entry(0).splats[0].gaussians for state in states]
     most = sum(array.nbytes for capture in (captures[5], captures[7]) for array in arrays_of(capture))
-    assert within_memory(states[:-1], states[-1], most) == states[-6:-1]
+    small = 8192  # of matrices and bounds
+    assert within_memory(states[:-1], states[-1], most + small) == states[-6:-1]
     assert within_memory(states[:-1], states[-1]) == states[:-1]
+
+
+def test_undo_counts_the_images_of_environments() -> None:
+    """Each is held by the state that showed it."""
+    images = [np.full((32, 64, 3), value, np.float32) for value in (0.5, 1.0, 2.0)]
+    states = [State(ls.SceneDocument.of(ls.Scene(lights=[ls.LightEnvironment(image=image)]))) for image in images]
+    most = images[0].nbytes
+    assert within_memory(states[:-1], states[-1], most + 8192) == states[1:-1]
+    assert within_memory(states[:-1], states[-1], 3 * most) == states[:-1]
 
 
 def arrays_of(gaussians: ls.Gaussians) -> list[np.ndarray]:

@@ -23,7 +23,9 @@ def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, d
     Captures are display-referred: the light sources in them are clipped at white, and parts of the surroundings are
     missing. The surfaces around an object were lit by all of that light, and show as much as they reflect: surfaces of
     the mean radiance L and the albedo 0.5 received the irradiance 2 pi L. At the object, what is found is pi L times
-    the share of all directions in which there are any. The gain is the one over the other.
+    the share of all directions in which there are any. The gain is the one over the other: it follows from that share
+    alone, not from how bright the capture is. A capture that shows all of its light unclipped, as one of an overcast
+    sky, needs none: 0.
 
     Args:
         scene: Its captures that are as captured are the surroundings, whatever else is in it.
@@ -32,7 +34,7 @@ def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, d
         device: ``auto`` (CUDA if there is one), ``cpu``, ``cuda`` or ``cuda:N``.
 
     Returns:
-        Stops, 0 to 6, to a tenth.
+        Stops, 1 (captures all around) to 6, to a tenth.
 
     Raises:
         SceneError: The scene has no capture that is as captured, there is nothing in it but captures and no position is
@@ -55,8 +57,7 @@ def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, d
     clear = renderer.transmittance(Scene(around), np.broadcast_to(place, directions.shape), directions)
     coverage = 1.0 - float(clear.mean(dtype=np.float64))
     # The mean radiance of the surroundings arrives times their coverage, and had arrived over their albedo.
-    stops = -math.log2(max(SURROUNDINGS_ALBEDO * coverage, 2.0**-CAPTURE_GAIN_FOUND_MAX))
-    return round(max(stops, 0.0), 1)
+    return round(-math.log2(max(SURROUNDINGS_ALBEDO * coverage, 2.0**-CAPTURE_GAIN_FOUND_MAX)), 1)
 
 
 def _all_around(count: int) -> npt.NDArray[np.float64]:

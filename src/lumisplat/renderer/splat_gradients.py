@@ -80,9 +80,22 @@ class DifferentiableRenderer(Renderer):
         progress: Progress | None = None,
     ) -> None:
         super().__init__(_checked(checked_config(config)), Launcher(device, threads), progress)
+        self._prepare()
+
+    def reconfigure(self, config: RenderConfig) -> None:
+        """As `lumisplat.Renderer.reconfigure`; a frame must be rendered before its gradients.
+
+        Raises:
+            ConfigError: As of the class; the renderer is as before.
+        """
+        super().reconfigure(_checked(checked_config(config)))
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Sets up the backward passes of the settings."""
         self._traces = self.config.pipeline is Pipeline.TRACE
         self._is_unscented = not self._traces and self.config.raster.projection is Projection.UNSCENTED
-        self._load(self._backward_modules(), progress)
+        self._load(self._backward_modules(), self._progress)
         self._backward = SplatBackward(self._launcher, self._buffers)
         self._by_rays = TracedGradients(self._launcher, self._buffers, self.config, self._tracer)
         self._along_rays = UnscentedGradients(self._launcher, self._buffers)

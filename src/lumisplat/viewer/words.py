@@ -14,6 +14,8 @@ import lumisplat as ls
 _FLAGS = {"=True": " on", "=False": " off"}
 _CONFIG_FIELD = re.compile(r"\b[A-Z]\w*Config\.((?:\w+\.)*[a-z]\w*)(=True|=False)?\b")
 _MEMBER = re.compile(r"\b([A-Z]\w*)\.([A-Z][A-Z0-9_]*)\b")
+_WORD = re.compile(r"(?<![\w.'\"/\\-])[a-z]+(?:_[a-z]+)*(?![\w'\"/\\-]|\.\w)")
+"""A word that is neither quoted nor part of a path or file name."""
 _OTHERS = {"aovs": "layers", "time_limit": "time limit (s)", "sh_degree": "SH degree"}
 """Settings that the page calls otherwise."""
 
@@ -44,7 +46,7 @@ def page_words(message: str) -> str:
 
     message = _CONFIG_FIELD.sub(lambda found: label(found[1]) + _FLAGS.get(found[2] or "", ""), message)
     message = _MEMBER.sub(choice, message)
-    return re.sub(r"(?<![\w.'\"])[a-z]+(?:_[a-z]+)*(?![\w'\"])", lambda word: names.get(word[0], word[0]), message)
+    return _WORD.sub(lambda word: names.get(word[0], word[0]), message)
 
 
 @cache

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -302,10 +302,21 @@ def within_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX) -> 
     return past
 
 
-def _arrays_of(entry: ls.SceneEntry) -> Iterator[npt.NDArray[Any]]:
-    """The arrays of the captures and meshes of an entry, textures included."""
-    for asset in [*(i.gaussians for i in entry.splats), *(i.mesh for i in entry.meshes)]:
-        for part in [asset, asset.material] if isinstance(asset, ls.Mesh) else [asset]:
-            for one in fields(part):
-                if isinstance(array := getattr(part, one.name), np.ndarray):
-                    yield array
+def _arrays_of(held: object) -> Iterator[npt.NDArray[Any]]:
+    """Yields the arrays of an entry: of its captures, meshes, textures, lights and actor, wherever they are in it."""
+    pending, seen = [held], set[int]()
+    while pending:
+        one = pending.pop()
+        if id(one) in seen:
+            continue
+        seen.add(id(one))
+        if isinstance(one, np.ndarray):
+            yield one
+        elif isinstance(one, Mapping):
+            pending.extend(cast(Mapping[object, object], one).values())
+        elif isinstance(one, list | tuple):
+            pending.extend(cast(Iterable[object], one))
+        elif type(one).__module__.startswith("lumisplat."):
+            slots = (name for kind in type(one).__mro__ for name in vars(kind).get("__slots__", ()))
+            pending.extend(getattr(one, name, None) for name in slots)
+            pending.extend(getattr(one, "__dict__", {}).values())
