@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import ALPHA_MAX, KERNEL_DEGREE, KERNEL_DEGREE_MAX
+from lumisplat.constants import ALPHA_MAX, KERNEL_DEGREE, KERNEL_DEGREE_MAX, ORIGIN_LOSS
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import (
     Doubles,
@@ -193,7 +193,7 @@ def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
 
     Raises:
         SceneError: The list is empty, only some sets are antialiased and not all of these opaque, or their kernel
-            degrees differ.
+            degrees differ, or they stand so far apart that float32 holds no common origin.
     """
     if not sets:
         raise SceneError("zero Gaussian sets: there is nothing to merge")
@@ -228,6 +228,13 @@ def _about(gaussians: Gaussians, origin: Vector) -> Gaussians:
     move = np.eye(4)
     move[:3, 3] = np.subtract(gaussians.origin, origin)
     means = transform_points(move, gaussians.means).astype(np.float32)
+    width = float(np.median(gaussians.scales.max(axis=1)))
+    if np.spacing(np.abs(np.median(means, axis=0)).max()) > ORIGIN_LOSS * width:
+        apart = float(np.linalg.norm(move[:3, 3]))
+        raise SceneError(
+            f"a capture {apart:g} units from another cannot be merged with it: float32 does not hold both; move one of "
+            "them with transform(), or put both into one Scene"
+        )
     return replace(gaussians, means=means, origin=origin, **moved_orientation(gaussians, move))
 
 

@@ -147,7 +147,18 @@ def test_edits_are_in_the_coordinates_of_the_capture() -> None:
     np.testing.assert_array_equal(ls.crop(far, sphere=(UTM, 0.8)).means, far.means[ball])
     both = ls.merge([far, replace(far, origin=(UTM[0] + 10.0, *UTM[1:]))])
     np.testing.assert_allclose(in_world(both)[60:, 0] - in_world(both)[:60, 0], 10.0, atol=1e-5)
-    np.testing.assert_allclose(in_world(ls.merge([capture((0.0, 0.0, 0.0)), far]))[60:], wide, atol=1e-6)
+    near = ls.merge([replace(far, origin=(UTM[0] + 300.0, *UTM[1:])), far])
+    np.testing.assert_allclose(in_world(near), np.concatenate([wide + np.array((300.0, 0.0, 0.0)), wide]), atol=1e-4)
+    with pytest.raises(ls.SceneError, match="units from another cannot be merged"):
+        ls.merge([capture((0.0, 0.0, 0.0)), far])
+
+
+def test_blocks_refuse_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They hold positions about zero: the capture would stand elsewhere."""
+    ls.save(tmp_path / "far.ply", capture())
+    assert main(["blocks", str(tmp_path / "far.ply"), "-o", str(tmp_path / "far.blocks")]) == 2
+    said = capsys.readouterr().err
+    assert "convert --translate=-500123" in said and not (tmp_path / "far.blocks").exists()
 
 
 def test_info_and_convert_know_the_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,7 +19,7 @@ from lumisplat.io.blocks.rows import packed, pieces, read_rows, unpacked
 from lumisplat.io.files.atomic import atomic_write, writers_of
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.columns import warn_lost_materials
-from lumisplat.io.splats.orientation import UNSTATED, Orientation
+from lumisplat.io.splats.orientation import UNSTATED, Orientation, origin_text
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
@@ -53,7 +53,7 @@ def write_blocks(
 
     Raises:
         ConfigError: The cell's edge is not positive, or a number is out of range.
-        SceneError: There are no Gaussians, they differ in degree or antialiasing, or have another kernel.
+        SceneError: There are no Gaussians, they differ in degree or antialiasing, or have another kernel or an origin.
         FormatError: The folder holds a capture or anything else already, or cannot be written.
     """
     if not is_number(cell) or not 0.0 < cell < math.inf:
@@ -145,6 +145,12 @@ class _Writer:
         kind = chunk.sh.shape[1], chunk.antialiased
         if chunk.kernel_degree != KERNEL_DEGREE:
             raise SceneError(f"a capture of kernel degree {chunk.kernel_degree}: blocks are rasterised, as Gaussians")
+        if any(chunk.origin):
+            back = ",".join(f"{-value:.12g}" for value in chunk.origin)
+            raise SceneError(
+                f"positions are about an origin, {origin_text(chunk.origin)}, which blocks do not have: "
+                f"convert --translate={back} moves the capture to zero first"
+            )
         if self._kind is None:
             self._orientation = Orientation(chunk.up, chunk.first_view)
             warn_lost_materials(self._folder, "a capture in blocks", chunk)

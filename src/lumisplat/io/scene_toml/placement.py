@@ -60,7 +60,10 @@ def keep_saved_places(document: TomlTable) -> None:
         for table in document.tables(heading):
             if "path" in table.values and not is_placed(table.values):
                 table.values["upright"] = False
-                _say(table, "says no place, in a file that was saved: it is as in its file; upright = true stands it")
+                _say(
+                    table,
+                    "has no place, and up is written as in files that were saved: it is as in its file; upright = true stands it up",
+                )
 
 
 def say_unturned(document: TomlTable, up: Vector) -> None:

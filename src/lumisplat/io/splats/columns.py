@@ -59,9 +59,9 @@ class SplatColumns:
     kernel_degree: int = KERNEL_DEGREE
     comments: tuple[str, ...] = ()
     orientation: Orientation = UNSTATED
+    """Up and first view, in the axes of the means."""
     origin: Vector = (0.0, 0.0, 0.0)
     """As of `Gaussians`, in addition to that of a comment."""
-    """Up and first view, in the axes of the means."""
 
     @property
     def count(self) -> int:

@@ -47,6 +47,7 @@ from lumisplat.io.splats.material_columns import (
 from lumisplat.io.splats.orientation import (
     comments_with_orientation,
     orientation_of_comments,
+    origin_of_comments,
     origin_text,
     without_orientation,
 )
@@ -178,6 +179,7 @@ def columns_of_rows(
     columns.antialiased = antialiased_from_comments(header.comments)
     columns.kernel_degree = kernel_degree_from_comments(header.comments)
     columns.orientation = orientation_of_comments(header.path, header.comments)
+    columns.origin = origin_of_comments(header.path, header.comments)
     for start in range(0, len(rows), _CACHED_ROWS):
         _fill(columns, start, rows[start : start + _CACHED_ROWS])
     columns.scales_are_logarithms, columns.opacities_are_logits = not activated[0], not activated[1]
