@@ -363,6 +363,25 @@ def test_actors_in_the_dark_are_told_which_option_helps(work, caplog):
     assert ls.load_animation(work.path("bright.toml")).lighting.transfer.gamma == 12.5
 
 
+def test_a_capture_without_lamps_or_surroundings_is_animated(work, caplog) -> None:
+    """No shadow, actors as bright as if there were something on all sides; lines say both, and frames are there."""
+    lamp = SCENE[SCENE.index("[[lights]]") : SCENE.index("[[actors]]")]
+    work.path("scene.toml").write_text(RELIT.replace(lamp, ""))
+    outcome = work.run("animate", "@scene.toml", "-o", "@out", "--device", "cpu")
+    assert outcome.status == 0, outcome.err
+    lines = [record.getMessage() for record in caplog.records]
+    gain = next(line for line in lines if "the captures do not surround the actors" in line)
+    assert sum("actors cast no shadows: no light found" in line for line in lines) == 1
+    assert sum("of display white" in line for line in lines) <= 1
+    gamma = float(re.findall(r"is then ([\d.]+)\)", gain)[0])
+    assert 1.0 / 0.75 * 2.0 < gamma <= 64.0
+    given = RELIT.replace(lamp, "") + f"\n[animation.lighting.transfer]\ngamma = {gamma}\n"
+    work.path("scene.toml").write_text(given)
+    assert work.run("animate", "@scene.toml", "-o", "@given", "--device", "cpu").status == 0
+    one, other = (ls.load_image(work.path(f"{name}/frame_0000.png")) for name in ("out", "given"))
+    assert np.abs(np.asarray(one, float) - np.asarray(other, float)).max() <= 2.0 / 255.0 * np.max(one)
+
+
 def test_formats_and_stats(work):
     """Frames of floats, and what they take."""
     done = animate(work, "frames", "--format", "npz", "--frames", "0:2", "--stats")

@@ -122,6 +122,30 @@ def test_a_plane_that_catches_shadows_takes_no_place() -> None:
     assert np.abs(corners(ls.insert(replace(ground, meshes=[box]), cone()))[4, [0, 2]]).max() > 1.5
 
 
+@pytest.mark.parametrize(("height", "spread"), [(0.5, 0.0), (4.0, 0.0), (0.5, 200.0)])
+def test_where_the_first_view_shows_no_ground_it_stands_in_view(
+    height: float, spread: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Before a wall, all of it in the picture, nearer than the wall, and a line says that it stands on nothing.
+
+    Far around is a sky, perhaps, which is no measure of sizes.
+    """
+    across, up = (axis.ravel() for axis in np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-2, 2, 41)))
+    wall = np.stack([across, up, np.zeros_like(up)], axis=1)
+    sky = spread * np.random.default_rng(0).normal(size=(600, 3))
+    view = ls.Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=64, height=48, focus_distance=5.0)
+    shown = gaussians_at(np.concatenate([wall, sky] if spread else [wall]), "y-up")
+    shown = replace(shown, up=(0.0, 1.0, 0.0), first_view=view)
+    scene = ls.insert(ls.Scene([shown]), cone(height))
+    places = corners(scene)
+    pixels = places @ view.camera_from_world[:3, :3].T + view.camera_from_world[:3, 3]
+    assert (pixels[:, 2] > 0.5).all() and (pixels[:, 2] < 5.0).all()
+    assert (np.abs(view.fx * pixels[:, 0] / pixels[:, 2]) < 32).all()
+    assert (np.abs(view.fy * pixels[:, 1] / pixels[:, 2]) < 24).all()
+    assert 0.2 < np.ptp(places[:, 1]) < 4.0 and places[4, 1] > places[:4, 1].max()
+    assert "in view, on nothing, as no ground is seen" in caplog.text
+
+
 @pytest.mark.parametrize("size", [0.15, 0.5])
 def test_few_gaussians_are_a_ground_as_well(size: float) -> None:
     """A thing that is smaller than the distance between them."""

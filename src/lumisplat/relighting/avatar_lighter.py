@@ -250,7 +250,9 @@ class AvatarLighter:
         """Warns, once, if actors become much darker than they were captured, by the mean light on them."""
         if not self._warned_of_darkness and mean * self.config.transfer.gamma < _DARK:
             self._warned_of_darkness = True
-            line = f"actors stand in {mean:.2g} of display white, and come out as dark"
+            gamma = self.config.transfer.gamma
+            as_dark = "as dark" if gamma == 1.0 else f"at {gamma * mean:.2g} of what they were captured"
+            line = f"actors stand in {mean:.2g} of display white, and come out {as_dark}"
             if mean > 1e-3:
                 line += (
                     f": a RelightConfig.gamma of {_DARK / mean:.2g} shows them half as bright as they were captured, "

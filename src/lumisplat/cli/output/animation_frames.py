@@ -8,6 +8,8 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
+import numpy as np
+
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, found_light, print_table
 from lumisplat.cli.output.frame_folder import FrameFolder
@@ -15,6 +17,9 @@ from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
+
+_SURROUNDED_STOPS = 1.4
+"""Largest `estimate_capture_gain` of a place that captures surround: they cover three quarters of all directions."""
 
 
 class AnimationFrames:
@@ -48,9 +53,6 @@ class AnimationFrames:
         is_first = self._last is None
         if is_first and self._animation.scene.splats and self._animation.actors:
             self._start_lighter(report)
-            if index != 0:
-                # Lights are estimated around the actors of frame 0, whichever frame is rendered first.
-                self._lit_scene(0)
         with self._timed("lighting"):
             scene = self._lit_scene(index)
         if is_first:
@@ -76,13 +78,39 @@ class AnimationFrames:
         print_stats(frame, self._source.renderer.config.pipeline)
 
     def _start_lighter(self, report: Report) -> None:
+        """Finds the lights around the actors of frame 0, whichever frame is rendered first; none: no shadows."""
         self._lighter = ls.AvatarLighter(
             self._animation.scene,
-            config=self._animation.lighting,
+            config=self._exposed_lighting(),
             background=self._source.renderer.config.background or (0.0, 0.0, 0.0),
             device=self._source.renderer.device,
             progress=report,
         )
+        try:
+            self._lit_scene(0)
+        except ls.SceneError as error:
+            if self._lighter.lights is not None:
+                raise
+            _log.warning("actors cast no shadows: %s", error)
+            self._lighter.config = replace(self._lighter.config, shadows=False)
+
+    def _exposed_lighting(self) -> ls.AvatarLightingConfig:
+        """The settings, with a gamma if captures alone light the actors, do not surround them, and none is given."""
+        config, scene = self._animation.lighting, self._animation.scene
+        start = float(self._animation.times[0])
+        relit = [one for actor in self._animation.actors if actor.relight for one in actor.at(start)]
+        if not relit or scene.lights or not config.relight or config.transfer.gamma != ls.RelightConfig().gamma:
+            return config
+        stops = _capture_gain(scene, relit, self._source.renderer.device)
+        if stops <= _SURROUNDED_STOPS:
+            return config
+        _log.warning(
+            "the captures do not surround the actors: their light is brightened by %g stops, as if they did (gamma in "
+            "[animation.lighting.transfer] of the scene.toml is then %.3g)",
+            stops,
+            2.0**stops,
+        )
+        return replace(config, transfer=replace(config.transfer, gamma=2.0**stops))
 
     def _lit_scene(self, index: int) -> ls.Scene:
         """The scene of a frame: with its actors, their shadows and their light."""
@@ -111,6 +139,15 @@ class AnimationFrames:
             yield
         finally:
             self._seconds[name] += time.perf_counter() - begun
+
+
+def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance], device: str) -> float:
+    """Stops by which captured light exposes actors as their surroundings; 0 where nothing is as captured."""
+    around = ls.Scene(splats=tuple(one for one in scene.splats if one.material is None or one.shadow_catcher))
+    if not around.splats:
+        return 0.0
+    middle = np.mean(with_actors(ls.Scene(), actors).bulk_bounds(), axis=0)
+    return ls.estimate_capture_gain(around, middle, device=device)
 
 
 def with_actors(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance]) -> ls.Scene:

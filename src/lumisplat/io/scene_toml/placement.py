@@ -111,7 +111,7 @@ def inserted(
         matrix[:3, 3] = 0.0
         _say(table, "says no place, and stands upright where its file has it (upright = false: as in its file)")
     else:
-        _say(table, f"says no place, and stands upright on the ground (upright = false: as in its file): {found}")
+        _say(table, f"says no place, and stands upright {found.where} (upright = false: as in its file): {found}")
     return matrix
 
 

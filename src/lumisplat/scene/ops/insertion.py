@@ -30,6 +30,8 @@ _log = logging.getLogger("lumisplat")
 
 SIZES = (0.02, 0.75)
 """Diagonals of things, as shares of that of the captures, that are taken for the same units."""
+SIZE_IN_VIEW = 0.4
+"""The larger of them where a first view is stated: what is larger would hide what that is about."""
 OWN_SIZE = 0.25
 """Share of the captures that others are scaled to: a thing in the picture, not the picture."""
 _CELLS_ACROSS = 6
@@ -62,6 +64,13 @@ _FLOOR = 0.1
 """Share of the cells with a ground that may lie below the floor."""
 _RISE = 0.5
 """How far above the floor the ground may rise, in heights of the thing; what is higher hangs over the ground."""
+_SCENE_OF_VIEW = 2.5
+"""Diagonal of what a view is about, in distances to its focus: what surrounds it, such as a sky, is no measure."""
+_BEFORE = 0.8
+"""Distance of a thing in a view without a ground, as a share of that of its focus."""
+_ASIDE_IN_VIEW = 0.12
+_LOW_IN_VIEW = 0.36
+"""How far to the right and below the middle of that view its foot is, in widths and heights of the picture."""
 _ASIDE = 0.5
 """How much nearer a place to the front and the right counts, as a share of its distance: seen, and nothing hidden."""
 
@@ -74,6 +83,8 @@ class Insertion:
     """A similarity, shape (4, 4)."""
     scale: float
     """Of it."""
+    where: str
+    """What it stands on, or why on nothing, in words."""
 
     def __str__(self) -> str:
         """Returns the keys of a scene file that place it alike."""
@@ -112,7 +123,7 @@ def insert(
         found = insertion(scene, (*things.meshes, *things.splats), things.up, scale, front)
         matrix = found.world_from_thing
         label = name or next((i.name or i.mesh.name for i in things.meshes), "") or "the mesh"
-        _log.warning("%s says no place, and stands upright on the ground: %s", label, found)
+        _log.warning("%s says no place, and stands upright %s: %s", label, found.where, found)
 
     def placed(instance: SplatInstance | MeshInstance) -> dict[str, object]:
         return {"world_from_object": matrix @ instance.transform}
@@ -151,16 +162,17 @@ def insertion(
     seen = _Seen.of(scene, turn)
     if scale is None:
         share = float(np.linalg.norm(high - low)) / seen.size
-        scale = 1.0 if SIZES[0] <= share <= SIZES[1] else float(f"{OWN_SIZE / max(share, 1e-12):.3g}")
+        largest = SIZES[1] if seen.view is None else SIZE_IN_VIEW
+        scale = 1.0 if SIZES[0] <= share <= largest else float(f"{OWN_SIZE / max(share, 1e-12):.3g}")
     check_positive("scale", scale)
     low, high = scale * low, scale * high
     middle = 0.5 * (low + high)
-    place, height = _place(seen, middle[[0, 2]], high - low)
+    place, height, where = _place(seen, middle[[0, 2]], high - low)
     moved = np.array([place[0] - middle[0], height - low[1], place[1] - middle[2]])
     matrix = np.eye(4)
     matrix[:3, :3] = scale * turn.T @ own_turn
     matrix[:3, 3] = turn.T @ moved
-    return Insertion(matrix, scale)
+    return Insertion(matrix, scale, where)
 
 
 def _points(thing: MeshInstance | SplatInstance) -> Doubles:
@@ -189,8 +201,9 @@ class _Seen:
 
     @property
     def size(self) -> float:
-        """Diagonal of the bulk, above 0."""
-        return max(float(np.linalg.norm(self.high - self.low)), 1e-12)
+        """Diagonal of the bulk, or of what the first view is about if that is less, above 0."""
+        diagonal = max(float(np.linalg.norm(self.high - self.low)), 1e-12)
+        return diagonal if self.view is None else min(diagonal, _SCENE_OF_VIEW * (self.view.focus_distance or np.inf))
 
     @classmethod
     def of(cls, scene: Scene, turn: Doubles) -> _Seen:
@@ -253,8 +266,8 @@ def _is_closed(mesh: Mesh) -> bool:
     return float(np.linalg.det(corners).sum()) / 6.0 > 0.1 * x * y * z
 
 
-def _place(seen: _Seen, own: Doubles, size: Doubles) -> tuple[Doubles, float]:
-    """Finds where a thing stands: x and z of its middle, shape (2,), and the height of the ground there.
+def _place(seen: _Seen, own: Doubles, size: Doubles) -> tuple[Doubles, float, str]:
+    """Finds where a thing stands: x and z of its middle, shape (2,), the height of its foot, and that in words.
 
     Args:
         seen: What is there.
@@ -277,7 +290,10 @@ def _place(seen: _Seen, own: Doubles, size: Doubles) -> tuple[Doubles, float]:
     is_beside = is_free & (_box_mean(blocked(tall), wide) <= _BLOCKED)
     has_ground = is_free & (_box_mean(np.isfinite(ground).astype(np.float64), half) >= _KNOWN)
     has_ground &= _wide((blocked(tall) <= _BLOCKED) & np.isfinite(ground) & is_near)
-    view = _in_view(seen, centers)
+    view = _in_view(seen, centers, np.where(np.isfinite(ground), ground, seen.low[1]) + 0.5 * float(size[1]))
+    if seen.view is not None and seen.view.focus_distance and not (has_ground & view).any():
+        return *_before(seen, seen.view), "in view, on nothing, as no ground is seen"
+    where = "on the ground" if has_ground.any() else "as low as the capture"
     if has_ground.any():
         has_ceiling = (blocked(np.inf)[np.isfinite(ground)] > _BLOCKED).mean() > _ROOFED
         is_open = is_beside & (_box_mean(blocked(_OPEN * tall if has_ceiling else np.inf), half) <= _BLOCKED)
@@ -293,7 +309,15 @@ def _place(seen: _Seen, own: Doubles, size: Doubles) -> tuple[Doubles, float]:
     ends = [slice(max(int(at) - reach, 0), int(at) + reach + 1) for at, reach in zip((row, column), half, strict=True)]
     heights = ground[ends[0], ends[1]]
     height = float(np.nanmedian(heights)) if np.isfinite(heights).any() else float(seen.low[1])
-    return centers[row, column], height
+    return centers[row, column], height, where
+
+
+def _before(seen: _Seen, view: Camera) -> tuple[Doubles, float]:
+    """The place of a foot low in the first view, nearer than what it is about: x and z, shape (2,), and height."""
+    right, down, forward = view.camera_from_world[:3, :3]
+    slope = forward + _ASIDE_IN_VIEW * view.width / view.fx * right + _LOW_IN_VIEW * view.height / view.fy * down
+    foot = view.eye + _BEFORE * view.focus_distance * slope
+    return foot[[0, 2]], float(foot[1])
 
 
 def _start(seen: _Seen, own: Doubles) -> Doubles:
@@ -302,7 +326,7 @@ def _start(seen: _Seen, own: Doubles) -> Doubles:
     inside = bool(((seen.low[[0, 2]] <= own) & (own <= seen.high[[0, 2]])).all())
     if seen.view is None:
         return own if inside else middle[[0, 2]]
-    if inside and _in_view(seen, own):
+    if inside and _in_view(seen, own, np.array(seen.low[1])):
         return own
     forward = seen.view.camera_from_world[2, :3]
     reach = float((middle - seen.view.eye) @ forward)
@@ -310,15 +334,19 @@ def _start(seen: _Seen, own: Doubles) -> Doubles:
     return np.clip(ahead[[0, 2]], seen.low[[0, 2]], seen.high[[0, 2]])
 
 
-def _in_view(seen: _Seen, places: Doubles) -> Flags:
-    """Whether the first view, if there is one, shows places on the ground, x and z, shape (..., 2), well inside."""
+def _in_view(seen: _Seen, places: Doubles, heights: Doubles) -> Flags:
+    """Whether the first view, if there is one, shows places, x and z, shape (..., 2), at heights, well inside.
+
+    What is far behind the things that it is about is hidden by these.
+    """
     if seen.view is None:
         return np.ones(places.shape[:-1], bool)
     view = seen.view
-    points = np.insert(places, 1, seen.low[1], axis=-1)
+    points = np.stack([places[..., 0], heights, places[..., 1]], axis=-1)
     x, y, z = np.moveaxis(points @ view.camera_from_world[:3, :3].T + view.camera_from_world[:3, 3], -1, 0)
     across, down = view.fx * x / np.maximum(z, 1e-12), view.fy * y / np.maximum(z, 1e-12)
-    return (z > 0.0) & (np.abs(across) < 0.4 * view.width) & (np.abs(down) < 0.5 * view.height)
+    is_near = (z > 0.0) & (z < 1.2 * (view.focus_distance or np.inf))
+    return is_near & (np.abs(across) < 0.4 * view.width) & (np.abs(down) < 0.5 * view.height)
 
 
 def _ground(seen: _Seen, corner: Doubles, cell: float, height: float) -> tuple[Doubles, Callable[[float], Doubles]]:
