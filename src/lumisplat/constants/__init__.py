@@ -237,8 +237,8 @@ CATCHER_STEPS = 144
 Gaussians of short trainings are large. Between neighbours their depths are smooth."""
 
 CATCHER_BLUR = 2.0
-"""Standard deviation by which the ratio of a catcher is smoothed, over that of its height; a pixel's is taken off. At 2,
-the shadow on a wall of 12,000 Gaussians has one edge; floors with a surface stay as they are to the bit."""
+"""Standard deviation by which the ratio of a catcher is smoothed, over that of its height; a pixel's is taken off. With
+2, the shadow on a wall of 12,000 Gaussians has one edge; floors with a surface stay as they are to the bit."""
 
 CATCHER_BLUR_STEPS = 2
 """Its most, in those distances."""

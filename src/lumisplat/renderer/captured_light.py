@@ -42,9 +42,12 @@ class MeshSurroundings:
     """Finds the light of captures around meshes, and keeps it as long as both stay where they are."""
 
     def __init__(self) -> None:
-        self._things: tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]] = (), ()
-        """The captures and the meshes for which the light was found."""
+        self._splats: tuple[SplatInstance, ...] = ()
+        """The captures for which the light was found, and the box of the meshes."""
+        self._box = np.zeros((2, 3))
         self._light: CapturedLight | None = None
+        self._render: Callable[[Scene, Camera], Frame] | None = None
+        """Renders the captures around meshes that move, which it holds on the device; None: meshes have not moved."""
 
     def lit(self, scene: Scene, stops: float, renderer: Callable[[], Callable[[Scene, Camera], Frame]]) -> Scene:
         """Returns the scene with the light of its captures; as it is where these do not surround its meshes.
@@ -54,10 +57,11 @@ class MeshSurroundings:
             stops: ``RenderConfig.capture_gain``.
             renderer: Makes what renders unlit frames without a background, as `lumisplat.Renderer.render` does.
         """
-        things = scene.splats, scene.meshes
-        if not all(map(_same, things, self._things)):
-            self._light = captured_light(scene, renderer())
-            self._things = things
+        box, is_same = np.stack(_bounds(scene.meshes)), _same(scene.splats, self._splats)
+        if not is_same or not np.array_equal(box, self._box):
+            render = self._render or renderer()
+            self._light = captured_light(scene, box, render)
+            self._splats, self._box, self._render = scene.splats, box, render if is_same else None
         _say(
             "there are no lights: meshes are lit by the capture around them (RenderConfig.lighting=True: by a light at "
             "the camera, RenderConfig.lighting=False: not at all)"
@@ -70,12 +74,12 @@ class MeshSurroundings:
         return replace(scene, lights=(replace(self._light, intensity=2.0**stops),))
 
 
-def captured_light(scene: Scene, render: Callable[[Scene, Camera], Frame]) -> CapturedLight | None:
-    """Finds the light that the captures of a scene give to its meshes; None: they cover too little around these.
+def captured_light(scene: Scene, box: Doubles, render: Callable[[Scene, Camera], Frame]) -> CapturedLight | None:
+    """Finds the light that the captures of a scene give to what is in a box; None: they cover too little around it.
 
-    Directions that the captures leave open get the mean of the others.
+    Directions that the captures leave open get the mean of the others. The box has its corners in rows, shape (2, 3).
     """
-    low, high = _bounds(scene.meshes)
+    low, high = box
     near = max(0.5 * float((high - low).min()), NEAR_PLANE)
     captures = Scene(splats=scene.splats)
     radiance, alpha = render_faces(captures, 0.5 * (low + high), render, PROBE_FACE_PX, near)
@@ -98,8 +102,17 @@ def _bounds(meshes: tuple[MeshInstance, ...]) -> tuple[Doubles, Doubles]:
     return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
-def _same(now: tuple[object, ...], before: tuple[object, ...]) -> bool:
-    return len(now) == len(before) and all(one is other for one, other in zip(now, before, strict=True))
+def _same(now: tuple[SplatInstance, ...], before: tuple[SplatInstance, ...]) -> bool:
+    """Whether captures look the same: the same Gaussians at the same places."""
+    return len(now) == len(before) and all(
+        one is other
+        or (
+            one.gaussians is other.gaussians
+            and np.array_equal(one.transform, other.transform)
+            and (one.sh_degree, one.material) == (other.sh_degree, other.material)
+        )
+        for one, other in zip(now, before, strict=True)
+    )
 
 
 @cache

@@ -86,6 +86,27 @@ def test_the_light_comes_from_where_the_capture_shows_it(axis: int) -> None:
     assert abs(error.mean()) < 0.01 and np.sqrt(np.mean(error**2)) < 0.03
 
 
+def test_the_light_of_meshes_that_move_is_found_by_one_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is found anew at each place, not for a new object at the same place, and equals that of a new renderer."""
+    found, made = captured_light.captured_light, list[object]()
+    boxes = list[np.ndarray]()
+
+    def counted(scene: ls.Scene, box: np.ndarray, render: object) -> captured_light.CapturedLight | None:
+        boxes.append(box)
+        made.append(render)
+        return found(scene, box, render)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(captured_light, "captured_light", counted)
+    along = even_directions(3000)
+    room = shell(np.where(along[:, :1] > 0.0, [1.0, 1.0, 1.0], [0.1, 0.1, 0.1]))
+    renderer, camera = ls.create_renderer(device="cpu"), front_camera(64, 48)
+    for step in (0.0, 0.0, 0.5, 1.0, 1.5):
+        scene = ls.Scene([ls.SplatInstance(room)], [ls.MeshInstance(ball(), position=(step, 0.0, 0.0))])
+        frame = renderer.render(scene, camera)
+    assert len(boxes) == 4 and len(set(map(id, made[1:]))) == 1
+    np.testing.assert_array_equal(frame.color, ls.render(scene, camera, device="cpu").color)
+
+
 def test_captured_light_is_that_of_paths() -> None:
     """Paths find what captures show around a mesh by bouncing; the mean over the mesh agrees within 5 %."""
     along = even_directions(3000)

@@ -62,7 +62,7 @@ def keep_saved_places(document: TomlTable) -> None:
                 table.values["upright"] = False
                 _say(
                     table,
-                    "has no place, and up is written as in saved files: it is as in its file; upright = true stands it up",
+                    "has no place, and up is as in saved files: it is as in its file; upright = true stands it up",
                 )
 
 
