@@ -100,8 +100,9 @@ class FrameData:
     """Ratio of the captured part of the pixel with what was added to it without, linear, (H, W, 3): below 1 where a
     shadow catcher lies in shadow, above 1 where it receives light that bounces, and 1 elsewhere."""
     light_direct: FloatArray | None = None
-    """Linear radiance reflected from each light if nothing blocked it, (L, H, W, 3); of sets that only receive shadows,
-    the irradiance instead."""
+    """Linear radiance reflected from each light if nothing blocked it, (L, H, W, 3); on shadow catchers what of the
+    captured colour is light of it. Times ``light_shadow``, with ``emission`` and ``reflection``, it adds up to
+    ``color``, but for frames of paths, whose parts do."""
     light_shadow: FloatArray | None = None
     """Share of ``light_direct`` that arrives, 0..1, (L, H, W, 3)."""
     light_total: FloatArray | None = None

@@ -137,6 +137,36 @@ def test_exr_layers_composite_over_the_plate(pipeline: ls.Pipeline, tmp_path: Pa
     np.testing.assert_array_equal(matte[untouched], 0.0)
 
 
+@pytest.mark.parametrize(
+    "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=lambda one: one.value
+)
+def test_the_layers_of_lights_add_up_on_catchers(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+    """Emission, direct light times shadow, and reflection are the picture, as OpenEXR reads it."""
+    sun = replace(SUN, direction=(0.7, -1.0, -0.3), name="sun")
+    lights = [sun, ls.LightPoint((-1, 1.5, 1), intensity=4.0, name="bulb")]
+    captured = replace(floor(0.6), gaussians=replace(floor().gaussians, sh=_checkered(floor().gaussians)))
+    aovs = ("emission", "reflection", "lights", "shadow_ratio")
+    frame = rendered(ls.Scene([captured], [ball()], lights), view(), pipeline, aovs=aovs, samples=1, jitter=False)
+    frame.save(tmp_path / "lit.exr")
+    layers = {
+        name: channels(tmp_path / "lit.exr", f"{name}.", "RGB")
+        for name in (
+            *("emission", "reflection", "light.sun.direct", "light.sun.shadow"),
+            *("light.bulb.direct", "light.bulb.shadow"),
+        )
+    }
+    total = layers["emission"] + layers["reflection"]
+    for light in ("sun", "bulb"):
+        total += layers[f"light.{light}.direct"] * layers[f"light.{light}.shadow"]
+    picture = channels(tmp_path / "lit.exr", "", "RGB")
+    assert frame.shadow_ratio is not None and (frame.shadow_ratio < 0.6).any()
+    np.testing.assert_allclose(total, picture, atol=1e-4)
+    on_floor = frame.instance_index == 0
+    assert layers["emission"].min() > -1e-5
+    assert layers["light.sun.direct"][on_floor].mean() > 0.05
+    assert layers["light.sun.shadow"][on_floor].min() < 0.01
+
+
 def _checkered(gaussians: ls.Gaussians) -> npt.NDArray[np.float32]:
     """SH of a floor of two greys, in squares one unit wide."""
     places = np.floor(gaussians.means[:, [0, 2]]).astype(int).sum(axis=1) % 2

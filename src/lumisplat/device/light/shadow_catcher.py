@@ -8,23 +8,27 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
+def catcher_received(light: CatcherLight) -> float:
+    """Irradiance of a shadow catcher without anything that was added, in one channel."""
+    rest = wp.where(light.ambient > 0.0, light.ambient, light.own_sent)
+    return light.sent + wp.max(rest, light.least - light.sent)
+
+
+@wp.func
 def catcher_change(light: CatcherLight) -> float:
     """Relative change of the light on a shadow catcher by all that was added to its place, in one channel.
 
     `lumisplat.baking.gaussian_views.CatcherLight` is the same in NumPy.
     """
     change = light.change
-    received = light.sent
-    rest = light.least - light.sent
+    received = catcher_received(light)
     if light.ambient > 0.0:
-        ambient = wp.max(light.ambient, rest)
-        received += ambient
+        ambient = received - light.sent
         if light.own_sent > ambient:
             change += light.own_change * ambient / light.own_sent
         else:
             change += light.own_change - (ambient - light.own_sent) * light.blocked / light.ambient
     else:
-        received += wp.max(light.own_sent, rest)
         change += light.own_change
     if change == 0.0 or received <= 0.0:
         return 0.0

@@ -309,3 +309,5 @@ class Arrivals:
     """Shadowed."""
     open: wp.array[wp.vec3]
     """Sum over ambient rays of the share that nothing blocks."""
+    reflectance: wp.array[wp.vec3]
+    """Captured radiance over the irradiance that it was captured in."""

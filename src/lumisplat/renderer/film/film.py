@@ -158,7 +158,8 @@ class Film:
             elif "shadow_ratio" in self._plan.aovs:
                 self._ratio.fill_(1.0)
             if self._shows_captured:
-                inputs = self._data, self._image("emission"), self._image("emission_shown")
+                is_apart = self._plan.traces_paths
+                inputs = is_apart, self._data, self._image("emission"), self._image("emission_shown")
                 self._launcher.run_banded(film_kernels.add_captured, self._pixel_count, *inputs)
             if self._launcher.is_parallel:  # then the frame's count is one number to download
                 self._count_total.zero_()
@@ -347,8 +348,8 @@ class Film:
 
     @property
     def _shows_captured(self) -> bool:
-        """Whether captures, which are added up apart, are a part of the emission: in frames of paths."""
-        return self._plan.traces_paths and "emission" in self._plan.aovs
+        """Whether captures, which paths add up apart, or their changes are yet to be added to the emission."""
+        return "emission" in self._plan.aovs and (self._plan.traces_paths or self._plan.has_shadow_only)
 
     def _image(self, name: str) -> DeviceArray:
         return self._buffers.get(f"film.{name}", wp.vec3, self._pixel_count)

@@ -110,11 +110,14 @@ def average_samples(start: int, film_inout: wp.array[FilmData]):
 
 
 @wp.kernel
-def add_captured(start: int, film: wp.array[FilmData], seen: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]):
-    """Item = pixel: what is seen that shines, with the captured part and its changes."""
+def add_captured(
+    start: int, is_apart: bool, film: wp.array[FilmData], seen: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]
+):
+    """Item = pixel: what is seen that shines, with the captured part, where it ``is_apart``, and its changes."""
     pixel = start + wp.tid()
-    captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
-    emission_out[pixel] = seen[pixel] + captured + captured_change(pixel, film)
+    emission_out[pixel] = seen[pixel] + captured_change(pixel, film)
+    if is_apart:
+        emission_out[pixel] += captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
 
 
 @wp.kernel

@@ -95,11 +95,14 @@ class DirectLight:
         for number in range(len(scene.lights.names)):
             light = scene.lights.lights[number] if scene.lights.lights else None
             shadowed = plan.casts_shadows and light is not None and light.casts_shadow
-            direct = arrived = None
+            direct = arrived = caught = None
             if images is not None:
                 direct, arrived = images.direct[number], images.arrived[number]
                 direct.zero_()
                 arrived.zero_()
+                if plan.has_shadow_only:
+                    caught = self._caught(number, wave)
+                    caught.zero_()
             if shadowed or also_unshadowed:
                 for samples_bsdf in (False, True) if isinstance(light, LightEnvironment) else (False,):
                     contributions = self._contributions(scene, plan, wave, number, samples_bsdf)
@@ -108,12 +111,20 @@ class DirectLight:
                         self._launcher.run_banded(
                             kernels.add_light,
                             wave.count,
-                            *(shadowed, contributions, visibility, wave.data, arrivals, direct, arrived),
+                            *(shadowed, contributions, visibility, wave.data, arrivals, direct, arrived, caught),
                         )
         if plan.has_shadow_only:
             self._add_ambient(scene, plan, wave, arrivals)
             inputs = plan.ambient_rays, scene.shading, arrivals, wave.data
             self._launcher.run_banded(kernels.darken_captured, wave.count, *inputs)
+            pairs = [] if images is None else list(zip(images.direct, images.arrived, strict=True))
+            for number, (direct, arrived) in enumerate(pairs):
+                inputs = arrivals, self._caught(number, wave), direct, arrived
+                self._launcher.run_banded(kernels.add_caught, wave.count, *inputs)
+
+    def _caught(self, number: int, wave: RayWave) -> DeviceArray:
+        """What of a light is sent to the shadow catchers of a wave, and what arrives there."""
+        return self._buffers.get(f"light.caught{number}", wp.vec3, 2 * wave.count)
 
     def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: Arrivals) -> None:
         """Finds how much of the ambient light around shadow catchers is open."""

@@ -8,7 +8,7 @@ import warp as wp
 
 from lumisplat.device.light.direct_light import light_contribution, shadow_ray_key
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.shadow_catcher import catcher_change, weighted_factor
+from lumisplat.device.light.shadow_catcher import catcher_change, catcher_received, weighted_factor
 from lumisplat.device.light.shadow_ray import start_shadow_ray
 from lumisplat.device.light.splat_surface import is_over_light, shown_share, splat_surface
 from lumisplat.device.material.media import scattered_media
@@ -72,10 +72,12 @@ def add_light(
     arrivals_inout: Arrivals,
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],
+    caught_inout: wp.array[wp.vec3],
 ):
     """Adds a light to the radiance of rays, times ``visibility`` if it is ``shadowed``.
 
-    The last two arrays are the light's own images, without elements if the frame does not ask for them.
+    The last three arrays are the light's own images, and what of it is sent to shadow catchers and arrives there;
+    without elements if the frame does not ask for them.
     """
     i = start + wp.tid()
     stride = contributions.shape[0] // 2
@@ -89,11 +91,14 @@ def add_light(
             if wave_inout[0].interactions.shadow_only[j]:
                 arrivals_inout.sent[i] += sent
                 arrivals_inout.arrived[i] += arrived
+                if caught_inout:
+                    caught_inout[i] += sent
+                    caught_inout[stride + i] += arrived
             else:
                 wave_inout[0].radiance.light[i] += arrived
-            if direct_inout:
-                direct_inout[i] += sent
-                arrived_inout[i] += arrived
+                if direct_inout:
+                    direct_inout[i] += sent
+                    arrived_inout[i] += arrived
 
 
 @wp.kernel
@@ -141,20 +146,23 @@ def darken_captured(
     start: int,
     ambient_rays: int,
     scene: wp.array[ShadingScene],
-    arrivals: Arrivals,
+    arrivals_inout: Arrivals,
     wave_inout: wp.array[WaveData],
 ):
     """The share of captured colours that shadows leave (differential rendering, Debevec 1998).
+
+    What of a captured colour is light of the scene's lights leaves the emission, for the lights' own images.
 
     Args:
         start: First item: a ray.
         ambient_rays: How many of each have found what is open; 0: ambient light is not blocked.
         scene: The scene.
-        arrivals: Light that was sent, and what of it arrived.
+        arrivals_inout: Light that was sent, and what of it arrived; receives what of it is reflected.
         wave_inout: The wave.
     """
     i = start + wp.tid()
-    sent = arrivals.sent[i]
+    sent = arrivals_inout.sent[i]
+    arrivals_inout.reflectance[i] = wp.vec3(0.0)
     if not wave_inout[0].rays.is_active[i] or not wave_inout[0].interactions.exists[i]:
         return
     if not wave_inout[0].interactions.shadow_only[i]:
@@ -164,14 +172,34 @@ def darken_captured(
     share = shown_share(surface, over_light, scene)
     weight = wave_inout[0].radiance.captured_weight[i]
     factor = wp.vec3(1.0)
+    reflectance = wp.vec3(0.0)
     for k in range(3):
         light = CatcherLight()
         light.sent = sent[k]
-        light.change = arrivals.arrived[i][k] - sent[k]
+        light.change = arrivals_inout.arrived[i][k] - sent[k]
         light.ambient = wp.PI * scene[0].materials[surface.instance].ambient[k]
         light.least = wp.PI * surface.albedo[k]
         if ambient_rays > 0:
-            light.blocked = light.ambient * (1.0 - arrivals.open[i][k] / float(ambient_rays))
+            light.blocked = light.ambient * (1.0 - arrivals_inout.open[i][k] / float(ambient_rays))
         if share[k] > 0.0:
             factor[k] = weighted_factor(wp.max(1.0 + share[k] * catcher_change(light), 0.0), weight)
+        if sent[k] > 0.0:
+            reflectance[k] = surface.share * surface.albedo[k] / catcher_received(light)
     wave_inout[0].radiance.capture_factor[i] = factor
+    arrivals_inout.reflectance[i] = reflectance
+    if wave_inout[0].radiance.emission:
+        wave_inout[0].radiance.emission[i] -= wp.cw_mul(reflectance, arrivals_inout.arrived[i])
+
+
+@wp.kernel
+def add_caught(
+    start: int,
+    arrivals: Arrivals,
+    caught: wp.array[wp.vec3],
+    direct_inout: wp.array[wp.vec3],
+    arrived_inout: wp.array[wp.vec3],
+):
+    """Item = ray: adds to a light's own images what of a catcher's captured colour is light of it."""
+    i = start + wp.tid()
+    direct_inout[i] += wp.cw_mul(arrivals.reflectance[i], caught[i])
+    arrived_inout[i] += wp.cw_mul(arrivals.reflectance[i], caught[caught.shape[0] // 2 + i])
