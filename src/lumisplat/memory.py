@@ -1,20 +1,57 @@
-"""How much memory there is."""
+"""The memory that this process may use: the machine's, or less where a container or a job scheduler allows less.
+
+Linux kills a process that exceeds the limit of its control group (cgroup); reading the limits first makes that an error
+with a message. See the kernel's documentation of cgroup v1 (``memory.limit_in_bytes``), of v2 (``memory.max``), and
+``proc(5)`` for ``/proc/self/cgroup`` and ``/proc/self/mountinfo``.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
-from pathlib import Path
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
 
-_OF_CONTAINER = Path("/sys/fs/cgroup/memory.max")
-"""What a container may use, a number of bytes or ``max``."""
+_PROCESS = Path("/proc/self")
+"""Folder of the process's own ``cgroup`` and ``mountinfo``."""
+
+_LIMIT = {"cgroup2": "memory.max", "cgroup": "memory.limit_in_bytes"}
+"""Type of file system -> the file of a control group that holds its limit, bytes or ``max``."""
 
 
 def usable_memory() -> int | None:
-    """What this process may use, bytes: the machine's, or its container's if that is less; None: nothing tells."""
+    """Returns the memory that this process may use, in bytes; None where the system does not report it.
+
+    The least of the machine's memory and of the limits of the process's control group and of all groups above it.
+    """
     limits: list[int] = []
     with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows
         limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    with contextlib.suppress(ValueError, OSError):
-        limits.append(int(_OF_CONTAINER.read_text()))
+    for group in _control_groups():
+        for name in _LIMIT.values():
+            with contextlib.suppress(ValueError, OSError):  # "max", or no limit in this group
+                limits.append(int((group / name).read_text()))
     return min(limits, default=None)
+
+
+def _control_groups() -> Iterator[Path]:
+    """Yields the folders of the memory control groups that hold this process, the innermost first."""
+    try:
+        memberships = [line.split(":", 2) for line in (_PROCESS / "cgroup").read_text().splitlines()]
+        mounts = [line.split(" ") for line in (_PROCESS / "mountinfo").read_text().splitlines()]
+    except OSError:
+        return
+    groups = {
+        "cgroup2" if not controllers else "cgroup": PurePosixPath(path)
+        for _, controllers, path in memberships
+        if not controllers or "memory" in controllers.split(",")
+    }
+    for fields in mounts:
+        kind, options = fields[fields.index("-") + 1], fields[-1].split(",")
+        if kind not in groups or (kind == "cgroup" and "memory" not in options):
+            continue
+        root, mount = PurePosixPath(fields[3]), Path(fields[4])
+        group = groups[kind]
+        # A container sees its own group as the root of the mount, and may see a path from outside of it.
+        inner = group.relative_to(root) if group.is_relative_to(root) else PurePosixPath()
+        yield from (mount / folder for folder in (inner, *inner.parents))
