@@ -241,9 +241,11 @@ def test_cameras_that_say_nothing_of_distances_are_taken_for_some() -> None:
     assert Surroundings.of(cameras(9)).distance == pytest.approx(3.0, abs=0.2)
 
 
-def test_neighbours_are_found() -> None:
-    """Of a grid of points, all are a step apart."""
-    grid = np.stack(np.meshgrid(*[np.arange(12.0)] * 3), axis=-1).reshape(-1, 3)
-    np.testing.assert_allclose(np.median(neighbour_distances(grid)), 1.0)
+def test_initial_scales_follow_the_three_nearest_points() -> None:
+    """Against all distances of points on a plane, which many-sided blocks of space would cut; and few points."""
+    points = np.random.default_rng(5).uniform(size=(2000, 3)) * (1.0, 1.0, 0.0)
+    nearest = np.sort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, 1:4]
+    np.testing.assert_allclose(neighbour_distances(points), np.sqrt(np.square(nearest).mean(axis=1)))
     assert neighbour_distances(np.zeros((1, 3)))[0] == 1.0
+    np.testing.assert_allclose(neighbour_distances(np.eye(3)[:2]), np.sqrt(2.0))
     assert not neighbour_distances(np.zeros((5, 3))).any()

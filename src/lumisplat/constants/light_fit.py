@@ -1,10 +1,7 @@
 """Thresholds of fitting lights to photographs (docs/method/relighting.md#lights-of-a-photograph)."""
 
-ACTIVE_SET_TOLERANCE = 1e-10
-"""Slope, relative to the largest moment, up to which an unknown that is held at 0 stays there."""
-
-ACTIVE_SET_RIDGE = 1e-13
-"""Relative to the diagonal: columns of multipliers that depend on each other are solved for all the same."""
+RANK_TOLERANCE = 1e-13
+"""Eigenvalue, relative to the largest, up to which a combination of unknowns is not determined."""
 
 FIT_SIZE = 128
 """Pixels along the longer side of the pictures in which lights are fitted: light is smooth, and shadows are wide."""

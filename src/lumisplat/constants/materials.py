@@ -73,14 +73,6 @@ ROUGHNESS_MIN = 0.1
 NEIGHBOURS = 6
 """Gaussians near each, whose materials are compared with its own."""
 
-CURVE_SHIFTS = (0.0, 0.25, 0.5, 0.75)
-"""Of the Morton curves along which these are looked for, in extents of a capture: where cells of one end, neighbours
-are far apart along it, and near along another (Chan 1998). Of the six nearest, one curve finds 75 %, two 88 %, these
-98 %."""
-
-CURVE_REACH = 24
-"""Places along each curve, to both sides, that are looked at."""
-
 ALBEDO_RATE = 0.01
 ROUGHNESS_RATE = 0.02
 SKY_FINE_RATE = 0.005

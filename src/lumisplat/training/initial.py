@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from lumisplat.config import TrainConfig
 from lumisplat.constants import SH_C0
@@ -30,8 +31,6 @@ from lumisplat.training.learnt import Learnt
 _log = logging.getLogger("lumisplat")
 
 NEIGHBOURS = 3
-BLOCK = 512
-"""Points among which neighbours are looked for, at most."""
 PARALLEL = 1e-3
 """Mean squared sine between optical axes and their mean below which nothing says where they meet."""
 PARALLEL_DISTANCE = 3.0
@@ -159,25 +158,9 @@ def first_gaussians(
 
 
 def neighbour_distances(points: npt.NDArray[np.floating]) -> Doubles:
-    """Root mean square of the distances of each point to its three nearest ones, shape (N,).
-
-    Those beyond the border of its block of space are not looked for: beside one, the distance may be a little larger.
-    """
-    found = np.zeros(len(points))
-    for rows in _blocks(points, np.arange(len(points))):
-        inside = np.asarray(points[rows], np.float64)
-        squares = ((inside[:, None] - inside[None]) ** 2).sum(axis=2)
-        nearest = np.sort(squares, axis=1)[:, 1 : 1 + NEIGHBOURS]
-        found[rows] = np.sqrt(nearest.mean(axis=1)) if nearest.size else 1.0
-    return found
-
-
-def _blocks(points: npt.NDArray[np.floating], rows: npt.NDArray[np.intp]) -> Generator[npt.NDArray[np.intp]]:
-    """Rows of points in boxes of space, `BLOCK` at most in each."""
-    if rows.size <= BLOCK:
-        yield rows
-        return
-    inside = points[rows]
-    order = np.argsort(inside[:, int(np.argmax(np.ptp(inside, axis=0)))], kind="stable")
-    yield from _blocks(points, rows[order[: rows.size // 2]])
-    yield from _blocks(points, rows[order[rows.size // 2 :]])
+    """Returns the root mean square distance of each point to its `NEIGHBOURS` nearest others, shape (N,); 1 for one."""
+    if len(points) < 2:
+        return np.ones(len(points))
+    nearest = min(NEIGHBOURS, len(points) - 1)
+    distances, _ = cKDTree(points).query(points, k=range(2, nearest + 2), workers=-1)  # the first is the point itself
+    return np.sqrt(np.square(distances).mean(axis=1))

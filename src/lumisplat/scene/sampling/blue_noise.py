@@ -1,4 +1,4 @@
-"""Blue noise: Poisson-disk elimination of points, with a neighbour search over a hash grid."""
+"""Pairs of neighbouring points, and blue noise by Poisson-disk elimination."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from lumisplat.constants import SAMPLING_RADIUS_STEP, SAMPLING_RADIUS_STEPS_MAX
 from lumisplat.math.arrays import FloatArray
@@ -16,6 +17,9 @@ _CELL_BITS = 21
 _CELL_MASK = (1 << _CELL_BITS) - 1
 _CELL_MAX = 2.0**40
 """Number of a cell, at most: points farther out are in the last one, all of them."""
+
+_MARGIN = 1.0 + 1e-6
+"""Factor of the radius that SciPy searches, in float64: what it finds is compared with the radius in float32."""
 
 
 class Pairs(NamedTuple):
@@ -30,49 +34,47 @@ class Pairs(NamedTuple):
         return Pairs(self.first[rows], self.second[rows], self.distance[rows])
 
 
-class _Grid(NamedTuple):
-    """Points in cubic cells: cell k holds the points ``order[starts[k]:starts[k] + counts[k]]``."""
-
-    points: FloatArray
-    """The points in cell order, shape (M, 3)."""
-    order: _Indices
-    cells: npt.NDArray[np.int64]
-    """Occupied cells, shape (C, 3)."""
-    keys: npt.NDArray[np.int64]
-    """One number per cell, ascending, shape (C,)."""
-    starts: _Indices
-    counts: _Indices
-
-
 def cell_order(points: npt.NDArray[np.floating], size: float) -> _Indices:
-    """The order that sorts points into cubic cells of side ``size``: neighbours in space get close in memory."""
-    return np.argsort(_cell_keys(_cells(points, size)), kind="stable")
+    """Returns the order that sorts points into cubic cells of side ``size``, so that neighbours are close in memory."""
+    with np.errstate(over="ignore"):
+        cells = np.floor(np.asarray(points, dtype=np.float32) / np.float32(size))
+    x, y, z = (np.clip(cells, -_CELL_MAX, _CELL_MAX).astype(np.int64) & _CELL_MASK).T
+    return np.argsort((x << 2 * _CELL_BITS) | (y << _CELL_BITS) | z, kind="stable")
 
 
 def neighbour_pairs(points: npt.NDArray[np.floating], radius: float) -> Pairs:
-    """All pairs of points closer than ``radius``, each once.
-
-    Points are sorted into cubic cells of side ``radius``; each cell is compared with itself and half of its 26
-    neighbours.
+    """Returns all pairs of points closer than ``radius``, each once.
 
     Args:
         points: Shape (M, 3).
         radius: Search distance, > 0, in the points' unit.
     """
-    grid = _grid(points, radius)
-    return _join_pairs([_pairs_at(grid, grid, offset, radius) for offset in _STENCIL[13:]], grid, grid)
+    points = np.asarray(points, np.float32)
+    found = cKDTree(points).query_pairs(radius * _MARGIN, output_type="ndarray")
+    return _closer(points, points, found[:, 0], found[:, 1], radius)
 
 
 def cross_pairs(points: npt.NDArray[np.floating], others: npt.NDArray[np.floating], radius: float) -> Pairs:
-    """All pairs of a point (``first``) and one of ``others`` (``second``) closer than ``radius``.
+    """Returns all pairs of a point (``first``) and one of ``others`` (``second``) closer than ``radius``.
 
     Args:
         points: Shape (M, 3).
         others: Shape (C, 3).
         radius: Search distance, > 0, in the points' unit.
     """
-    grid, other = _grid(points, radius), _grid(others, radius)
-    return _join_pairs([_pairs_at(grid, other, offset, radius) for offset in _STENCIL], grid, other)
+    points, others = np.asarray(points, np.float32), np.asarray(others, np.float32)
+    found = cKDTree(points).sparse_distance_matrix(cKDTree(others), radius * _MARGIN, output_type="ndarray")
+    return _closer(points, others, found["i"], found["j"], radius)
+
+
+def _closer(points: FloatArray, others: FloatArray, first: _Indices, second: _Indices, radius: float) -> Pairs:
+    """Returns the pairs whose distance in float32 is below the radius, in the order of their indices."""
+    order = np.lexsort((second, first))
+    first, second = first[order], second[order]
+    step = points[first] - others[second]
+    distance2 = np.einsum("ij,ij->i", step, step)
+    near = distance2 < radius * radius
+    return Pairs(first[near], second[near], np.sqrt(distance2[near]))
 
 
 def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) -> _Indices:
@@ -129,58 +131,3 @@ def _keep_maximal(pairs: Pairs, kept: npt.NDArray[np.bool_]) -> None:
         kept |= winners
         undecided &= ~winners
         undecided[second[winners[first]]] = False
-
-
-def _cells(points: npt.NDArray[np.floating], size: float) -> npt.NDArray[np.int64]:
-    with np.errstate(over="ignore"):
-        cells = np.floor(np.asarray(points, dtype=np.float32) / np.float32(size))
-    return np.clip(cells, -_CELL_MAX, _CELL_MAX).astype(np.int64)
-
-
-def _cell_keys(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    # Cells very far apart may share a key: the distance test removes their pairs.
-    x, y, z = (cells & _CELL_MASK).T
-    return (x << 2 * _CELL_BITS) | (y << _CELL_BITS) | z
-
-
-def _grid(points: npt.NDArray[np.floating], size: float) -> _Grid:
-    order = cell_order(points, size)
-    points = np.asarray(points, dtype=np.float32)[order]
-    cells = _cells(points, size)
-    keys, starts, counts = np.unique(_cell_keys(cells), return_index=True, return_counts=True)
-    return _Grid(points, order.astype(np.int32), cells[starts], keys, starts, counts)
-
-
-def _pairs_at(grid: _Grid, other: _Grid, offset: _Indices, radius: float) -> Pairs:
-    """Close pairs, in cell order, of each cell of ``other`` with the cell of ``grid`` that lies at ``offset``."""
-    wanted = _cell_keys(other.cells + offset)
-    slots = np.minimum(np.searchsorted(grid.keys, wanted), grid.keys.size - 1)
-    occupied = np.flatnonzero(grid.keys[slots] == wanted)
-    slots = slots[occupied]
-    first, second = _products(grid.starts[slots], grid.counts[slots], other.starts[occupied], other.counts[occupied])
-    if grid is other and not offset.any():
-        once = first < second
-        first, second = first[once], second[once]
-    step = grid.points[first] - other.points[second]
-    distance2 = np.einsum("ij,ij->i", step, step)
-    near = distance2 < radius * radius
-    return Pairs(first[near], second[near], np.sqrt(distance2[near]))
-
-
-def _join_pairs(found: list[Pairs], grid: _Grid, other: _Grid) -> Pairs:
-    """All pairs, as indices of the points in their original order."""
-    first, second, distance = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Pairs(grid.order[first], other.order[second], distance)
-
-
-def _products(a_start: _Indices, a_count: _Indices, b_start: _Indices, b_count: _Indices) -> tuple[_Indices, _Indices]:
-    """All combinations of a row from range a and a row from range b, for all k pairs of ranges at once."""
-    sizes = a_count * b_count
-    local = np.arange(int(sizes.sum()), dtype=np.int32)
-    local -= np.repeat((np.cumsum(sizes) - sizes).astype(np.int32), sizes)
-    row = local // np.repeat(b_count.astype(np.int32), sizes)
-    column = local - row * np.repeat(b_count.astype(np.int32), sizes)
-    return row + np.repeat(a_start.astype(np.int32), sizes), column + np.repeat(b_start.astype(np.int32), sizes)
-
-
-_STENCIL = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
