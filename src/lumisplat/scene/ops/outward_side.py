@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from lumisplat.constants import (
     OUTSIDE_CELLS,
@@ -100,7 +101,7 @@ def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
             cells = np.floor((points - corner) / cell).astype(int)
             x, y, z = cells[((cells >= _BORDER) & (cells < shape - _BORDER)).all(axis=1)].T
             solid[x, y, z] = True
-    openness = (1.0 - OUTSIDE_CONNECTED) * _open_directions(~solid) + OUTSIDE_CONNECTED * _flood_fill(solid)
+    openness = (1.0 - OUTSIDE_CONNECTED) * _open_directions(~solid) + OUTSIDE_CONNECTED * _outside(solid)
     openness = openness.astype(np.float32)
     for axis in range(3):
         openness = _blur(openness, axis)
@@ -151,34 +152,10 @@ def _shift(flags: Flags, u: int, v: int) -> Flags:
     return padded[1 - u : 1 - u + rows, 1 - v : 1 - v + columns]
 
 
-def _flood_fill(solid: Flags) -> Flags:
-    """Free cells that are connected to the first cell through faces of free cells.
-
-    Sweeps along each axis, forwards and backwards, fill whole rows at once, so that a few rounds are enough.
-    """
-    # For each sweep, the place of the last solid cell up to each cell.
-    places = [np.arange(size, dtype=np.int16) for size in solid.shape]
-    barriers = [
-        _last_place(solid if way > 0 else np.flip(solid, axis), places, axis) for axis in range(3) for way in (1, -1)
-    ]
-    outside = np.zeros_like(solid)
-    outside[0, 0, 0] = True
-    reached = 0
-    while (count := np.count_nonzero(outside)) > reached:
-        reached = count
-        for index, barrier in enumerate(barriers):
-            axis, backwards = divmod(index, 2)
-            sweep = np.flip(outside, axis) if backwards else outside
-            sweep |= _last_place(sweep, places, axis) > barrier
-    return outside
-
-
-def _last_place(flags: Flags, places: list[npt.NDArray[np.int16]], axis: int) -> npt.NDArray[np.int16]:
-    """Place along an axis of the last true cell up to each cell, -1 before the first one."""
-    shape = [1, 1, 1]
-    shape[axis] = -1
-    marked: npt.NDArray[np.int16] = np.where(flags, places[axis].reshape(shape), np.int16(-1))
-    return np.maximum.accumulate(marked, axis=axis)
+def _outside(solid: Flags) -> Flags:
+    """Returns which free cells are connected to the first cell through faces of free cells."""
+    labels, _ = ndimage.label(~solid)
+    return labels == labels[0, 0, 0]
 
 
 def _blur(values: FloatArray, axis: int) -> FloatArray:
