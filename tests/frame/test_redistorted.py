@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.demo.shapes import sphere
 from lumisplat.frame.redistorted import undistorted_camera
 from support.scenes.raster_scenes import front_camera, one_gaussian, quad, random_gaussians
 
@@ -46,6 +47,26 @@ def test_raster_and_rays_agree_on_meshes(lens):
     np.testing.assert_allclose(raster.depth[inside], trace.depth[inside], rtol=0.01)
     np.testing.assert_allclose(raster.normal[inside], trace.normal[inside], atol=1e-5)
     np.testing.assert_array_equal(raster.instance_index[inside], trace.instance_index[inside])
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.REALTIME])
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_depth_is_that_of_rays(lens: Any, pipeline: ls.Pipeline) -> None:
+    """Of a floor to rounding, also beside the edge of a ball before it, of the ball within 1e-3; positions likewise."""
+    floor = quad(8.0, 6.0, tilt=1.2)
+    ball = ls.MeshInstance(sphere(0.9, rows=64), position=(0.3, 0.2, 4.0))
+    scene = ls.Scene([], [floor, ball], [ls.LightPoint((0.0, -4.0, 0.0), intensity=9.0)])
+    still = {"realtime": ls.RealtimeConfig(antialiasing=False)} if pipeline is ls.Pipeline.REALTIME else {}
+    frame = shown(scene, camera_of(lens), pipeline, **still)
+    exact = shown(scene, camera_of(lens), ls.Pipeline.TRACE)
+    same = (frame.instance_index == exact.instance_index) & np.isfinite(exact.depth)
+    for number, share, limit in ((0, 1.0, 2e-6), (1, 0.9, 1e-3)):
+        rows = same & (exact.instance_index == number)
+        errors = np.abs(frame.depth[rows] / exact.depth[rows] - 1.0)
+        assert rows.sum() > 300
+        assert np.quantile(errors, share) < limit
+        apart = np.linalg.norm(frame.position[rows] - exact.position[rows], axis=1) / exact.depth[rows]
+        np.testing.assert_allclose(apart, errors, atol=1e-5)
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)

@@ -25,7 +25,7 @@ from lumisplat.scene.camera import Camera
 _Image = npt.NDArray[Any]
 
 _NEAREST = (
-    *("depth", "normal", "gaussian_index", "instance_index", "sample_count"),
+    *("normal", "gaussian_index", "instance_index", "sample_count"),
     *("motion", "motion_known", "history", "probes", "cache_cells"),
 )
 """Images that cannot be averaged: they belong to one point each."""
@@ -100,8 +100,8 @@ def pinhole_of(camera: Camera) -> Camera:
 def redistorted(frame: Frame, camera: Camera) -> Frame:
     """A frame as a distorting lens shows it.
 
-    Colours and other means are filtered (Catmull-Rom, over the area of each pixel); depth, normals and indices are
-    those of the nearest pixel.
+    Colours and other means are filtered (Catmull-Rom, over the area of each pixel); normals and indices are those of
+    the nearest pixel, and depth is that of its surface at the exact point.
 
     Args:
         frame: The frame of `pinhole_of`.
@@ -122,6 +122,7 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
         image = getattr(frame, name)
         if image is not None:
             changes[name] = _nearest(image, middle, empty[name])
+    changes["depth"] = _depth(frame, middle)
     if frame.motion is not None:
         changes["motion"] = _motion(changes["motion"], middle, camera, frame.camera)
     for name in (*_FILTERED, *_PER_LIGHT):
@@ -177,6 +178,52 @@ def _nearest(image: _Image, points: Doubles, empty: float) -> _Image:
     return values
 
 
+def _depth(frame: Frame, points: Doubles) -> _Image:
+    """Distance along the rays through points of a pinhole's picture, inf where there is no surface, shape (H, W).
+
+    The inverse of view depth is linear over the picture of a plane. From the nearest pixel, it is followed by the
+    differences to its neighbours, but not across edges.
+
+    Args:
+        frame: Of the pinhole.
+        points: Pixels, shape (H, W, 2); NaN: nowhere.
+    """
+    camera = frame.camera
+    corner = np.array(camera.image_corner, np.float64)
+
+    def lengths(at: Doubles) -> Doubles:
+        along: Doubles = (at + corner - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        return np.asarray(np.sqrt(1.0 + np.square(along).sum(axis=-1)), np.float64)
+
+    columns, rows = camera.image_size
+    x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.pad(lengths(np.stack([x, y], axis=-1, dtype=np.float64)) / frame.depth.astype(np.float64), 1)
+        inverse[~(inverse > 0.0)] = np.nan
+    nearest = np.where(np.isnan(points), 0.0, np.floor(points)).astype(np.int64)
+    nearest = np.clip(nearest, 0, (columns - 1, rows - 1))
+    offsets = points - (nearest + 0.5)
+    column, row = nearest[..., 0] + 1, nearest[..., 1] + 1
+    middle = inverse[row, column]
+    change = np.zeros(middle.shape)
+    for axis, (right, down) in enumerate(((1, 0), (0, 1))):
+        before, after = middle - inverse[row - down, column - right], inverse[row + down, column + right] - middle
+        change += _slope(before, after) * offsets[..., axis]
+    depth = lengths(points) / np.where(change > -0.5 * middle, middle + change, middle)
+    return np.where(np.isnan(depth), np.inf, depth).astype(frame.depth.dtype)
+
+
+def _slope(before: Doubles, after: Doubles) -> Doubles:
+    """The change a pixel by the differences to both sides: their mean, or the smaller one if they are unlike.
+
+    On a plane they are equal, and across an edge the larger one leads. NaN: there is none; 0 if there are none.
+    """
+    lesser = np.fmin(np.abs(before), np.abs(after))
+    is_smooth = (before * after > 0.0) & (np.maximum(np.abs(before), np.abs(after)) < 2.0 * lesser)
+    smaller = np.where(np.abs(before) == lesser, before, after)
+    return np.nan_to_num(np.where(is_smooth, 0.5 * (before + after), smaller))
+
+
 def _motion(motion: _Image, points: Doubles, camera: Camera, pinhole: Camera) -> _Image:
     """Motion as the lens shows it, which is different all over the image.
 
@@ -207,7 +254,7 @@ def _empty(frame: Frame) -> dict[str, Any]:
     behind = np.array(frame.background or (0.0, 0.0, 0.0))
     is_lit = frame.captured is not None
     values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, *_NEAREST), 0.0)
-    values |= {"depth": np.inf, "gaussian_index": -1, "instance_index": -1, "probes": -1, "cache_cells": -1}
+    values |= {"gaussian_index": -1, "instance_index": -1, "probes": -1, "cache_cells": -1}
     values["captured"] = behind
     values["color"] = decode_srgb(behind.astype(np.float32)) if is_lit else behind
     values["captured_weight"] = 0.0 if frame.background is None else 1.0
