@@ -4,11 +4,15 @@ USD_INSTANCES_MAX = 1_000_000
 """Most prims that a file may have, and most instances of point instancers: instances of instances multiply, so that a
 small file could ask for any number."""
 
-USD_MEMORY = 2 * 2**30
+USD_MEMORY = 3 * 2**28
 """Memory, bytes, that the process that reads a stage may take at least: the library and Warp take 0.2 GB of it."""
 
+USD_ASSETS_MEMORY = 2 * 2**30
+"""Further bytes of memory from the first texture on, which are bounded by themselves (`TEXTURE_BYTES_FREE`)."""
+
 USD_MEMORY_A_BYTE = 40
-"""Further bytes of memory for each byte of the files: text of 8 digits becomes doubles, which are held three times."""
+"""Further bytes of memory for each byte of layers and textures: text of 8 digits becomes doubles, which are held three
+times."""
 
 USD_CPU_SECONDS = 30
 """Processor time, seconds, that reading a stage may take at least: references nested 16 deep took minutes."""
@@ -18,6 +22,9 @@ USD_CPU_SECONDS_A_MEGABYTE = 1.0
 
 USD_WALL_FACTOR = 10.0
 """Time on the clock after which reading ends, as a factor of its processor time: on machines that are busy."""
+
+USD_START_SECONDS = 300.0
+"""Time on the clock, seconds, in which that process must have loaded the library: 0.2 s on a machine that is idle."""
 
 USD_IDLE_SECONDS = 60.0
 """Time without a request, seconds, after which the process that has loaded the library ends."""

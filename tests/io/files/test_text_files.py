@@ -13,6 +13,7 @@ import lumisplat as ls
 from lumisplat.cli import main
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES, ply_text, quad_gltf, stl_text, write_obj
 from support.files.photograph_files import ring_cameras, write_colmap_photographs
+from support.files.usd_files import write_usda
 
 ENCODINGS = {"utf-8": "utf-8-sig", "utf-16": "utf-16"}
 
@@ -115,3 +116,21 @@ def test_sog_and_settings_may_begin_with_a_mark(tmp_path: Path) -> None:
         assert ls.load(_marked(path, "utf-8")).count == 9  # pyright: ignore[reportAttributeAccessIssue]
     (tmp_path / "set.toml").write_text("views = 7\n", encoding="utf-8-sig")
     assert ls.load_dataset_config(tmp_path / "set.toml").views == 7
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("name", ["a.usda", "a.usd"])
+@pytest.mark.parametrize("how", ["itself", "reference", "sublayer"])
+def test_layers_of_text_may_begin_with_a_mark(tmp_path: Path, how: str, name: str, encoding: str) -> None:
+    """A file of OpenUSD, and one of which it is composed."""
+    body = """def Mesh "m" {
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+}"""
+    path = _marked(write_usda(tmp_path / name, body), encoding)
+    if how == "reference":
+        path = write_usda(tmp_path / "outer.usda", f'def "m" (references = @./{name}@</m>) {{\n}}')
+    elif how == "sublayer":
+        path = write_usda(tmp_path / "outer.usda", "", head=f"subLayers = [@./{name}@]")
+    np.testing.assert_array_equal(_mesh(path).positions, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])

@@ -214,6 +214,24 @@ def test_stages_that_grow_without_end_are_refused(tmp_path: Path, monkeypatch: p
     assert "or takes more than 0.3 GB of memory: damaged, or made to exhaust this machine" in refused(path)
 
 
+def limits_with_textures(path: Path) -> list[int]:
+    """Memory that the child may take before, with one and with two textures of a megabyte."""
+    found = [resource.getrlimit(resource.RLIMIT_DATA)[0]]
+    for _ in range(2):
+        process.allow_asset(2**20)
+        found.append(resource.getrlimit(resource.RLIMIT_DATA)[0])
+    return found
+
+
+def test_textures_raise_the_limits_by_their_own(tmp_path: Path) -> None:
+    """Textures are bounded by themselves: a small stage may have many of them."""
+    usd_core()
+    none, one, two = process.read_apart(tmp_path / "a.usda", limits_with_textures)
+    assert none == process.USD_MEMORY < 2**30
+    assert one - none == process.USD_ASSETS_MEMORY + process.USD_MEMORY_A_BYTE * 2**20
+    assert two - one == process.USD_MEMORY_A_BYTE * 2**20
+
+
 def crashing(path: Path) -> None:
     """Ends the process, as a fault of the library does."""
     os.kill(os.getpid(), signal.SIGSEGV)

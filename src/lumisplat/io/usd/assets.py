@@ -12,6 +12,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.references import read_reference, referenced_file
 from lumisplat.io.files.source import check_regular
 from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.process import allow_asset
 from lumisplat.io.usd.stage import UsdFile
 
 
@@ -21,7 +22,7 @@ def asset_name(asset: Any) -> str:
 
 
 def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
-    """The contents of a file that a value names.
+    """The contents of a file that a value names, to be decoded.
 
     Args:
         file: The open file.
@@ -31,6 +32,13 @@ def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
     Raises:
         FormatError: There is no such file, it leaves the folder of the stage, or it cannot be read.
     """
+    data = _stored_bytes(file, asset, label)
+    allow_asset(len(data))
+    return data
+
+
+def _stored_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
+    """As `asset_bytes`."""
     ar, name = pxr().Ar, asset_name(asset)
     found = str(getattr(asset, "resolvedPath", "")) or name
     if found == name and file.path.suffix.lower() == ".usdz":  # not found by the library: perhaps it is there

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +11,14 @@ from typing import Any
 from lumisplat.constants.usd import USD_LAYERS_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.references import leaves_folder, referenced_file
-from lumisplat.io.files.source import check_regular
+from lumisplat.io.files.source import check_regular, parsing, read_text
 from lumisplat.io.usd.library import pxr
 
 
-def named_layers(path: Path, text: str) -> list[Path]:
-    """Returns a file and all files of layers that it is composed of, as far as they exist.
+def named_layers(path: Path, text: str) -> tuple[list[Path], list[Any]]:
+    """Returns a file and all files of layers that it is composed of, as far as they exist, and layers to hold.
+
+    The library finds the second as long as they are held, and would refuse their files: text with a byte order mark.
 
     Args:
         path: The file.
@@ -26,7 +29,7 @@ def named_layers(path: Path, text: str) -> list[Path]:
             allowed, or by an expression or with arguments, so that nobody knows which file is meant.
     """
     px, home = pxr(), path.parent
-    waiting, seen, files = [path], {os.path.abspath(path)}, list[Path]()
+    waiting, seen, files, held = [path], {os.path.abspath(path)}, list[Path](), list[Any]()
     while waiting:
         if len(seen) > USD_LAYERS_MAX:
             raise FormatError(path, f"is composed of more than {USD_LAYERS_MAX:,} layers")
@@ -35,7 +38,11 @@ def named_layers(path: Path, text: str) -> list[Path]:
             continue  # composed without it; a remark says so
         check_regular(file, file.stat())
         files.append(file)
-        layer = px.Sdf.Layer.FindOrOpen(text if file is path else os.fspath(file))
+        name = text if file is path else os.fspath(file)
+        if (layer := _marked_layer(file, name)) is not None:
+            held.append(layer)
+        else:
+            layer = px.Sdf.Layer.FindOrOpen(name)
         if not layer:
             continue
         for name in _named_by(layer):
@@ -47,7 +54,24 @@ def named_layers(path: Path, text: str) -> list[Path]:
             package = _named_file(path, layer, name, home)
             if package.exists():
                 check_regular(package, package.stat())
-    return files
+    return files, held
+
+
+def _marked_layer(file: Path, name: str) -> Any | None:
+    """Returns the layer of a text that begins with a byte order mark, which the library does not read; None for others.
+
+    Raises:
+        FormatError: The text is none.
+    """
+    px = pxr()
+    with open(file, "rb") as stream:
+        if not stream.read(3).startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return None
+    with parsing(file, "a USD file"):
+        text = read_text(file)
+    layer = px.Sdf.Layer.New(px.Sdf.FileFormat.FindById("usda"), os.path.abspath(name))
+    layer.ImportFromString(text)
+    return layer
 
 
 def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:

@@ -79,9 +79,9 @@ def _reason(error: Exception, path: PathLike) -> str:
     first: object = error.args[0] if error.args else ""
     said = " ".join(str(getattr(first, "commentary", first)).split())
     for name in (os.path.abspath(path), os.fspath(path)):
-        said = said.replace(name, "it")
+        said = said.replace(f"<{name}>", name).replace(name, "it")
     said = _INTERNAL.sub("", said).replace("Failed to open layer @it@", "")
-    at = re.match(r"it:(\d+):\d+: (.*)", said)
+    at = re.match(r"(?:it)?:(\d+):\d+: (.*)", said)
     if at:
         does_not_parse = at[2].startswith("parse error")
         said = f"line {at[1]}: " + ("it, or the block that begins there, does not parse" if does_not_parse else at[2])

@@ -28,11 +28,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, cast
 
 from lumisplat.constants.usd import (
+    USD_ASSETS_MEMORY,
     USD_CPU_SECONDS,
     USD_CPU_SECONDS_A_MEGABYTE,
     USD_IDLE_SECONDS,
     USD_MEMORY,
     USD_MEMORY_A_BYTE,
+    USD_START_SECONDS,
     USD_WALL_FACTOR,
 )
 from lumisplat.errors import FormatError, LumisplatError, MissingExtraError
@@ -185,19 +187,16 @@ class _Child:
         with self._calls:
             try:
                 self._send(request)
-                timer = limit.timer(self.end)
+                timer = _timer(USD_START_SECONDS, self.end)
                 try:
                     while True:
                         kind, value = self._receive()
                         if kind == "log":
                             _log.log(*value)
-                        elif kind == "reader":
-                            self._reader = value
-                        elif kind == "files":
+                        elif kind in ("reader", "files", "limit"):
                             timer.cancel()
-                            limit = _Limit.of(_checked_bytes(path, value))
+                            limit = self._limit(limit, kind, value)
                             timer = limit.timer(self.end)
-                            self._send((limit.memory, limit.seconds))
                         elif kind == "result":
                             return value
                         elif kind == "error":
@@ -215,6 +214,21 @@ class _Child:
                     raise FormatError(path, "cannot be read: the process that reads OpenUSD does not start") from None
                 self._process.kill()
                 raise _dead(path, limit, self._process.wait()) from None
+
+    def _limit(self, limit: _Limit, kind: str, value: Any) -> _Limit:
+        """The limits from now on: the process has forked, asks for files, or has raised them for a texture.
+
+        Raises:
+            FormatError: A file is not allowed.
+        """
+        if kind == "reader":
+            self._reader = value
+            return limit
+        if kind == "limit":
+            return value
+        limit = _Limit.of(_checked_bytes(self._path, value))
+        self._send((limit.memory, limit.seconds))
+        return limit
 
     def _send(self, value: Any) -> None:
         send(self._in, value)
@@ -260,10 +274,15 @@ class _Limit:
 
     def timer(self, end: Callable[[], None]) -> threading.Timer:
         """Ends a child that neither finishes nor takes processor time, which the system limits."""
-        timer = threading.Timer(USD_WALL_FACTOR * self.seconds, end)
-        timer.daemon = True
-        timer.start()
-        return timer
+        return _timer(USD_WALL_FACTOR * self.seconds, end)
+
+
+def _timer(seconds: float, end: Callable[[], None]) -> threading.Timer:
+    """Starts a timer that does not keep the program alive."""
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+    return timer
 
 
 def _dead(path: Path, limit: _Limit, status: int) -> FormatError:
@@ -301,6 +320,8 @@ class _Session:
     input: BinaryIO
     output: BinaryIO
     remotes: list[Remote] = field(default_factory=list[Remote])
+    limit: _Limit = field(default_factory=lambda: _Limit.of(0))
+    has_assets: bool = False
 
     def send(self, kind: str, value: Any) -> None:
         """Sends a message."""
@@ -338,8 +359,24 @@ def grant(files: list[Path]) -> None:
     if _session is None:
         return
     _session.send("files", files)
-    memory, seconds = receive(_session.input)
-    _limit(memory, seconds)
+    _session.limit = _Limit(*receive(_session.input))
+    _limit(_session.limit)
+
+
+def allow_asset(size: int) -> None:
+    """In a child: raises the limits for a texture or a sky that is about to be decoded.
+
+    Args:
+        size: Bytes of its file. In other processes nothing happens.
+    """
+    if _session is None:
+        return
+    old, more = _session.limit, _Limit.of(size)
+    memory = old.memory + more.memory - USD_MEMORY + (0 if _session.has_assets else USD_ASSETS_MEMORY)
+    _session.limit = _Limit(memory, old.seconds + more.seconds - USD_CPU_SECONDS)
+    _session.has_assets = True
+    _session.send("limit", _session.limit)
+    _limit(_session.limit)
 
 
 def serve() -> None:
@@ -381,8 +418,7 @@ def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
     session = _session = _Session(stdin, stdout)
     try:
         session.send("reader", os.getpid())
-        first = _Limit.of(0)
-        _limit(first.memory, first.seconds)
+        _limit(session.limit)
         os.chdir(request.folder)
         _log.setLevel(request.level)
         _log.propagate = False
@@ -398,15 +434,15 @@ def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
         os._exit(1)
 
 
-def _limit(memory: int, seconds: float) -> None:
+def _limit(limit: _Limit) -> None:
     """Limits what this process may take from now on, where the system can."""
     try:
         import resource
     except ImportError:
         return
     used = resource.getrusage(resource.RUSAGE_SELF)
-    until = int(used.ru_utime + used.ru_stime + seconds) + 1
-    for kind, most in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_CPU, until), (resource.RLIMIT_CORE, 0)):
+    until = int(used.ru_utime + used.ru_stime + limit.seconds) + 1
+    for kind, most in ((resource.RLIMIT_DATA, limit.memory), (resource.RLIMIT_CPU, until), (resource.RLIMIT_CORE, 0)):
         hard = resource.getrlimit(kind)[1]
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))

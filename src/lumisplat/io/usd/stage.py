@@ -36,6 +36,8 @@ class UsdFile:
     world_from_stage: Doubles
     """The world has y up and metres; shape (4, 4)."""
     remarks: Remarks
+    held: list[Any]
+    """Layers that the library finds only as long as they are held."""
 
     @property
     def unit(self) -> float:
@@ -58,14 +60,15 @@ def open_usd(path: Path) -> UsdFile:
     if not path.exists():
         raise MissingFileError(path, "no such file")
     with utf8_path(path) as text:
-        grant(named_layers(path, text))
+        files, held = named_layers(path, text)
+        grant(files)
         stage = px.Usd.Stage.Open(text)
     if not stage:
         raise FormatError(path, "damaged, or not a USD file")
     remarks = Remarks(path, "not read, or read otherwise")
     for error in stage.GetCompositionErrors():
         remarks.add("layers that cannot be composed", _first_line(str(error), path))
-    return UsdFile(path, stage, _shown_time(stage), _world_from_stage(path, stage, remarks), remarks)
+    return UsdFile(path, stage, _shown_time(stage), _world_from_stage(path, stage, remarks), remarks, held)
 
 
 def _shown_time(stage: Any) -> Any:
