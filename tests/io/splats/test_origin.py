@@ -50,6 +50,18 @@ def in_world(gaussians: ls.Gaussians) -> np.ndarray:
     return gaussians.means.astype(np.float64) + gaussians.origin
 
 
+def test_digits_of_text_count_whatever_type_its_header_says(tmp_path: Path) -> None:
+    """Programs write map coordinates with all digits and call them float."""
+    near = capture((0.0, 0.0, 0.0))
+    columns = (near.means + np.array(UTM), near.sh[:, 0], np.zeros((60, 1)), np.log(near.scales), near.rotations_wxyz)
+    header = ["ply", "format ascii 1.0", "element vertex 60", *(f"property float {name}" for name in NAMES)]
+    lines = [" ".join(f"{value:.6f}" for value in row) for row in np.hstack(columns)]
+    (tmp_path / "far.ply").write_text("\n".join([*header, "end_header", *lines, ""]))
+    far = ls.load(tmp_path / "far.ply")
+    assert isinstance(far, ls.Gaussians)
+    np.testing.assert_allclose(in_world(far), near.means + np.array(UTM), atol=1e-6, rtol=0)
+
+
 def test_doubles_in_map_coordinates_are_about_an_origin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Nothing is torn, and a line says so; around zero, doubles are as they were."""
     near = capture((0.0, 0.0, 0.0))

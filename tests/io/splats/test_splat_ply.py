@@ -216,6 +216,20 @@ def test_colours_are_red_green_and_blue_without_f_dc(tmp_path: Path, kind: str, 
     np.testing.assert_array_equal(piece.sh, read.sh)
 
 
+@pytest.mark.parametrize("colors", [("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ()])
+def test_other_names_of_properties_are_understood(tmp_path: Path, colors: tuple[str, ...]) -> None:
+    """Colours have three usual names, and programs write names in capitals."""
+    if colors:
+        names = [name for name in NAMES if not name.startswith("f_dc")] + list(colors)
+        row = [value for name, value in zip(NAMES, ROW, strict=True) if not name.startswith("f_dc")] + [0.25, 0.5, 1.0]
+        expected = (np.array([0.25, 0.5, 1.0]) - 0.5) / SH_C0
+    else:
+        names, row, expected = [name.upper() for name in NAMES], ROW, [0.1, 0.2, 0.3]
+    read = load_gaussians(write(tmp_path / "a.ply", names, [row]))
+    np.testing.assert_allclose(read.sh[0, 0], expected, rtol=1e-6)
+    np.testing.assert_array_equal(read.means, [[1, 2, 3]])
+
+
 def test_f_dc_counts_beside_red_green_and_blue(tmp_path: Path) -> None:
     """Programs add colours for viewers of points; SH say more."""
     read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "red", "green", "blue"], [[*ROW, 1.0, 1.0, 1.0]]))

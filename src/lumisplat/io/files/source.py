@@ -65,6 +65,8 @@ def opened(path: PathLike, because: str = "", largest: float | None = None) -> B
         if status.st_size > largest:
             raise FormatError(path, f"has {status.st_size:,} bytes, expected at most {largest:,}{because}")
         return open(path, "rb")
+    except FormatError:
+        raise
     except FileNotFoundError:
         raise MissingFileError(path, f"no such file{because}") from None
     except (OSError, ValueError) as error:
@@ -147,11 +149,13 @@ def _reason(error: Exception) -> str:
             return ": holds bytes that are no text"
         case json.JSONDecodeError():
             return f": invalid JSON at line {error.lineno}: {error.msg}"
-        case RecursionError():
-            return ": nested too deeply"
+        case RecursionError() | OverflowError():
+            return ": nested too deeply" if isinstance(error, RecursionError) else ": holds a number that is too large"
         case KeyError():
             return f": lacks {str(error.args[0])[:60]!r}"
         case ValueError():
-            return f": {' '.join(str(error).split())}"[:200]
+            text = " ".join(str(error).split())
+            is_long = "integer string conversion" in text  # Python's advice is for programmers
+            return ": holds an integer of thousands of digits" if is_long else f": {text}"[:200]
         case _:
             return ""

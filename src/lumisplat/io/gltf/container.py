@@ -156,7 +156,8 @@ class GltfFile:
             except ValueError as error:
                 raise FormatError(self.path, f"{referrer} has damaged base64 data: {error}") from None
         if "://" in uri:
-            raise FormatError(self.path, f"{referrer} is on the network ({uri[:60]}): download it beside the file")
+            where = "named by a whole path" if uri.startswith("file:") else "on the network"
+            raise FormatError(self.path, f"{referrer} is {where} ({uri[:60]}): put it beside the file")
         return read_reference(self.path, unquote(uri))
 
     def _buffer(self, index: object, referrer: str) -> bytes:

@@ -126,7 +126,7 @@ def _parse_obj(path: Path, text: str) -> _ObjFile:
             elif keyword == "mtllib" and rest:
                 listing.libraries.append(rest[0].strip())
         except ValueError as error:
-            raise FormatError(path, f"line {number}: {error} in {line.strip()[:60]!r}") from None
+            raise FormatError(path, f"line {number}: {str(error)[:120]} in {line.strip()[:60]!r}") from None
     return listing
 
 
@@ -246,7 +246,7 @@ def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, Materi
         except FormatError:
             raise
         except ValueError as error:
-            raise FormatError(path, f"line {number}: {error} in {line.strip()[:60]!r}") from None
+            raise FormatError(path, f"line {number}: {str(error)[:120]} in {line.strip()[:60]!r}") from None
     for name, values in settings.items():
         if "base_color_texture" in values and not any(values.get("base_color", (0.0,))):
             if "base_color" in values:

@@ -30,6 +30,9 @@ SCALAR_TYPES = {
 _PREFIXES = re.compile(r"(?:scalar_|scal_)+")
 """Before the names of scalar fields in files of CloudCompare, once for each time that it wrote them."""
 
+_COLOR_NAMES = (("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+"""Other names of red, green and blue."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlyProperty:
@@ -148,16 +151,26 @@ def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...]
     if not encoding:
         raise FormatError(path, "the PLY header has no 'format' line")
     for name, _, properties in elements:
-        properties[:] = _without_prefixes(properties)
+        properties[:] = _with_usual_names(properties)
+        if encoding == "ascii":  # text has as many digits as were written, whatever type the header says
+            wide = {"x", "y", "z"}
+            properties[:] = [replace(prop, code="f8") if prop.name in wide else prop for prop in properties]
         if len({prop.name for prop in properties}) < len(properties):
             raise FormatError(path, f"the PLY header lists a property of {name} twice")
     return encoding, tuple(comments), tuple(PlyElement(name, n, tuple(props)) for name, n, props in elements)
 
 
-def _without_prefixes(properties: list[PlyProperty]) -> list[PlyProperty]:
-    """The properties by the names that they had before CloudCompare wrote them; two never get the same name."""
+def _with_usual_names(properties: list[PlyProperty]) -> list[PlyProperty]:
+    """The properties in lower case, without CloudCompare's prefixes, colours as red, green, blue.
+
+    Two never get the same name.
+    """
     names = [prop.name for prop in properties]
-    plain = [_PREFIXES.sub("", name, count=1) if _PREFIXES.match(name) else name for name in names]
+    plain = [(_PREFIXES.sub("", name, count=1) if _PREFIXES.match(name) else name).lower() for name in names]
+    for others in _COLOR_NAMES:
+        if set(others) <= set(plain):
+            usual = dict(zip(others, ("red", "green", "blue"), strict=True))
+            plain = [usual.get(name, name) for name in plain]
     return [
         replace(prop, name=name) if name and name not in names and plain.count(name) == 1 else prop
         for prop, name in zip(properties, plain, strict=True)
