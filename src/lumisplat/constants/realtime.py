@@ -136,6 +136,29 @@ look-up costs much less than a ray."""
 MEANS_CHUNK = 64
 """Sums of tiles that one item adds up: a single one for all of a frame would keep a GPU waiting for a millisecond."""
 
+# --- Captured emitters ---
+
+EMITTER_BOXES = 16
+"""Boxes around parts of a capture that is sampled as a light."""
+
+EMITTER_REACH = 3.0
+"""Standard deviations of Gaussians that are within the boxes."""
+
+EMITTER_FLAT = 1e-3
+"""Least edge of a box as a share of its longest: volumes of flat boxes are more than rounding errors."""
+
+EMITTER_LEAST_SHARE = 0.05
+"""Of the power, for a box around the whole capture; and of the mean luminance, for Gaussians that are dark."""
+
+EMITTER_GAUSSIANS = 16_384
+"""Gaussians of a capture by which boxes are found, at most."""
+
+EMITTER_OPAQUE = 0.05
+"""Transmittance at which rays to captures end; what lies behind counts as what they have met."""
+
+EMITTER_RECEIVERS = 1024
+"""Triangles or Gaussians of an instance that stand for all it has, when captures are told from surroundings."""
+
 # --- Light grid ---
 
 GRID_LIGHTS = 16

@@ -84,6 +84,14 @@ def test_what_is_known_fades_while_things_move(move: str) -> None:
     assert after == [MOVED_SHARE] * MOVED_FRAMES + [1.0]
 
 
+def test_captures_that_are_lights_count_as_lights() -> None:
+    """One that moves changes the light, and one that becomes a light is another light."""
+    changes = LightChanges()
+    assert [changes.share(LIT, False, (0,)) for _ in range(2)] == [1.0] * 2
+    assert changes.share(MOVED["a capture that moves"], False, (0,)) == CHANGED_SHARE
+    assert changes.share(MOVED["a capture that moves"], False) == OUTDATED_SHARE
+
+
 def test_nothing_is_outdated_at_the_beginning() -> None:
     """In the first frame, and in the first one of another sequence."""
     changes = LightChanges()

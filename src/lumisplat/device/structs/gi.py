@@ -195,6 +195,19 @@ class LightGrid:
 
 
 @struct
+class EmitterBox:
+    """A box around Gaussians of a capture that is sampled as a light, world space."""
+
+    center: wp.vec3
+    box_from_world: wp.mat33
+    """Rotation."""
+    half: wp.vec3
+    """Half its edges, scene units."""
+    power: float
+    """About the luminance times the area of what is in it; above 0."""
+
+
+@struct
 class BouncedRays:
     """What rays that leave surfaces see, but for the light that the surfaces which they meet reflect."""
 

@@ -18,6 +18,7 @@ from lumisplat.renderer.realtime import bounced_light_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace.path_gaussians import Dark
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
@@ -52,7 +53,9 @@ class BouncedLight:
         self._surfaces = Surfaces(launcher, buffers)
         self._grids = LightGrids(launcher, buffers)
 
-    def find(self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str) -> BouncedHits:
+    def find(
+        self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str, *, sees_lights: bool = True
+    ) -> BouncedHits:
         """What rays meet, with direct light there; at smooth surfaces they go on.
 
         Args:
@@ -60,6 +63,8 @@ class BouncedLight:
             plan: Plan of the frame.
             rays: A multiple of ``PACKET_RAYS``.
             name: Of the buffers that hold the result.
+            sees_lights: Whether rays see captures that are sampled as lights, as others; not where they start from
+                surfaces that receive the light of these besides.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
         samples = self._buffers.struct(f"{name}.samples", CacheSamples, count)
@@ -71,8 +76,10 @@ class BouncedLight:
         onward = self._onward(plan, count) if goes_on else OnwardRays()
         media = device_array(onward.media) if plan.has_media else None
         carried = Carried(device_array(onward.weights), media) if goes_on else None
+        marked, mirrored = scene.captured_emitters.marked, device_array(onward.mirrored) if goes_on else None
+        dark = None if sees_lights or marked is None else Dark(marked, mirrored)
         for _ in range(1 + SPECULAR_WAVES * goes_on):
-            hits = self._tracer.find_hits(scene, rays, name, bounced=True)
+            hits = self._tracer.find_hits(scene, rays, name, bounced=True, dark=dark)
             with self._launcher.stage("bounced"):
                 wave = self._surfaces.shade(scene, plan, hits, 1, carried=carried, may_branch=False)
                 grid = self._grids.of_wave(scene, wave)

@@ -71,7 +71,7 @@ class IndirectLight:
                 self.probes.outdate(scene.motion.known_share)
                 self.cache.outdate(scene.motion.known_share)
             rays = self.probes.rays(frame)
-        hits = self._bounced.find(scene, plan, rays, "probe_rays")
+        hits = self._bounced.find(scene, plan, rays, "probe_rays", sees_lights=False)
         self.cache.insert(hits.samples, frame)
         self._bounce(scene, plan, frame)
         reflected = self.cache.look_up(hits.samples)

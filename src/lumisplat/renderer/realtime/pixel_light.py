@@ -11,10 +11,12 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.gi.light_grid import LightGrids
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.realtime import pixel_light_kernels as kernels
+from lumisplat.renderer.realtime.captured_light import CapturedLights
 from lumisplat.renderer.realtime.gbuffer import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
@@ -28,13 +30,17 @@ class PixelLights:
         buffers: Holds the arrays.
         config: Settings.
         shadows: Follows shadow rays; its sample has begun.
+        tracer: Finds what rays to captures see.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, shadows: ShadowRays) -> None:
+    def __init__(
+        self, launcher: Launcher, buffers: Buffers, config: RenderConfig, shadows: ShadowRays, tracer: RayTracer
+    ) -> None:
         self._launcher, self._buffers, self._shadows = launcher, buffers, shadows
-        self._interval = config.realtime.light_interval
+        self._interval, self._is_smoothed = config.realtime.light_interval, config.realtime.filter.passes >= 2
         self._grids = LightGrids(launcher, buffers)
         self._direct_light = DirectLight(launcher, buffers, config)
+        self._captured = CapturedLights(launcher, buffers, config, shadows, tracer)
 
     def sample(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[Surfaces], frame: int
@@ -49,16 +55,20 @@ class PixelLights:
             frame: Number of the frame.
         """
         count, run = wave.count, self._launcher.run_banded
+        interval = self._interval
+        if scene.captured_emitters.boxes is not None and self._is_smoothed:
+            interval = 2  # a sample has two rays then
         light = self._buffers.struct("pixel_light", PixelLight, count)
         rays = self._buffers.struct("pixel_light.rays", RayData, count)
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
-        run(kernels.number_samples, count, self._interval, frame, scene.camera, wave.data)
+        run(kernels.number_samples, count, interval, frame, scene.camera, wave.data)
         grid = self._grids.of_wave(scene, wave)
         with self._launcher.stage("lights"):
-            inputs = not plan.casts_shadows, self._interval, frame, grid, scene.camera
+            inputs = not plan.casts_shadows, interval, frame, grid, scene.camera
             inputs = *inputs, scene.shading, wave.data, light, rays
             run(kernels.sample_lights, count, *inputs, bands=bands)
         visibility = self._visibility(scene, plan, rays)
+        self._captured.add(scene, plan, wave, light, rays, visibility=visibility)
         with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 

@@ -49,7 +49,7 @@ class RealtimeIntegrator:
         self._surfaces = Surfaces(launcher, buffers)
         self._shadows = ShadowRays(launcher, buffers, config)
         self._gbuffer = GBuffer(launcher, buffers)
-        self._lights = PixelLights(launcher, buffers, config, self._shadows)
+        self._lights = PixelLights(launcher, buffers, config, self._shadows, tracer)
         self._lobes = Lobes(launcher, buffers, follows=config.realtime.highlight_rays)
         self._indirect = IndirectLight(launcher, buffers, config, tracer, self._shadows)
         self._mirrors = Mirrors(

@@ -16,6 +16,7 @@ from lumisplat.device.structs.shading import ShadingScene
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.camera_table import CENTER, camera_table, subpixel, tile_grid
+from lumisplat.renderer.scene.captured_emitters import CapturedEmitters
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_instance_table
 from lumisplat.renderer.scene.light_changes import in_order
@@ -69,6 +70,8 @@ class DeviceScene:
         """One SplatInstanceData an instance; written by ``sync``."""
         self.mesh_instances: DeviceArray
         """One MeshInstanceData an instance; written by ``sync``."""
+        self.captured_emitters = CapturedEmitters()
+        """The captures that are sampled as lights; synced if the plan of the frame has a history."""
         self.image_size = (0, 0)
         """Width and height, pixels."""
         self.gaussian_count = 0
@@ -83,10 +86,8 @@ class DeviceScene:
         """Rays meet surfaces of some alpha by chance, as `FramePlan.draws_alpha`."""
         self.traces_paths = False
         """Light bounces in all directions: `FramePlan.traces_paths`."""
-        self.keeps_captures = False
-        """Some splat sets keep their captured colours."""
-        self.relights = False
-        """Some do not."""
+        self.keeps_captures = self.relights = False
+        """Whether some splat sets keep their captured colours, and whether some do not."""
         self.version = 0
         """Changes with the arrays of assets."""
         self.frame = LocalFrame(np.zeros(3))
@@ -155,7 +156,13 @@ class DeviceScene:
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, camera.image_size
             if plan.has_history:
-                self.motion.sync(scene, camera, self.mesh_data.positions, has_headlight=plan.has_headlight)
+                self.motion.sync(
+                    scene,
+                    camera,
+                    self.mesh_data.positions,
+                    has_headlight=plan.has_headlight,
+                    captures=self.captured_emitters.instances,
+                )
             for table in (self.camera, self.splat_camera):
                 assign_table(table, camera_table(camera, CENTER))
             if plan.is_sampled:
@@ -205,6 +212,7 @@ class DeviceScene:
         # Such a frame may need neither light nor rays, whose tables and hierarchies hold assets, too.
         self._shading = ShadingTables(self._buffers, self._config, self._launcher.device)
         self._mesh_bvh, self.bvh = MeshBvhScene(self._launcher), BvhScene(self._launcher)
+        self.captured_emitters = CapturedEmitters()
 
     def begin_sample(self, index: int) -> None:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
@@ -259,4 +267,6 @@ class DeviceScene:
         splats = splat_instance_table(scene, gaussians, camera, self._config, is_lit=plan.is_lit)
         meshes = mesh_instance_table(scene, self._meshes, self._mesh_bvh.places, camera, plan)
         self.splat_instances = self._buffers.upload("splat_instances", SplatInstanceData, splats)
+        if plan.has_history:
+            self.captured_emitters.sync(scene, splats, self._buffers)
         self.mesh_instances = self._buffers.upload("mesh_instances", MeshInstanceData, meshes)

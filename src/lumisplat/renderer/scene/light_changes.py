@@ -53,14 +53,19 @@ class LightChanges:
         """There was no frame before."""
         self._before, self._changed_ago, self._moved_ago = None, CHANGED_FRAMES, MOVED_FRAMES
 
-    def share(self, scene: Scene, has_headlight: bool) -> float:
+    def share(self, scene: Scene, has_headlight: bool, captures: Sequence[int] = ()) -> float:
         """The share of its weight that what is known of light keeps in the frame that shows a scene.
 
         Next to nothing if a light came, went, or is suddenly of another strength: what was known is of another scene.
         If anything else about light changes, what is known is a little old: for so many frames, it fades. It fades more
         slowly if things move, whose shadows and reflections are but a part of the light.
+
+        Args:
+            scene: Of the frame.
+            has_headlight: Whether one replaces the lights that the scene does not have.
+            captures: The splat instances that are sampled as lights.
         """
-        now = light_of(scene, has_headlight)
+        now = light_of(scene, has_headlight, captures)
         before, self._before = self._before or now, now
         is_other = is_suddenly_other(before, now)
         has_changed = is_other or before.rest != now.rest
@@ -73,15 +78,17 @@ class LightChanges:
         return MOVED_SHARE if self._moved_ago < MOVED_FRAMES else 1.0
 
 
-def light_of(scene: Scene, has_headlight: bool) -> LightOfScene:
-    """The light of a scene, to be compared; a headlight replaces the lights that it does not have."""
+def light_of(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> LightOfScene:
+    """The light of a scene, to be compared; arguments as for `LightChanges.share`."""
     shining = [instance for instance in scene.meshes if instance.mesh.material.is_emissive]
     # A mesh that deforms is another one with as many vertices and faces.
     meshes = [(i.mesh.vertex_count, i.mesh.face_count, emission_of(i.mesh.material)) for i in shining]
-    sources = [has_headlight, *((type(light), light.enabled) for light in scene.lights), *meshes]
+    lamps = [scene.splats[number] for number in captures]
+    sources = [has_headlight, *((type(light), light.enabled) for light in scene.lights), *meshes, len(lamps)]
     strengths = [strength_of(light) for light in scene.lights]
     lights = [values_of(light) for light in scene.lights]
     places = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
+    places += [(id(instance.gaussians), instance.transform.tobytes()) for instance in lamps]
     materials = [id(instance.material) for instance in scene.splats]
     rest = [lights, places, materials, [id(instance.mesh.material) for instance in scene.meshes]]
     return LightOfScene(sources, strengths, rest, placed_assets(scene))

@@ -46,7 +46,15 @@ class Motion:
         self.moved_to: wp.array[int]
         """One number an instance of the frame before, splats first, as ``has_left``."""
 
-    def sync(self, scene: Scene, camera: Camera, positions: wp.array[wp.vec3], *, has_headlight: bool) -> None:
+    def sync(
+        self,
+        scene: Scene,
+        camera: Camera,
+        positions: wp.array[wp.vec3],
+        *,
+        has_headlight: bool,
+        captures: Sequence[int] = (),
+    ) -> None:
         """Writes the tables of a frame, and keeps what the next one is compared with.
 
         Args:
@@ -54,6 +62,7 @@ class Motion:
             camera: Of the frame.
             positions: Vertices of all its meshes on the device, which later frames leave as they are.
             has_headlight: Whether one replaces the lights that the scene does not have.
+            captures: The splat instances that are sampled as lights.
         """
         before = self._scene or Scene()
         assign_table(self.camera, camera_table(self._camera or camera))
@@ -64,7 +73,7 @@ class Motion:
         numbers = [*splats, *(None if number is None else len(before.splats) + number for number in meshes)]
         places = moved_to(placed_assets(scene), placed_assets(before), numbers)
         self.moved_to = as_device_array(np.array(places, np.int32), wp.int32, self._device)
-        self.known_share = self._changes.share(scene, has_headlight)
+        self.known_share = self._changes.share(scene, has_headlight, captures)
         self._scene, self._camera = scene, camera
         self._positions = positions
 

@@ -68,6 +68,7 @@ class GaussianTracer:
         bounced: bool,
         sets: SplatSets = SplatSets.ALL,
         profiles: DeviceArray | None = None,
+        marked: DeviceArray | None = None,
     ) -> GaussianHits:
         """What the Gaussians up to each ray's limit give it, in buffers of that name.
 
@@ -79,15 +80,17 @@ class GaussianTracer:
             bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
             sets: Those that the rays meet.
             profiles: Receives the hits one by one, as HitProfiles; None: they are not kept.
+            marked: The scene's splat instances, some of them marked as relit, whose part is added up apart; None: they
+                are as the scene has them.
         """
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
-        tells_relit = scene.mixes_sets and sets is SplatSets.ALL
+        tells_relit = marked is not None or (scene.mixes_sets and sets is SplatSets.ALL)
         hits = self._buffers.struct(name, GaussianHits, count, MEAN_FIELDS if tells_relit else EXTRA_FIELDS)
         if scene.gaussian_count == 0 and profiles is None:
             return without_hits(hits)
         run, bands = self._launcher.run_banded, RAY_BANDS_PER_THREAD * self._launcher.threads
-        bvh = scene.bvh.data(scene.splat_instances, sets)
+        bvh = scene.bvh.data(scene.splat_instances if marked is None else marked, sets)
         if bounced and self._is_stochastic_hit:
             order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
             run(stochastic_hit_kernels.meet_gaussians, count, order, settings, bvh, rays, limits, hits, bands=bands)

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import warp as wp
 
 from lumisplat.config import PathPrimary, RenderConfig, TraceStrategy
-from lumisplat.device.structs.rays import GaussianHits, RayData
+from lumisplat.constants.realtime import EMITTER_OPAQUE
+from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import path_gaussians_kernels as kernels
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
+
+
+class Dark(NamedTuple):
+    """Captures that rays see as black, since surfaces receive their light as that of lights."""
+
+    marked: DeviceArray
+    """The scene's splat instances, with these marked as relit."""
+    mirrored: wp.array[int] | None
+    """1: a mirror has reflected the ray, which sees them as they are; None: none has."""
 
 
 class PathGaussians:
@@ -30,24 +41,85 @@ class PathGaussians:
         self._is_blended_first = config.path.primary is PathPrimary.ISO
         self._blended = GaussianTracer(launcher, buffers, _with(config, TraceStrategy.SORTED), "trace.blended")
         self._met = GaussianTracer(launcher, buffers, _with(config, TraceStrategy.STOCHASTIC_HIT), "trace.met")
+        ended = _with(config, TraceStrategy.SORTED)
+        ended = replace(ended, trace=replace(ended.trace, transmittance_min=EMITTER_OPAQUE))
+        self._emitted = GaussianTracer(launcher, buffers, ended, "trace.emitted")
 
     def find(
-        self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        limits: wp.array[float],
+        name: str,
+        *,
+        bounced: bool,
+        dark: Dark | None = None,
     ) -> GaussianHits:
-        """As `GaussianTracer.find`: a ray that meets a relit Gaussian has a transmittance of 0."""
+        """As `GaussianTracer.find`: a ray that meets a relit Gaussian has a transmittance of 0.
+
+        Args:
+            scene: Up to date for rays.
+            rays: A multiple of ``PACKET_RAYS``.
+            limits: Distances as float, such as those of the nearest meshes.
+            name: Of the buffers that hold the result.
+            bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
+            dark: Captures that the rays see as black; None: there are none.
+        """
         if not scene.traces_paths or (self._is_blended_first and not bounced):
             return self._blended.find(scene, rays, limits, name, bounced=bounced)
         if not scene.keeps_captures:
             return self._met.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.RELIT)
         if not scene.relights:
-            return self._blended.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.KEPT)
-        count, run = len(rays.t_max), self._launcher.run_banded
-        met = self._met.find(scene, rays, limits, f"{name}.met", bounced=bounced, sets=SplatSets.RELIT)
-        ends = self._buffers.get(f"{name}.ends", wp.float32, count)
-        run(kernels.end_at_surfaces, count, limits, met, ends)
-        kept = self._blended.find(scene, rays, ends, name, bounced=bounced, sets=SplatSets.KEPT)
-        run(kernels.choose_hits, count, rays, met, kept)
+            return self._kept(scene, rays, limits, name, bounced=bounced, dark=dark)
+        met, ends = self._met_before(scene, rays, limits, name, bounced=bounced)
+        kept = self._kept(scene, rays, ends, name, bounced=bounced, dark=dark)
+        self._launcher.run_banded(kernels.choose_hits, len(rays.t_max), rays, met, kept)
         return kept
+
+    def find_emitted(
+        self, scene: DeviceScene, rays: RayData, limits: wp.array[float], marked: DeviceArray, name: str
+    ) -> GaussianHits:
+        """What captures that are kept give bounced rays up to what these meet, and apart that of the marked ones.
+
+        Rays end where `EMITTER_OPAQUE` of them is left.
+
+        Args:
+            scene: Up to date for rays.
+            rays: A multiple of ``PACKET_RAYS``.
+            limits: Distances as float, such as those of the nearest meshes.
+            marked: The splat instances, as for `GaussianTracer.find`.
+            name: Of the buffers that hold the result.
+        """
+        if scene.relights:
+            limits = self._met_before(scene, rays, limits, name, bounced=True)[1]
+        return self._emitted.find(scene, rays, limits, name, bounced=True, sets=SplatSets.KEPT, marked=marked)
+
+    def _met_before(
+        self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
+    ) -> tuple[GaussianHits, DeviceArray]:
+        """The relit Gaussian that each ray meets, and where the ray ends, by that or at its limit."""
+        met = self._met.find(scene, rays, limits, f"{name}.met", bounced=bounced, sets=SplatSets.RELIT)
+        ends = self._buffers.get(f"{name}.ends", wp.float32, len(rays.t_max))
+        self._launcher.run_banded(kernels.end_at_surfaces, len(rays.t_max), limits, met, ends)
+        return met, ends
+
+    def _kept(
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        limits: wp.array[float],
+        name: str,
+        *,
+        bounced: bool,
+        dark: Dark | None,
+    ) -> GaussianHits:
+        """What captures that are kept give rays."""
+        marked = dark.marked if dark else None
+        hits = self._blended.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.KEPT, marked=marked)
+        if dark is None:
+            return hits
+        self._launcher.run_banded(kernels.darken, len(rays.t_max), rays, dark.mirrored, hits)
+        return self._buffers.struct(name, GaussianHits, len(rays.t_max), EXTRA_FIELDS)
 
     def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
         """What shadow-only sets alone give bounced rays, as `RayTracer.find_captured`."""

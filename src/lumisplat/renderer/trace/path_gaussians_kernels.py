@@ -36,3 +36,15 @@ def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, kept_inout: G
         kept_inout.transmittance[i] = surfaces.transmittance[i]
         kept_inout.depth[i] = surfaces.depth[i]
         kept_inout.gaussian[i] = surfaces.gaussian[i]
+
+
+@wp.kernel
+def darken(start: int, rays: RayData, mirrored: wp.array[int], hits_inout: GaussianHits):
+    """Takes away what the ray sees of captures that were added up apart, unless a mirror has reflected it."""
+    i = start + wp.tid()
+    if not rays.is_active[i]:
+        return
+    if mirrored:
+        if mirrored[i] != 0:
+            return
+    hits_inout.color[i] = wp.max(hits_inout.color[i] - hits_inout.relit_color[i], wp.vec3(0.0))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.config import RenderConfig
-from lumisplat.device.structs.rays import GaussianHits, RayData
+from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import bounces_light
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
-from lumisplat.renderer.trace.path_gaussians import PathGaussians
+from lumisplat.renderer.trace.path_gaussians import Dark, PathGaussians
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 
 
@@ -32,7 +32,14 @@ class RayTracer:
         self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
 
     def find_hits(
-        self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False, centers: RayData | None = None
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        name: str,
+        *,
+        bounced: bool = False,
+        centers: RayData | None = None,
+        dark: Dark | None = None,
     ) -> PrimaryHits:
         """The nearest mesh on each ray, and what the Gaussians before it give the ray.
 
@@ -42,12 +49,39 @@ class RayTracer:
             name: Of the buffers that hold the result.
             bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
             centers: The rays along which Gaussians are seen; None: the same.
+            dark: Captures that rays of paths see as black; None: there are none.
         """
         with self._launcher.stage("mesh"):
             meshes = self._meshes.find(scene, rays, f"{name}.meshes", bounced=bounced)
         with self._launcher.stage("gaussians"):
-            gaussians = self._gaussians.find(scene, centers or rays, meshes.t, f"{name}.gaussians", bounced=bounced)
+            inputs = scene, centers or rays, meshes.t, f"{name}.gaussians"
+            if dark is None:
+                gaussians = self._gaussians.find(*inputs, bounced=bounced)
+            else:
+                assert isinstance(self._gaussians, PathGaussians)
+                gaussians = self._gaussians.find(*inputs, bounced=bounced, dark=dark)
         return PrimaryHits(rays, meshes, gaussians)
+
+    def find_meshes(self, scene: DeviceScene, rays: RayData, name: str) -> MeshHits:
+        """The nearest mesh on each ray that leaves a surface, as `find_hits`."""
+        with self._launcher.stage("mesh"):
+            return self._meshes.find(scene, rays, name, bounced=True)
+
+    def find_emitted(
+        self, scene: DeviceScene, rays: RayData, ends: wp.array[float], marked: DeviceArray, name: str
+    ) -> GaussianHits:
+        """What captures give rays of paths that leave surfaces, and apart what the marked ones do.
+
+        Args:
+            scene: Up to date for rays.
+            rays: A multiple of ``PACKET_RAYS``.
+            ends: Where each ends.
+            marked: The scene's splat instances, some of them marked as relit.
+            name: Of the buffers that hold the result.
+        """
+        assert isinstance(self._gaussians, PathGaussians)
+        with self._launcher.stage("gaussians"):
+            return self._gaussians.find_emitted(scene, rays, ends, marked, name)
 
     def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
         """What shadow-only sets alone give rays of paths that leave them.

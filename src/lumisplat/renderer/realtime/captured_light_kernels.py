@@ -1,0 +1,166 @@
+"""Light of captures that are sampled as lights, at the surfaces that pixels show. One item is one ray.
+
+The method is in docs/method/realtime.md#captured-emitters.
+"""
+
+import warp as wp
+
+from lumisplat.constants import LIGHT_POWER_MAX
+from lumisplat.constants.realtime import EMITTER_OPAQUE
+from lumisplat.device.gi.albedo import highlight_width
+from lumisplat.device.gi.captured_emitters import chosen_box, direction_density, point_in, total_weight
+from lumisplat.device.gi.lobes import lobe_share
+from lumisplat.device.light.direct_light import contribution_of
+from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
+from lumisplat.device.light.shadow_ray import start_shadow_ray
+from lumisplat.device.material.bsdf import diffuse_share
+from lumisplat.device.math.color import captured_color, is_black
+from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.structs.gi import EmitterBox, PixelLight
+from lumisplat.device.structs.light import LightSample
+from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+wp.set_module_options(SHADE_OPTIONS)
+
+PLACE_BRANCH = wp.constant(9)
+"""Branch of a ray's key: where in a box."""
+BOX_BRANCH = wp.constant(10)
+"""Which box, and how deep in it."""
+RAY_BRANCH = wp.constant(11)
+"""What the ray meets."""
+OPAQUE = wp.constant(wp.float32(EMITTER_OPAQUE))
+BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
+
+
+@wp.kernel
+def start_captured_rays(
+    start: int,
+    follows_lobes: bool,
+    boxes: wp.array[EmitterBox],
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    slots: wp.array[int],
+    light_out: PixelLight,
+    rays_out: RayData,
+):
+    """Starts a ray from one surface of a pixel towards captures.
+
+    Args:
+        start: First item.
+        follows_lobes: Rays within highlights show captures: only the rest of what these reflect counts here.
+        boxes: Around the captures.
+        scene: The scene.
+        wave: The first wave, its samples numbered.
+        slots: Which surface of each ray has a sample of light; -1: none.
+        light_out: What the surface reflects of light of radiance 1 from there, over the density of the direction.
+        rays_out: The rays; they end behind the boxes.
+    """
+    i = start + wp.tid()
+    rays_out.is_active[i] = False
+    slot = slots[i]
+    if slot < 0:
+        return
+    j = slot * wave[0].rays.is_active.shape[0] + i
+    interaction = load_interaction(j, wave)
+    interaction.weight = 1.0
+    key = wave[0].rays.pixel_key[i]
+    number = wave[0].rays.sample[i]
+    which = sobol_2d(branch_key(key, BOX_BRANCH), number)
+    point = interaction.position
+    total = total_weight(point, boxes)
+    box = boxes[chosen_box(which[0], total, point, boxes)]
+    sample = LightSample()
+    sample.direction = wp.normalize(point_in(box, sobol_2d(branch_key(key, PLACE_BRANCH), number), which[1]) - point)
+    density = direction_density(point, sample.direction, total, boxes)
+    if not (density[0] > 0.0 and density[0] < wp.inf):
+        return
+    sample.distance = density[1]
+    sample.irradiance = wp.vec3(1.0 / density[0])
+    contribution = contribution_of(interaction, sample, 1.0)
+    if is_black(contribution.color):
+        return
+    share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, contribution.direction)
+    diffuse = wp.cw_mul(share, contribution.color)
+    rest = float(1.0)
+    if follows_lobes:
+        rest -= lobe_share(highlight_width(interaction.bsdf))
+    light_out.diffuse[i] = diffuse
+    light_out.glossy[i] = rest * (contribution.color - diffuse)
+    start_shadow_ray(i, j, scene[0].settings[0].light_count, contribution, scene, wave, rays_out)
+    rays_out.pixel_key[i] = branch_key(key, RAY_BRANCH)
+    rays_out.sample_key[i] = branch_key(wave[0].rays.sample_key[i], RAY_BRANCH)
+    rays_out.sample[i] = number
+
+
+@wp.kernel
+def end_behind_glass(
+    start: int,
+    scene: wp.array[ShadingScene],
+    rays: RayData,
+    meshes: MeshHits,
+    ends_out: wp.array[float],
+    is_glass_out: wp.array[int],
+):
+    """Ends a ray at the mesh that it meets, unless that is smooth and transmits: then where it would without it."""
+    i = start + wp.tid()
+    is_glass_out[i] = 0
+    ends_out[i] = 0.0
+    if not rays.is_active[i]:
+        return
+    ends_out[i] = meshes.t[i]
+    if meshes.face[i] >= 0:
+        material = scene[0].mesh_instances[meshes.instance[i]].material
+        if material.smooth != 0 and material.transmission > 0.0:
+            is_glass_out[i] = 1
+            ends_out[i] = rays.t_max[i]
+
+
+@wp.kernel
+def start_through_glass(start: int, is_glass: wp.array[int], seen: GaussianHits, rays_inout: RayData):
+    """Leaves those rays that meet glass, up to the captures behind it."""
+    i = start + wp.tid()
+    if is_glass[i] == 0:
+        rays_inout.is_active[i] = False
+    rays_inout.t_max[i] = wp.min(rays_inout.t_max[i], seen.depth[i])
+
+
+@wp.kernel
+def add_captured_light(
+    start: int,
+    scene: wp.array[ShadingScene],
+    seen: GaussianHits,
+    reflected: PixelLight,
+    is_glass: wp.array[int],
+    passed: wp.array[wp.vec3],
+    visibility: wp.array[wp.vec3],
+    light_inout: PixelLight,
+    rays_inout: RayData,
+):
+    """Adds the light of captures to a sample of light that has passed what is before it.
+
+    Args:
+        start: First item.
+        scene: The scene.
+        seen: What rays to captures see of them, apart from what others show.
+        reflected: What surfaces reflect of light of radiance 1, of those rays that see anything.
+        is_glass: 1: the ray meets glass first.
+        passed: What that lets through.
+        visibility: What the sample's shadow ray leaves, where it is active.
+        light_inout: The samples.
+        rays_inout: Their shadow rays; none is active afterwards.
+    """
+    i = start + wp.tid()
+    if rays_inout.is_active[i]:
+        light_inout.diffuse[i] = wp.cw_mul(light_inout.diffuse[i], visibility[i])
+        light_inout.glossy[i] = wp.cw_mul(light_inout.glossy[i], visibility[i])
+        rays_inout.is_active[i] = False
+    if seen.relit_weight[i] <= 0.0:
+        return
+    radiance = scene[0].settings[0].capture_gain * captured_color(seen.relit_color[i], seen.relit_weight[i])
+    if seen.transmittance[i] <= OPAQUE:
+        radiance = radiance / (1.0 - seen.transmittance[i])
+    if is_glass[i] != 0:
+        radiance = wp.cw_mul(radiance, passed[i])
+    light_inout.diffuse[i] += wp.min(wp.cw_mul(reflected.diffuse[i], radiance), BRIGHTEST)
+    light_inout.glossy[i] += wp.min(wp.cw_mul(reflected.glossy[i], radiance), BRIGHTEST)

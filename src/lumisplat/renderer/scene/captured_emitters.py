@@ -1,0 +1,242 @@
+"""The captures that are sampled as lights in real time (docs/adr/0097-captures-as-lights.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import LUMINANCE, SH_C0
+from lumisplat.constants.realtime import (
+    EMITTER_BOXES,
+    EMITTER_FLAT,
+    EMITTER_GAUSSIANS,
+    EMITTER_LEAST_SHARE,
+    EMITTER_REACH,
+    EMITTER_RECEIVERS,
+)
+from lumisplat.device.structs.gi import EmitterBox
+from lumisplat.device.structs.scene import SplatInstanceData
+from lumisplat.math.arrays import Doubles
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.renderer.scene.materials import is_relit
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.struct_tables import table_dtype
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import Scene, SplatInstance
+
+Found = TypeVar("Found")
+
+
+class Boxes(NamedTuple):
+    """Boxes around parts of a capture, object space."""
+
+    centers: Doubles
+    """Shape (K, 3)."""
+    axes: Doubles
+    """Unit, one a row, shape (K, 3, 3)."""
+    halves: Doubles
+    """Half their edges, shape (K, 3)."""
+    powers: Doubles
+    """About luminance times area, shape (K,)."""
+
+
+class CapturedEmitters:
+    """Finds the captures that are lights, and writes their tables when they change."""
+
+    def __init__(self) -> None:
+        self.boxes: DeviceArray | None = None
+        """Their boxes, as EmitterBox; None: no capture is sampled as a light."""
+        self.marked: DeviceArray | None = None
+        """The scene's splat instances, of which those that are lights, alone, count as relit."""
+        self.instances: tuple[int, ...] = ()
+        """Which splat instances they are."""
+        self._boxes: _Held[Boxes] = _Held(boxes_of)
+        self._bounds: _Held[Doubles] = _Held(_bounds_of)
+        self._places: _Held[Doubles] = _Held(_places_of)
+
+    def sync(self, scene: Scene, splats: np.ndarray, buffers: Buffers) -> None:
+        """Writes the tables of a scene; ``splats``: its splat instances, as SplatInstanceData."""
+        shining = [number for number, instance in enumerate(scene.splats) if not is_relit(instance)]
+        receivers = self._receivers(scene) if shining else np.zeros((0, 4))
+        bounds = self._bounds.of([scene.splats[number].gaussians for number in shining])
+        apart = zip(shining, bounds, strict=True)
+        lights = [number for number, box in apart if stands_apart(scene.splats[number], box, receivers)]
+        self.instances = tuple(lights)
+        lamps = [scene.splats[number] for number in lights]
+        boxes = self._boxes.of([lamp.gaussians for lamp in lamps])
+        if not lights:
+            self.boxes = self.marked = None
+            return
+        rows = np.concatenate([_placed(lamp, its) for lamp, its in zip(lamps, boxes, strict=True)])
+        self.boxes = buffers.upload("captured_emitters", EmitterBox, rows)
+        marked = splats.copy()
+        marked["relit"] = np.isin(np.arange(len(marked)), lights)
+        self.marked = buffers.upload("captured_emitters.marked", SplatInstanceData, marked)
+
+    def _receivers(self, scene: Scene) -> Doubles:
+        """Returns points that light falls on, and the areas that they stand for, shape (N, 4)."""
+        placed = [(instance.mesh, instance.transform) for instance in scene.meshes]
+        placed += [(instance.gaussians, instance.transform) for instance in scene.splats if is_relit(instance)]
+        places = self._places.of([asset for asset, _ in placed])
+        rows = [np.zeros((0, 4))]
+        for (_, world_from_object), local in zip(placed, places, strict=True):
+            linear = world_from_object[:3, :3]
+            stretch = abs(float(np.linalg.det(linear))) ** (2.0 / 3.0)
+            rows.append(np.column_stack([local[:, :3] @ linear.T + world_from_object[:3, 3], stretch * local[:, 3]]))
+        return np.concatenate(rows)
+
+
+class _Held(Generic[Found]):
+    """What was found of assets, as long as these are asked for."""
+
+    def __init__(self, find: Callable[[Any], Found]) -> None:
+        self._find = find
+        self._held: list[tuple[object, Found]] = []
+
+    def of(self, assets: Sequence[Mesh | Gaussians]) -> list[Found]:
+        """Returns what is found of each."""
+        known = {id(asset): found for asset, found in self._held}
+        for asset in assets:
+            if id(asset) not in known:
+                known[id(asset)] = self._find(asset)
+        self._held = [(asset, known[id(asset)]) for asset in assets]
+        return [found for _, found in self._held]
+
+
+def stands_apart(instance: SplatInstance, bounds: Doubles, receivers: Doubles) -> bool:
+    """Returns whether most of what a capture lights is outside of it: then it is a light, else it is surroundings.
+
+    Args:
+        instance: The capture.
+        bounds: Two corners of a box around it, object space, shape (2, 3).
+        receivers: Points that light falls on, world space, and the areas that they stand for, shape (N, 4).
+    """
+    if not len(receivers):
+        return False
+    world_from_object = instance.transform
+    local = (receivers[:, :3] - world_from_object[:3, 3]) @ np.linalg.inv(world_from_object[:3, :3]).T
+    inside = ((local > bounds[0]) & (local < bounds[1])).all(axis=1)
+    return bool(receivers[inside, 3].sum() < 0.5 * receivers[:, 3].sum())
+
+
+def boxes_of(gaussians: Gaussians) -> Boxes:
+    """Returns boxes around parts of a capture, after one around all of it, so that no direction to it is left out.
+
+    Parts are halved where half of their power is, those of most luminance times area first.
+    """
+    step = max(1, -(-gaussians.count // EMITTER_GAUSSIANS))
+    means = gaussians.means[::step].astype(np.float64)
+    scales = gaussians.scales[::step].astype(np.float64)
+    rotations = matrices_from_quaternions(gaussians.rotations_wxyz[::step].astype(np.float64))
+    shown = decode_srgb(np.clip(gaussians.sh[::step, 0].astype(np.float64) * SH_C0 + 0.5, 0.0, None))
+    luminance = shown @ np.array(LUMINANCE)
+    luminance = np.maximum(luminance, EMITTER_LEAST_SHARE * max(float(luminance.mean()), 1e-6))
+    low_to_high = np.sort(scales, axis=1)
+    areas = 2.0 * np.pi * gaussians.opacities[::step].astype(np.float64) * low_to_high[:, 1] * low_to_high[:, 2]
+    spread = rotations * scales[:, None, :]
+    part = _Part(means, spread, luminance, np.maximum(areas, 1e-30))
+    parts = [part.box(np.arange(len(means)))]
+    while len(parts) < EMITTER_BOXES:
+        largest = max(range(len(parts)), key=lambda k: parts[k].power if len(parts[k].members) > 1 else 0.0)
+        if len(parts[largest].members) < 2:
+            break
+        parts += part.halves(parts.pop(largest))
+    all_of_it = _all_of(gaussians, EMITTER_LEAST_SHARE * sum(box.power for box in parts))
+    return Boxes(
+        np.stack([all_of_it.center, *(box.center for box in parts)]),
+        np.stack([all_of_it.axes, *(box.axes for box in parts)]),
+        np.stack([all_of_it.half, *(box.half for box in parts)]),
+        np.array([all_of_it.power, *(box.power for box in parts)]),
+    )
+
+
+class _Box(NamedTuple):
+    center: Doubles
+    axes: Doubles
+    half: Doubles
+    power: float
+    members: npt.NDArray[np.integer]
+
+
+class _Part(NamedTuple):
+    """Gaussians that boxes are put around."""
+
+    means: Doubles
+    spread: Doubles
+    """Their axes as columns, as long as standard deviations, shape (N, 3, 3)."""
+    luminance: Doubles
+    areas: Doubles
+
+    def box(self, members: npt.NDArray[np.integer]) -> _Box:
+        """Returns the box along the principal axes of some of them."""
+        means, weights = self.means[members], self.areas[members]
+        offsets = means - np.average(means, axis=0, weights=weights)
+        axes = np.linalg.eigh(np.einsum("n,nx,ny->xy", weights / weights.sum(), offsets, offsets))[1].T
+        along = means @ axes.T
+        reach = EMITTER_REACH * np.linalg.norm(axes @ self.spread[members], axis=2)
+        low, high = (along - reach).min(axis=0), (along + reach).max(axis=0)
+        half = 0.5 * (high - low)
+        half = np.maximum(half, EMITTER_FLAT * half.max())
+        faces = half * np.roll(half, 1)
+        covered = min(1.0, float(weights.sum() / (4.0 * faces.max())))
+        power = float(np.average(self.luminance[members], weights=weights) * covered * 8.0 * faces.sum())
+        return _Box(0.5 * (low + high) @ axes, axes, half, power, members)
+
+    def halves(self, box: _Box) -> list[_Box]:
+        """Returns the boxes of its halves, across its longest axis."""
+        along = self.means[box.members] @ box.axes[int(box.half.argmax())]
+        order = np.argsort(along, kind="stable")
+        power: Doubles = np.cumsum((self.luminance * self.areas)[box.members][order])
+        middle = min(max(int((power < 0.5 * power[-1]).sum()), 1), len(order) - 1)
+        return [self.box(box.members[order[:middle]]), self.box(box.members[order[middle:]])]
+
+
+def _all_of(gaussians: Gaussians, power: float) -> _Box:
+    low, high = _bounds(gaussians, 1)
+    return _Box(0.5 * (low + high), np.eye(3), 0.5 * (high - low), power, np.zeros(0, np.int64))
+
+
+def _bounds_of(gaussians: Gaussians) -> Doubles:
+    return _bounds(gaussians, max(1, -(-gaussians.count // EMITTER_GAUSSIANS)))
+
+
+def _bounds(gaussians: Gaussians, step: int) -> Doubles:
+    """Returns two corners of a box around one of ``step`` Gaussians each, shape (2, 3)."""
+    means = gaussians.means[::step]
+    reach = EMITTER_REACH * gaussians.scales[::step].max(axis=1, keepdims=True)
+    return np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)]).astype(np.float64)
+
+
+def _placed(instance: SplatInstance, boxes: Boxes) -> np.ndarray:
+    """Returns the rows of a capture's boxes, world space."""
+    rows = np.zeros(len(boxes.powers), table_dtype(EmitterBox))
+    linear = instance.transform[:3, :3]
+    rows["center"] = boxes.centers @ linear.T + instance.transform[:3, 3]
+    rows["box_from_world"] = boxes.axes @ (linear / instance.scale).T
+    rows["half"] = instance.scale * boxes.halves
+    rows["power"] = instance.scale**2 * boxes.powers
+    return rows
+
+
+_PLACES = np.array([[1.0, 1.0, 1.0], [2.0, 0.5, 0.5], [0.5, 2.0, 0.5], [0.5, 0.5, 2.0]]) / 3.0
+"""Barycentric weights of places in a triangle, of equal areas."""
+
+
+def _places_of(asset: Mesh | Gaussians) -> Doubles:
+    """Returns points of a mesh or of Gaussians, object space, and the areas that they stand for, shape (N, 4)."""
+    if isinstance(asset, Mesh):
+        step = max(1, -(-asset.face_count // EMITTER_RECEIVERS))
+        corners = asset.positions.astype(np.float64)[asset.indices[::step]]
+        sides = corners[:, 1:] - corners[:, :1]
+        areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        # Large triangles reach far: each stands for four places in it.
+        places = np.einsum("pc,fcx->pfx", _PLACES, corners).reshape(-1, 3)
+        return np.column_stack([places, step * np.tile(0.25 * areas, len(_PLACES))])
+    step = max(1, -(-asset.count // EMITTER_RECEIVERS))
+    scales = np.sort(asset.scales[::step].astype(np.float64), axis=1)
+    return np.column_stack([asset.means[::step].astype(np.float64), step * 2.0 * np.pi * scales[:, 1] * scales[:, 2]])
