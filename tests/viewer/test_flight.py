@@ -55,7 +55,7 @@ def test_any_key_view_can_be_deleted() -> None:
     starts = [[key["eye"][0] for key in keys_of(without_key(flight(), number))] for number in range(3)]
     times = [[key["time"] for key in keys_of(without_key(flight(), number))] for number in range(3)]
     assert starts == [[0.0, 1.0], [-1.0, 1.0], [-1.0, 0.0]] and times == [[0.0, 1.0], [0.0, 2.0], [0.0, 2.0]]
-    with pytest.raises(ls.SceneError, match="no view 4"):
+    with pytest.raises(ls.SceneError, match="no key view 4"):
         without_key(flight(), 3)
     still = {"name": "front", "eye": [0.0, 0.0, -4.0], "target": [0.0, 0.0, 0.0]}
     document = with_key(ls.SceneDocument.of(lit_scene()).with_cameras([still]), key(0.0), 1.0)

@@ -68,7 +68,7 @@ class Notes:
     def _tell_warning(self, record: logging.LogRecord) -> bool:
         """Tells pages what is logged of scenes and frames, such as odd colours; errors are told where they happen."""
         if record.levelno == logging.WARNING:
-            self.tell("mind", page_words(record.getMessage()))
+            self.tell("note", page_words(record.getMessage()))
         return True
 
 

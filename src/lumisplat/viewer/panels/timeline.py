@@ -29,7 +29,7 @@ class Timeline:
         self._session, self._fly = session, fly
         self._time = gui.add_slider("time", 0.0, 1.0, 0.001, 0.0, visible=False, hint="Seconds.")
         self._plays = gui.add_checkbox("play", False, visible=False)
-        hint = "Pages go along the flight as the time does."
+        hint = "Pages follow the camera path as time goes on."
         self._flies = gui.add_checkbox("fly along", False, visible=False, hint=hint)
         self._time.on_update(chosen(float, self._go))
         self._plays.on_update(lambda _: self._wake.set())

@@ -168,7 +168,7 @@ def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel:
             view.
     """
     if not keys:
-        return '<div class="lumi-list">no flight yet: look from where it starts, and add that view</div>'
+        return '<div class="lumi-list">no camera path yet: look from where it starts, and add that view</div>'
     cards: list[str] = []
     for number, (key, image) in enumerate(zip(keys, images, strict=True)):
         buttons = "".join(

@@ -107,7 +107,7 @@ def camera_of(key: Mapping[str, Any], up: tuple[float, float, float], size: tupl
 def _checked_keys(document: ls.SceneDocument, number: int) -> list[Mapping[str, Any]]:
     keys = keys_of(document)
     if not 0 <= number < len(keys):
-        raise ls.SceneError(f"there is no view {number + 1} of the flight: it has {len(keys)}")
+        raise ls.SceneError(f"there is no key view {number + 1}: the camera path has {len(keys)}")
     return keys
 
 
