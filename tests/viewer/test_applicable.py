@@ -14,6 +14,7 @@ from bench.page_client import PageClient
 from test_viewer import camera, eventually, lit_scene, settled
 
 import lumisplat as ls
+from lumisplat.renderer.checks import check_projection
 from lumisplat.viewer.frames.renderers import frame_config
 from lumisplat.viewer.panels.described import described
 from lumisplat.viewer.panels.settings import SettingsPanel
@@ -75,6 +76,33 @@ def test_settings_without_an_effect_change_no_pixel() -> None:
         for name in unused_settings(config, lit=is_lit(config, scene)).keys() & others.keys():
             renderer.reconfigure(replace(config, **{name: others[name]}))
             np.testing.assert_array_equal(renderer.render(scene, camera(height=18)).color, expected, f"{name}")
+
+
+@pytest.mark.parametrize("pipeline", ls.Pipeline)
+def test_no_choice_beside_others_is_refused_by_frames(pipeline: ls.Pipeline) -> None:
+    """Each choice of each setting, in groups too, that is not disabled, beside any of the rasteriser's own choices."""
+    chosen = itertools.product(ls.Projection, ls.RasterStrategy, ls.GaussianSurface)
+    disabled = 0
+    for projection, strategy, surface in chosen:
+        raster = ls.RasterConfig(projection=projection, strategy=strategy, surface=surface)
+        config = ls.RenderConfig(pipeline=pipeline, raster=raster)
+        if is_refused(config):
+            continue
+        unused = unused_settings(config, lit=True)
+        disabled += any(name.startswith("raster.") for name in unused)
+        for field in described(ls.RasterConfig):
+            for choice in field.choices if f"raster.{field.name}" not in unused and "raster" not in unused else ():
+                assert not is_refused(replace(config, raster=replace(raster, **{field.name: choice}))), choice
+    assert disabled > 0
+
+
+def is_refused(config: ls.RenderConfig) -> bool:
+    """Whether frames of such settings are refused because of the projection."""
+    try:
+        check_projection(config)
+    except ls.ConfigError:
+        return True
+    return False
 
 
 def test_controls_of_settings_without_an_effect_are_disabled_and_say_why() -> None:

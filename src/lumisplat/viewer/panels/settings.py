@@ -79,10 +79,13 @@ class SettingsPanel(Generic[Settings]):
         """Disables controls that have no effect, and hides such groups.
 
         Args:
-            unused: Names of fields, each with what would give it an effect.
+            unused: Names of fields, those in groups as ``group.field``, each with what would give it an effect.
         """
         for name, control in self._controls.items():
             control.set_unused(unused.get(name))
+        for name, group in self._groups.items():
+            prefix = f"{name}."
+            group.set_unused({key.removeprefix(prefix): why for key, why in unused.items() if key.startswith(prefix)})
         for name, folder in self._folders.items():
             set_if_changed(folder, "visible", name not in unused)
 

@@ -6,6 +6,9 @@ import lumisplat as ls
 
 _LIT = "Used where lights shine: add one, or switch lighting on."
 _SHADOWED = "Used with shadows, hard or soft."
+_SORTED = "Projection unscented goes with strategy sorted alone."
+_ISO = "Projection unscented goes with surface iso alone."
+_UNSCENTED = "Unscented goes with the pipelines raster and hybrid, strategy sorted and surface iso alone."
 _BOUNCED = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy")
 """Views of light that pipelines have in which it bounces."""
 _OF_SEQUENCES = ("motion", "history", "probes", "cache", "cache_cells")
@@ -65,7 +68,19 @@ def unused_settings(config: ls.RenderConfig, *, lit: bool) -> dict[str, str]:
         of_light = ("shadows", "shadow_rays", "tone_map", "exposure", "glossy_reflections")
         of_light = (*of_light, "capture_gain", "energy_compensation")
         unused |= dict.fromkeys(of_light, _LIT)
-    return unused
+    return unused | _excluded(config)
+
+
+def _excluded(config: ls.RenderConfig) -> dict[str, str]:
+    """Returns the settings whose other choices would be refused beside the rest, each with what excludes them."""
+    raster, excluded = config.raster, dict[str, str]()
+    is_sorted, is_iso = raster.strategy is ls.RasterStrategy.SORTED, raster.surface is ls.GaussianSurface.ISO
+    if raster.projection is ls.Projection.UNSCENTED:
+        excluded |= {"raster.strategy": _SORTED} if is_sorted else {}
+        excluded |= {"raster.surface": _ISO} if is_iso else {}
+    elif config.pipeline is ls.Pipeline.REALTIME or not is_sorted or not is_iso:
+        excluded["raster.projection"] = _UNSCENTED
+    return excluded
 
 
 def _of(pipelines: tuple[ls.Pipeline, ...]) -> str:
