@@ -45,9 +45,12 @@ def within(mask: npt.NDArray[np.bool_], reach: int = 2) -> npt.NDArray[np.bool_]
     return np.logical_not(around.any(axis=(2, 3)))
 
 
-def rendered(pipeline: ls.Pipeline, level: float, *, catches: bool) -> ls.Frame:
-    """A frame with the defaults of the pipeline; in real time the last of several."""
-    renderer = ls.create_renderer(ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",)), "cpu", threads=2)
+def rendered(pipeline: ls.Pipeline, level: float, *, catches: bool, lights_only: bool = False) -> ls.Frame:
+    """A frame with the defaults of the pipeline, or without bounces and light of captures; in real time a late one."""
+    config = ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",))
+    if lights_only:
+        config = replace(config, max_bounces=0, capture_gain=-16.0)
+    renderer = ls.create_renderer(config, "cpu", threads=2)
     for _ in range(23 if pipeline is ls.Pipeline.REALTIME else 0):
         renderer.render(scene(level, catches=catches), CAMERA)
     return renderer.render(scene(level, catches=catches), CAMERA)
@@ -76,6 +79,35 @@ def test_matte_balls_and_shadows_agree_in_five_pipelines(dark: dict[ls.Pipeline,
         assert region.sum() > 10, name
         means = {pipeline.value: round(float(frame.color[region].mean()), 5) for pipeline, frame in dark.items()}
         assert max(means.values()) / min(means.values()) < 1.05, (name, means)
+
+
+def test_direct_light_agrees_in_five_pipelines_on_a_bright_floor() -> None:
+    """Within 5 %, without bounces and light of captures: the lit side of the matte ball, its shadow, and free floor."""
+    frames = {pipeline: rendered(pipeline, 0.75, catches=True, lights_only=True) for pipeline in ls.Pipeline}
+    truth = frames[ls.Pipeline.HYBRID]
+    assert truth.shadow_ratio is not None
+    darkness = truth.shadow_ratio.mean(axis=2)
+    under_matte = within(truth.instance_index == 0) & (truth.position[..., 0] < -1.0)
+    regions = {
+        "ball": within(truth.instance_index == 1) & (truth.normal[..., 1] > 0.3),
+        "shadow": within(under_matte & (darkness < 0.6), 1),
+        "free": under_matte & (darkness > 0.97),
+    }
+    for name, region in regions.items():
+        assert region.sum() > 10, name
+        means = {pipeline.value: round(float(frame.color[region].mean()), 5) for pipeline, frame in frames.items()}
+        assert max(means.values()) / min(means.values()) < 1.05, (name, means)
+
+
+def test_light_that_bounces_agrees_in_the_pipelines_that_follow_it() -> None:
+    """Within 5 %: all of the matte ball, which a bright floor lights from below; in other pipelines it does not."""
+    with_bounces = [rendered(pipeline, 0.75, catches=True) for pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)]
+    without = rendered(ls.Pipeline.HYBRID, 0.75, catches=True)
+    ball = within(without.instance_index == 1)
+    path, realtime = (float(frame.color[ball].mean()) for frame in with_bounces)
+    assert realtime == pytest.approx(path, rel=0.05)
+    below = ball & (without.normal[..., 1] < -0.2)
+    assert with_bounces[0].color[below].mean() > 3.0 * without.color[below].mean()
 
 
 @pytest.mark.parametrize("number", [2, 3, 4], ids=["rough metal", "mirror", "glass"])
