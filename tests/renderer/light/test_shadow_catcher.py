@@ -14,6 +14,7 @@ import lumisplat as ls
 from lumisplat.baking.gaussian_views import CatcherLight
 from lumisplat.demo.shapes import sphere
 from lumisplat.math.color import decode_srgb
+from support.compare.ways import WAYS, renderer_of
 
 RADIUS, HEIGHT = 0.5, 0.4
 SHARE = RADIUS**2 / (RADIUS**2 + HEIGHT**2)
@@ -254,3 +255,19 @@ def test_captures_with_a_surface_keep_the_sharp_edges_of_shadows() -> None:
     ratio = shadow_of_a_disc(floor(0.6), ls.Pipeline.HYBRID)
     rows = (ratio < 0.6).any(axis=1).sum()
     assert rows > 70 and sharp_steps(ratio) >= 2 * rows - 4
+
+
+def test_smoothed_shadows_are_the_same_in_all_schedules() -> None:
+    """To the bit for any number of threads and for graphs; that of CUDA composites with other roundings."""
+    camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=80, height=60, fov_y=0.3)
+    lid = replace(disc(), positions=disc().positions * np.array([0.6, 1.0, 0.6]))
+    scene = ls.Scene([fog()], [lid], [ls.LightDirectional((0.5, -1.0, 0.0), intensity=3.0)])
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, aovs=("emission", "lights", "shadow_ratio"))
+    frames = [ls.create_renderer(config, "cpu", threads=threads).render(scene, camera).arrays() for threads in (1, 3)]
+    frames += [renderer_of(way, config).render(scene, camera).arrays() for way in WAYS[1:]]
+    mixed = (frames[0]["shadow_ratio"] > 0.5) & (frames[0]["shadow_ratio"] < 0.8)
+    assert mixed.sum() > 100
+    for name in ("color", "shadow_ratio", "emission", "light_direct"):
+        np.testing.assert_array_equal(frames[1][name], frames[0][name], name)
+        for frame in frames[2:]:
+            np.testing.assert_allclose(frame[name], frames[0][name], atol=2e-6, err_msg=name)
