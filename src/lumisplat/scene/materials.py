@@ -50,7 +50,7 @@ class MaterialPbr:
     """
 
     base_color: Color = (0.8, 0.8, 0.8)
-    """Linear Rec.709, 0..1."""
+    """Linear Rec.709, 0..1; a factor of the texture, which ``(1, 1, 1)``, glTF's default, shows as it is."""
     metallic: float = 0.0
     """0..1: 0 is a dielectric, 1 a metal."""
     roughness: float = 0.5

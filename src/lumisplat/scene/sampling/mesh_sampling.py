@@ -45,6 +45,10 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     colour times texture), encoded as display-referred sRGB in SH degree 0. Textures are averaged over about half
     a spacing, because discs blur by themselves (pyramid, Williams 1983); their alpha is ignored.
 
+    Discs touch the surface at their centres, so that silhouettes of curved meshes reach beyond it: traced, a ball of
+    2,000 Gaussians covers 5.8 % more than the mesh, one of 20,000 0.8 %. Rasterised, whose pixels filter each disc by
+    itself, silhouettes reach up to a pixel further.
+
     Args:
         mesh: Triangles in object space.
         count: Number of Gaussians, 1 to 50,000,000. None: so many that neighbours are 1/300 of the bounding box's
