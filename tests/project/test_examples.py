@@ -22,6 +22,7 @@ LONG = {
     "light_a_capture": {"width": 48, "samples": 1},
     "realtime_room": {"width": 48, "frames": 2, "warm_up": 1},
     "drop_in_capture": {"width": 48, "samples": 1},
+    "insert_a_mesh": {"width": 48},
     "mirror_and_glass": {"width": 48, "samples": 1},
     "lights_of_a_photograph": {"width": 48, "samples": 2, "size": 32},
     "relight_a_figure": {"width": 48, "count": 2000},

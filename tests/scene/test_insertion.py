@@ -146,6 +146,15 @@ def test_where_the_first_view_shows_no_ground_it_stands_in_view(
     assert "in view, on nothing, as no ground is seen" in caplog.text
 
 
+def test_a_thick_floor_is_stood_on_and_a_hollow_object_is_not_entered() -> None:
+    """A slab seen from both sides carries things at its top; an object whose normals face outwards has no inside."""
+    slab = ls.Scene([gaussians_at(np.concatenate([floor_points(y) for y in (-0.15, 0.0)]))], up="y-down")
+    np.testing.assert_allclose(corners(ls.insert(slab, cone(1.0)))[:4, 1], 0.0, atol=0.06)
+    hollow = ls.transform(ls.gaussians_from_mesh(ls.sphere(2.0), 4000), np.diag([1.0, -1.0, -1.0, 1.0]))
+    place = corners(ls.insert(ls.Scene([hollow], up="y-down"), cone(0.5)))
+    assert np.linalg.norm(place[4, [0, 2]]) > 2.0 and abs(place[0, 1] + 2.0) < 0.3
+
+
 @pytest.mark.parametrize("size", [0.15, 0.5])
 def test_few_gaussians_are_a_ground_as_well(size: float) -> None:
     """A thing that is smaller than the distance between them."""

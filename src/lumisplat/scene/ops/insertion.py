@@ -44,8 +44,12 @@ _SPACINGS = 1.5
 """Smallest cell, in spacings that the points of a scene would have, spread evenly over the ground."""
 _MESH_POINTS = 400_000
 """Points on all meshes of a scene, and at most a twentieth of them on one."""
+_OUTWARDS = 0.4
+"""Mean cosine of normals with the way from the middle, above which a capture is an object: 0.5 and more of most."""
 _UPRIGHT = 0.2
 """Least shadow of a part of a mesh on the ground, as a share of its area: a wall stands there, too."""
+_CLIMBS = 3
+"""Steps of at most the height of a thing from the underside of a floor to its top."""
 _LAYER = 0.1
 """Share of a thing's height within which all that is above the lowest covered height belongs to the ground: grass."""
 _BLOCKED = 0.05
@@ -211,6 +215,7 @@ class _Seen:
         means: list[Doubles] = []
         areas: list[Doubles] = []
         ends: list[list[tuple[float, float]]] = []
+        solid: list[Flags] = []
         view: Camera | None = None
         for capture in scene.splats:
             gaussians = capture.gaussians
@@ -222,6 +227,7 @@ class _Seen:
             means.append(here)
             areas.append(2.0 * np.pi * np.sqrt(np.maximum(squared, 0.0)) * gaussians.opacities)
             ends.append([bulk_extent(axis, gaussians.opacities) for axis in here.T])
+            solid.append(np.full(gaussians.count, _faces_outwards(capture)))
             if view is None and gaussians.first_view is not None:
                 own = gaussians.first_view.camera_from_world
                 moved = np.eye(4)
@@ -230,18 +236,15 @@ class _Seen:
                 world_from_camera[:3, :3] /= capture.scale
                 view = replace(gaussians.first_view, camera_from_world=np.linalg.inv(world_from_camera))
         points = _MESH_POINTS // max(len(scene.meshes), 20)
-        for place, area in (_surface(mesh, points, turn) for mesh in scene.meshes):
+        for mesh in scene.meshes:
+            place, area = _surface(mesh, points, turn)
+            solid.append(np.full(len(place), _is_closed(mesh.mesh)))
             means.append(place)
             areas.append(area)
             if not scene.splats:
                 ends.append(list(zip(place.min(axis=0), place.max(axis=0), strict=True)))
         low, high = np.min(ends, axis=0)[:, 0], np.max(ends, axis=0)[:, 1]
-        solid = np.zeros(sum(map(len, means)), bool)
-        first = sum(capture.gaussians.count for capture in scene.splats)
-        for mesh, place in zip(scene.meshes, means[len(scene.splats) :], strict=True):
-            solid[first : first + len(place)] = _is_closed(mesh.mesh)
-            first += len(place)
-        return cls(np.concatenate(means), np.concatenate(areas), solid, low, high, view)
+        return cls(np.concatenate(means), np.concatenate(areas), np.concatenate(solid), low, high, view)
 
 
 def _surface(instance: MeshInstance, count: int, turn: Doubles) -> tuple[Doubles, Doubles]:
@@ -256,6 +259,17 @@ def _surface(instance: MeshInstance, count: int, turn: Doubles) -> tuple[Doubles
     points = stratified_points(mesh, sizes, count, np.random.default_rng(0))
     slopes = np.maximum(np.abs(vectors[:, 1]), _UPRIGHT * sizes) / np.maximum(sizes, 1e-300)
     return transform_points(instance.transform, points.positions) @ turn.T, slopes[points.faces] * sizes.sum() / count
+
+
+def _faces_outwards(capture: SplatInstance) -> bool:
+    """Whether the normals of a capture, if it has any, say that it was seen from outside: an object, and no room."""
+    normals = capture.gaussians.normals
+    if normals is None:
+        return False
+    means = np.asarray(capture.gaussians.means, np.float64)
+    along = means - np.median(means, axis=0)
+    cosines = (along * normals).sum(axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-300)
+    return float(cosines.mean()) > _OUTWARDS
 
 
 def _is_closed(mesh: Mesh) -> bool:
@@ -376,12 +390,19 @@ def _ground(seen: _Seen, corner: Doubles, cell: float, height: float) -> tuple[D
     lowest = _first_covered(number, covers, count * count)
     found = lowest >= 0
     ground[found] = heights[lowest[found]]
-    with np.errstate(invalid="ignore"):
-        above = heights - ground[number]
-    in_layer = np.flatnonzero((above >= 0.0) & (above <= _LAYER * height))[::-1]
-    top = _first_covered(number[in_layer], covers[in_layer], count * count)
-    found = top >= 0
-    ground[found] = heights[in_layer[top[found]]]
+
+    def risen(base: Doubles, reach: float) -> Doubles:
+        above = heights - base[number]
+        layer = np.flatnonzero((above >= 0.0) & (above <= reach))[::-1]
+        top = _first_covered(number[layer], covers[layer], count * count)
+        return np.where(top >= 0, heights[layer[top]] if layer.size else base, base)
+
+    # A floor may be thicker than grass, as of noise below it: its top is that which most of it has below free room.
+    ground, thick = risen(ground, _LAYER * height), ground
+    for _ in range(_CLIMBS):
+        thick = risen(thick, height)
+    if np.isfinite(thick).any():
+        ground = np.where(thick <= np.nanquantile(thick, _FLOOR) + _LAYER * height, thick, ground)
     known = ground[np.isfinite(ground)]
     floor = float(np.quantile(known, _FLOOR)) if known.size else seen.low[1]
     ground[ground > floor + _RISE * height] = np.nan
