@@ -247,6 +247,7 @@ def test_the_gain_of_captures_brightens_their_light() -> None:
     )
     assert plain.direct_diffuse is not None
     assert bright.direct_diffuse is not None
+    assert plain.direct_diffuse.any()
     assert bright.direct_diffuse.sum() == pytest.approx(4.0 * plain.direct_diffuse.sum(), rel=1e-3)
 
 
