@@ -46,7 +46,7 @@ def main() -> None:
         sys.exit("no Chromium is installed")
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
     viewer = ls.view(room(), config=config, height=SIZE["height"])
-    viewer._status._stages.visible = False  # times are those of this machine
+    viewer._status._stages.visible = viewer._status._plot.visible = False  # times are those of this machine
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         page = browser.new_page(viewport=SIZE)
