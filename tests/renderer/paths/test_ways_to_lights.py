@@ -90,16 +90,25 @@ def test_a_polygon(lamp: str, way: str) -> None:
     assert_is(found(quad(corner, u, v, diffuse(0.0, 2.0)) if lamp == "mesh" else light, way), 2.0 * abs(seen))
 
 
-def test_a_lamp_that_is_placed() -> None:
-    """The same polygon: a square that is turned, stretched and sheared, far away, and was elsewhere before."""
-    corner, u, v = np.array([-0.2, 0.7, -0.6]), np.array([0.9, 0.4, 0.1]), np.array([0.1, 0.2, 0.8])
+@pytest.mark.parametrize(("half", "unit"), [(0.03, 1.0), (0.3, 1e3), (1.0, 1.0), (3.0, 1e-3), (3.0, 1.0), (30.0, 1e3)])
+def test_a_lamp_that_is_placed(half: float, unit: float) -> None:
+    """The same polygon: a square that is turned, stretched and sheared, far away, and was elsewhere before.
+
+    Shadow rays end before it, from however far above a floor of any size they must start.
+    """
+    corner, u, v = unit * np.array([[-0.2, 0.7, -0.6], [0.9, 0.4, 0.1], [0.1, 0.2, 0.8]])
     seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
     square = quad((0, 0, 0), (1, 0, 0), (0, 0, 1), diffuse(0.0, 2.0))
-    placed, away = np.eye(4), np.array([200.0, -50.0, 70.0])
-    placed[:3] = np.stack([u, 3.0 * np.cross(u, v), v, corner + away], axis=1)
-    camera = ls.Camera.look_at(away + np.array([0, 0.3, 0.002]), away, (0, 0, -1), width=32, height=24, fov_y=0.002)
-    floor = quad(away - (0.03, 0, 0.03), (0, 0, 0.06), (0.06, 0, 0), diffuse(ALBEDO))
-    scenes = [ls.Scene(meshes=[floor, ls.MeshInstance(square, matrix)]) for matrix in (np.eye(4), placed)]
+    placed, away = np.eye(4), unit * np.array([200.0, -50.0, 70.0])
+    placed[:3] = np.stack([u, 3.0 / unit * np.cross(u, v), v, corner + away], axis=1)
+    eye = away + unit * np.array([0, 0.3, 0.002])
+    camera = ls.Camera.look_at(eye, away, (0, 0, -1), width=32, height=24, fov_y=0.002)
+    side = 2.0 * unit * half
+    floor = quad(away - (0.5 * side, 0, 0.5 * side), (0, 0, side), (side, 0, 0), diffuse(ALBEDO))
+    scenes = [
+        ls.Scene(meshes=[floor, ls.MeshInstance(square, matrix)])
+        for matrix in (np.diag([unit, unit, unit, 1.0]), placed)
+    ]
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=0)
     renderer = ls.create_renderer(config, "cpu")
     frames = [renderer.render(scene, camera) for scene in scenes]

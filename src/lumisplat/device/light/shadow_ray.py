@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.light.mesh_interaction import mesh_spawn_point
-from lumisplat.device.light.shadow_terminator import lift_of, lifted
+from lumisplat.device.light.shadow_terminator import lift_of, seen_from_above
 from lumisplat.device.math.color import is_black
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Contribution, ShadingScene, WaveData
@@ -52,11 +52,10 @@ def start_shadow_ray(
     rays_out: RayData,
 ):
     """Starts a shadow ray from interaction ``j`` towards light ``number``; its keys are left to the caller."""
-    lift = spawn_lift(j, contribution.direction, wave)
-    if wave[0].interactions.smooth_height[j] > 0.0:
-        contribution = lifted(contribution, lift)
+    origin = spawn_origin(j, contribution.direction, spawn_lift(j, contribution.direction, wave), scene, wave)
+    contribution = seen_from_above(contribution, origin - wave[0].interactions.position[j])
     rays_out.is_active[ray] = True
-    rays_out.origin[ray] = spawn_origin(j, contribution.direction, lift, scene, wave)
+    rays_out.origin[ray] = origin
     rays_out.direction[ray] = contribution.direction
     rays_out.t_min[ray] = wave[0].interactions.spawn_t_min[j]
     rays_out.normal[ray] = wave[0].interactions.geometric_normal[j]

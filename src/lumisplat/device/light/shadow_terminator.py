@@ -54,9 +54,12 @@ def smooth_height(
 
 
 @wp.func
-def lifted(contribution: Contribution, lift: wp.vec3) -> Contribution:
-    """``contribution``, with the way to the same point of the light from further up."""
-    if contribution.distance < wp.inf:
+def seen_from_above(contribution: Contribution, lift: wp.vec3) -> Contribution:
+    """Returns ``contribution`` with the way to the same point of the light from a start that is moved by ``lift``.
+
+    With the old length, the ray would end behind a triangle that shines.
+    """
+    if contribution.distance < wp.inf and wp.length_sq(lift) > 0.0:
         way = contribution.distance * contribution.direction - lift
         contribution.distance = wp.length(way)
         contribution.direction = wp.normalize(way)
