@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.constants import LAYER_COSINE, LAYER_FLATNESS, LAYER_HEIGHT, LAYER_RISE
+from lumisplat.constants import LAYER_COSINE, LAYER_FLATNESS, LAYER_HEIGHT, LAYER_LIFT, LAYER_RISE
 from lumisplat.device.structs.bvh import Particle
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
@@ -12,6 +12,7 @@ wp.set_module_options({"enable_backward": False})
 COSINE = wp.constant(wp.float32(LAYER_COSINE))
 FLATNESS = wp.constant(wp.float32(LAYER_FLATNESS))
 HEIGHT = wp.constant(wp.float32(LAYER_HEIGHT))
+LIFT = wp.constant(wp.float32(LAYER_LIFT))
 RISE = wp.constant(wp.float32(LAYER_RISE))
 
 
@@ -21,6 +22,18 @@ def is_flat(scales: wp.vec3) -> bool:
     thin = wp.min(scales)
     middle = wp.max(wp.min(scales[0], scales[1]), wp.min(wp.max(scales[0], scales[1]), scales[2]))
     return thin < FLATNESS * middle
+
+
+@wp.func
+def above_layer(point: wp.vec3, normal: wp.vec3, near: float) -> wp.vec3:
+    """Returns where a ray begins that bounces at a surface of Gaussians: a little above it, not to come out below.
+
+    Args:
+        point: Of the surface, world space.
+        normal: Of its layer, unit, on the side to which the ray goes; zero: it tells none, and the ray begins there.
+        near: The offset within which Gaussians of that layer do not block the ray, scene units; 0 for meshes.
+    """
+    return point + LIFT * near * normal
 
 
 @wp.func

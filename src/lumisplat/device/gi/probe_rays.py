@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.device.gaussian.layers import above_layer
 from lumisplat.device.gi.octahedral import cell_width, direction_in_cell
 from lumisplat.device.gi.probe_places import fits, reach_of
 from lumisplat.device.gi.screen_probes import nearness_weight
@@ -53,7 +54,7 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
             return
         position += RISE * wp.max(wp.max(wp.abs(position)), probes.distance[i]) * normal
     rays_out.is_active[ray] = True
-    rays_out.origin[ray] = position
+    rays_out.origin[ray] = above_layer(position, normal, grid.offset * extent)
     rays_out.direction[ray] = direction
     rays_out.t_min[ray] = grid.offset * extent
     rays_out.normal[ray] = normal

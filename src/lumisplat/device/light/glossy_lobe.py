@@ -7,6 +7,7 @@ equations are in docs/method/materials.md#glossy-reflections.
 import warp as wp
 
 from lumisplat.constants import COAT_HEAD_ON, GLOSSY_SHARE_FOLLOWED
+from lumisplat.device.gaussian.layers import above_layer
 from lumisplat.device.light.interaction import load_interaction
 from lumisplat.device.light.shadow_ray import spawn_lift
 from lumisplat.device.material.bsdf import bsdf_sample, simple_scale, view_albedo
@@ -106,9 +107,10 @@ def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData
     sampled = bsdf_sample(highlight_of(interaction.bsdf), interaction.normal, interaction.wo, u, part)
     ray.direction = sampled.direction
     j = slot * (wave[0].interactions.exists.shape[0] // 2) + i
-    ray.origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
     ray.t_min = wave[0].interactions.spawn_t_min[j]
     ray.normal = wave[0].interactions.geometric_normal[j]
+    origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
+    ray.origin = above_layer(origin, ray.normal, ray.t_min)
     if sampled.density > 0.0 and wp.dot(interaction.horizon_normal, sampled.direction) > 0.0:
         ray.weight = sampled.weight
     return ray

@@ -6,15 +6,19 @@ from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNE
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.layers import is_flat
 from lumisplat.device.light.interaction import bsdf_of, unit_or
+from lumisplat.device.light.mesh_interaction import mesh_spawn_point
 from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
 from lumisplat.device.math.directions import seen_from
+from lumisplat.device.mesh.mesh_surface import face_normal
 from lumisplat.device.structs.light import BSDF_PBR
 from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
 KEPT_MIN = wp.constant(wp.float32(KEPT_SHARE_MIN))
+NEAR_MESH = wp.constant(wp.float32(0.999))
+"""Share of the way to a mesh below which a point is certainly before it, however both are rounded."""
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
@@ -183,6 +187,25 @@ def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp
 
 
 @wp.func
+def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
+    """Returns the point of ray ``i`` at a depth, world space; where a mesh is as near, the point just before that.
+
+    Splats are wider in the image than their Gaussians: on a ray that meets a wall before it reaches the floor, the
+    floor's surface would be on the far side of the wall, and lit from there.
+    """
+    point = wave[0].rays.origin[i] + depth * wave[0].rays.direction[i]
+    if wave[0].meshes.face[i] >= 0 and depth > NEAR_MESH * wave[0].meshes.t[i]:
+        corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+        side = face_normal(scene[0].mesh_instances[wave[0].meshes.instance[i]], scene[0].meshes, corners)
+        if wp.dot(side, wave[0].rays.direction[i]) > 0.0:
+            side = -side
+        start = mesh_spawn_point(i, side, scene, wave)
+        if wp.dot(side, point - start) < 0.0:
+            return start
+    return point
+
+
+@wp.func
 def splat_interaction(
     i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
@@ -191,7 +214,7 @@ def splat_interaction(
     # Fields are read one by one: copying these structs for each ray would cost more than the shading.
     interaction.exists = True
     to_eye = -wave[0].rays.direction[i]
-    interaction.position = wave[0].rays.origin[i] - surface.depth * to_eye
+    interaction.position = before_mesh(i, surface.depth, scene, wave)
     interaction.normal = unit_or(wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), to_eye)
     # What bends away at a silhouette is lit by its own normal, and seen from its own side.
     interaction.wo = seen_from(to_eye, interaction.normal)

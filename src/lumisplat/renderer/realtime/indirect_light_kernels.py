@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.constants.realtime import RAY_LIFT
+from lumisplat.device.gaussian.layers import above_layer
 from lumisplat.device.gi.lobes import lobe_radiance, lobe_share
 from lumisplat.device.gi.screen_probes import gathered_light
 from lumisplat.device.gi.turns import has_turn
@@ -58,11 +59,13 @@ def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: R
     rays_out.is_active[i] = True
     normal = points.normal[i]
     position = points.position[i]
-    lift = LIFT * wp.max(wp.abs(position))
+    near = offset * points.extent[i]
+    if points.extent[i] == 0.0:
+        position += LIFT * wp.max(wp.abs(position)) * normal
     u = sobol_2d(key, points.ray[i])
-    rays_out.origin[i] = position + wp.where(points.extent[i] > 0.0, 0.0, lift) * normal
+    rays_out.origin[i] = above_layer(position, normal, near)
     rays_out.direction[i] = around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
-    rays_out.t_min[i] = offset * points.extent[i]
+    rays_out.t_min[i] = near
     rays_out.normal[i] = normal
     rays_out.t_max[i] = wp.inf
     rays_out.path_length[i] = 0.0
