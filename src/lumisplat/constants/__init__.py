@@ -219,8 +219,8 @@ LAYER_RISE = 1.0
 """By how much that rises with the cosine beyond ``LAYER_COSINE``: to 2.85 scales between parallel layers."""
 
 LAYER_LIFT = 0.0625
-"""How far above a surface of Gaussians rays begin that bounce there, in shadow offsets: a quarter of a scale. From within
-a layer, those along it come out below and see what lights its other side (docs/adr/0088)."""
+"""How far above a surface of Gaussians rays begin that bounce there, in shadow offsets: a quarter of a scale. From
+within a layer, those along it come out below and see what lights its other side (docs/adr/0088)."""
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
 """Shadow rays of a stochastic sample, active or not, per Gaussian, from which on its hierarchies are shrunk. That costs
