@@ -152,7 +152,9 @@ def scattered_step(
     step.t_min = wave[0].interactions.spawn_t_min[j]
     step.layer_normal = wave[0].interactions.geometric_normal[j]
     origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
-    step.origin = above_layer(origin, step.layer_normal, step.t_min)
+    step.origin = origin
+    if not interaction.shadow_only:  # what catches shadows keeps its exact distance from what casts them
+        step.origin = above_layer(origin, step.layer_normal, step.t_min)
     return step
 
 
