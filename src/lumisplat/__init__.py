@@ -119,6 +119,7 @@ if TYPE_CHECKING:
     from lumisplat.relighting.probe import EnvironmentProbe
     from lumisplat.relighting.probe_transfer import relight
     from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
+    from lumisplat.relighting.surface_measure import surface_remark
     from lumisplat.renderer.deep import render_deep
     from lumisplat.renderer.gradients.results import RayGradients, SetGradient, SplatGradients
     from lumisplat.renderer.mattes import render_mattes
@@ -376,6 +377,7 @@ _MODULE_OF = {
     "ssim": "metrics.images",
     "stand_on_ground": "scene.ops.ground",
     "stream_ply": "io.blocks.stream",
+    "surface_remark": "relighting.surface_measure",
     "thin_blocks": "io.blocks.views",
     "trace_rays": "renderer.one_shot",
     "train": "training.train",
@@ -589,6 +591,7 @@ __all__ = [
     "ssim",
     "stand_on_ground",
     "stream_ply",
+    "surface_remark",
     "thin_blocks",
     "trace_rays",
     "train",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,12 @@ from lumisplat.relighting.delight.incident import IncidentRays
 from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
 from lumisplat.relighting.delight.sky_cells import SkyCells
-from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides, is_fog
+from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides
+from lumisplat.relighting.surface_measure import measure_surface
+from lumisplat.scene.primitives import box, plane, sphere
 from lumisplat.scene.sampling.blue_noise import cross_pairs
+from support.kinds import expect_kind
+from support.scenes.path_scenes import quad
 
 SH_CONSTANT = 0.28209479177387814
 RNG = np.random.default_rng(5)
@@ -324,6 +329,20 @@ def fog(count: int, scale: float, opacity: float) -> ls.Gaussians:
     return ls.Gaussians(means, rng.standard_normal((count, 4)), *same, 0.3 * rng.standard_normal((count, 1, 3)))
 
 
+def flattened(gaussians: ls.Gaussians) -> ls.Gaussians:
+    """Discs that lie in any direction."""
+    return replace(gaussians, scales=gaussians.scales * np.array([1.0, 1.0, 0.1], np.float32))
+
+
+def thick_wall() -> ls.Gaussians:
+    """Faint discs that all lie alike, spread over a tenth of the extent: what a short training leaves of a wall."""
+    rng = np.random.default_rng(4)
+    means = rng.random((6000, 3)) * (2.0, 2.0, 0.3)
+    turns = np.concatenate([np.ones((6000, 1)), 0.2 * rng.standard_normal((6000, 3))], axis=1)
+    scales = np.broadcast_to((0.05, 0.05, 0.01), (6000, 3))
+    return ls.Gaussians(means, turns, scales, np.full(6000, 0.15), 0.3 * rng.standard_normal((6000, 1, 3)))
+
+
 @pytest.mark.parametrize(("count", "scale", "opacity"), [(3000, 0.03, 0.1), (3000, 0.03, 0.5), (20_000, 0.01, 0.5)])
 def test_fog_has_no_surface(count: int, scale: float, opacity: float) -> None:
     """Thin, or of dense Gaussians, few or many: one line says so."""
@@ -333,17 +352,22 @@ def test_fog_has_no_surface(count: int, scale: float, opacity: float) -> None:
         ls.delight(fog(count, scale, opacity), device="cpu")
 
 
+def is_fog_to(gaussians: ls.Gaussians, renderer: ls.Renderer, seed: int) -> bool:
+    """Whether it is refused."""
+    return measure_surface(gaussians, renderer, seed).is_fog
+
+
 def test_what_stops_rays_at_once_is_no_fog(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Round Gaussians on a surface, large or small; a ball that is full of them, and dense; flat ones in any order."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     plain, _ = ball
     largest = float(plain.scales.max())
     for scale in (0.3 * largest, largest, 3.0 * largest):
-        assert not is_fog(replace(plain, scales=np.full_like(plain.scales, scale)), renderer, 0)
-    assert is_fog(fog(3000, 0.03, 0.5), renderer, 0)
-    assert not is_fog(fog(3000, 0.1, 0.5), renderer, 0)
+        assert not is_fog_to(replace(plain, scales=np.full_like(plain.scales, scale)), renderer, 0)
+    assert is_fog_to(fog(3000, 0.03, 0.5), renderer, 0)
+    assert not is_fog_to(fog(3000, 0.1, 0.5), renderer, 0)
     thin = fog(3000, 0.03, 0.5)
-    assert not is_fog(replace(thin, scales=thin.scales * np.array([1.0, 1.0, 0.3], np.float32)), renderer, 0)
+    assert not is_fog_to(replace(thin, scales=thin.scales * np.array([1.0, 1.0, 0.3], np.float32)), renderer, 0)
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
@@ -353,7 +377,84 @@ def test_captures_of_others_are_no_fog(data_dir: Path, name: str) -> None:
     assert isinstance(capture, ls.Gaussians)
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     round_ones = replace(capture, scales=capture.scales.max(axis=1, keepdims=True).repeat(3, axis=1))
-    assert not is_fog(capture, renderer, 0) and not is_fog(round_ones, renderer, 0)
+    assert not is_fog_to(capture, renderer, 0) and not is_fog_to(round_ones, renderer, 0)
+
+
+@pytest.mark.parametrize(
+    ("capture", "fault"),
+    [
+        (fog(3000, 0.1, 0.9), "100% of its Gaussians, by area, are round"),
+        (fog(20_000, 0.02, 0.9), "100% of its Gaussians, by area, are round"),
+        (flattened(fog(3000, 0.1, 0.9)), "normals of neighbouring Gaussians differ as if they were random"),
+        (flattened(fog(3000, 0.03, 0.5)), "normals of neighbouring Gaussians differ as if they were random"),
+        (thick_wall(), "of their light before or behind the depth that they show"),
+    ],
+    ids=["dense fog", "dense fog of many", "flat ones", "thin fog of flat ones", "a thick wall"],
+)
+def test_what_has_no_clear_surface_is_announced(capture: ls.Gaussians, fault: str, caplog: Any) -> None:
+    """In one line that says what to do, before the work of `delight`; and when others light it."""
+    remark = ls.surface_remark(capture, device="cpu")
+    assert remark is not None and fault in remark and "--flatness 0.3" in remark
+    stop: list[str] = []
+
+    def report(label: str, _share: float) -> None:
+        stop.append(label)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ls.delight(capture, device="cpu", progress=report)
+    assert [record.message for record in caplog.records] == [remark] and stop == ["finding surfaces"]
+
+
+@pytest.mark.parametrize("count", [64, 300, 3000])
+def test_gaussians_of_meshes_have_a_surface(count: int) -> None:
+    """Few or many, on bodies and thin sheets, with normals and without."""
+    for mesh in (box(2.0), sphere(1.0, rows=12), plane(3.0, 2.0)):
+        gaussians = ls.gaussians_from_mesh(mesh, count)
+        for one in (gaussians, replace(gaussians, normals=None)):
+            assert ls.surface_remark(one, device="cpu") is None
+
+
+@pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
+def test_captures_of_others_have_a_surface(data_dir: Path, name: str) -> None:
+    """Nothing is said of them."""
+    assert ls.surface_remark(expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name)), device="cpu") is None
+
+
+def scene_of(*meshes: ls.Mesh) -> ls.Gaussians:
+    """Grey Gaussians of meshes, whose normals have to be found."""
+    sets = [replace(ls.gaussians_from_mesh(mesh, 500), normals=None, albedo=None, roughness=None) for mesh in meshes]
+    return ls.limit_sh_degree(sets[0] if len(sets) == 1 else ls.merge(sets), 0)
+
+
+def walls(*leave_out: int) -> list[ls.Mesh]:
+    """The sides of a cube about the origin, but for some, as sheets."""
+    x, y, z = np.eye(3)
+    sides = [(axis, sign, u, v) for axis, u, v in ((y, z, x), (x, y, z), (z, x, y)) for sign in (-1.0, 1.0)]
+    kept = [side for number, side in enumerate(sides) if number not in leave_out]
+    return [quad(sign * axis - u - v, 2.0 * u, 2.0 * v, ls.MaterialPbr()) for axis, sign, u, v in kept]
+
+
+ALONE, GROUND, WALL = sphere(0.5), plane(6.0, 6.0), walls()[0]
+
+
+@pytest.mark.parametrize(
+    ("meshes", "inside"),
+    [
+        ([*walls(), sphere(0.3)], True),
+        (walls(1), False),
+        (walls(1, 2, 3), False),
+        ([ALONE], False),
+        ([ALONE, GROUND], False),
+        ([sphere(0.4), WALL], False),
+    ],
+    ids=["furnished room", "room without a side", "corner", "object", "object on the ground", "before a wall"],
+)
+def test_what_is_closed_is_a_room_and_all_else_open(meshes: list[ls.Mesh], inside: bool) -> None:
+    """A remark says which, and what is done about light from where the capture shows nothing."""
+    found = ls.estimate_materials(scene_of(*meshes), ls.DelightConfig(cells=4), device="cpu")
+    assert found.is_inside is inside
+    assert found.remarks[0].startswith("a closed room" if inside else "open: ")
 
 
 def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]) -> None:

@@ -194,6 +194,20 @@ FOG_ROUND, FOG_SHARE = 0.9, 0.8
 """Least scale over the middle one from which on a Gaussian has no normal, and share of such ones, by area, in fog: 0.02
 to 0.65 of captures, those that were hardly learnt included."""
 
+SURFACE_SHARP = 0.8
+"""Share that half of the rays lose at once below which a capture has no clear surface: 0.90 to 1 of captures of others,
+of Gaussians of meshes and of a fox that was trained with flatness, 0.66 to 0.70 of foxes without."""
+
+AGREEING_LEAST = 0.35
+"""Mean squared cosine between normals of neighbours below which they are random: in fog it is 0.333 to 0.340, of
+captures of others 0.41 to 0.76, of foxes of some minutes 0.5 to 0.9."""
+
+AGREEING_PICKS, AGREEING_SET, AGREEING_NEIGHBOURS = 256, 50_000, 16
+"""Gaussians whose normals are compared, of how many at most, and with how many each."""
+
+AGREEING_COUNT = 300
+"""Gaussians from which on they are: on fewer, neighbours are far apart, and surfaces turn."""
+
 TOO_LIGHT = 0.02
 """Share of Gaussians beyond what is possible, or not explained, from which on it is worth a remark."""
 

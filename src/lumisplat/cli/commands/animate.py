@@ -116,7 +116,7 @@ class Animate(FrameCommand):
             fps=animation.fps,
             in_sequence=config.pipeline is ls.Pipeline.REALTIME,
         )
-        remarks = partial(frame_remarks, config, raster=[], rays=self.rays, light=self.light)
+        remarks = partial(frame_remarks, config, raster=[], rays=self.rays, light=self.light, device=self.device)
         maker = AnimationFrames(animation, cameras, self.frame_source(renderer), folder, remarks=remarks)
         summarise = maker.summarise if self.stats else None
         return FrameJob(frames=frames, render=maker.render, write=maker.write, summarise=summarise)

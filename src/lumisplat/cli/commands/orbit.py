@@ -99,7 +99,7 @@ class Orbit(ViewsCommand, FrameCommand):
         scene = self.light.lit_scene(scene, environment)
         config = self.light.exposed_captures(renderer, config, scene)
         cameras = along or self._round(scene, count)
-        for line in frame_remarks(config, scene, [], self.rays, self.light):
+        for line in frame_remarks(config, scene, [], self.rays, self.light, device=self.device):
             _log.warning("%s", line)
         source = self.frame_source(renderer, blocks=blocks)
         frames = FrameList(

@@ -210,7 +210,9 @@ class Render(ViewsCommand, FrameCommand):
         config = self.light.exposed_captures(renderer, config, scene)
         if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(self, _OF_REALTIME)):
             _log.warning("%s", not_used(config, unused, "realtime"))
-        for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
+        for line in frame_remarks(
+            config, scene, given_options(self, _OF_RASTER), self.rays, self.light, device=self.device
+        ):
             _log.warning("%s", line)
         shots = shots or self._shots([self.own_camera(scene, *self.scene)])
         return _Pictures(scene, shots, self.frame_source(renderer, self._warm_up(), blocks), writer)

@@ -15,13 +15,30 @@ if TYPE_CHECKING:
 
 
 def frame_remarks(
-    config: ls.RenderConfig, scene: ls.Scene, raster: list[str], rays: RayOptions, light: LightOptions
+    config: ls.RenderConfig,
+    scene: ls.Scene,
+    raster: list[str],
+    rays: RayOptions,
+    light: LightOptions,
+    *,
+    device: str = "auto",
 ) -> Iterator[str]:
-    """What has no effect, and what comes out black; arguments as of `unused_options`."""
+    """Yields what has no effect, what comes out black or in patches; arguments as of `unused_options`."""
     yield from unused_options(config, scene, raster, rays, light)
     yield from _unused_albedos(config, scene)
     yield from _dark_sides(config, scene)
+    yield from _lit_fog(config, scene, device)
     yield from _clipped_light(config, scene, light)
+
+
+def _lit_fog(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[str]:
+    """A line for each capture that takes light or shadows, and has no surface for them."""
+    if config.lighting is False or not any(light.enabled for light in scene.lights):
+        return
+    lit = {id(one.gaussians): one for one in scene.splats if one.shadow_catcher or one.material is not None}
+    for one in lit.values():
+        if (remark := ls.surface_remark(one.gaussians, device=device)) is not None:
+            yield f"{one.name}: {remark}" if one.name else remark
 
 
 def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:

@@ -35,7 +35,7 @@ from lumisplat.relighting.delight.material_estimate import MaterialEstimate
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
 from lumisplat.relighting.delight.roughness_fit import Roughness, RoughnessFit, arriving_light
 from lumisplat.relighting.delight.sky_cells import SkyCells
-from lumisplat.relighting.delight.surfaces import is_fog
+from lumisplat.relighting.surface_measure import measure_surface, no_surface
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
@@ -121,11 +121,14 @@ def estimate_materials(
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device, threads=threads)
     if not np.ptp(gaussians.means, axis=0).any():
         raise SceneError("no surface whose material could be told: all Gaussians are in one place")
-    if is_fog(gaussians, renderer, config.seed):
+    surface = measure_surface(gaussians, renderer, config.seed)
+    if surface.is_fog:
         raise SceneError(
             "no surface whose material could be told: light passes between round Gaussians, or is lost in them bit by "
             "bit, as in fog (of a training that was stopped early, more steps make surfaces)"
         )
+    if surface.fault:
+        _log.warning("%s", no_surface(surface.fault))
     rays = IncidentRays(gaussians, renderer, config.seed)
     found = _Delighter(gaussians, config, rays, progress or say_nothing).run()
     return replace(found, gaussians=replace(found.gaussians, origin=origin))

@@ -80,10 +80,12 @@ class MaterialEstimate:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What to know about the result, a sentence each."""
+        shown = float(self.confidence.mean())
         lines = [
-            "taken from inside, as a room, for much of it sees no sky (else say inside: no): light is what it shows"
+            "a closed room, for much of it sees no sky (else say inside: no): light is what it shows"
             if self.is_inside
-            else "taken from outside, as an object (else say inside: yes): how bright the sky was is a guess"
+            else f"open: {1.0 - shown:.0%} of the light comes from where the capture shows nothing, and is found as a "
+            "sky, whose brightness is a guess (a closed room: say inside: yes)"
         ]
         if len(self.lamps):
             brightness = ", ".join(f"{lamp.mean():.3g}" for lamp in self.lamps)

@@ -1,18 +1,10 @@
-"""Where Gaussians are seen: whether there is a surface, points on them, and on which side."""
+"""Where Gaussians are seen: points on them, and on which side."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from lumisplat.constants.delight import (
-    FOG_EXTENT,
-    FOG_HALF,
-    FOG_RAYS,
-    FOG_ROUND,
-    FOG_SCALES,
-    FOG_SHARE,
-    FOG_SHARP,
-    OPACITY_SEEN,
     SIDE_SHARPNESS,
     SIDE_STEPS,
     SIDE_STIFFNESS,
@@ -20,10 +12,8 @@ from lumisplat.constants.delight import (
 )
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.rotations import matrices_from_quaternions
-from lumisplat.renderer.renderer import Renderer
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.sampling.blue_noise import Pairs
-from lumisplat.scene.scene import Scene
 
 
 class SurfacePoints:
@@ -46,44 +36,6 @@ class SurfacePoints:
         along = np.einsum("ij,ij->i", point, slope) / np.einsum("ij,ij->i", slope, slope)
         peak = self._scales[rows] * (point - along[:, None] * slope)
         return (self._means[rows] + np.einsum("ijk,ik->ij", self._axes[rows], peak)).astype(np.float32)
-
-
-def is_fog(gaussians: Gaussians, renderer: Renderer, seed: int) -> bool:
-    """Whether a set is without surfaces: its Gaussians are round, and rays lose their light bit by bit.
-
-    Args:
-        gaussians: The set; some of it is seen.
-        renderer: Traces unlit rays in order.
-        seed: Of the rays.
-    """
-    least, middle, largest = np.sort(gaussians.scales.astype(np.float64), axis=1).T
-    areas = np.where(gaussians.opacities >= OPACITY_SEEN, middle * largest * gaussians.opacities, 0.0)
-    if areas[least >= FOG_ROUND * middle].sum() < FOG_SHARE * areas.sum():
-        return False
-    return float(np.median(_lost_at_once(gaussians, areas, renderer, seed))) < FOG_SHARP
-
-
-def _lost_at_once(gaussians: Gaussians, areas: Doubles, renderer: Renderer, seed: int) -> Doubles:
-    """Of what rays lose that come from outside, the share that they lose around the depth that they show, 0..1."""
-    rng, scene = np.random.default_rng([seed, 11]), Scene([gaussians])
-    low, high = scene.bulk_bounds()
-    extent = float(np.linalg.norm(high - low))
-    ways = rng.standard_normal((FOG_RAYS, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    met = gaussians.means[rng.choice(gaussians.count, FOG_RAYS, p=areas / areas.sum())]
-    starts = met - 2.0 * extent * ways
-    hits = renderer.trace_rays(scene, starts, ways)
-    lost = 1.0 - hits.transmittance.astype(np.float64)
-    rows = np.flatnonzero((lost > FOG_HALF) & np.isfinite(hits.depth))
-    scales = gaussians.scales.max(axis=1)[hits.gaussian_index[rows]]
-    reach = np.maximum(FOG_EXTENT * extent, FOG_SCALES * scales)
-    before, after = (
-        renderer.transmittance(scene, starts[rows], ways[rows], np.maximum(hits.depth[rows] + sign * reach, 0.0))
-        for sign in (-1.0, 1.0)
-    )
-    shares = np.zeros(FOG_RAYS)
-    shares[rows] = (before - after) / lost[rows]
-    return shares
 
 
 def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from typing import Literal
@@ -24,9 +25,12 @@ from lumisplat.relighting.fitting.results import LightFit, result_of
 from lumisplat.relighting.fitting.search import search
 from lumisplat.relighting.fitting.task import Exposure, FitOptions, FitTask
 from lumisplat.relighting.fitting.told_apart import certainty_of
+from lumisplat.relighting.surface_measure import surface_remark
 from lumisplat.renderer.checks import check_scene
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
+
+_log = logging.getLogger("lumisplat")
 
 Picture = npt.NDArray[np.floating] | npt.NDArray[np.unsignedinteger] | str | os.PathLike[str]
 
@@ -123,6 +127,9 @@ def fit_lights(
     curve = enum_member("tone_map", tone_map, ToneMap)
     views = read_photographs(cameras, photographs, masks, linear=linear, tone_map=curve)
     report = progress or say_nothing
+    for instance in scene.splats:
+        if instance.material is not None and (remark := surface_remark(instance.gaussians, device=device)) is not None:
+            _log.warning("%s", remark)
     report(_LABEL, 0.0)
     pace = Pace(report, _LABEL)
     layers = LightLayers(config, device, rendered=lambda: pace.add(1.0))

@@ -153,7 +153,7 @@ class Dataset(FrameCommand, PlacingCommand):
         if albedo and not (views.are_lit if config.lighting is None else config.lighting):
             raise ls.ConfigError("--layers has albedo, which lit views have: give lights, or --lighting on")
         rays = replace(self.rays, seed=None)  # the poses always use it
-        for line in frame_remarks(config, views.view(wanted[0]).scene, [], rays, self.light):
+        for line in frame_remarks(config, views.view(wanted[0]).scene, [], rays, self.light, device=self.device):
             _log.warning("%s", line)
         maker = _ViewMaker(self, views, self.frame_source(renderer))
         return FrameJob(
