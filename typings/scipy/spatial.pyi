@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 _Floats = npt.NDArray[np.floating]
 
-class cKDTree:  # noqa: N801
+class cKDTree:
     def __init__(self, data: _Floats) -> None: ...
     def query(
         self, x: _Floats, k: int | Iterable[int] = ..., workers: int = ...
