@@ -8,8 +8,6 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
-import numpy as np
-
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, found_light, print_table
 from lumisplat.cli.output.frame_folder import FrameFolder
@@ -146,7 +144,8 @@ def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshIn
     around = ls.Scene(splats=tuple(one for one in scene.splats if one.material is None or one.shadow_catcher))
     if not around.splats:
         return 0.0
-    middle = np.mean(with_actors(ls.Scene(), actors).bulk_bounds(), axis=0)
+    low, high = with_actors(ls.Scene(), actors).bulk_bounds()
+    middle = 0.5 * (low + high)
     return ls.estimate_capture_gain(around, middle, device=device)
 
 
