@@ -178,9 +178,10 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
             ``camera_angle_x``; image sizes are read from the images if the file has none; pinhole, equidistant fisheye
             and orthophoto, with lens distortion), INRIA's ``cameras.json`` (OpenCV; the principal point is the
             centre), nerfstudio's ``camera_path.json``, or a sparse model of COLMAP: its folder, or one of its
-            ``cameras`` and ``images``, .bin or .txt. Or a glTF scene (.glb, .gltf), whose cameras only have an aspect
-            ratio: without ``width`` and ``height`` they get the largest size within 1280 x 720; or an OpenUSD stage
-            (.usda, .usdc, .usdz, .usd), whose sizes may be those of pictures that it orders. Or a ``scene.toml``.
+            ``cameras`` and ``images``, .bin or .txt; or a folder that holds one of these. Or a glTF scene (.glb,
+            .gltf), whose cameras only have an aspect ratio: without ``width`` and ``height`` they get the largest size
+            within 1280 x 720; or an OpenUSD stage (.usda, .usdc, .usdz, .usd), whose sizes may be those of pictures
+            that it orders. Or a ``scene.toml``.
         width: Image width, pixels, of frames for which neither the file nor an image gives a size; only together with
             ``height``, except for glTF and OpenUSD.
         height: Image height, pixels, of such frames.

@@ -16,7 +16,8 @@ from lumisplat.scene.camera import Camera
 
 def read_cameras(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
     """As `lumisplat.io.load_cameras`."""
-    suffix = Path(path).suffix.lower()
+    path = _in_folder(Path(path))
+    suffix = path.suffix.lower()
     if suffix in (".glb", ".gltf"):
         from lumisplat.io.gltf.cameras import read_gltf_cameras
 
@@ -30,9 +31,19 @@ def read_cameras(path: PathLike, width: int | None = None, height: int | None = 
         from lumisplat.io.scene_toml.scene_file import read_document
 
         return read_scene_cameras(read_document(path), _read_listed, width, height)
-    if is_colmap(Path(path)):
+    if is_colmap(path):
         return unique_names(read_colmap(path))
     return read_camera_json(path, width, height)
+
+
+def _in_folder(path: Path) -> Path:
+    """Returns the camera file of a folder of images, as training finds it; the path itself if there is none."""
+    if not path.is_dir():
+        return path
+    from lumisplat.io.photographs.loading import find_model
+
+    file = next((file for file in (path / "transforms.json", path / "cameras.json") if file.is_file()), None)
+    return file or find_model(path) or path
 
 
 def _read_listed(path: Path, /, *, width: int | None, height: int | None) -> list[Camera]:

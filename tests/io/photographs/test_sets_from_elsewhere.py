@@ -99,6 +99,7 @@ def test_of_several_models_the_one_with_most_images_is_taken(tmp_path: Path, cap
     assert [view.name for view in found.training] == ["view_4", "view_5", "view_6"]
     assert "has 3 models: 2 with 3 images is taken, and 0 with 2, 10 with 2 are left out" in caplog.text
     assert "4 of 7 images have no pose (view_0.png, view_1.png, view_2.png, ...)" in caplog.text
+    assert [camera.name for camera in ls.load_cameras(tmp_path)] == ["view_4", "view_5", "view_6"]
     (tmp_path / "sparse/2/images.txt").write_bytes(b"\x00\xff")  # a damaged model is none to take
     assert len(ls.load_photographs(tmp_path, hold_out=0).training) == 2
 

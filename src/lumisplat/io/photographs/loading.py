@@ -157,7 +157,7 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
         report_without_pose(file, folder, listed)
         learnt, held_out = Splits.of(file).divide(file, listed, holds_out=with_held_out)
         return _Found(file, learnt, held_out, nerfstudio_points(file))
-    model = _model(folder)
+    model = find_model(folder)
     if model is None:
         raise FormatError(
             folder,
@@ -184,7 +184,7 @@ def _held_out(folder: Path) -> list[Listed] | None:
     return None if found is None else lists[found]
 
 
-def _model(folder: Path) -> Path | None:
+def find_model(folder: Path) -> Path | None:
     """Returns the folder of a sparse model; of several in ``sparse``, the one with most images, as a line says."""
     sparse = folder / "sparse"
     inside = [path for path in sparse.iterdir() if path.is_dir()] if sparse.is_dir() else []
