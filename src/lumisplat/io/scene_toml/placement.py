@@ -84,7 +84,7 @@ def say_unturned(document: TomlTable, up: Vector) -> None:
                 _say(
                     table,
                     "says a place and no rotation, and has y up as in its file, though y is not up in the scene: "
-                    "upright = true stands it (upright = false: as it is, without this line)",
+                    "upright = true stands it up (upright = false keeps it, without this line)",
                 )
 
 
