@@ -29,6 +29,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += _kernels("shadow.incoherent_shadow_kernels") if incoherent else []
     if plan.has_history:
         modules += realtime_modules()
+        modules += _kernels("realtime.captured_light_kernels") if plan.keeps_captures else []
         modules += _kernels("gi.antialiasing_kernels") if plan.jitters else []
         modules += _kernels("realtime.kept_kernels") if plan.aovs & {*REALTIME_AOVS} else []
     if plan.spawns_shadow_rays and (plan.has_history or not plan.traces_paths):

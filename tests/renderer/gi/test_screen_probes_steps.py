@@ -9,7 +9,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.config.probes import ProbeConfig
-from lumisplat.constants import SHADOW_OFFSET
+from lumisplat.constants import LAYER_LIFT, SHADOW_OFFSET
 from lumisplat.constants.realtime import OUTDATED_SHARE
 from lumisplat.device.structs.gi import ProbeData
 from lumisplat.math.octahedral import directions_of_square
@@ -162,7 +162,7 @@ def test_each_ray_is_uniform_in_its_cell() -> None:
 
 
 def test_rays_leave_their_surface() -> None:
-    """From meshes a little above and outwards only; from Gaussians beyond what does not shadow them, all around."""
+    """From meshes outwards only; from Gaussians all around, above their layer, beyond what does not shadow them."""
     for extent, share in ((0.0, 0.5), (0.004, 1.0)):
         sequence, seen = ProbeSequence(constant([1.0, 1.0, 1.0])), seen_in_box(box_camera(), extent)
         sequence.place(seen)
@@ -170,7 +170,9 @@ def test_rays_leave_their_surface() -> None:
         active = device_array(rays.is_active).numpy()
         assert active.mean() == pytest.approx(share, abs=0.03)
         heights = 0.5 - np.abs(device_array(rays.origin).numpy()[active]).max(axis=1)
-        assert (heights > 1e-6).all() if extent == 0.0 else (np.abs(heights) < 1e-6).all()
+        assert (heights > 1e-6).all()
+        if extent > 0.0:
+            np.testing.assert_allclose(heights, LAYER_LIFT * SHADOW_OFFSET * extent, atol=1e-6)
         np.testing.assert_allclose(device_array(rays.t_min).numpy()[active], SHADOW_OFFSET * extent, rtol=1e-6)
 
 

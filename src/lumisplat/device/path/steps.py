@@ -3,7 +3,6 @@
 import warp as wp
 
 from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
-from lumisplat.device.gaussian.layers import above_layer
 from lumisplat.device.light.direct_light import arrives
 from lumisplat.device.light.interaction import load_interaction
 from lumisplat.device.light.shadow_ray import spawn_lift, spawn_origin
@@ -151,10 +150,8 @@ def scattered_step(
         step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
     step.t_min = wave[0].interactions.spawn_t_min[j]
     step.layer_normal = wave[0].interactions.geometric_normal[j]
-    origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
-    step.origin = origin
-    if not interaction.shadow_only:  # what catches shadows keeps its exact distance from what casts them
-        step.origin = above_layer(origin, step.layer_normal, step.t_min)
+    # Not above the layer, as shadow rays are not: a light that both find is weighted as one that both can reach.
+    step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
     return step
 
 
