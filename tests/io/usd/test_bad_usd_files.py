@@ -8,7 +8,10 @@ import random
 import resource
 import signal
 import struct
+import subprocess
+import sys
 import threading
+import time
 import zipfile
 from contextlib import suppress
 from pathlib import Path
@@ -180,18 +183,36 @@ def crate_with(path: Path, name: bytes, number: int) -> bytes:
     return bytes(data)
 
 
+MOST_MEMORY = """
+import resource, sys
+import lumisplat as ls
+from lumisplat.io.usd import process
+try:
+    ls.load(sys.argv[1])
+except ls.FormatError:
+    process._end_idle()
+    print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+"""Prints the most memory of the processes that read a file that is refused, kB.
+
+A process of its own runs this: what it has of the kernel begins without the memory of those before.
+"""
+
+
 @pytest.mark.parametrize("name", [b"SPECS", b"PATHS", b"FIELDS", b"TOKENS"])
 def test_counts_that_no_file_can_hold(tmp_path: Path, name: bytes) -> None:
     """Entries of terabytes in a binary layer, and in one in a package, cost this process nothing."""
     usd_core()
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     data = crate_with(tmp_path / "a.usdc", name, 2**40)
     (tmp_path / "b.usdc").write_bytes(data)
     refused(tmp_path / "b.usdc")
     with zipfile.ZipFile(tmp_path / "b.usdz", "w") as package:
         package.writestr("a.usdc", data)
     refused(tmp_path / "b.usdz")
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+    for path in ("b.usdc", "b.usdz"):
+        command = [sys.executable, "-c", MOST_MEMORY, tmp_path / path]
+        most = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        assert 0 < int(most) < 300_000  # kB, most of them the library itself
 
 
 def laughs(depth: int) -> str:
@@ -274,6 +295,76 @@ def test_functions_of_the_child_live_as_long_as_somebody_has_them(tmp_path: Path
     assert not first(1.0).flags.writeable
     del first
     np.testing.assert_array_equal(second(1.0), [2.0] * 3)
+
+
+def working(path: Path) -> process.Remote:
+    """A function that takes as much processor time as it is told."""
+
+    def work(seconds: float) -> float:
+        until = time.process_time() + seconds
+        while time.process_time() < until:
+            pass
+        return seconds
+
+    return process.Remote(work)
+
+
+def test_each_call_of_a_function_has_the_time_of_its_own(tmp_path: Path) -> None:
+    """Frames of a long animation together take more than the limit of a file; a single one that does is ended."""
+    usd_core()
+    work = process.read_apart(tmp_path / "a.usda", working)
+    assert sum(work(0.5) for _ in range(8)) == 4.0
+    with pytest.raises(FormatError, match="takes more than 1 s to read"):
+        work(10.0)
+
+
+def limits(path: Path) -> tuple[int, int]:
+    """The limits of a child that has asked for nothing."""
+    return resource.getrlimit(resource.RLIMIT_DATA)[0], resource.getrlimit(resource.RLIMIT_CPU)[0]
+
+
+def test_limits_grow_with_the_file_before_it_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A large file has its memory and time from the start, by the settings of the parent."""
+    usd_core()
+    monkeypatch.setattr(process, "USD_MEMORY", 2**30)
+    path = tmp_path / "a.usda"
+    for size in (0, 100 * 2**20):
+        with path.open("wb") as file:
+            file.truncate(size)
+        memory, seconds = process.read_apart(path, limits)
+        assert memory == 2**30 + 40 * size and 1 <= seconds - size / 2**20 <= 20
+
+
+def exhausted(path: Path) -> None:
+    """Raises what is made of the library's error when memory is at its end."""
+    raise FormatError(path, "damaged, or not a USD file: std::bad_alloc")
+
+
+def test_memory_at_its_end_is_not_called_damage(tmp_path: Path) -> None:
+    """The message is that of the limit of memory."""
+    usd_core()
+    with pytest.raises(FormatError, match=r"or takes more than 0\.8 GB of memory"):
+        process.read_apart(tmp_path / "a.usda", exhausted)
+
+
+@pytest.mark.parametrize("name", ["struct", "lumisplat", "pxr", "sitecustomize", "usercustomize", "pickle"])
+def test_no_code_of_the_working_folder_is_run(tmp_path: Path, name: str) -> None:
+    """Modules beside a file, in the folder in which somebody works, are no modules of the process that reads it."""
+    usd_core()
+    write_usda(tmp_path / "a.usda", field())
+    (tmp_path / f"{name}.py").write_text("open('run', 'w')\n")
+    code = "import sys, lumisplat as ls; sys.path.append(''); ls.load('a.usda')"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, check=True)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_process_that_has_ended_is_not_ended_again(tmp_path: Path) -> None:
+    """Its number may be that of another one by now."""
+    usd_core()
+    ls.save(tmp_path / "a.usda", capture(3))
+    ls.load(tmp_path / "a.usda")
+    assert process._Child._idle and all(child._reader == 0 for child in process._Child._idle)
 
 
 @pytest.mark.parametrize(

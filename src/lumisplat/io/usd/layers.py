@@ -13,12 +13,13 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.references import leaves_folder, referenced_file
 from lumisplat.io.files.source import check_regular, parsing, read_text
 from lumisplat.io.usd.library import pxr
+from lumisplat.io.usd.process import grant
 
 
-def named_layers(path: Path, text: str) -> tuple[list[Path], list[Any]]:
-    """Returns a file and all files of layers that it is composed of, as far as they exist, and layers to hold.
+def check_layers(path: Path, text: str) -> list[Any]:
+    """Checks a file and all layers that it is composed of, each before it is opened, and returns layers to hold.
 
-    The library finds the second as long as they are held, and would refuse their files: text with a byte order mark.
+    The library finds these as long as they are held, and would refuse their files: text with a byte order mark.
 
     Args:
         path: The file.
@@ -29,7 +30,7 @@ def named_layers(path: Path, text: str) -> tuple[list[Path], list[Any]]:
             allowed, or by an expression or with arguments, so that nobody knows which file is meant.
     """
     px, home = pxr(), path.parent
-    waiting, seen, files, held = [path], {os.path.abspath(path)}, list[Path](), list[Any]()
+    waiting, seen, held = [path], {os.path.abspath(path)}, list[Any]()
     while waiting:
         if len(seen) > USD_LAYERS_MAX:
             raise FormatError(path, f"is composed of more than {USD_LAYERS_MAX:,} layers")
@@ -37,7 +38,7 @@ def named_layers(path: Path, text: str) -> tuple[list[Path], list[Any]]:
         if not file.exists():
             continue  # composed without it; a remark says so
         check_regular(file, file.stat())
-        files.append(file)
+        grant(file)
         name = text if file is path else os.fspath(file)
         if (layer := _marked_layer(file, name)) is not None:
             held.append(layer)
@@ -54,7 +55,7 @@ def named_layers(path: Path, text: str) -> tuple[list[Path], list[Any]]:
             package = _named_file(path, layer, name, home)
             if package.exists():
                 check_regular(package, package.stat())
-    return files, held
+    return held
 
 
 def _marked_layer(file: Path, name: str) -> Any | None:
@@ -75,10 +76,10 @@ def _marked_layer(file: Path, name: str) -> Any | None:
 
 
 def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
-    """The file that a layer names, or the package in which that is; arguments as of `named_layers`.
+    """The file that a layer names, or the package in which that is; arguments as of `check_layers`.
 
     Raises:
-        FormatError: As of `named_layers`.
+        FormatError: As of `check_layers`.
     """
     px = pxr()
     if px.Sdf.VariableExpression.IsExpression(name):

@@ -20,6 +20,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 import traceback
 import weakref
 from collections.abc import Callable
@@ -43,6 +44,9 @@ from lumisplat.io.files.source import PathLike, check_regular
 
 _log = logging.getLogger("lumisplat")
 
+_START = "import sys; sys.path[:] = sys.argv[1:]; from lumisplat.io.usd.process import serve; serve()"
+"""What a child runs: its modules are those of the parent, and none of the working folder's."""
+
 _FORKS = hasattr(os, "fork") and sys.platform != "darwin"
 """Whether processes fork; macOS' libraries do not survive it."""
 
@@ -58,6 +62,8 @@ class _Request:
     folder: str
     """Working folder of the parent, from which paths begin."""
     allow_outside: bool
+    limit: _Limit
+    """What may be taken before the first layer is granted."""
     level: int
     """Least level of log lines that the parent shows."""
 
@@ -84,6 +90,7 @@ def read_apart(path: PathLike, function: Callable[..., Any], *arguments: Any) ->
         Path(path),
         os.getcwd(),
         may_leave_folder(),
+        _Limit.of(_size_of(Path(path))),
         _log.getEffectiveLevel(),
     )
     child = _Child.take()
@@ -124,11 +131,12 @@ class _Child:
     _lock = threading.Lock()
 
     def __init__(self) -> None:
-        paths = os.pathsep.join(dict.fromkeys(path or os.getcwd() for path in sys.path))
-        env = os.environ | {"PYTHONPATH": paths, "MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}
+        home = os.fspath(Path(__file__).parents[3])  # where the parent has found this package
+        paths = dict.fromkeys([*(path for path in sys.path if path), home])
+        env = os.environ | {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}
         env.pop("PXR_AR_DEFAULT_SEARCH_PATH", None)  # files are found from those that name them alone
         self._process = subprocess.Popen(
-            [sys.executable, "-c", "from lumisplat.io.usd.process import serve; serve()"],
+            [sys.executable, "-P", "-c", _START, *paths],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -136,7 +144,11 @@ class _Child:
         )
         self._in, self._out = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
         self._reader = 0
-        """The process that reads the file: the child itself, or what it has forked."""
+        """The process that reads the file: the child itself, or what it has forked; 0: none."""
+        self._limit = _Limit.of(0)
+        """Of the file that is read."""
+        self._size = 0
+        """Bytes of its layers so far."""
         self._calls = threading.Lock()
         self._remotes = 0
         """Functions that the parent still has."""
@@ -158,8 +170,10 @@ class _Child:
         if self._remotes:
             return
         with contextlib.suppress(OSError, EOFError, ValueError):  # it may have ended, and its streams be closed
-            self._send("done")
-            if _FORKS and self._receive()[0] == "ended":
+            if self._reader:
+                self._send("done")
+            if self._reader and _FORKS and self._receive()[0] == "ended":
+                self._reader = 0
                 with self._lock:
                     self._idle.append(self)
                 return
@@ -183,7 +197,7 @@ class _Child:
             FormatError: As of `read_apart`.
         """
         self._path = path
-        limit = _Limit.of(0)
+        limit = self._begin(request)
         with self._calls:
             try:
                 self._send(request)
@@ -193,9 +207,10 @@ class _Child:
                         kind, value = self._receive()
                         if kind == "log":
                             _log.log(*value)
-                        elif kind in ("reader", "files", "limit"):
+                        elif kind in ("reader", "file", "limit"):
                             timer.cancel()
-                            limit = self._limit(limit, kind, value)
+                            self._take_limit(kind, value)
+                            limit = self._limit
                             timer = limit.timer(self.end)
                         elif kind == "result":
                             return value
@@ -204,6 +219,7 @@ class _Child:
                         elif kind == "crash":
                             raise RuntimeError(value)
                         else:
+                            self._reader = 0
                             raise _dead(path, limit, -value)
                 finally:
                     timer.cancel()
@@ -215,20 +231,26 @@ class _Child:
                 self._process.kill()
                 raise _dead(path, limit, self._process.wait()) from None
 
-    def _limit(self, limit: _Limit, kind: str, value: Any) -> _Limit:
-        """The limits from now on: the process has forked, asks for files, or has raised them for a texture.
+    def _begin(self, request: _Request | tuple[int, float]) -> _Limit:
+        """Forgets the file before, if the request is another one, and returns the limit of the call."""
+        if isinstance(request, _Request):
+            self._reader, self._size, self._limit = 0, 0, request.limit
+        return self._limit
+
+    def _take_limit(self, kind: str, value: Any) -> None:
+        """Sets the limit from now on: the process has forked, asks for a file, or has raised it for a texture.
 
         Raises:
             FormatError: A file is not allowed.
         """
         if kind == "reader":
             self._reader = value
-            return limit
-        if kind == "limit":
-            return value
-        limit = _Limit.of(_checked_bytes(self._path, value))
-        self._send((limit.memory, limit.seconds))
-        return limit
+        elif kind == "limit":
+            self._limit = value
+        else:
+            self._size += _checked_bytes(self._path, value)
+            self._limit = _Limit.of(self._size)
+            self._send(self._limit)
 
     def _send(self, value: Any) -> None:
         send(self._in, value)
@@ -294,20 +316,25 @@ def _dead(path: Path, limit: _Limit, status: int) -> FormatError:
     return FormatError(path, f"{what}: damaged, or made to exhaust this machine")
 
 
-def _checked_bytes(path: Path, files: list[Path]) -> int:
-    """Returns the bytes of the files that a stage is composed of.
+def _size_of(path: Path) -> int:
+    """Returns the bytes of a file, 0 of one that is not there."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _checked_bytes(path: Path, file: Path) -> int:
+    """Returns the bytes of one of the files that a stage is composed of.
 
     Raises:
-        FormatError: One is outside of the folder of ``path``, or no regular file.
+        FormatError: It is outside of the folder of ``path``, or no regular file.
     """
-    size = 0
-    for file in files:
-        if leaves_folder(path, file):
-            raise FormatError(path, f"names {os.fspath(file)[:200]!r}, which is not in its folder")
-        status = file.stat()
-        check_regular(file, status)
-        size += status.st_size
-    return size
+    if leaves_folder(path, file):
+        raise FormatError(path, f"names {os.fspath(file)[:200]!r}, which is not in its folder")
+    status = file.stat()
+    check_regular(file, status)
+    return status.st_size
 
 
 # --- The child ---
@@ -319,8 +346,10 @@ class _Session:
 
     input: BinaryIO
     output: BinaryIO
+    limit: _Limit
+    used: float = 0.0
+    """Processor time that was used when the present call began, seconds."""
     remotes: list[Remote] = field(default_factory=list[Remote])
-    limit: _Limit = field(default_factory=lambda: _Limit.of(0))
     has_assets: bool = False
 
     def send(self, kind: str, value: Any) -> None:
@@ -334,11 +363,23 @@ class _Session:
         self.remotes.append(value)
         return len(self.remotes) - 1
 
+    def begin(self) -> None:
+        """Begins a call, which has all of the processor time for itself."""
+        self.used = time.process_time()
+        self.take(self.limit)
+
+    def take(self, limit: _Limit) -> None:
+        """Limits memory, and the processor time of the present call."""
+        self.limit = limit
+        _limit(limit.memory, self.used + limit.seconds)
+
     def answer(self, function: Callable[[], Any]) -> None:
         """Sends what a function returns or raises."""
         try:
             self.send("result", function())
         except LumisplatError as error:
+            if "std::bad_alloc" in str(error):  # the library's own word for memory that is at its end
+                os._exit(1)
             self.send("error", error)
         except MemoryError:
             os._exit(1)
@@ -350,17 +391,16 @@ _session: _Session | None = None
 """That of this process, if it is a child."""
 
 
-def grant(files: list[Path]) -> None:
-    """In a child: asks the parent whether these files may be opened, and takes the limits that it sets.
+def grant(file: Path) -> None:
+    """In a child: asks the parent whether a file may be opened, and takes the limits that it sets.
 
     Args:
-        files: All files that a stage is composed of. In other processes nothing happens.
+        file: One of those that a stage is composed of. In other processes nothing happens.
     """
     if _session is None:
         return
-    _session.send("files", files)
-    _session.limit = _Limit(*receive(_session.input))
-    _limit(_session.limit)
+    _session.send("file", file)
+    _session.take(receive(_session.input))
 
 
 def allow_asset(size: int) -> None:
@@ -373,10 +413,9 @@ def allow_asset(size: int) -> None:
         return
     old, more = _session.limit, _Limit.of(size)
     memory = old.memory + more.memory - USD_MEMORY + (0 if _session.has_assets else USD_ASSETS_MEMORY)
-    _session.limit = _Limit(memory, old.seconds + more.seconds - USD_CPU_SECONDS)
     _session.has_assets = True
+    _session.take(_Limit(memory, old.seconds + more.seconds - USD_CPU_SECONDS))
     _session.send("limit", _session.limit)
-    _limit(_session.limit)
 
 
 def serve() -> None:
@@ -415,10 +454,10 @@ def _is_wanted(stdin: BinaryIO) -> bool:
 def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
     """Reads a file, and answers until nothing more is asked; then the process ends."""
     global _session  # noqa: PLW0603
-    session = _session = _Session(stdin, stdout)
+    session = _session = _Session(stdin, stdout, request.limit)
     try:
         session.send("reader", os.getpid())
-        _limit(session.limit)
+        session.begin()
         os.chdir(request.folder)
         _log.setLevel(request.level)
         _log.propagate = False
@@ -428,21 +467,21 @@ def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
             session.answer(lambda: function(request.path, *request.arguments))
             while isinstance(more := receive(stdin), tuple):
                 number, argument = cast(tuple[int, float], more)
+                session.begin()
                 session.answer(lambda: session.remotes[number](argument))  # noqa: B023
         os._exit(0)
     except (EOFError, OSError, MemoryError):
         os._exit(1)
 
 
-def _limit(limit: _Limit) -> None:
-    """Limits what this process may take from now on, where the system can."""
+def _limit(memory: int, seconds: float) -> None:
+    """Limits the memory and the whole processor time of this process, where the system can."""
     try:
         import resource
     except ImportError:
         return
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    until = int(used.ru_utime + used.ru_stime + limit.seconds) + 1
-    for kind, most in ((resource.RLIMIT_DATA, limit.memory), (resource.RLIMIT_CPU, until), (resource.RLIMIT_CORE, 0)):
+    until = int(seconds) + 1
+    for kind, most in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_CPU, until), (resource.RLIMIT_CORE, 0)):
         hard = resource.getrlimit(kind)[1]
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))

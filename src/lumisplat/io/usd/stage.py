@@ -12,9 +12,8 @@ import numpy as np
 
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.native import utf8_path
-from lumisplat.io.usd.layers import named_layers
+from lumisplat.io.usd.layers import check_layers
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.process import grant
 from lumisplat.io.usd.remarks import Remarks
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.rotations import axis_rotation
@@ -60,8 +59,7 @@ def open_usd(path: Path) -> UsdFile:
     if not path.exists():
         raise MissingFileError(path, "no such file")
     with utf8_path(path) as text:
-        files, held = named_layers(path, text)
-        grant(files)
+        held = check_layers(path, text)
         stage = px.Usd.Stage.Open(text)
     if not stage:
         raise FormatError(path, "damaged, or not a USD file")

@@ -155,6 +155,6 @@ def script_for(shell: str) -> str:
     Args:
         shell: A key of `SCRIPTS`.
     """
-    command = [sys.executable, "-m", "lumisplat", "--tyro-print-completion", "bash"]
+    command = [sys.executable, "-P", "-m", "lumisplat", "--tyro-print-completion", "bash"]
     made = subprocess.run(command, check=True, capture_output=True, text=True)
     return SCRIPTS[shell](command_words(made.stdout))
