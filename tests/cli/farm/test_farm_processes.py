@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from lumisplat.cli.farm.run import FarmRun
 from lumisplat.cli.farm.worker import Order
 from support.frame_makers import FakeMaker
 from support.processes import PROGRAM, driver_of, is_running, wait_for
+from support.scenes.raster_scenes import one_gaussian
 
 TWO = FarmRoom(workers=2, cores=1, device="cpu")
 
@@ -212,3 +214,15 @@ def test_workers_share_the_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "CUDA_VISIBLE_DEVICES" not in place.environment
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "-1")
     assert "CUDA_VISIBLE_DEVICES" not in local_places(FarmRoom(workers=1, cores=1, device="auto"))[0].environment
+
+
+def test_workers_run_no_modules_of_the_working_folder(tmp_path: Path) -> None:
+    """Python would look for its own modules there first: the folder of a stranger's capture is no place for that."""
+    (tmp_path / "multiprocessing.py").write_text("open('hostile', 'w').close()")
+    ls.save(tmp_path / "one.ply", one_gaussian())
+    command = [str(Path(sys.executable).with_name("lumisplat")), "farm", "render", "one.ply", "--width", "16"]
+    command += ["--workers", "1", "--device", "cpu", "-o", "frames"]
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONSAFEPATH"}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "hostile").exists()

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.io.scene_toml import stated_up as up_module
 from lumisplat.io.scene_toml.stated_up import stated_up
 from lumisplat.io.splats.orientation import orientation_of
 from support.files.splat_files import capture, load_gaussians
@@ -197,3 +198,23 @@ def test_values_of_json_are_plain(tmp_path: Path) -> None:
         "width": 270,
         "height": 480,
     }
+
+
+def test_up_of_a_glb_is_found_once_for_all_that_ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Entries, actors and cameras of a scene file ask for it, and it takes reading the capture."""
+    ls.save(tmp_path / "a.glb", stated())
+    (tmp_path / "scene.toml").write_text(
+        '[[splats]]\npath = "a.glb"\n[[cameras]]\neye = [0, 0, 3]\ntarget = [0, 0, 0]\n'
+    )
+    reads = list[object]()
+    read = up_module.read_gltf
+
+    def counted(*arguments: Any, **options: Any) -> object:
+        reads.append(arguments)
+        return read(*arguments, **options)
+
+    monkeypatch.setattr(up_module, "read_gltf", counted)
+    ls.load(tmp_path / "scene.toml")
+    ls.load_cameras(tmp_path / "scene.toml")
+    ls.SceneDocument.open(tmp_path / "scene.toml")
+    assert len(reads) == 1

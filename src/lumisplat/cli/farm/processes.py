@@ -57,6 +57,7 @@ class Processes:
         arguments = theirs, number, self._order, place.environment
         # Spawned: a fork would copy the threads of this process, of which only one would go on.
         process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
+        os.environ.setdefault("PYTHONSAFEPATH", "1")  # else a worker runs modules of the working folder as Python's own
         process.start()
         theirs.close()  # so that its end is heard here
         self._processes[number] = _Process(process, ours, place)

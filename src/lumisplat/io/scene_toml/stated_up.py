@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import logging
+import threading
 import zipfile
+from collections.abc import Generator
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 
 from lumisplat.errors import LumisplatError
@@ -19,6 +24,8 @@ from lumisplat.io.splats.spz import read_spz_orientation
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
 from lumisplat.scene.up import Vector
+
+_log = logging.getLogger("lumisplat")
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
@@ -36,7 +43,8 @@ def stated_up(path: Path) -> Vector | None:
         with parsing(path, "a capture"):
             kind = format_of(path)
             if kind in (".glb", ".gltf", *_USD):
-                return _up_by_format(path, kind)
+                status = path.stat()
+                return _up_by_format(path, kind, status.st_mtime_ns, status.st_size)
             return _up_by_values(path, kind)
     except (LumisplatError, OSError, zipfile.BadZipFile):
         return None
@@ -54,13 +62,33 @@ def _up_by_values(path: Path, kind: str) -> Vector | None:
     return read_spz_orientation(path).up if kind == ".spz" else None
 
 
-def _up_by_format(path: Path, kind: str) -> Vector | None:
-    """Returns the up of a capture whose format says how it stands; only the place of its node tells that."""
-    if kind in _USD:
-        from lumisplat.io.usd.scene import read_usd
+@lru_cache(maxsize=64)
+def _up_by_format(path: Path, kind: str, *_version: int) -> Vector | None:
+    """Returns the up of a capture whose format says how it stands; only the place of its node tells that.
 
-        return _up_of(read_usd(path, drop_invalid=True))
-    return _up_of(read_gltf(path, drop_invalid=True)) if _has_up(GltfFile(path)) else None
+    The whole file is read for it, once for each of its versions, and without log lines: who loads it logs them.
+    """
+    with _silenced():
+        if kind in _USD:
+            from lumisplat.io.usd.scene import read_usd
+
+            return _up_of(read_usd(path, drop_invalid=True))
+        return _up_of(read_gltf(path, drop_invalid=True)) if _has_up(GltfFile(path)) else None
+
+
+@contextmanager
+def _silenced() -> Generator[None]:
+    """Drops the log lines of this thread."""
+    thread = threading.get_ident()
+
+    def is_of_others(record: logging.LogRecord) -> bool:
+        return record.thread != thread
+
+    _log.addFilter(is_of_others)
+    try:
+        yield
+    finally:
+        _log.removeFilter(is_of_others)
 
 
 def _up_of(loaded: Gaussians | Scene) -> Vector | None:
