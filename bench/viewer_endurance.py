@@ -366,7 +366,8 @@ class Faults(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Notes a record."""
-        self.lines.append(record.getMessage())
+        if "says no place" not in record.getMessage():  # of a mesh that is added: where it was put
+            self.lines.append(record.getMessage())
 
 
 def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Report:

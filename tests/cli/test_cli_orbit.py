@@ -78,6 +78,10 @@ def test_the_default_folder_follows_the_video_and_other_settings_replace_its_fra
     ]
     caplog.clear()
     assert work.run("orbit", "@capture.ply", "--seconds", "0.2", *video).status == 0 and "replaced" not in caplog.text
+    work.path("other.ply").write_bytes(work.path("capture.ply").read_bytes())
+    other = work.run("orbit", "@other.ply", "--seconds", "0.2", *video)
+    assert other.status == 2 and "turn holds frames of other settings or files" in other.err
+    assert "--overwrite" in other.err and work.path("turn/frame_0001.png").is_file()
 
 
 def test_frames_that_no_orbit_made_are_never_replaced(work) -> None:

@@ -496,7 +496,7 @@ def test_what_nobody_was_there_for_is_told_to_the_next_page(viewer: ls.Viewer) -
         viewer._session.report("the last one")
         eventually(lambda: len(page.notes()) >= 4, "nobody was told")
         assert page.notes() == [
-            "mind: colours of leaves are odd",
+            "note: colours of leaves are odd",
             "that did not work: a file was left out",
             "that did not work: a crop that leaves nothing",
             "that did not work: the last one",

@@ -147,7 +147,7 @@ class FrameFolder:
 
     def _check(self, stamp: Path, origin: Mapping[str, str]) -> bool:
         """Returns whether the frames that are there are to be replaced; raises ConfigError if they may not be."""
-        advice = "give --overwrite to remove them, or another folder"
+        advice = f"give --overwrite to remove them, or another folder{' by -o' if self.is_default else ''}"
         stored = stored_origin(stamp)
         if stored is None:
             raise ls.ConfigError(
@@ -155,7 +155,7 @@ class FrameFolder:
             )
         if not (changed := self._differing(stored, origin)):
             return False
-        if not self.is_default:
+        if not self.is_default or stored.keys() != origin.keys():  # frames of other files are no earlier try of these
             what = f"other settings or files ({_listed(changed)})"
             raise ls.ConfigError(f"{self.folder} holds frames of {what}: {advice}")
         old = f"{counted(len(self._frames()), 'frame')} of other settings or files ({_listed(changed)})"

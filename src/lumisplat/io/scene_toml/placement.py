@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -127,7 +128,9 @@ def turned_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
 
 
 def _say(table: TomlTable, line: str) -> None:
-    _log.warning("%s", table.error(line))
+    asset = table.values.get("path")
+    named = table.is_of_file or asset is None
+    _log.warning("%s", table.error(line) if named else f"{Path(str(asset)).name}: {line}")
 
 
 def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.float64]:

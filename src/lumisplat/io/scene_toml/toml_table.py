@@ -159,6 +159,11 @@ class TomlTable:
         """The textures that tables of the file name, which are bounded together."""
         return self._source.textures
 
+    @property
+    def is_of_file(self) -> bool:
+        """Whether the text of a file has it, not only a document in memory."""
+        return bool(self._source.text)
+
     def error(self, problem: str, key: str | None = None) -> FormatError:
         """An error about a key of this table, or about the whole table; names the file, the line and the table."""
         lines = line_numbers(self._source.text)

@@ -82,10 +82,10 @@ class MaterialEstimate:
         """What to know about the result, a sentence each."""
         shown = float(self.confidence.mean())
         lines = [
-            "a closed room, for much of it sees no sky (else say inside: no): light is what it shows"
+            "a closed room, for much of it sees no sky (if not: --inside no, inside=False): light is what it shows"
             if self.is_inside
             else f"open: {1.0 - shown:.0%} of the light comes from where the capture shows nothing, and is found as a "
-            "sky, whose brightness is a guess (a closed room: say inside: yes)"
+            "sky, whose brightness is a guess (a closed room: --inside yes, inside=True)"
         ]
         if len(self.lamps):
             brightness = ", ".join(f"{lamp.mean():.3g}" for lamp in self.lamps)
