@@ -171,7 +171,9 @@ def test_output_that_cannot_be_written(work, output, named):
     ("args", "named"),
     [
         (("render", "--widht", "5"), "--widht, 5; perhaps you meant --width (see lumisplat --help)"),
-        (("paint",), "paint"),
+        (("paint",), "'paint' is no command (see lumisplat --help)"),
+        (("rendr", "x.ply"), "'rendr' is no command; perhaps you meant render (see lumisplat --help)"),
+        (("x.ply",), "'x.ply' is no command: lumisplat render x.ply renders it (see lumisplat --help)"),
         (("render", "x.ply", "--format", "gif"), "'gif' for argument '--format'"),
         (("render", "x.ply", "--width", "wide"), "'wide'"),
         (("render", "x.ply", "--strategy", "random"), "'random' for argument '--strategy'"),

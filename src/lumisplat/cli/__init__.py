@@ -39,7 +39,7 @@ from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
 from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.numbers import joined_numbers
-from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors
+from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors, unknown_command
 from lumisplat.cli.input.positionals import gathered_positionals
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.options.help_text import joined_lines
@@ -153,11 +153,19 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _arguments(args: Sequence[str]) -> list[str]:
-    """Arguments as the parser takes them: numbers of an option in one, files of a command together."""
+    """Arguments as the parser takes them: numbers of an option in one, files of a command together.
+
+    Raises:
+        ArgumentsError: The first argument is neither a command nor an option.
+    """
     words = joined_numbers(args)
     farmed = get_type_hints(Farm, include_extras=True)["what"]
     count = 2 if words[:1] == ["farm"] else 1
-    command = _commands(get_args(farmed)[0] if count == 2 else _Command).get("".join(words[count - 1 : count]))
+    commands = _commands(get_args(farmed)[0] if count == 2 else _Command)
+    name = "".join(words[count - 1 : count])
+    command = commands.get(name)
+    if command is None and name and not name.startswith("-"):
+        raise ArgumentsError(unknown_command(name, commands, "lumisplat farm" if count == 2 else "lumisplat"))
     return words if command is None else [*words[:count], *gathered_positionals(words[count:], command)]
 
 

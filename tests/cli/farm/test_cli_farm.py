@@ -105,7 +105,7 @@ def test_orbits_and_pictures_are_the_same(work) -> None:
         (("orbit", "@lost.ply"), "lost.ply: no such file"),
         (("orbit", "@capture.ply", "--samples", "0"), "samples is 0, expected"),
         (("render", "@capture.ply", "--view", "normal"), "--view colours all pictures by the first"),
-        (("dance",), "Unrecognized options: dance"),
+        (("dance",), "'dance' is no command (see lumisplat farm --help)"),
     ],
 )
 def test_mistakes(work, monkeypatch, options: tuple[str, ...], message: str) -> None:

@@ -293,6 +293,8 @@ def test_a_folder(tmp_path: Path, name: str) -> None:
     """A folder that is not a SOG capture is refused, even if it has the name of a file."""
     (tmp_path / name).mkdir()
     assert "is a folder without a meta.json" in refused(tmp_path / name)
+    (tmp_path / name / "transforms.json").write_text("{}")
+    assert "is a folder of images, not a capture: lumisplat train" in refused(tmp_path / name)
 
 
 def test_point_cloud(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import io
+import os
 import re
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from itertools import dropwhile, takewhile
 
 _STYLES = re.compile(r"\x1b\[[0-9;]*m")
@@ -38,6 +40,15 @@ def panels_as_errors() -> Generator[None]:
         if stop.code:
             raise ArgumentsError(one_line(panel.getvalue())) from None
         raise
+
+
+def unknown_command(name: str, commands: Iterable[str], program: str) -> str:
+    """Returns the line about a first argument that is no command: the one that is meant, or what shows a file."""
+    if os.path.exists(name) or os.path.splitext(name)[1]:
+        return f"'{name}' is no command: {program} render {name} renders it (see {program} --help)"
+    near = difflib.get_close_matches(name, commands, 1, 0.7)
+    meant = f"; perhaps you meant {near[0]}" if near else ""
+    return f"'{name}' is no command{meant} (see {program} --help)"
 
 
 def one_line(panel: str) -> str:

@@ -11,6 +11,8 @@ STREAMED_SOG = "lod-meta.json"
 """The file of a streamed SOG that lists its levels and chunks."""
 BLOCKS = "blocks.json"
 """The file of a capture in blocks that lists them."""
+_IMAGES = ("transforms.json", "transforms_train.json", "images", "sparse")
+"""What folders of images hold that captures are trained from."""
 _INNER_LISTED = 8
 """How many captures of a folder a message lists."""
 
@@ -24,6 +26,8 @@ def format_of(path: Path) -> str:
             return STREAMED_SOG
         if (path / BLOCKS).is_file():
             return BLOCKS
+        if any((path / name).exists() for name in _IMAGES):
+            raise FormatError(path, "is a folder of images, not a capture: lumisplat train makes a capture of them")
         given = f": give one of the captures in it, {inner}" if (inner := _inner_sog(path)) else ""
         raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{given}")
     if not path.exists():
