@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from lumisplat.errors import FormatError, SceneError
@@ -38,7 +39,7 @@ def read_cameras(path: PathLike, width: int | None = None, height: int | None = 
 
 def _in_folder(path: Path) -> Path:
     """Returns the camera file of a folder of images, as training finds it; the path itself if there is none."""
-    if not path.is_dir():
+    if not os.path.isdir(path):  # False, also of names that are too long
         return path
     from lumisplat.io.photographs.loading import find_model
 
