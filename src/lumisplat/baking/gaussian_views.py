@@ -56,20 +56,20 @@ class CatcherLight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownLight:
-    """What V views show, means over the samples."""
+    """Holds what V views show, as means over the samples."""
 
     even: Doubles
     """Linear light that does not come from captured colours, by every other sample, (V, 3)."""
     odd: Doubles
-    """The same by the others."""
+    """Linear light by the other samples, (V, 3)."""
     captured: Doubles
     """Display-referred captured colour that is kept, (V, 3)."""
     captured_weight: Doubles
     """1 where there is one, else 0, (V,)."""
     change: Doubles
-    """Of what a shadow catcher receives, by all that was added to it, (V, 3)."""
+    """Change of the irradiance of a shadow catcher by all that was added, (V, 3)."""
     received: Doubles
-    """What it received as it was captured, in the same unit, (V, 3); 0: it is no such surface."""
+    """Irradiance of the catcher as it was captured, (V, 3); 0 elsewhere."""
     distance: Doubles
     """To what hides the Gaussian from eyes that are farther away, scene units, (V,)."""
     nonfinite: int

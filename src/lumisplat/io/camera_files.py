@@ -38,7 +38,7 @@ def read_cameras(path: PathLike, width: int | None = None, height: int | None = 
 
 
 def _in_folder(path: Path) -> Path:
-    """Returns the camera file of a folder of images, as training finds it; the path itself if there is none."""
+    """Returns the camera file that a folder of images holds; the path itself if it is a file, or holds none."""
     if not os.path.isdir(path):  # False, also of names that are too long
         return path
     from lumisplat.io.photographs.loading import find_model

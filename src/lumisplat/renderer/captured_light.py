@@ -43,8 +43,9 @@ class MeshSurroundings:
 
     def __init__(self) -> None:
         self._splats: tuple[SplatInstance, ...] = ()
-        """The captures for which the light was found, and the box of the meshes."""
+        """Captures for which the light was found."""
         self._box = np.zeros((2, 3))
+        """Box of the meshes then."""
         self._light: CapturedLight | None = None
         self._render: Callable[[Scene, Camera], Frame] | None = None
         """Renders the captures around meshes that move, which it holds on the device; None: meshes have not moved."""
