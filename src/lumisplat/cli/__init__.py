@@ -42,9 +42,11 @@ from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors, unknown_command
 from lumisplat.cli.input.positionals import gathered_positionals
 from lumisplat.cli.options.command import Command
-from lumisplat.cli.options.help_text import joined_lines
+from lumisplat.cli.options.help_text import join_lines_of_docstrings
 from lumisplat.cli.output.console import one_line
 from lumisplat.cli.words import logging_in_shell_words, shell_words
+
+join_lines_of_docstrings()
 
 _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.
 
@@ -136,7 +138,7 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"lumisplat {ls.__version__}")
         return 0
     try:
-        with panels_as_errors(), joined_lines():
+        with panels_as_errors():
             command = tyro.cli(
                 _Command,  # pyright: ignore[reportArgumentType]
                 args=_arguments(args) or ["--help"],

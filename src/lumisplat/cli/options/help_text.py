@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
-from collections.abc import Generator
 
 import docstring_parser
 from docstring_parser import Docstring
 
 
-@contextlib.contextmanager
-def joined_lines() -> Generator[None]:
+def join_lines_of_docstrings() -> None:
     """Lets tyro, which reads docstrings by `docstring_parser`, see each paragraph of an option as one line.
 
     It takes a line that begins with no letter for one that has to stay a line, and all but the first begin with the
     spaces of the source: without this, text is wrapped where the source is, and then at the width of the terminal.
+    It stays so for the process: tyro keeps what it has read, whoever parses first (a farm parses options of training).
     """
     parse = docstring_parser.parse_from_object
 
@@ -27,10 +25,6 @@ def joined_lines() -> Generator[None]:
         return found
 
     docstring_parser.parse_from_object = parse_and_join
-    try:
-        yield
-    finally:
-        docstring_parser.parse_from_object = parse
 
 
 def _joined(text: str) -> str:
