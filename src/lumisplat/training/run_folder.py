@@ -15,7 +15,7 @@ from lumisplat.io import save_cameras
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.photographs.photographs import ReadFrom
-from lumisplat.io.scene_toml.toml_text import plain_value, toml_text
+from lumisplat.io.scene_toml.toml_text import toml_text
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
@@ -85,7 +85,7 @@ class RunFolder:
         if read_from is not None:
             background = read_from.background or "transparent"
             tables = {"photographs": asdict(read_from) | {"background": background}} | tables
-        _write(self.path / "settings.toml", toml_text(plain_value(tables)))
+        _write(self.path / "settings.toml", toml_text(tables))
 
     def write_curve(self, curve: Curve) -> None:
         """Writes the numbers of a curve."""

@@ -326,6 +326,17 @@ def test_toml_text_reads_back_to_what_was_written(values: dict[str, Any]) -> Non
     assert tomllib.loads(toml_text(values)) == values
 
 
+def test_arrays_stay_on_one_line_and_floats_are_short() -> None:
+    """Files are edited by hand: a matrix is one line, a number no longer than needed."""
+    text = toml_text({"splats": [{"path": Path("a.ply"), "transform": np.eye(4), "scale": 0.1}]})
+    row = "0.0, 0.0, 0.0"
+    assert text.splitlines()[1:3] == [
+        'path = "a.ply"',
+        f"transform = [[1.0, {row}], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [{row}, 1.0]]",
+    ]
+    assert "scale = 0.1\n" in text
+
+
 def tilted(degrees: float) -> np.ndarray:
     """A unit vector that leans by an angle from y down towards z."""
     return np.array([0.0, -math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])

@@ -12,7 +12,6 @@ color_strength = 1.0
 from __future__ import annotations
 
 import types
-from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -24,7 +23,7 @@ from lumisplat.errors import ConfigError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.scene_toml.toml_table import FLAG, TABLE, TomlTable, suggestion
-from lumisplat.io.scene_toml.toml_text import toml_value
+from lumisplat.io.scene_toml.toml_text import toml_text
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -59,7 +58,7 @@ def write_config(path: PathLike, config: RenderConfig) -> None:
     """
     if not isinstance(config, RenderConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ConfigError(f"config is a {type(config).__name__}, expected a RenderConfig")
-    text = "\n".join(_lines(config, "render")) + "\n"
+    text = toml_text({"render": _all_settings(config)})
     with atomic_write(path) as temporary:
         Path(temporary).write_text(text, encoding="utf-8")
 
@@ -124,19 +123,13 @@ def _member(table: TomlTable, key: str, kind: type[Enum]) -> Enum:
     return members[value]
 
 
-def _lines(config: DataclassInstance, name: str) -> Iterator[str]:
-    """A table of all settings; those of groups in tables after it."""
-    groups: list[str] = []
-    yield f"[{name}]"
-    for field in fields(config):
-        value = getattr(config, field.name)
-        if is_dataclass(value):
-            groups.append(field.name)
-        else:
-            yield f"{field.name} = {toml_value(_written(field.name, value))}"
-    for group in groups:
-        yield ""
-        yield from _lines(getattr(config, group), f"{name}.{group}")
+def _all_settings(config: DataclassInstance) -> dict[str, Any]:
+    """Returns every setting as a table of a scene file has it, those of groups in tables."""
+    values = {field.name: getattr(config, field.name) for field in fields(config)}
+    return {
+        name: _all_settings(cast(Any, value)) if is_dataclass(value) else _written(name, value)
+        for name, value in values.items()
+    }
 
 
 def changed_settings(config: DataclassInstance) -> dict[str, Any]:
