@@ -32,12 +32,12 @@ from bench.relightable.r3dg_light import (
 )
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.panorama import panorama_directions, panorama_lookup
 from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.training.materials.adam import Adam
 from lumisplat.training.materials.colored_gaussians import ColoredGaussians
 from lumisplat.training.photo_loss import Loss, PhotoLoss
 from lumisplat.training.views import TrainingView

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 import warp as wp
+from scipy.sparse.linalg import LinearOperator, cg
 
 from lumisplat.baking import seen_together_kernels as kernels
 from lumisplat.baking.frame_rays import FrameRays
@@ -35,6 +36,7 @@ from lumisplat.constants.baking import (
     OTHERS_MAX,
     RAYS_A_DIRECTION,
     SIGHT_MIN,
+    TOGETHER_ERROR,
     TOGETHER_RAYS,
     TOGETHER_STEPS,
 )
@@ -337,7 +339,7 @@ def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubl
     """Harmonics (N, K, 3) changed so that pixels show their colours, by least squares.
 
     Coefficients are expected to change by some hundredths, and pixels tell as much of it as their noise lets them: the
-    ridge is the ratio of the two variances. By conjugate gradients, a fixed number of steps.
+    ridge is the ratio of the two variances. Solved by conjugate gradients.
 
     Args:
         blend: Of the pixels.
@@ -348,16 +350,14 @@ def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubl
     level: Doubles = np.floor(np.sqrt(np.arange(sh.shape[1], dtype=np.float64) + 0.5))[:, None]
     ridge = (pixels.noise + MISFIT**2) / CHANGE_SPREAD**2 * (level + 1.0) ** 2 + information[:, None, None]
     residual = blend.gather(pixels.colors - blend.show(sh))
-    change = np.zeros_like(sh)
-    along, before = residual.copy(), np.square(residual).sum(axis=(0, 1))
-    for _ in range(TOGETHER_STEPS):
-        product = blend.gather(blend.blend(along)) + ridge * along
-        step = before / np.maximum((along * product).sum(axis=(0, 1)), 1e-30)
-        change += step * along
-        residual -= step * product
-        after = np.square(residual).sum(axis=(0, 1))
-        along, before = residual + after / np.maximum(before, 1e-30) * along, after
-    return sh + change
+
+    def normal_equations(change: Doubles) -> Doubles:
+        change = change.reshape(sh.shape)
+        return (blend.gather(blend.blend(change)) + ridge * change).ravel()
+
+    operator = LinearOperator((sh.size, sh.size), normal_equations, dtype=np.float64)
+    change, _ = cg(operator, residual.ravel(), rtol=TOGETHER_ERROR, maxiter=TOGETHER_STEPS)
+    return sh + change.reshape(sh.shape)
 
 
 def _ranges(count: int, at_once: int) -> Iterator[slice]:

@@ -86,7 +86,10 @@ MISFIT = 0.03
 """Error of blended harmonics that is expected besides noise, display-referred."""
 
 TOGETHER_STEPS = 40
-"""Of conjugate gradients: with 10, a room has 0.3 dB less, a statue 0.3, a ball of rough metal 0.6."""
+"""Most steps of conjugate gradients: with 10, a room has 0.3 dB less, a statue 0.3, a ball of rough metal 0.6."""
+
+TOGETHER_ERROR = 1e-6
+"""Relative residual at which these end: what single precision on the device resolves."""
 
 TOGETHER_RAYS = 2**19
 """Rays to Gaussians that are changed together: to 8,192 of them with 32 directions."""

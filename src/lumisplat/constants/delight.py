@@ -26,7 +26,10 @@ SIDE_SHARPNESS = 4
 """Exponent of the cosine between the axes of neighbours that agree on their sides."""
 
 SIDE_STEPS = 300
-"""Steps of conjugate gradients by which they do."""
+"""Most steps of conjugate gradients by which they do."""
+
+SIDE_ERROR = 1e-6
+"""Root mean square of the residual at which these end: signs are read off, which lie farther from 0."""
 
 ALPHA_LEAST = 1e-6
 """Share of a ray that is met, below which its colour is not told."""

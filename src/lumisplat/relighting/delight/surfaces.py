@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.linalg import cg
 
 from lumisplat.constants.delight import (
+    SIDE_ERROR,
     SIDE_SHARPNESS,
     SIDE_STEPS,
     SIDE_STIFFNESS,
@@ -54,22 +57,7 @@ def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
     weights = SIDE_STIFFNESS * np.sign(cosines) * np.abs(cosines) ** SIDE_SHARPNESS
     weights[near.first == near.second] = 0.0
     diagonal = np.abs(votes) + np.bincount(near.first, np.abs(weights), count) + 1e-9
-
-    def applied(x: Doubles) -> Doubles:
-        return diagonal * x - np.bincount(near.first, weights * x[near.second], count)
-
-    signs = np.sign(votes)
-    residual = votes - applied(signs)
-    step = scaled = residual / diagonal
-    length = float(residual @ scaled)
-    for _ in range(SIDE_STEPS):
-        if length < 1e-12 * count:
-            break
-        moved = applied(step)
-        share = length / float(step @ moved)
-        signs = signs + share * step
-        residual = residual - share * moved
-        scaled = residual / diagonal
-        length, before = float(residual @ scaled), length
-        step = scaled + (length / before) * step
+    matrix = diags_array(diagonal) - csr_array((weights, (near.first, near.second)), (count, count))
+    tolerance, jacobi = SIDE_ERROR * np.sqrt(count), diags_array(1.0 / diagonal)
+    signs, _ = cg(matrix, votes, np.sign(votes), rtol=0.0, atol=tolerance, maxiter=SIDE_STEPS, M=jacobi)
     return np.where(signs >= 0.0, 1.0, -1.0)

@@ -12,11 +12,11 @@ from lumisplat.constants.training import EXPOSURE_CHUNK
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.device.structs.training import Exposure
+from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.training.corrections import exposure_kernels as kernels
-from lumisplat.training.corrections.adam_rows import AdamRows
 
 IDENTITY = np.eye(3, 4)
 
@@ -27,17 +27,17 @@ class Exposures:
 
     values: Doubles
     """By which colours are multiplied, and what is added to them, shape (K, 3, 4)."""
-    rows: AdamRows
+    adam: Adam
 
     @classmethod
     def neutral(cls, count: int) -> Exposures:
         """Of photographs that are as they are."""
-        return cls(np.repeat(IDENTITY[None], count, axis=0), AdamRows.still(count, 12))
+        return cls(np.repeat(IDENTITY[None], count, axis=0), Adam.still((count, 12), by_rows=True))
 
     @property
     def state(self) -> dict[str, Doubles]:
         """All that the next step depends on."""
-        return {"exposures": self.values} | self.rows.state("exposures")
+        return {"exposures": self.values} | self.adam.state("exposures")
 
     def restore(self, state: dict[str, Doubles]) -> None:
         """Goes on from a state."""
@@ -52,7 +52,7 @@ class Exposures:
             gradient: Derivatives of the loss by its exposure, shape (3, 4).
             rate: How far it moves.
         """
-        self.values[number] += rate * self.rows.step(number, gradient.reshape(12)).reshape(3, 4)
+        self.values[number] += rate * self.adam.step(gradient.reshape(12), row=number).reshape(3, 4)
         self.values[:] -= self.values.mean(axis=0) - IDENTITY
 
 

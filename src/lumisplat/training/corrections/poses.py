@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lumisplat.errors import SceneError
+from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.rigid import cross_matrix, rigid_from_twist, twist_from_rigid
 from lumisplat.scene.camera import Camera
-from lumisplat.training.corrections.adam_rows import AdamRows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +26,7 @@ class Poses:
     """``camera_from_world`` of each, shape (K, 4, 4)."""
     given: Doubles
     """The same, before they moved."""
-    rows: AdamRows
+    adam: Adam
     length: float
     """Scene units that count as much as a radian: the distance from cameras to what they look at."""
 
@@ -45,12 +45,12 @@ class Poses:
                     "TrainConfig.refine_poses off"
                 )
         given = np.stack([np.asarray(camera.camera_from_world, np.float64) for camera in cameras])
-        return cls(given.copy(), given, AdamRows.still(len(cameras), 6), length)
+        return cls(given.copy(), given, Adam.still((len(cameras), 6), by_rows=True), length)
 
     @property
     def state(self) -> dict[str, Doubles]:
         """All that the next step depends on."""
-        return {"poses": self.values} | self.rows.state("poses")
+        return {"poses": self.values} | self.adam.state("poses")
 
     def restore(self, state: dict[str, Doubles]) -> None:
         """Goes on from a state."""
@@ -70,7 +70,7 @@ class Poses:
             rate: How far it turns, radians.
         """
         by_parameters = self._twist_from_parameters.T @ twist_gradient(self.values[number], gradient)
-        step = self._twist_from_parameters @ (rate * self.rows.step(number, by_parameters))
+        step = self._twist_from_parameters @ (rate * self.adam.step(by_parameters, row=number))
         self.values[number] = rigid_from_twist(step) @ self.values[number]
         moved = np.linalg.inv(self.given) @ self.values
         drift = np.mean([twist_from_rigid(one) for one in moved], axis=0)

@@ -18,13 +18,13 @@ from lumisplat.constants.materials import (
     ROUGHNESS_SMOOTHNESS,
     SKY_FINE_RATE,
 )
+from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Progress
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.materials import material_gradient_kernels, material_kernels
-from lumisplat.training.materials.adam import Adam
 from lumisplat.training.materials.colored_gaussians import ColoredGaussians
 from lumisplat.training.materials.incident import IncidentRadiance
 from lumisplat.training.materials.lit_gaussians import LitGaussians, Materials
@@ -110,7 +110,8 @@ class MaterialFit:
         """
         self._albedo, self._roughness, self._sky = (state[name].copy() for name in _MOVED)
         self._moments = [
-            Adam(state[f"{name}.first"].copy(), state[f"{name}.second"].copy(), iteration) for name in _MOVED
+            Adam(state[f"{name}.first"].copy(), state[f"{name}.second"].copy(), np.array(float(iteration)))
+            for name in _MOVED
         ]
         self.iteration = iteration
 

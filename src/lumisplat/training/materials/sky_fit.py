@@ -13,11 +13,11 @@ from lumisplat.constants.materials import (
     SKY_SEEN,
     SKY_SMOOTHNESS,
 )
+from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Progress
 from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.relighting.albedo.usual import even_radiance, usual_factor
-from lumisplat.training.materials.adam import Adam
 from lumisplat.training.materials.alike_pairs import AlikePairs
 
 
