@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb
 from lumisplat.relighting.actor_shadows import ActorShadows
-from lumisplat.scene.ops.irradiance import facing_irradiance
+from lumisplat.scene.lights import facing_irradiance
 from support.scenes.light_room import captured
 
 

@@ -16,7 +16,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
 from lumisplat.relighting.local_contrast import surroundings
-from lumisplat.scene.ops.irradiance import facing_irradiance
+from lumisplat.scene.lights import facing_irradiance
 from lumisplat.scene.ops.sh_colors import colors_along
 from support.scenes.light_room import SIZE, bright_wall, captured, lamp, room_with, sparkle, walls
 

@@ -17,7 +17,7 @@ from lumisplat.progress import Progress
 from lumisplat.relighting.actors import PlacedActor
 from lumisplat.relighting.captured_shadow import light_factors, light_shares
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
+from lumisplat.scene.lights import Light, LightEnvironment, PlacedLight
 from lumisplat.scene.local_frame import rendered_frame
 from lumisplat.scene.ops.recolor import scale_light_of
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
@@ -139,7 +139,7 @@ class ActorShadows:
     def _warn_of_lights_inside(self, casters: PlacedGaussians) -> None:
         """Warns, once a light, if an actor has walked into it: the actor then shadows nearly everything."""
         for row, light in enumerate(self._lights):
-            if isinstance(light, LightDirectional | LightEnvironment) or row in self._warned_lights:
+            if not isinstance(light, PlacedLight) or row in self._warned_lights:
                 continue
             if _is_inside(np.array(light.position) - self._origin, casters):
                 self._warned_lights.add(row)

@@ -14,8 +14,7 @@ from lumisplat.config import check_range
 from lumisplat.errors import SceneError, check_instance
 from lumisplat.math.arrays import FloatArray, float_array
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import Light, LightEnvironment
-from lumisplat.scene.ops.irradiance import facing_irradiance
+from lumisplat.scene.lights import Light, LightEnvironment, facing_irradiance
 from lumisplat.scene.ops.recolor import Subject, scale_light_of
 from lumisplat.scene.scene import SplatInstance, checked_lights
 

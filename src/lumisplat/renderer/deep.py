@@ -24,7 +24,7 @@ from lumisplat.renderer.renderer import create_renderer
 from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.scene.camera import Camera, CameraModel
-from lumisplat.scene.lights import LightEnvironment, LightRect, LightSphere
+from lumisplat.scene.lights import AreaLight, LightEnvironment
 from lumisplat.scene.ops.pixel_rays import world_rays
 from lumisplat.scene.ops.sh_colors import colors_along
 from lumisplat.scene.scene import Scene
@@ -168,7 +168,7 @@ class _DeepTracer:
         self._colors = _shown_colors(scene, camera)
         self._places = _ray_places(*camera.image_size)
         self._sky: LightEnvironment | None = None
-        self._lamps: list[LightRect | LightSphere] = []
+        self._lamps: list[AreaLight] = []
 
     def frame(self) -> Frame:
         """The frame of the rays."""
@@ -182,7 +182,7 @@ class _DeepTracer:
         for light in filter(operator.attrgetter("enabled"), self._scene.lights):
             if isinstance(light, LightEnvironment) and light.visible and config.background is not None:
                 self._sky = light
-            elif isinstance(light, LightRect | LightSphere) and light.visible and config.pipeline is Pipeline.PATH:
+            elif isinstance(light, AreaLight) and light.visible and config.pipeline is Pipeline.PATH:
                 self._lamps.append(light)
 
     def band(self, pixels: slice, wanted: _Wanted, offsets: list[tuple[float, float]]) -> _Samples:
@@ -222,9 +222,9 @@ class _DeepTracer:
             behind.append(_Layers(sees, far, left[sees], left[sees, None] * shown, np.ones(len(sees), bool)))
         return _Layers.of(behind)
 
-    def _lamp_layers(self, lamp: LightRect | LightSphere, met: PixelProfile, pixel: Rows) -> _Layers:
+    def _lamp_layers(self, lamp: AreaLight, met: PixelProfile, pixel: Rows) -> _Layers:
         """A lamp that is seen as a body: it adds light, and blocks none; ``pixel`` is that of each Gaussian."""
-        distance = _lamp_distances(lamp, met.origins, met.directions)
+        distance = lamp.distances(met.origins, met.directions.astype(np.float64))
         left = np.ones(len(distance), np.float32)
         in_front = met.gaussians.t < distance[pixel]
         np.minimum.at(left, pixel[in_front], met.gaussians.transmittance[in_front])
@@ -313,23 +313,6 @@ def _shares(layers: _Layers, wanted: FloatArray) -> Doubles:
     is_black = sums <= 0.0
     factor = np.maximum(wanted - summed(lamps), 0.0) / np.where(is_black, np.maximum(weights, _TINY), sums)
     return lamps + np.where(is_black[layers.pixel], weight, rest) * factor[layers.pixel]
-
-
-def _lamp_distances(lamp: LightRect | LightSphere, origins: Doubles, directions: FloatArray) -> Doubles:
-    """Where rays meet the side of a lamp that shines, or enter a sphere from outside, (N,); inf: they do not."""
-    from_lamp, along = origins - np.array(lamp.position), directions.astype(np.float64)
-    if isinstance(lamp, LightSphere):
-        to_middle = -(from_lamp * along).sum(axis=1)
-        inside = lamp.radius**2 - ((from_lamp + to_middle[:, None] * along) ** 2).sum(axis=1)
-        meets = (inside >= 0.0) & (to_middle > 0.0) & ((from_lamp**2).sum(axis=1) > lamp.radius**2)
-        return np.where(meets, to_middle - np.sqrt(np.maximum(inside, 0.0)), np.inf)
-    u, v = np.array(lamp.edge_u), np.array(lamp.edge_v)
-    across = np.cross(u, v)
-    towards = -along @ across
-    distance = (from_lamp @ across) / np.where(towards > 0.0, towards, 1.0)
-    met = from_lamp + distance[:, None] * along
-    shares = np.abs([np.cross(met, v) @ across, np.cross(u, met) @ across]) / (across @ across)
-    return np.where((towards > 0.0) & (distance > 0.0) & (shares <= 0.5).all(axis=0), distance, np.inf)
 
 
 def _seen_sky(sky: LightEnvironment, directions: FloatArray) -> FloatArray:

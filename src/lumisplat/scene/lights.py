@@ -2,20 +2,25 @@
 
 All lights have a ``color`` (linear Rec.709, at least 0, multiplied with the intensity), ``intensity``, ``enabled``,
 ``casts_shadow`` and ``name``. Positions and directions are in world space.
+
+Each class states what the rest of the package asks of a light: ``kind``, its ``type`` in scene files; ``unit``, that of
+its ``intensity``; ``aim_fields``, the fields that say where it shines; ``aim_keys``, what may be given in their place.
+The unions below the classes say which of them have a position, a direction, a radius or an area.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import InitVar, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
+from lumisplat.constants import LIGHT_DISTANCE_MIN
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FLOAT32_MAX, FloatArray, float_array, host_array, unit_vector
+from lumisplat.math.arrays import FLOAT32_MAX, Doubles, Flags, FloatArray, float_array, host_array, unit_vector
 from lumisplat.scene.checks import check_flag
 from lumisplat.scene.light_aims import Vector, facing_edges, towards, vector
 
@@ -30,6 +35,11 @@ class LightPoint:
     Raises:
         SceneError: A value is not finite, negative or of the wrong shape.
     """
+
+    kind: ClassVar[str] = "point"
+    unit: ClassVar[str] = "cd"
+    aim_fields: ClassVar[tuple[str, ...]] = ()
+    aim_keys: ClassVar[tuple[str, ...]] = ()
 
     position: Vector
     color: Vector = (1.0, 1.0, 1.0)
@@ -64,6 +74,14 @@ class LightPoint:
         _check_number("range", self.range, 0.0, above=True, finite=False)
         _check_number("radius", self.radius, 0.0)
 
+    def candela(self, offsets: Doubles) -> Doubles:
+        """Returns candela at an intensity of 1, as if all of the light shone from its position; shape (N,).
+
+        Args:
+            offsets: From the light's position, scene units, shape (N, 3).
+        """
+        return _window(self.range, _squared(offsets))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightSpot:
@@ -73,6 +91,11 @@ class LightSpot:
         SceneError: A value is not finite, negative or of the wrong shape, the direction has no length, or the angles
             are not ``0 <= inner < outer <= pi / 2``.
     """
+
+    kind: ClassVar[str] = "spot"
+    unit: ClassVar[str] = "cd"
+    aim_fields: ClassVar[tuple[str, ...]] = ("direction",)
+    aim_keys: ClassVar[tuple[str, ...]] = ("target",)
 
     position: Vector
     direction: Vector = (0.0, 0.0, 0.0)
@@ -127,6 +150,13 @@ class LightSpot:
                 "expected 0 <= inner < outer <= pi / 2 (radians)"
             )
 
+    def candela(self, offsets: Doubles) -> Doubles:
+        """As `LightPoint.candela`."""
+        distance2 = _squared(offsets)
+        inner, outer = math.cos(self.inner_angle), math.cos(self.outer_angle)
+        cosine = offsets @ np.array(self.direction) / np.sqrt(distance2)
+        return _window(self.range, distance2) * np.clip((cosine - outer) / max(inner - outer, 1e-30), 0.0, 1.0) ** 2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightDirectional:
@@ -136,6 +166,11 @@ class LightDirectional:
         SceneError: A value is not finite, negative or of the wrong shape, the direction has no length, or the angle is
             above pi / 2.
     """
+
+    kind: ClassVar[str] = "directional"
+    unit: ClassVar[str] = "lux"
+    aim_fields: ClassVar[tuple[str, ...]] = ("direction",)
+    aim_keys: ClassVar[tuple[str, ...]] = ("position", "target")
 
     direction: Vector = (0.0, 0.0, 0.0)
     """Direction in which the light travels, of any length; normalised. Needed unless there is a ``position``."""
@@ -194,6 +229,11 @@ class LightSphere:
         SceneError: A value is not finite, negative or of the wrong shape.
     """
 
+    kind: ClassVar[str] = "sphere"
+    unit: ClassVar[str] = "cd/m2"
+    aim_fields: ClassVar[tuple[str, ...]] = ()
+    aim_keys: ClassVar[tuple[str, ...]] = ()
+
     position: Vector
     radius: float
     """Scene units, > 0."""
@@ -227,6 +267,23 @@ class LightSphere:
         _check_number("radius", self.radius, 0.0, above=True)
         check_flag("visible", self.visible)
 
+    def candela(self, offsets: Doubles) -> Doubles:
+        """As `LightPoint.candela`."""
+        return np.full(len(offsets), math.pi * self.radius**2)
+
+    def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
+        """Returns where rays enter the sphere from outside, scene units, shape (N,); inf where they miss it.
+
+        Args:
+            origins: World space, shape (N, 3).
+            directions: Unit, shape (N, 3).
+        """
+        offsets = origins - np.array(self.position)
+        to_middle = -(offsets * directions).sum(axis=1)
+        inside = self.radius**2 - ((offsets + to_middle[:, None] * directions) ** 2).sum(axis=1)
+        hits = (inside >= 0.0) & (to_middle > 0.0) & ((offsets**2).sum(axis=1) > self.radius**2)
+        return np.where(hits, to_middle - np.sqrt(np.maximum(inside, 0.0)), np.inf)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightRect:
@@ -235,6 +292,11 @@ class LightRect:
     Raises:
         SceneError: A value is not finite, negative or of the wrong shape, or the edges are parallel.
     """
+
+    kind: ClassVar[str] = "rect"
+    unit: ClassVar[str] = "cd/m2"
+    aim_fields: ClassVar[tuple[str, ...]] = ("edge_u", "edge_v")
+    aim_keys: ClassVar[tuple[str, ...]] = ("target", "size")
 
     position: Vector
     """Centre of the rectangle."""
@@ -286,6 +348,30 @@ class LightRect:
             raise SceneError(f"edge_u {self.edge_u} and edge_v {self.edge_v} span no area")
         check_flag("visible", self.visible)
 
+    @property
+    def area_vector(self) -> Doubles:
+        """Normal of the side that shines, as long as the area, shape (3,)."""
+        return np.asarray(np.cross(self.edge_u, self.edge_v), np.float64)
+
+    def boundary(self) -> Doubles:
+        """Returns its corners in order, world space, shape (4, 3)."""
+        u, v = np.array(self.edge_u), np.array(self.edge_v)
+        return np.array([self.position + 0.5 * (a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+
+    def covers(self, offsets: Doubles) -> Flags:
+        """Returns which points of its plane lie within it, shape (N,); ``offsets`` are from its position."""
+        across = self.area_vector
+        shares = np.abs([np.cross(offsets, self.edge_v) @ across, np.cross(self.edge_u, offsets) @ across])
+        return np.asarray((shares / (across @ across) <= 0.5).all(axis=0))
+
+    def candela(self, offsets: Doubles) -> Doubles:
+        """As `LightPoint.candela`."""
+        return _flat_candela(self, offsets)
+
+    def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
+        """Returns where rays reach the side that shines, scene units, shape (N,); inf where they miss it."""
+        return _flat_distances(self, origins, directions)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightEnvironment:
@@ -297,6 +383,11 @@ class LightEnvironment:
     Raises:
         SceneError: The image is not a finite, non-negative (H, W, 3) array, or another value is out of range.
     """
+
+    kind: ClassVar[str] = "environment"
+    unit: ClassVar[str] = "x image"
+    aim_fields: ClassVar[tuple[str, ...]] = ()
+    aim_keys: ClassVar[tuple[str, ...]] = ()
 
     image: FloatArray | None = None
     """Linear Rec.709 radiance, shape (H, W, 3); None: 1 everywhere."""
@@ -351,8 +442,42 @@ class LightEnvironment:
         _check_number("shadow_distance", self.shadow_distance, 0.0, above=True, finite=False)
 
 
-Light = LightPoint | LightSpot | LightDirectional | LightSphere | LightRect | LightEnvironment
+FlatLight = LightRect
+"""Lights that shine from one side of a plane."""
+AreaLight = LightSphere | LightRect
+"""Lights whose surface shines: their intensity is a radiance, and paths show them."""
+RoundLight = LightPoint | LightSpot | LightSphere
+"""Lights at a position that have a radius."""
+AimedLight = LightSpot | LightDirectional
+"""Lights with a direction."""
+PlacedLight = LightPoint | LightSpot | LightSphere | LightRect
+"""Lights at a position."""
+Light = PlacedLight | LightDirectional | LightEnvironment
 """Any light."""
+LIGHT_KINDS: dict[str, type[PlacedLight | LightDirectional]] = {
+    one.kind: one for one in (LightPoint, LightSpot, LightDirectional, LightSphere, LightRect)
+}
+"""Lights by their ``type`` in scene files, where the environment has a table of its own."""
+
+
+def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles:
+    """Returns the unshadowed irradiance of surfaces that face a light, as if all of it shone from its position.
+
+    The formulas are those of device/light/light.py for hard shadows.
+
+    Args:
+        light: Any light but an environment.
+        points: World space, shape (N, 3).
+
+    Returns:
+        Linear Rec.709, shape (N, 3).
+    """
+    assert not isinstance(light, LightEnvironment)
+    power = light.intensity * np.array(light.color)
+    if isinstance(light, LightDirectional):
+        return np.broadcast_to(power, (len(points), 3)).copy()
+    offsets = np.asarray(points, dtype=np.float64) - np.array(light.position)
+    return (light.candela(offsets) / _squared(offsets))[:, None] * power
 
 
 def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
@@ -366,9 +491,31 @@ def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light
     changes: dict[str, Any] = {
         name: linear @ getattr(light, name) for name in ("direction", "edge_u", "edge_v") if hasattr(light, name)
     }
-    if not isinstance(light, LightDirectional | LightEnvironment):
+    if isinstance(light, PlacedLight):
         changes["position"] = linear @ light.position + world_from_light[:3, 3]
     return replace(light, **changes)
+
+
+def _squared(offsets: Doubles) -> Doubles:
+    """Squared lengths, at least that of the smallest distance to a light, shape (N,)."""
+    return np.maximum(np.einsum("ij,ij->i", offsets, offsets), LIGHT_DISTANCE_MIN**2)
+
+
+def _window(reach: float, distance2: Doubles) -> Doubles:
+    """Attenuation towards the end of a light's range (glTF, KHR_lights_punctual)."""
+    return np.clip(1.0 - (distance2 / reach**2) ** 2, 0.0, 1.0)
+
+
+def _flat_candela(light: FlatLight, offsets: Doubles) -> Doubles:
+    return np.maximum(offsets @ light.area_vector, 0.0) / np.sqrt(_squared(offsets))
+
+
+def _flat_distances(light: FlatLight, origins: Doubles, directions: Doubles) -> Doubles:
+    offsets, normal = origins - np.array(light.position), light.area_vector
+    towards = -directions @ normal
+    distances = (offsets @ normal) / np.where(towards > 0.0, towards, 1.0)
+    hits = (towards > 0.0) & (distances > 0.0) & light.covers(offsets + distances[:, None] * directions)
+    return np.where(hits, distances, np.inf)
 
 
 def _check_shared(light: Light) -> None:

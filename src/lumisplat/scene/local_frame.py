@@ -20,7 +20,7 @@ from lumisplat.constants.photographs import CAMERA_MARGIN, ONE_PLACE
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import Light, LightPoint, LightRect, LightSphere, LightSpot
+from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
@@ -141,7 +141,7 @@ class LocalFrame:
         return asset, matrix
 
     def _moved_light(self, light: Light) -> Light:
-        if isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
+        if isinstance(light, PlacedLight):
             return replace(light, position=tuple((np.asarray(light.position) - self.origin).tolist()))
         return light
 

@@ -23,7 +23,7 @@ from lumisplat.device.structs.shadow_map import (
 )
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import three_numbers
-from lumisplat.scene.lights import LightDirectional, LightPoint, LightRect, LightSphere, LightSpot
+from lumisplat.scene.lights import LightDirectional, PlacedLight
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians
 
 Source = npt.NDArray[np.float64] | LightDirectional
@@ -38,7 +38,7 @@ def source_of(light: object) -> Source:
     """
     if isinstance(light, LightDirectional):
         return light
-    if isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
+    if isinstance(light, PlacedLight):
         return np.array(light.position, dtype=np.float64)
     if not isinstance(light, list | tuple | np.ndarray):
         raise SceneError(f"light_position is a {type(light).__name__}, expected a point (3,), or a light at a place")

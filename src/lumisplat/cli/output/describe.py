@@ -24,14 +24,6 @@ if TYPE_CHECKING:
 _BAR = 24
 """Length of the longest histogram bar, characters."""
 
-_UNITS: dict[type[Light], str] = {
-    ls.LightDirectional: "lux",
-    ls.LightPoint: "cd",
-    ls.LightSpot: "cd",
-    ls.LightEnvironment: "x image",
-}
-"""Units of intensity; of all other lights, candela per square metre."""
-
 Rows = list[tuple[str, str]]
 
 
@@ -162,7 +154,7 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
 def light_row(light: Light) -> tuple[str, str]:
     """A light: what kind, how bright, and where."""
     kind = type(light).__name__.removeprefix("Light").lower()
-    texts = ["{:.4g} {}".format(light.intensity, _UNITS.get(type(light), "cd/m2"))]
+    texts = [f"{light.intensity:.4g} {light.unit}"]
     if light.color != (1.0, 1.0, 1.0):
         texts.append("colour {:.3g} {:.3g} {:.3g}".format(*light.color))
     for name, title in (("position", "at"), ("direction", "towards"), ("edge_u", "edges"), ("edge_v", "and")):

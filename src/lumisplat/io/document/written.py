@@ -10,7 +10,6 @@ import numpy as np
 
 from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.io.scene_toml.fields import DEGREES, key_of
-from lumisplat.io.scene_toml.lights import LIGHT_KINDS
 from lumisplat.io.scene_toml.materials import MATERIAL_KINDS
 from lumisplat.io.scene_toml.toml_table import Values
 from lumisplat.io.scene_toml.toml_text import plain_value
@@ -29,7 +28,7 @@ _STEPS = 3
 
 def light_table(light: Light) -> Values:
     """The entry of a light; of an environment the table, without its image."""
-    table = {} if isinstance(light, LightEnvironment) else {"type": _name(LIGHT_KINDS, type(light))}
+    table = {} if isinstance(light, LightEnvironment) else {"type": light.kind}
     return table | _values(light, without=("image",))
 
 

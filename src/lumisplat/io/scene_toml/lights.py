@@ -1,7 +1,7 @@
 """Lights and the environment of a scene file.
 
 [[lights]]
-type = "spot"                       # point, spot, directional, sphere or rect
+type = "spot"                       # the kind of a class of scene/lights.py
 position = [0.0, 2.0, 0.0]
 direction = [0.0, -1.0, 0.0]
 intensity = 40.0                    # candela
@@ -21,40 +21,9 @@ from lumisplat.errors import SceneError
 from lumisplat.io.images.radiance import read_radiance
 from lumisplat.io.scene_toml.fields import required_keys, schema, with_radians
 from lumisplat.io.scene_toml.toml_table import PAIR, TEXT, VECTOR, Kind, TomlTable, Values
-from lumisplat.scene.lights import (
-    Light,
-    LightDirectional,
-    LightEnvironment,
-    LightPoint,
-    LightRect,
-    LightSphere,
-    LightSpot,
-)
+from lumisplat.scene.lights import LIGHT_KINDS, Light, LightEnvironment, LightSpot
 
 _Light = TypeVar("_Light", bound=Light)
-
-LIGHT_KINDS: dict[str, type[Light]] = {
-    "point": LightPoint,
-    "spot": LightSpot,
-    "directional": LightDirectional,
-    "sphere": LightSphere,
-    "rect": LightRect,
-}
-"""Lights by their type in a scene file."""
-
-
-_WORDS: dict[type[Light], dict[str, Kind]] = {
-    LightSpot: {"target": VECTOR},
-    LightDirectional: {"position": VECTOR, "target": VECTOR},
-    LightRect: {"target": VECTOR, "size": PAIR},
-}
-"""Keys of lights that stand for others."""
-_AIMS: dict[type[Light], tuple[str, ...]] = {
-    LightSpot: ("direction",),
-    LightDirectional: ("direction",),
-    LightRect: ("edge_u", "edge_v"),
-}
-"""The keys that those stand for, which are needed without them."""
 
 
 def read_light(table: TomlTable) -> Light:
@@ -70,7 +39,7 @@ def read_light(table: TomlTable) -> Light:
     if kind is None:
         meant = suggestion(name, LIGHT_KINDS) if isinstance(name, str) else f"expected {', '.join(LIGHT_KINDS)}"
         raise table.error(f"type is {name!r}, {meant}" if "type" in table.values else f"lacks type, {meant}", "type")
-    given = table.take({"type": TEXT, **schema(kind), **_WORDS.get(kind, {})}, _required(kind, table))
+    given = table.take({"type": TEXT, **schema(kind), **_aim_keys(kind)}, _required(kind, table))
     del given["type"]
     values = with_radians(table, given)
     if kind is LightSpot:
@@ -81,11 +50,15 @@ def read_light(table: TomlTable) -> Light:
     return _make(table, kind, values)
 
 
+def _aim_keys(kind: type[Light]) -> dict[str, Kind]:
+    """Keys that stand for others: a size is a pair, all else a position."""
+    return {key: PAIR if key == "size" else VECTOR for key in kind.aim_keys}
+
+
 def _required(kind: type[Light], table: TomlTable) -> list[str]:
     """The keys that a light needs: those without a default, and something that says where it shines."""
-    aims = _AIMS.get(kind, ())
-    instead = {"target", "position" if kind is LightDirectional else "target"} & set(table.values)
-    return required_keys(kind) + ([] if instead else list(aims))
+    is_aimed = any(key in table.values for key in kind.aim_keys if key != "size")
+    return required_keys(kind) + ([] if is_aimed else list(kind.aim_fields))
 
 
 def read_environment(table: TomlTable) -> LightEnvironment:

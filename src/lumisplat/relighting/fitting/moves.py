@@ -10,14 +10,7 @@ import numpy as np
 
 from lumisplat.constants.light_fit import ANGLE_STEP, PLACE_STEP
 from lumisplat.math.arrays import Doubles, unit_vector
-from lumisplat.scene.lights import (
-    Light,
-    LightDirectional,
-    LightPoint,
-    LightRect,
-    LightSphere,
-    LightSpot,
-)
+from lumisplat.scene.lights import AimedLight, Light, LightSpot, PlacedLight, RoundLight
 
 Kind = Literal["position", "direction", "radius", "inner", "outer"]
 _ANGLE_GAP = 1e-3
@@ -43,15 +36,15 @@ class Move:
     def applied(self, light: Light, amount: float) -> Light:
         """The light with this number larger by an amount, within its bounds."""
         if self.kind == "position":
-            assert isinstance(light, LightPoint | LightSpot | LightSphere | LightRect)
+            assert isinstance(light, PlacedLight)
             return replace(light, position=np.add(light.position, amount * np.eye(3)[self.axis]))
         if self.kind == "direction":
-            assert isinstance(light, LightSpot | LightDirectional)
+            assert isinstance(light, AimedLight)
             along = np.array(light.direction)
             tangent = _tangents(along)[self.axis]
             return replace(light, direction=math.cos(amount) * along + math.sin(amount) * tangent)
         if self.kind == "radius":
-            assert isinstance(light, LightPoint | LightSpot | LightSphere)
+            assert isinstance(light, RoundLight)
             return replace(light, radius=max(light.radius + amount, self.least))
         assert isinstance(light, LightSpot)
         if self.kind == "inner":
@@ -72,11 +65,11 @@ def moves_of(number: int, light: Light, size: float, *, positions: bool, radii: 
         angles: The cones of spots.
     """
     moves: list[Move] = []
-    if positions and isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
+    if positions and isinstance(light, PlacedLight):
         moves += [Move(number, "position", axis, PLACE_STEP * size) for axis in range(3)]
-    if positions and isinstance(light, LightSpot | LightDirectional):
+    if positions and isinstance(light, AimedLight):
         moves += [Move(number, "direction", axis, ANGLE_STEP) for axis in range(2)]
-    if radii and isinstance(light, LightPoint | LightSpot | LightSphere) and light.radius > 0.0:
+    if radii and isinstance(light, RoundLight) and light.radius > 0.0:
         least = _SMALLEST * size
         moves.append(Move(number, "radius", 0, max(PLACE_STEP * size, 0.1 * light.radius), least))
     if angles and isinstance(light, LightSpot):

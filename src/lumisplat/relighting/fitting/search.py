@@ -20,7 +20,7 @@ from lumisplat.relighting.fitting.columns import Columns, huber_cost, normal_equ
 from lumisplat.relighting.fitting.guess import Guess, Guesser
 from lumisplat.relighting.fitting.moves import Move
 from lumisplat.relighting.fitting.paints import Paint, colors_of, painted
-from lumisplat.scene.lights import Light, LightPoint, LightRect, LightSphere, LightSpot
+from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
 
 _ANGLE_MAX, _STOPS_MAX = 0.3, 0.7
@@ -198,7 +198,7 @@ def _is_short(guesser: Guesser, change: Doubles) -> bool:
 
 def _inside(light: Light, low: Doubles, high: Doubles) -> Light:
     """The light in the box for lamps."""
-    assert isinstance(light, LightPoint | LightSpot | LightSphere | LightRect)
+    assert isinstance(light, PlacedLight)
     place = np.array(light.position)
     held = np.clip(place, low, high)
     return light if (held == place).all() else replace(light, position=held)

@@ -15,7 +15,7 @@ from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles
 from lumisplat.relighting.fitting.moves import Move, moves_of
 from lumisplat.relighting.fitting.paints import Paint, paints_of
-from lumisplat.scene.lights import LightEnvironment, LightPoint, LightRect, LightSphere, LightSpot
+from lumisplat.scene.lights import LightEnvironment, PlacedLight
 from lumisplat.scene.scene import Scene
 
 Exposure = float | Sequence[float] | Literal["fit"] | None
@@ -120,7 +120,7 @@ class FitTask:
             unknown[0] = False  # else all lights could be twice as strong, and the exposure a stop less
         every = isinstance(options.base_colors, bool) or len(paints) == len(paints_of(start, True))
         lamps = [start.lights[number] for number in lights]
-        placed = [lamp.position for lamp in lamps if isinstance(lamp, LightPoint | LightSpot | LightSphere | LightRect)]
+        placed = [lamp.position for lamp in lamps if isinstance(lamp, PlacedLight)]
         places = np.array(placed, np.float64).reshape(-1, 3)
         return cls(
             scene=start,

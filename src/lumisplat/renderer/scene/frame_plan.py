@@ -37,7 +37,7 @@ from lumisplat.renderer.scene.materials import (
     is_relit,
     is_rough_glass,
 )
-from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect, LightSphere
+from lumisplat.scene.lights import AreaLight, Light, LightDirectional, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
 
@@ -327,7 +327,7 @@ def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> 
 
 def is_visible(light: Light) -> bool:
     """Whether paths show a light as a body."""
-    return isinstance(light, LightRect | LightSphere) and light.enabled and light.visible
+    return isinstance(light, AreaLight) and light.enabled and light.visible
 
 
 def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lobes: bool) -> int:
@@ -401,6 +401,4 @@ def has_size(light: Light) -> bool:
     """Whether soft shadows sample a light over its extent; an environment has none."""
     if isinstance(light, LightEnvironment):
         return False
-    if isinstance(light, LightRect):
-        return True
-    return (light.angle if isinstance(light, LightDirectional) else light.radius) > 0.0
+    return isinstance(light, AreaLight) or (light.angle if isinstance(light, LightDirectional) else light.radius) > 0.0

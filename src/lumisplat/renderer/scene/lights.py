@@ -31,6 +31,8 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import (
+    AimedLight,
+    AreaLight,
     Light,
     LightDirectional,
     LightEnvironment,
@@ -38,11 +40,21 @@ from lumisplat.scene.lights import (
     LightRect,
     LightSphere,
     LightSpot,
+    PlacedLight,
+    RoundLight,
 )
 from lumisplat.scene.scene import Scene
 
 WHITE = np.ones((1, 1, 3), dtype=np.float32)
 """The image of an environment of one colour."""
+_KINDS: dict[type, int] = {
+    LightPoint: LIGHT_POINT,
+    LightSphere: LIGHT_POINT,
+    LightSpot: LIGHT_SPOT,
+    LightDirectional: LIGHT_DIRECTIONAL,
+    LightRect: LIGHT_RECT,
+}
+"""What kernels take lights for; all others for the environment."""
 
 
 class LightTable:
@@ -122,37 +134,37 @@ def light_table(lights: list[Light]) -> np.ndarray:
     """One row of LightData a light."""
     table = np.zeros(len(lights), dtype=table_dtype(LightData))
     for row, light in zip(np.split(table, len(lights)) if lights else [], lights, strict=True):
+        row["kind"] = _KINDS.get(type(light), LIGHT_ENVIRONMENT)
         row["power"] = power_of(light)
         row["casts_shadow"] = light.casts_shadow
-        row["visible"] = isinstance(light, LightRect | LightSphere) and light.visible
-        row["range"] = math.inf
-        if isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
+        row["visible"] = isinstance(light, AreaLight) and light.visible
+        reach = math.inf
+        if isinstance(light, PlacedLight):
             row["position"] = np.clip(light.position, -TRANSFORM_MAX, TRANSFORM_MAX)
-        if isinstance(light, LightPoint | LightSpot | LightSphere):
-            row["kind"] = LIGHT_POINT
-            row["radius"] = min(light.radius, TRANSFORM_MAX)
-        if isinstance(light, LightPoint | LightSpot) and light.range < TRANSFORM_MAX:
-            row["range"] = light.range
-        if isinstance(light, LightDirectional | LightEnvironment) and light.shadow_distance < TRANSFORM_MAX:
-            row["range"] = light.shadow_distance
-        if isinstance(light, LightSpot | LightDirectional):
+        else:
+            reach = light.shadow_distance
+        if isinstance(light, AimedLight):
             row["direction"] = light.direction
+        if isinstance(light, RoundLight):
+            row["radius"] = min(light.radius, TRANSFORM_MAX)
+        if isinstance(light, LightPoint | LightSpot):
+            reach = light.range
+        row["range"] = reach if reach < TRANSFORM_MAX else math.inf
 
-        if isinstance(light, LightSpot):
-            row["kind"] = LIGHT_SPOT
-            row["inner"], row["outer"] = (2.0 * math.sin(0.5 * a) ** 2 for a in (light.inner_angle, light.outer_angle))
-        elif isinstance(light, LightSphere):
-            candela = math.pi * min(light.radius, TRANSFORM_MAX) ** 2 * power_of(light)
-            row["power"] = np.minimum(candela, LIGHT_POWER_MAX)
-        elif isinstance(light, LightDirectional):
-            row["kind"], row["radius"] = LIGHT_DIRECTIONAL, light.angle
-        elif isinstance(light, LightRect):
-            normal = np.cross(light.edge_u, light.edge_v)
-            row["kind"] = LIGHT_RECT
-            row["direction"] = normal / np.linalg.norm(normal)
-            row["edge_u"], row["edge_v"] = np.clip((light.edge_u, light.edge_v), -TRANSFORM_MAX, TRANSFORM_MAX)
-        elif isinstance(light, LightEnvironment):
-            row["kind"] = LIGHT_ENVIRONMENT
+        match light:
+            case LightSpot(inner_angle=inner, outer_angle=outer):
+                row["inner"], row["outer"] = (2.0 * math.sin(0.5 * angle) ** 2 for angle in (inner, outer))
+            case LightDirectional(angle=angle):
+                row["radius"] = angle
+            case LightSphere():
+                candela = math.pi * min(light.radius, TRANSFORM_MAX) ** 2 * power_of(light)
+                row["power"] = np.minimum(candela, LIGHT_POWER_MAX)
+            case LightRect():
+                normal = light.area_vector
+                row["direction"] = normal / np.linalg.norm(normal)
+                row["edge_u"], row["edge_v"] = np.clip((light.edge_u, light.edge_v), -TRANSFORM_MAX, TRANSFORM_MAX)
+            case _:
+                pass
     return table
 
 

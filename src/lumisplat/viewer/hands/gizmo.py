@@ -73,20 +73,17 @@ def grip_of(entry: ls.SceneEntry, box: Box | None, extent: Extent, time: float =
 def _grip_of_light(light: Any, extent: Extent) -> Grip | None:
     grip = np.eye(4)
     match light:
-        case ls.LightPoint() | ls.LightSphere():
-            grip[:3, 3] = light.position
-            return Grip(grip, turns=False)
-        case ls.LightSpot():
-            grip[:3, :3], grip[:3, 3] = _rotation_to(light.direction), light.position
-            return Grip(grip)
-        case ls.LightRect():
-            grip[:3, :3], grip[:3, 3] = _rotation_of_edges(light.edge_u, light.edge_v), light.position
-            return Grip(grip)
         case ls.LightDirectional():
             grip[:3, 3] = np.array(extent.center) - extent.dome_radius * np.array(light.direction)
-            return Grip(grip, turns=False)
-        case _:
+        case ls.LightEnvironment():
             return None
+        case _:
+            grip[:3, 3] = light.position
+            if light.aim_fields == ("direction",):
+                grip[:3, :3] = _rotation_to(light.direction)
+            elif light.aim_fields:
+                grip[:3, :3] = _rotation_of_edges(light.edge_u, light.edge_v)
+    return Grip(grip, turns=not isinstance(light, ls.LightDirectional) and bool(light.aim_fields))
 
 
 def moved(document: ls.SceneDocument, entry: ls.SceneEntry, move: Matrix, time: float) -> ls.SceneDocument:
@@ -101,9 +98,7 @@ def moved(document: ls.SceneDocument, entry: ls.SceneEntry, move: Matrix, time: 
     return document.placed(entry.id, np.linalg.inv(motion) @ move @ motion @ np.asarray(entry.world_from_file))
 
 
-def dragged(  # noqa: PLR0911
-    document: ls.SceneDocument, drag: Drag, now: Matrix, extent: Extent
-) -> ls.SceneDocument:
+def dragged(document: ls.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.SceneDocument:
     """The document with an entry moved as its grip was; an actor that moves takes its way with it.
 
     Args:
@@ -120,24 +115,22 @@ def dragged(  # noqa: PLR0911
     move = now @ np.linalg.inv(drag.start)
     if entry.kind not in ("lights", "environment"):
         return moved(document, entry, move, drag.time)
-    light = entry.lights[0]
-    position = [float(x) for x in now[:3, 3]]
-    match light:
-        case ls.LightPoint() | ls.LightSphere():
-            return document.changed(number, position=position)
-        case ls.LightSpot():
-            direction = [float(x) for x in now[:3, 2]]
-            return document.changed(number, position=position, direction=direction, target=None)
-        case ls.LightRect():
-            edges = {name: [float(x) for x in move[:3, :3] @ getattr(light, name)] for name in ("edge_u", "edge_v")}
-            return document.changed(number, position=position, **edges, target=None, size=None)
-        case ls.LightDirectional():
-            direction = np.array(extent.center) - now[:3, 3]
-            if not direction.any():
-                return document
-            return document.changed(number, direction=[float(x) for x in direction], position=None, target=None)
-        case _:
-            return document
+    light: Any = entry.lights[0]
+    if isinstance(light, ls.LightEnvironment):
+        return document
+    aims: dict[str, Any] = dict.fromkeys(light.aim_keys)
+    if isinstance(light, ls.LightDirectional):
+        direction = np.array(extent.center) - now[:3, 3]
+        return document.changed(number, **aims, direction=_listed(direction)) if direction.any() else document
+    if light.aim_fields == ("direction",):
+        aims["direction"] = _listed(now[:3, 2])
+    elif light.aim_fields:
+        aims |= {name: _listed(move[:3, :3] @ getattr(light, name)) for name in light.aim_fields}
+    return document.changed(number, **aims, position=_listed(now[:3, 3]))
+
+
+def _listed(vector: Any) -> list[float]:
+    return [float(x) for x in vector]
 
 
 def _rotation_to(direction: npt.ArrayLike) -> Matrix:

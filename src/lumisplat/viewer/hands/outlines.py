@@ -37,7 +37,7 @@ class Outline:
     color: tuple[int, int, int]
 
 
-def light_outline(light: object, size: float, *, is_selected: bool) -> Outline | None:
+def light_outline(light: Any, size: float, *, is_selected: bool) -> Outline | None:
     """The lines of a light; None: of one that is nowhere, such as a sky.
 
     Args:
@@ -47,16 +47,16 @@ def light_outline(light: object, size: float, *, is_selected: bool) -> Outline |
     """
     color = _SELECTED if is_selected else _OTHERS
     match light:
+        case ls.LightDirectional() | ls.LightEnvironment():
+            return None
+        case ls.LightSpot():
+            lines = _ball(light.position, light.radius or 0.35 * size) + (_cone(light, size) if is_selected else ())
         case ls.LightPoint() | ls.LightSphere():
             lines = _ball(light.position, light.radius or 0.5 * size)
             if is_selected and isinstance(light, ls.LightPoint) and math.isfinite(light.range):
                 lines += _ball(light.position, light.range)
-        case ls.LightSpot():
-            lines = _ball(light.position, light.radius or 0.35 * size) + (_cone(light, size) if is_selected else ())
-        case ls.LightRect():
-            lines = _rectangle(light)
         case _:
-            return None
+            lines = _flat(light)
     return Outline(lines, color)
 
 
@@ -204,10 +204,10 @@ def _cone(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
     return tuple(lines)
 
 
-def _rectangle(light: ls.LightRect) -> tuple[Points, ...]:
-    center, u, v = (np.array(value) for value in (light.position, light.edge_u, light.edge_v))
-    corners = [center + 0.5 * (a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    normal = np.cross(u, v)
-    normal *= 0.25 * math.sqrt(np.linalg.norm(normal)) / np.linalg.norm(normal)
-    sides = (_straight(a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
+def _flat(light: Any) -> tuple[Points, ...]:
+    """The boundary of a light in a plane, and where it shines."""
+    corners, normal, center = light.boundary(), light.area_vector, np.array(light.position)
+    normal = 0.25 * normal / math.sqrt(np.linalg.norm(normal))
+    pieces = max(1, 4 * _PIECES // len(corners))
+    sides = (_straight(a, b, pieces) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True))
     return (*sides, _straight(center, center + normal))

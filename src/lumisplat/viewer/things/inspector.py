@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 _WHITE_K = 6500.0
 """Temperature that is shown of a light whose colour is not of a temperature that was chosen here."""
-_UNITS = {"LightPoint": "cd", "LightSpot": "cd", "LightDirectional": "lux"}
-"""Of intensities, by kind of light."""
 _SUN = (
     Described(
         "azimuth_degrees",
@@ -78,7 +76,7 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
         elif field.name == "direction" and isinstance(light, ls.LightDirectional):
             found += zip(_SUN, (round(angle, 2) for angle in sun_angles(value, up)), strict=True)
         else:
-            unit = _UNITS.get(kind.__name__, "") if field.name == "intensity" else ""
+            unit = light.unit if field.name == "intensity" else ""
             found.append((replace(field, unit=unit), value))
     return found
 
@@ -311,13 +309,11 @@ def put_field(document: ls.SceneDocument, number: int, name: str, value: Any) ->
 
 def _without_words(entry: ls.SceneEntry, name: str) -> dict[str, Any]:
     """Keys that say in words what a field says: where a light looks, and how large it is."""
-    if name == "direction":
-        return {"target": None} | ({"position": None} if isinstance(entry.lights[0], ls.LightDirectional) else {})
-    if name in ("edge_u", "edge_v"):
-        light: Any = entry.lights[0]
-        edges = {key: _plain(tuple(getattr(light, key))) for key in ("edge_u", "edge_v") if key != name}
-        return {"target": None, "size": None, **edges}
-    return {}
+    light: Any = entry.lights[0] if entry.kind == "lights" else None
+    if light is None or name not in light.aim_fields:
+        return {}
+    others = {key: _plain(tuple(getattr(light, key))) for key in light.aim_fields if key != name}
+    return dict.fromkeys(light.aim_keys) | others
 
 
 def turned_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
