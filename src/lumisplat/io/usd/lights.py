@@ -1,27 +1,40 @@
-"""Lights of OpenUSD files (UsdLux): what shines, converted to candela, lux and radiance.
+"""Reads and writes lights of OpenUSD (UsdLux): radiance, candela and lux.
 
 A light of UsdLux emits radiance ``intensity * 2^exposure * color``, in nits, divided by its area in the world if it
 normalises. That area is in units of the stage, as renderers measure it, which know no metres. A sphere of radius r and
 radiance L shines with ``pi r^2 L`` candela; a distant light of angular radius t gives ``pi sin(t)^2 L`` lux, or,
-normalised, its intensity itself.
+normalised, its intensity itself. Radiance is written as it is, candela and lux as the intensities of lights that
+normalise: a sphere that normalises divides by its area 4 pi r^2, of which pi r^2 is seen, so that its intensity is four
+times the candela, whatever its radius.
+
+The image of a dome light has +z in the middle and +x to the left of it.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lumisplat.constants.usd import USD_POINT_RADIUS
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.images.radiance import read_radiance, write_radiance
+from lumisplat.io.images.texture import decode_texture
+from lumisplat.io.usd.assets import asset_bytes, asset_name
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.skies import read_sky
 from lumisplat.io.usd.stage import UsdFile
 from lumisplat.io.usd.values import hints_of, number, shortest, value
 from lumisplat.io.usd.walk import Placed
-from lumisplat.math.arrays import Doubles
+from lumisplat.io.usd.writing.stage import StageWriter
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.rotations import quaternions_from_matrices, rotation_matrix
 from lumisplat.scene.lights import (
     Light,
     LightDirectional,
@@ -40,6 +53,12 @@ _UNREAD = {
 """Inputs that are not read, what a remark calls them, and the value at which they do nothing."""
 _NARROWEST = 1e-6
 """Least width of a spot's edge, as a share of its angle."""
+
+_DOME_FROM_SKY = np.diag([-1.0, 1.0, -1.0])
+"""Our skies have -z in the middle and +x to the right of it: half a turn about the pole."""
+_Z_FROM_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Stands a dome whose pole is y up along z, so that its middle looks to -y."""
+_RADIANCE = (".hdr", ".pic", ".exr")
 
 
 def is_light(prim: Any) -> bool:
@@ -177,20 +196,20 @@ def _panel(
     normal = np.cross(edge_u, edge_v)
     if normal @ linear[:, 2] > 0.0:  # its place mirrors
         edge_u, normal = -edge_u, -normal
-    if prim_shapes(placed.prim):
+    if _has_cone(placed.prim):
         file.remarks.add("cones of rectangular lights", str(placed.prim.GetPath()))
     if _normalises(file, placed.prim):
         emission *= file.unit**2 / float(np.linalg.norm(normal))
     return LightRect(placed.world_from_prim[:3, 3], edge_u, edge_v, intensity=emission, **shared)
 
 
-def prim_shapes(prim: Any) -> bool:
+def _has_cone(prim: Any) -> bool:
     """Whether a light is shaped to a cone."""
     return prim.HasAPI(pxr().UsdLux.ShapingAPI) and prim.GetAttribute("inputs:shaping:cone:angle").HasAuthoredValue()
 
 
 def _dome(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]) -> LightEnvironment | None:
-    return read_sky(file, placed, emission, shared, _shadow_distance(file, placed))
+    return _read_environment(file, placed, emission, shared, _shadow_distance(file, placed))
 
 
 _READERS: dict[str, Callable[[UsdFile, Placed, float, dict[str, Any]], Light | None]] = {
@@ -201,3 +220,192 @@ _READERS: dict[str, Callable[[UsdFile, Placed, float, dict[str, Any]], Light | N
     "DomeLight": _dome,
     "DomeLight_1": _dome,
 }
+
+
+def _read_environment(
+    file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any], shadow_distance: float
+) -> LightEnvironment | None:
+    """A dome light as an environment; None, with a remark, if its image is no panorama.
+
+    Raises:
+        FormatError: The image is missing or damaged.
+    """
+    prim = placed.prim
+    asset, layout = (
+        value(file, prim, "inputs:texture:file"),
+        str(value(file, prim, "inputs:texture:format", "automatic")),
+    )
+    image = None
+    if asset is not None and asset_name(asset):
+        if layout not in ("automatic", "latlong"):
+            file.remarks.add(f"skies of format {layout}", str(prim.GetPath()))
+            return None
+        image = _environment_image(file, asset, str(prim.GetPath()))
+    world_from_dome = placed.world_from_prim[:3, :3]
+    pole = str(value(file, prim, "poleAxis", "Y")) if str(prim.GetTypeName()) == "DomeLight_1" else "Y"
+    if pole == "Z" or (pole == "scene" and str(pxr().UsdGeom.GetStageUpAxis(file.stage)) == "Z"):
+        world_from_dome = world_from_dome @ _Z_FROM_Y
+    turn = _nearest_rotation(world_from_dome)
+    if np.linalg.det(world_from_dome) < 0.0:
+        file.remarks.add("skies that are mirrored", str(prim.GetPath()))
+    return LightEnvironment(
+        image,
+        intensity=emission,
+        rotation_wxyz=quaternions_from_matrices((turn @ _DOME_FROM_SKY)[None])[0],
+        shadow_distance=shadow_distance,
+        **shared,
+    )
+
+
+def _nearest_rotation(linear: Doubles) -> Doubles:
+    """The rotation that is nearest to a matrix, shape (3, 3)."""
+    left, _, right = np.linalg.svd(linear)
+    return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+
+
+def _environment_image(file: UsdFile, asset: Any, label: str) -> FloatArray:
+    """Linear radiance, shape (H, W, 3)."""
+    name, data = asset_name(asset), asset_bytes(file, asset, label)
+    if Path(name).suffix.lower() not in _RADIANCE:
+        texels = decode_texture(data, file.path, name)[:, :, :3]
+        return decode_srgb(texels / np.float32(255.0)).astype(np.float32)
+    with tempfile.TemporaryDirectory() as folder:  # the reader of OpenEXR takes a file
+        copy = Path(folder) / f"sky{Path(name).suffix.lower()}"
+        copy.write_bytes(data)
+        try:
+            return read_radiance(copy)
+        except FormatError as error:
+            raise FormatError(file.path, str(error).replace(os.fspath(copy), name)) from None
+
+
+def write_light(writer: StageWriter, light: Light) -> None:
+    """Writes a light at its place."""
+    match light:
+        case LightDirectional():
+            prim, intensity = _write_distant(writer, light)
+        case LightEnvironment():
+            prim, intensity = _write_dome(writer, light)
+        case LightRect():
+            prim, intensity = _write_rect(writer, light)
+        case LightSphere():
+            prim = _define(writer, light, "SphereLight")
+            _set(prim, "inputs:radius", light.radius)
+            writer.place(prim, _moved(light.position))
+            intensity = light.intensity
+        case LightPoint() | LightSpot():
+            prim, intensity = _write_point(writer, light)
+    writer.name(prim, light.name)
+    _set(prim, "inputs:intensity", intensity)
+    _set(prim, "inputs:color", pxr().Gf.Vec3f(*light.color))
+    if not light.casts_shadow:
+        _shadow_api(prim).CreateShadowEnableAttr(False)
+    if not light.enabled:
+        pxr().UsdGeom.Imageable(prim).MakeInvisible()
+    if not getattr(light, "visible", True):
+        writer.hint(prim, visible=False)
+        writer.remarks.add("that lights are not seen themselves (visible)", light.name)
+
+
+def _define(writer: StageWriter, light: Light, kind: str) -> Any:
+    """A light's prim."""
+    path = writer.path_of(light.name or kind)
+    return getattr(pxr().UsdLux, kind).Define(writer.stage, path).GetPrim()
+
+
+def _set(prim: Any, name: str, value: Any) -> None:
+    prim.GetAttribute(name).Set(value)
+
+
+def _write_point(writer: StageWriter, light: LightPoint | LightSpot) -> tuple[Any, float]:
+    """A sphere that normalises; one without a radius is to be taken for a point."""
+    prim = _define(writer, light, "SphereLight")
+    _set(prim, "inputs:radius", light.radius or USD_POINT_RADIUS)
+    _set(prim, "inputs:normalize", True)
+    if light.radius == 0.0:
+        _set(prim, "treatAsPoint", True)
+    if light.range < math.inf:
+        writer.hint(prim, range=light.range)
+        writer.remarks.add("the range of lights", light.name)
+    place = _moved(light.position)
+    if isinstance(light, LightSpot):
+        place[:3, :3] = _facing(light.direction)
+        shaping = pxr().UsdLux.ShapingAPI.Apply(prim)
+        shaping.CreateShapingConeAngleAttr(math.degrees(light.outer_angle))
+        shaping.CreateShapingConeSoftnessAttr(1.0 - light.inner_angle / light.outer_angle)
+        writer.remarks.add("the fall-off of spots between their cones, which is another curve", light.name)
+    writer.place(prim, place)
+    return prim, 4.0 * light.intensity
+
+
+def _write_distant(writer: StageWriter, light: LightDirectional) -> tuple[Any, float]:
+    prim = _define(writer, light, "DistantLight")
+    _set(prim, "inputs:angle", math.degrees(2.0 * light.angle))
+    _set(prim, "inputs:normalize", True)
+    _write_shadow_distance(prim, light.shadow_distance)
+    place = np.eye(4)
+    place[:3, :3] = _facing(light.direction)
+    writer.place(prim, place)
+    return prim, light.intensity
+
+
+def _write_rect(writer: StageWriter, light: LightRect) -> tuple[Any, float]:
+    """A rectangle in the plane of x and y that shines along -z."""
+    prim = _define(writer, light, "RectLight")
+    width, height = float(np.linalg.norm(light.edge_u)), float(np.linalg.norm(light.edge_v))
+    _set(prim, "inputs:width", width)
+    _set(prim, "inputs:height", height)
+    x, y = -np.array(light.edge_u) / width, np.array(light.edge_v) / height
+    if abs(x @ y) > 1e-6:
+        writer.remarks.add("parallelograms, which are sheared rectangles", light.name)
+    z = np.cross(x, y)
+    place = _moved(light.position)
+    place[:3, :3] = np.stack([x, y, z / np.linalg.norm(z)], axis=1)
+    writer.place(prim, place)
+    return prim, light.intensity
+
+
+def _write_dome(writer: StageWriter, light: LightEnvironment) -> tuple[Any, float]:
+    px = pxr()
+    prim = _define(writer, light, "DomeLight")
+    if light.image is not None:
+        name = writer.add_file(light.name or "sky", ".exr", _exr_bytes(light.image))
+        _set(prim, "inputs:texture:file", px.Sdf.AssetPath(name))
+        _set(prim, "inputs:texture:format", "latlong")
+    _write_shadow_distance(prim, light.shadow_distance)
+    place = np.eye(4)
+    place[:3, :3] = rotation_matrix(np.asarray(light.rotation_wxyz)) @ _DOME_FROM_SKY
+    writer.place(prim, place)
+    return prim, light.intensity
+
+
+def _write_shadow_distance(prim: Any, distance: float) -> None:
+    if distance < math.inf:
+        _shadow_api(prim).CreateShadowDistanceAttr(distance)
+
+
+def _shadow_api(prim: Any) -> Any:
+    return pxr().UsdLux.ShadowAPI.Apply(prim)
+
+
+def _moved(position: Any) -> Doubles:
+    """A place without a rotation, shape (4, 4)."""
+    place = np.eye(4)
+    place[:3, 3] = position
+    return place
+
+
+def _facing(direction: Any) -> Doubles:
+    """A rotation that turns -z to a unit vector, shape (3, 3)."""
+    z = -np.array(direction, np.float64)
+    side = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = np.cross(side, z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _exr_bytes(image: FloatArray) -> bytes:
+    """Radiance as OpenEXR."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "sky.exr"
+        write_radiance(file, image)
+        return file.read_bytes()

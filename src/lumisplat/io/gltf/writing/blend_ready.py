@@ -19,9 +19,9 @@ import numpy as np
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.gltf.lights import can_hold_light
 from lumisplat.io.gltf.writing.blender_script import SCENE, SCRIPT, script_text
 from lumisplat.io.gltf.writing.cameras import camera_losses, can_hold_camera
-from lumisplat.io.gltf.writing.lights import can_hold_light
 from lumisplat.io.gltf.writing.scene import light_losses, upright, write_gltf
 from lumisplat.io.splats.splat_ply import write_splat_ply
 from lumisplat.scene.camera import Camera

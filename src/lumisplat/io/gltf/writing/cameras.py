@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from lumisplat.io.gltf.extras import CAMERAS, with_extras
+from lumisplat.io.gltf.lights import node_item
 from lumisplat.io.gltf.nodes import Matrix
 from lumisplat.io.gltf.writing.document import GltfDocument
-from lumisplat.io.gltf.writing.lights import node_item
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.scene import Scene
 

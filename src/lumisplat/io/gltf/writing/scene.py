@@ -12,11 +12,11 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.gltf.extras import instance_extras, with_extras
 from lumisplat.io.gltf.gaussians.attributes import CAPTURE_FROM_FILE
+from lumisplat.io.gltf.lights import add_light, node_item
 from lumisplat.io.gltf.nodes import Matrix
 from lumisplat.io.gltf.writing.cameras import add_camera, camera_losses
 from lumisplat.io.gltf.writing.document import GltfDocument
 from lumisplat.io.gltf.writing.gaussians import add_gaussians
-from lumisplat.io.gltf.writing.lights import add_light, node_item
 from lumisplat.io.gltf.writing.materials import MaterialWriter
 from lumisplat.io.gltf.writing.meshes import add_mesh
 from lumisplat.scene.camera import Camera

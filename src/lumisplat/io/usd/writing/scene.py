@@ -7,9 +7,9 @@ from pathlib import Path
 
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.library import pxr, writing_usd
+from lumisplat.io.usd.lights import write_light
 from lumisplat.io.usd.writing.assets import AssetWriter
 from lumisplat.io.usd.writing.cameras import write_cameras
-from lumisplat.io.usd.writing.lights import write_light
 from lumisplat.io.usd.writing.materials import MaterialWriter
 from lumisplat.io.usd.writing.motion import write_motion
 from lumisplat.io.usd.writing.package import write_files
