@@ -170,7 +170,7 @@ def overcast_sky() -> Doubles:
 
 def sunny_sky() -> Doubles:
     """The same, dimmer, and a sun of 20 degrees."""
-    from lumisplat.math.panorama import panorama_directions
+    from lumisplat.math.directions import panorama_directions
 
     sky = 0.5 * overcast_sky()
     towards = np.array((-0.5, 0.62, 0.6)) / np.linalg.norm((-0.5, 0.62, 0.6))

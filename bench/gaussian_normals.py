@@ -17,7 +17,7 @@ import numpy.typing as npt
 import lumisplat as ls
 from bench.timing import parser
 from lumisplat.device.structs.gi import SurfacePixels
-from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
+from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.renderer.realtime.gbuffer import SPLATS
 
 Doubles = npt.NDArray[np.float64]

@@ -58,7 +58,7 @@ from make_training_set import (  # noqa: E402
 
 import lumisplat as ls  # noqa: E402
 from lumisplat.io.images.exr import write_exr  # noqa: E402
-from lumisplat.math.panorama import panorama_directions, panorama_lookup  # noqa: E402
+from lumisplat.math.directions import panorama_directions, panorama_lookup  # noqa: E402
 
 ENVIRONMENT_HEIGHT = 256
 """Rows that larger panoramas are reduced to, at most."""

@@ -34,7 +34,7 @@ from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.math.panorama import panorama_directions, panorama_lookup
+from lumisplat.math.directions import panorama_directions, panorama_lookup
 from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher

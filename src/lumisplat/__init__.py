@@ -101,10 +101,8 @@ if TYPE_CHECKING:
     from lumisplat.io.photographs.photographs import Photograph, Photographs
     from lumisplat.io.photographs.poses import find_poses
     from lumisplat.machine.diagnosis import Diagnosis, diagnose
-    from lumisplat.metrics.images import flip, psnr, ssim
-    from lumisplat.metrics.lighting import apf_y, ncm_ab, paa_y
-    from lumisplat.metrics.lit_points import LitPoints
-    from lumisplat.metrics.ms_ssim import ms_ssim, ms_ssim_scales
+    from lumisplat.metrics.images import flip, ms_ssim, ms_ssim_scales, psnr, ssim
+    from lumisplat.metrics.lighting import LitPoints, apf_y, ncm_ab, paa_y
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
     from lumisplat.relighting.avatar_lighter import AvatarLighter
     from lumisplat.relighting.capture_gain import estimate_capture_gain
@@ -228,7 +226,7 @@ _MODULE_OF = {
     "LightRect": "scene.lights",
     "LightSphere": "scene.lights",
     "LightSpot": "scene.lights",
-    "LitPoints": "metrics.lit_points",
+    "LitPoints": "metrics.lighting",
     "LumisplatError": "errors",
     "MaterialEstimate": "relighting.delight.material_estimate",
     "MaterialEvaluation": "relighting.evaluation.results",
@@ -343,8 +341,8 @@ _MODULE_OF = {
     "load_sequence": "io",
     "merge": "scene.editing.merge",
     "merge_samples": "renderer.shared_samples",
-    "ms_ssim": "metrics.ms_ssim",
-    "ms_ssim_scales": "metrics.ms_ssim",
+    "ms_ssim": "metrics.images",
+    "ms_ssim_scales": "metrics.images",
     "ncm_ab": "metrics.lighting",
     "open_blocks": "io.blocks.index",
     "orbit_cameras": "scene.ops.orbit",

@@ -10,7 +10,7 @@ from lumisplat.dataset.draws import Draws, Purpose, split_of
 from lumisplat.dataset.objects import even_quaternion
 from lumisplat.dataset.solids import Solids, winding_number
 from lumisplat.dataset.space import even_directions, level_axes
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 
 
 def test_numbers_follow_from_seed_view_and_purpose_alone() -> None:

@@ -12,7 +12,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.structs.light import Bsdf
-from lumisplat.math.sheen import albedo_curve, sheen_albedo
+from lumisplat.math.reflectance import albedo_curve, sheen_albedo
 from lumisplat.runtime.launcher import Launcher
 from support.compare.chi_square import LIMIT, chi_square_z
 from support.probes import probe_light_kernels

@@ -12,10 +12,9 @@ from scipy.optimize import linear_sum_assignment, minimize
 from scipy.spatial.transform import Rotation
 
 import lumisplat as ls
-from lumisplat.math.color import encode_srgb
+from lumisplat.math.color import encode_srgb, lab, luminance
 from lumisplat.math.sh import sh_basis
-from lumisplat.metrics.chromaticity import lab, luminance
-from lumisplat.metrics.irradiance_fit import fit_irradiance, robust_fit
+from lumisplat.metrics.lighting import fit_irradiance, robust_fit
 from support.scenes.raster_scenes import random_gaussians
 
 METRICS = (ls.paa_y, ls.apf_y, ls.ncm_ab)
@@ -73,7 +72,7 @@ def test_irradiance_of_all_bands_is_found(monkeypatch):
         np.abs(fit.coefficients[first:end]).sum() / np.abs(true[first:end]).sum() for first, end in ((0, 1), (9, 16))
     ]
     assert 0.75 < left[1] / left[0] < 0.95
-    monkeypatch.setattr("lumisplat.metrics.irradiance_fit.IRRADIANCE_SMOOTHNESS", 1e-12)
+    monkeypatch.setattr("lumisplat.metrics.lighting.IRRADIANCE_SMOOTHNESS", 1e-12)
     exact = fit_irradiance(normals, luminances)
     np.testing.assert_allclose(exact.coefficients, true / np.abs(true).sum(), atol=1e-8)
     assert np.ptp(exact.scales) < 1e-6 * exact.scales.mean()

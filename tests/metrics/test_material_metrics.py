@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 from lumisplat.metrics.materials import channel_scale, environment_psnr, normal_errors
 
 RANDOM = np.random.default_rng(0)

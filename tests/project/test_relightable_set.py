@@ -17,7 +17,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.images.exr import read_exr, write_exr
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 from support.oracles import bsdf_oracle as oracle
 
 ROOT = Path(__file__).resolve().parents[2]

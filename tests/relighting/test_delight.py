@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.transforms import rotation_matrix
 from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.relighting.delight import delight as steps
 from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, first_light

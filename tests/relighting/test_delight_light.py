@@ -10,9 +10,9 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
-from lumisplat.math.panorama import panorama_directions, panorama_lookup
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.directions import panorama_directions, panorama_lookup
 from lumisplat.math.sh import sh_basis
+from lumisplat.math.transforms import rotation_matrix
 from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.relighting.albedo.outgoing import median_outgoing
 from lumisplat.relighting.delight.albedo_fit import Light, first_light, with_usual_albedos

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 from lumisplat.relighting.probe import EnvironmentProbe
 from support.scenes.fit_rooms import (
     DIRECT,

@@ -12,7 +12,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import even_directions
 from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.training.materials.incident import ray_starts, traced_incident

@@ -12,7 +12,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import SH_C0
-from lumisplat.math.rigid import rigid_from_twist
+from lumisplat.math.transforms import rigid_from_twist
 from lumisplat.training.learnt import Learnt
 from lumisplat.training.trainer import Trainer
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views

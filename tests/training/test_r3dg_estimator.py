@@ -10,7 +10,7 @@ from bench.relightable import r3dg_light
 from bench.relightable.r3dg import EVEN_SKY, GREY_LIGHT, R3dgFit
 
 import lumisplat as ls
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import sh_basis
 from lumisplat.training.views import TrainingView
 from support.scenes.lit_sphere import ball, matte, photographed

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.rigid import rigid_from_twist, twist_from_rigid
+from lumisplat.math.transforms import rigid_from_twist, twist_from_rigid
 from lumisplat.training.corrections.poses import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Lesson, TrainingView

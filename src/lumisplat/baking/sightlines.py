@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from lumisplat.constants.baking import GOLDEN_STEP, SIGHT_REACH
 from lumisplat.math.arrays import Doubles, FloatArray, IntArray
-from lumisplat.math.rotations import matrices_from_quaternions
-from lumisplat.math.transforms import transform_points
+from lumisplat.math.transforms import matrices_from_quaternions, transform_points
 from lumisplat.scene.scene import SplatInstance
 
 

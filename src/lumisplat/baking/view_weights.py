@@ -7,8 +7,8 @@ import numpy as np
 from lumisplat.constants import LUMINANCE
 from lumisplat.constants.baking import BACK_SHARE, DARK_SIDE_MIN, SIDE_MIN
 from lumisplat.math.arrays import Doubles, Flags
-from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.math.sh import even_directions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.axes import shortest_axes
 

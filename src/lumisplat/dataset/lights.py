@@ -12,7 +12,7 @@ from lumisplat.config.dataset import DatasetLights, PosePlaces
 from lumisplat.dataset.draws import Draws
 from lumisplat.dataset.space import Space, level_axes
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import axis_rotation, multiply_quaternions, quaternions_from_matrices
+from lumisplat.math.transforms import axis_rotation, multiply_quaternions, quaternions_from_matrices
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightPoint
 
 _LAMP_TRIES = 32

@@ -13,8 +13,7 @@ from lumisplat.dataset.draws import Draws
 from lumisplat.dataset.space import Space, level_axes
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags
-from lumisplat.math.rotations import axis_rotation, rotation_matrix
-from lumisplat.math.transforms import transform_points
+from lumisplat.math.transforms import axis_rotation, rotation_matrix, transform_points
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance

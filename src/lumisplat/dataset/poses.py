@@ -13,7 +13,7 @@ from lumisplat.dataset.objects import Placed
 from lumisplat.dataset.space import Space, level_axes
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import axis_rotation
+from lumisplat.math.transforms import axis_rotation
 from lumisplat.scene.camera import Camera, camera_pose
 from lumisplat.scene.ops.framing import frame_camera
 from lumisplat.scene.up import front_vector

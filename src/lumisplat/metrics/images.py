@@ -1,14 +1,33 @@
-"""PSNR, SSIM and FLIP of a display-referred picture against its reference."""
+"""PSNR, SSIM, MS-SSIM and FLIP of a display-referred image against its reference.
+
+MS-SSIM compares structure over several scales (Wang, Simoncelli and Bovik 2003). Images have one shape and values in
+0..1.
+"""
 
 from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import check_range
+from lumisplat.config import check_range, check_whole
 from lumisplat.constants.metrics import FLIP_PIXELS_PER_DEGREE, SSIM_SIGMA_PX, SSIM_WINDOW_PX
-from lumisplat.metrics.extras import import_extra
-from lumisplat.metrics.image_pairs import check_window, picture_pair, region_means
+from lumisplat.errors import MissingExtraError, SceneError
+from lumisplat.math.arrays import Flags, host_array
+
+
+def import_extra(module: str, metric: str) -> Any:
+    """Imports a module that a metric needs.
+
+    Raises:
+        MissingExtraError: The package is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtraError(metric, "metrics") from None
 
 
 def psnr(image: npt.ArrayLike, reference: npt.ArrayLike, *, region: npt.ArrayLike | None = None) -> float:
@@ -97,3 +116,198 @@ def flip(
         parameters={"ppd": float(pixels_per_degree)},
     )[0]
     return float(np.asarray(values).reshape(inside.shape)[inside].mean(dtype=np.float64))
+
+
+_WEIGHTS = np.array((0.0448, 0.2856, 0.3001, 0.2363, 0.1333))
+"""Exponents of the scales, the finest first: section 3.2 of the paper."""
+_C1, _C2 = 0.01**2, 0.03**2
+
+
+def ms_ssim(
+    image: npt.ArrayLike, reference: npt.ArrayLike, *, scales: int = len(_WEIGHTS), region: npt.ArrayLike | None = None
+) -> float:
+    """Structural similarity over scales (Wang et al. 2003): the mean over channels of a product over scales.
+
+    Each scale has half the size of the one before, by means over 2 x 2 pixels; of an odd number of rows or columns, the
+    last is repeated. Its factor is the mean of contrast times structure, of the coarsest also times luminance, to the
+    power of its weight: 0.0448, 0.2856, 0.3001, 0.2363, 0.1333. A mean below 0 counts as 0. Windows are as in `ssim`.
+
+    Args:
+        image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3), with 5 scales at least 161 pixels in both
+            directions, else ``10 * 2 ** (scales - 1) + 1``.
+        reference: The reference, of the same shape.
+        scales: How many there are, 1 to 5. With fewer than 5, the weights of those that are left are divided by their
+            sum: such values compare with others of as many scales only. One is `ssim` itself.
+        region: The pixels to compare, booleans of shape (H, W); None: all. Means are over windows whose middle is in
+            it, in coarser scales over those whose middle covers some of it, for which the image elsewhere is that of
+            the reference.
+
+    Returns:
+        0..1, the higher the better; 1 if both are equal.
+
+    Raises:
+        ConfigError: ``scales`` is out of range.
+        SceneError: These are not two pictures of one size in 0..1, they are too small for so many scales, or no window
+            has its middle in the region.
+    """
+    check_whole("scales", scales, 1, len(_WEIGHTS))
+    tested, wanted, inside = picture_pair(image, reference, region)
+    height, width = inside.shape
+    check_window("ms_ssim", height, width)
+    possible = ms_ssim_scales(height, width)
+    if possible < scales:
+        needed = 10 * 2 ** (scales - 1) + 1
+        raise SceneError(
+            f"ms_ssim with {scales} scales compares images of {needed} x {needed} pixels or more, these are "
+            f"{width} x {height}: scales={possible} suits them"
+        )
+    weights = _WEIGHTS if scales == len(_WEIGHTS) else _WEIGHTS[:scales] / _WEIGHTS[:scales].sum()
+    edge = SSIM_WINDOW_PX // 2
+    product = np.ones(3)
+    for scale, weight in enumerate(weights):
+        luminance, structure = _similarity(tested, wanted)
+        values = structure if scale < scales - 1 else luminance * structure
+        product *= np.maximum(region_means(values, inside[edge:-edge, edge:-edge]), 0.0) ** weight
+        tested, wanted = _halved(tested), _halved(wanted)
+        inside = _halved(inside[..., None].astype(np.float64))[..., 0] > 0.0
+    return float(product.mean())
+
+
+def ms_ssim_scales(height: int, width: int) -> int:
+    """How many scales pictures of a size have in `ms_ssim`, 0 to 5."""
+    return sum(min(height, width) > 10 * 2**scale for scale in range(len(_WEIGHTS)))
+
+
+def _similarity(tested: Image, wanted: Image) -> tuple[Image, Image]:
+    """Luminance, and contrast times structure, of each window that lies inside; equations 1 to 6 of the paper."""
+    mean_x, mean_y = _blurred(tested), _blurred(wanted)
+    variance_x = _blurred(tested * tested) - mean_x * mean_x
+    variance_y = _blurred(wanted * wanted) - mean_y * mean_y
+    covariance = _blurred(tested * wanted) - mean_x * mean_y
+    luminance = (2.0 * mean_x * mean_y + _C1) / (mean_x * mean_x + mean_y * mean_y + _C1)
+    return luminance, (2.0 * covariance + _C2) / (variance_x + variance_y + _C2)
+
+
+def _blurred(image: Image) -> Image:
+    """Means over windows, weighted by a Gaussian; shorter by a window less a pixel in both directions."""
+    offsets = np.arange(SSIM_WINDOW_PX) - SSIM_WINDOW_PX // 2
+    bell = np.exp(-0.5 * (offsets / SSIM_SIGMA_PX) ** 2)
+    bell /= bell.sum()
+    rows, columns = (size - SSIM_WINDOW_PX + 1 for size in image.shape[:2])
+    down = np.sum([weight * image[k : k + rows] for k, weight in enumerate(bell)], axis=0)
+    return np.sum([weight * down[:, k : k + columns] for k, weight in enumerate(bell)], axis=0)
+
+
+def _halved(image: Image) -> Image:
+    """Means over 2 x 2 pixels; an odd last row or column is repeated."""
+    even = np.pad(image, [(0, size % 2) for size in image.shape[:2]] + [(0, 0)], mode="edge")
+    return 0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
+
+
+Image = npt.NDArray[np.float64]
+
+
+def picture_pair(
+    image: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None = None
+) -> tuple[Image, Image, Flags]:
+    """Both pictures as float64, shape (H, W, 3), in 0..1, equal outside of a region, and the region.
+
+    Args:
+        image: Display-referred values, 0..1, shape (H, W, 3); bytes are divided by 255.
+        reference: The reference picture, in the same form.
+        region: The pixels to compare, booleans of shape (H, W); None: all. Elsewhere the image becomes its reference.
+
+    Raises:
+        SceneError: A shape is not that of a picture, shapes differ, values are not finite or outside 0..1, or the
+            region is empty.
+    """
+    tested, wanted = _unit_range("image", image), _unit_range("reference", reference)
+    for name, pixels in (("image", tested), ("reference", wanted)):
+        if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
+            raise SceneError(f"{name} has shape {pixels.shape}, expected (H, W, 3)")
+    _refuse_other_size(tested, wanted)
+    if region is None:
+        return tested, wanted, np.ones(tested.shape[:2], np.bool_)
+    inside = _checked_region(region, tested.shape[:2])
+    if not inside.any():
+        raise SceneError("region is empty: no pixel is left to compare")
+    return np.where(inside[..., None], tested, wanted), wanted, inside
+
+
+def shadow_pair(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None) -> tuple[Image, Image]:
+    """Both images of shadow strength as float64, shape (H, W), NaN outside of ``region``.
+
+    Args:
+        shadow: 0 (lit) to 1 (black), shape (H, W); bytes are divided by 255.
+        reference: The reference, in the same form.
+        region: The pixels to compare, booleans of shape (H, W); None: all.
+
+    Raises:
+        SceneError: A shape is not that of a mask, shapes differ, or values are not finite or outside 0..1.
+    """
+    pair = _unit_range("shadow", shadow), _unit_range("reference", reference)
+    for name, pixels in zip(("shadow", "reference"), pair, strict=True):
+        if pixels.ndim != 2 or pixels.size == 0:
+            raise SceneError(f"{name} has shape {pixels.shape}, expected (H, W)")
+    _refuse_other_size(*pair)
+    if region is None:
+        return pair
+    inside = _checked_region(region, pair[0].shape)
+    return np.where(inside, pair[0], np.nan), np.where(inside, pair[1], np.nan)
+
+
+def check_window(metric: str, height: int, width: int) -> None:
+    """Refuses pictures that are smaller than the window of SSIM.
+
+    Raises:
+        SceneError: They are.
+    """
+    if min(height, width) < SSIM_WINDOW_PX:
+        window = f"{SSIM_WINDOW_PX} x {SSIM_WINDOW_PX}"
+        raise SceneError(f"{metric} compares windows of {window} pixels, the images are {width} x {height}")
+
+
+def region_means(values: Image, inside: Flags) -> Image:
+    """The mean, for each channel, of windows whose middle is in a region.
+
+    Args:
+        values: Of windows, shape (H, W, 3).
+        inside: The region, shape (H, W).
+
+    Returns:
+        Shape (3,).
+
+    Raises:
+        SceneError: There is none.
+    """
+    if not inside.any():
+        raise SceneError("region has no pixel whose window lies inside the images")
+    return values[inside].mean(axis=0)
+
+
+def _checked_region(region: npt.ArrayLike, shape: tuple[int, ...]) -> Flags:
+    inside = np.asarray(host_array(region))
+    if inside.dtype != np.bool_ or inside.shape != shape:
+        raise SceneError(f"region is {inside.dtype} of shape {inside.shape}, expected booleans of {shape}")
+    return inside
+
+
+def _unit_range(name: str, values: npt.ArrayLike) -> Image:
+    """Values as float64, refused outside 0..1."""
+    try:
+        array = np.asarray(host_array(values))
+    except ValueError:  # rows of different lengths
+        raise SceneError(f"{name} is not an array of numbers") from None
+    if array.dtype.kind not in "fiub":
+        raise SceneError(f"{name} is not an array of numbers")
+    pixels = array / 255.0 if array.dtype == np.uint8 else array.astype(np.float64)
+    outside = np.count_nonzero(~((pixels >= 0.0) & (pixels <= 1.0)))
+    if outside:
+        raise SceneError(f"{name} has {outside:,} of {pixels.size:,} values outside 0..1, or not finite")
+    return pixels
+
+
+def _refuse_other_size(image: Image, reference: Image) -> None:
+    if image.shape != reference.shape:
+        (height, width), (other_height, other_width) = image.shape[:2], reference.shape[:2]
+        raise SceneError(f"the image is {width} x {height}, its reference {other_width} x {other_height}")

@@ -7,16 +7,178 @@ that the paper leaves open.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.config import check_whole
-from lumisplat.constants.metrics import CHROMATICITY_SAMPLES_MAX, NEIGHBOURHOOD_RADIUS
-from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray
-from lumisplat.metrics.chromaticity import lab
-from lumisplat.metrics.extras import import_extra
-from lumisplat.metrics.irradiance_fit import fit_irradiance, robust_fit
-from lumisplat.metrics.lit_points import Lit, LitPoints, check_radius
+from lumisplat.config.checks import is_number, quoted
+from lumisplat.constants import SH_C0
+from lumisplat.constants.metrics import (
+    CHROMATICITY_SAMPLES_MAX,
+    FIT_STEPS_MAX,
+    FIT_TOLERANCE,
+    HUBER_WIDTH,
+    HUBER_WIDTH_MIN,
+    IRRADIANCE_FLOOR,
+    IRRADIANCE_SH_DEGREE,
+    IRRADIANCE_SMOOTHNESS,
+    MAD_PER_DEVIATION,
+    NEIGHBOURHOOD_RADIUS,
+    TRIMMED_SHARE,
+)
+from lumisplat.errors import ConfigError, SceneError, check_shapes
+from lumisplat.math.arrays import Doubles, FloatArray, float_array, host_array, normalise_rows, refuse_rows
+from lumisplat.math.color import decode_srgb, lab, luminance
+from lumisplat.math.sh import sh_basis
+from lumisplat.metrics.images import import_extra
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import Scene, SplatInstance
+
+Lit = Gaussians | SplatInstance | Scene
+"""What `LitPoints.of` takes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LitPoints:
+    """N points of lit surfaces. Arrays become read-only float32; normals are normalised.
+
+    Raises:
+        SceneError: There is no point, shapes do not fit, values are not finite, or a colour is negative.
+    """
+
+    positions: FloatArray
+    """World space, metres, shape (N, 3)."""
+    normals: FloatArray
+    """Unit normals, world space, shape (N, 3)."""
+    rgb: FloatArray
+    """Linear Rec.709, white 1, at least 0, shape (N, 3)."""
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            positions: npt.ArrayLike,
+            normals: npt.ArrayLike,
+            rgb: npt.ArrayLike,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "normals", "rgb"):
+            object.__setattr__(self, name, float_array(name, getattr(self, name)))
+        check_shapes(positions=(self.positions, "N 3"), normals=(self.normals, "N 3"), rgb=(self.rgb, "N 3"))
+        if self.count == 0:
+            raise SceneError("zero points: there is no light to compare")
+        refuse_rows("rgb", "negative", np.asarray((self.rgb < 0.0).any(axis=1)))
+        object.__setattr__(self, "normals", normalise_rows("normals", self.normals))
+
+    @classmethod
+    def of(cls, subject: Lit, *, around: npt.ArrayLike | None = None, radius: float | None = None) -> LitPoints:
+        """Makes points from the Gaussians of a set, an instance or a scene, in world space.
+
+        Colours are those of SH degree 0, the mean over all directions, decoded to linear light. Normals are those of
+        the set, else `estimate_normals`.
+
+        Args:
+            subject: Gaussians, an instance of them, or a scene, all splat instances of which count; meshes do not.
+            around: Use only Gaussians near this point in world space, shape (3,), and turn estimated normals towards
+                it, like the walls of a room around a person. None: use all, with outward normals.
+            radius: Largest distance from ``around``, metres; required with it.
+
+        Raises:
+            ConfigError: ``radius`` is not above 0.
+            SceneError: There are no Gaussians, or none is near enough (the message says how far the nearest one is), or
+                ``around`` is not a point.
+        """
+        ball = None if around is None else _Ball.of(around, radius)
+        parts = list(_instances(subject))
+        if not parts:
+            raise SceneError("the scene has no Gaussians: there is no light to compare")
+        selections = [np.ones(part.gaussians.count, np.bool_) if ball is None else ball.holds(part) for part in parts]
+        if ball is not None and not any(rows.any() for rows in selections):
+            nearest = min(float(ball.distances(part).min()) for part in parts)
+            listed = ", ".join(f"{value:.3g}" for value in ball.center.tolist())
+            raise SceneError(
+                f"no Gaussian of the scene is within {ball.radius:g} of the avatar's centre ({listed}), the nearest is "
+                f"{nearest:.3g} away: is the avatar where it should be, and the unit a metre?"
+            )
+        made = [_points(part, rows, ball) for part, rows in zip(parts, selections, strict=True) if rows.any()]
+        positions, normals, colors = (np.concatenate(arrays) for arrays in zip(*made, strict=True))
+        return cls(positions, normals, colors)
+
+    @property
+    def count(self) -> int:
+        """Number of points, N."""
+        return self.positions.shape[0]
+
+    @property
+    def luminance(self) -> npt.NDArray[np.float64]:
+        """CIE Y, linear, white 1, shape (N,)."""
+        return luminance(self.rgb)
+
+
+def check_radius(radius: object) -> float:
+    """Returns ``radius``; raises a `ConfigError` unless it is a finite number above 0."""
+    if not is_number(radius) or not 0.0 < radius < np.inf:
+        raise ConfigError(f"radius is {quoted(radius)}, expected metres above 0")
+    return radius
+
+
+class _Ball(NamedTuple):
+    """The part of space that counts."""
+
+    center: Doubles
+    radius: float
+
+    @classmethod
+    def of(cls, center: npt.ArrayLike, radius: object) -> _Ball:
+        checked = check_radius(radius)
+        point = float_array("around", center).astype(np.float64)
+        check_shapes(around=(point, "3"))
+        return cls(point, checked)
+
+    def distances(self, instance: SplatInstance) -> Doubles:
+        """Distances of the means from the centre, shape (N,)."""
+        return np.linalg.norm(instance.world_means - self.center, axis=1)
+
+    def holds(self, instance: SplatInstance) -> npt.NDArray[np.bool_]:
+        """Which means are inside, shape (N,)."""
+        return self.distances(instance) <= self.radius
+
+
+def _instances(subject: object) -> Iterator[SplatInstance]:
+    if isinstance(subject, Scene):
+        yield from subject.splats
+    elif isinstance(subject, SplatInstance):
+        yield subject
+    elif isinstance(subject, Gaussians):
+        yield SplatInstance(subject)
+    else:
+        raise SceneError(f"metrics of lighting take Gaussians or LitPoints, got a {type(subject).__name__}")
+
+
+def _points(
+    instance: SplatInstance, rows: npt.NDArray[np.bool_], ball: _Ball | None
+) -> tuple[Doubles, npt.NDArray[np.floating], npt.NDArray[np.floating]]:
+    """Positions, normals and linear colours of the Gaussians of an instance that a mask selects."""
+    selected = instance.gaussians if rows.all() else instance.gaussians.subset(rows)
+    positions = instance.world_means[rows]
+    own_normals = selected.normals
+    if own_normals is None:
+        from lumisplat.scene.ops.estimate_normals import estimate_normals
+
+        own_normals = estimate_normals(selected)
+    # The similarity rotates normals; its scale is removed when they are normalised.
+    normals = own_normals @ instance.transform[:3, :3].T
+    if selected.normals is None and ball is not None:
+        away = np.einsum("ij,ij->i", normals, ball.center - positions) < 0.0
+        normals = np.where(away[:, None], -normals, normals)
+    display = np.maximum(SH_C0 * selected.sh[:, 0].astype(np.float64) + 0.5, 0.0)
+    return positions, normals, decode_srgb(display)
+
 
 Points = LitPoints | Lit
 
@@ -134,3 +296,130 @@ def _draw(colors: FloatArray, count: int, seed: int) -> FloatArray:
     if len(colors) <= count:
         return colors
     return colors[np.random.default_rng(seed).choice(len(colors), count, replace=False)]
+
+
+COEFFICIENTS = (IRRADIANCE_SH_DEGREE + 1) ** 2
+_BANDS = np.repeat(np.arange(IRRADIANCE_SH_DEGREE + 1), 2 * np.arange(IRRADIANCE_SH_DEGREE + 1) + 1)
+"""The band l of each coefficient."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Irradiance:
+    """Irradiance as a function of the normal, and a scale for each point; the result of `fit_irradiance`."""
+
+    coefficients: Doubles
+    """c, real and orthonormal SH in the order of captures, shape (16,). The sum of their absolute values is 1."""
+    scales: Doubles
+    """alpha of each point, at least 0, shape (N,): luminance over irradiance."""
+
+    def at(self, normals: npt.ArrayLike) -> Doubles:
+        """E at unit normals of shape (N, 3)."""
+        return _basis(normals) @ self.coefficients
+
+
+def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str = "points") -> Irradiance:
+    """Factorises ``Y_i = alpha_i E(n_i; c)``: c by a robust fit with all scales equal, then the scales.
+
+    With a free scale for each point there is no unique solution: any positive E fits exactly.
+    docs/adr/0015-lighting-metrics.md explains how c is chosen here, and why.
+
+    The fit minimises Huber's loss of the residuals ``alpha_i - 1``, without the 5 % of the points that fit worst. In
+    directions without normals, irradiance stays smooth. Scales that are independent of the normals change c by a
+    factor only, whatever their distribution.
+
+    Args:
+        normals: Unit normals, shape (N, 3).
+        luminance: CIE Y, linear, at least 0, shape (N,).
+        name: Name of the points in messages.
+
+    Returns:
+        c and the scales. The unit of luminance changes the scales by a factor, and c not at all.
+
+    Raises:
+        SceneError: There are fewer points than coefficients, or all are black.
+    """
+    values = np.asarray(host_array(luminance), np.float64)
+    if values.size < COEFFICIENTS:
+        raise SceneError(f"{values.size} {name}: irradiance of {COEFFICIENTS} coefficients needs as many at least")
+    # The mean without the brightest points, as a few of those could dominate it.
+    mean = float(np.sort(values)[: values.size - int(TRIMMED_SHARE * values.size)].mean())
+    if not mean > 0.0:
+        raise SceneError(f"all {values.size:,} {name} are black: they show nothing of the light")
+    basis = _basis(normals)
+    penalty = IRRADIANCE_SMOOTHNESS * _BANDS * (_BANDS + 1.0)
+    fitted = robust_fit(basis, values / mean, penalty, relative_above=IRRADIANCE_FLOOR)
+    total = float(np.abs(fitted).sum())
+    coefficients = fitted / total
+    irradiance = basis @ coefficients
+    scales = np.divide(values, irradiance, out=np.zeros_like(values), where=irradiance > 0.0)
+    return Irradiance(coefficients, np.maximum(scales, 0.0))
+
+
+def robust_fit(
+    design: Doubles, values: Doubles, penalty: Doubles | None = None, *, relative_above: float | None = None
+) -> Doubles:
+    """Coefficients x for which ``design @ x`` is close to ``values``: Huber's loss, without the 5 % that fit worst.
+
+    Rows are left out once, by their residuals from Huber's fit to all rows. If they were chosen anew in every step, the
+    remaining rows would be those that happen to agree with an early fit. Huber's width follows the median residual, so
+    that the fit scales with the values.
+
+    Args:
+        design: Shape (N, K).
+        values: Shape (N,).
+        penalty: Weight of each squared coefficient against the mean over the rows, shape (K,); None: no penalty.
+        relative_above: If given, residuals are relative to the fitted value or to this number, whichever is larger; for
+            values that vary by factors. None: residuals are differences.
+
+    Returns:
+        Shape (K,); the smallest solution if there are several.
+    """
+    ridge = np.diag(np.zeros(int(design.shape[1])) if penalty is None else penalty)
+    found = _huber_fit(
+        design, values, ridge, relative_above, _weighted_fit(design, values, np.ones_like(values), ridge)
+    )
+    dropped = int(TRIMMED_SHARE * values.size)
+    if not dropped:
+        return found
+    distance, _ = _residuals(design, values, found, relative_above)
+    rows = np.sort(np.argpartition(distance, values.size - dropped)[: values.size - dropped])
+    return _huber_fit(design[rows], values[rows], ridge, relative_above, found)
+
+
+def _huber_fit(
+    design: Doubles, values: Doubles, ridge: Doubles, relative_above: float | None, start: Doubles
+) -> Doubles:
+    """Iteratively reweighted least squares."""
+    found = start
+    smallest = FIT_TOLERANCE * max(float(np.abs(values).max()), np.finfo(np.float64).tiny)
+    if relative_above is not None:
+        smallest = HUBER_WIDTH_MIN
+    for _ in range(FIT_STEPS_MAX):
+        distance, unit = _residuals(design, values, found, relative_above)
+        width = max(HUBER_WIDTH * float(np.median(distance)) / MAD_PER_DEVIATION, smallest)
+        weights = width / np.maximum(distance, width) / unit**2
+        before, found = found, _weighted_fit(design, values, weights, ridge)
+        if np.abs(found - before).max() <= FIT_TOLERANCE * np.abs(found).max():
+            break
+    return found
+
+
+def _residuals(
+    design: Doubles, values: Doubles, found: Doubles, relative_above: float | None
+) -> tuple[Doubles, Doubles | float]:
+    """Absolute residuals, and the unit in which each is measured."""
+    fitted = design @ found
+    unit = 1.0 if relative_above is None else np.maximum(fitted, relative_above)
+    return np.abs(values - fitted) / unit, unit
+
+
+def _weighted_fit(design: Doubles, values: Doubles, weights: Doubles, ridge: Doubles) -> Doubles:
+    weighted = design * weights[:, None]
+    # The penalty scales with the weights, so that the smoothness does not depend on the quality of the fit.
+    matrix: Doubles = design.T @ weighted + weights.sum() * ridge
+    right: Doubles = weighted.T @ values
+    return np.linalg.lstsq(matrix, right)[0].astype(np.float64)
+
+
+def _basis(normals: npt.ArrayLike) -> Doubles:
+    return sh_basis(normals, IRRADIANCE_SH_DEGREE).astype(np.float64)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from lumisplat.constants.materials_measured import BLACK, ENVIRONMENT_ROWS, LIT_SHARE
 from lumisplat.math.arrays import Doubles, host_array
 from lumisplat.math.color import encode_srgb
-from lumisplat.math.panorama import panorama_directions, panorama_lookup, panorama_solid_angles
+from lumisplat.math.directions import panorama_directions, panorama_lookup, panorama_solid_angles
 
 Channels = tuple[float, float, float]
 

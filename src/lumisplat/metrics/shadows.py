@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lumisplat.config import check_range
 from lumisplat.constants.metrics import BOUNDARY_TOLERANCE_PX, SHADOW_MASK_THRESHOLD
-from lumisplat.metrics.image_pairs import Image, shadow_pair
+from lumisplat.metrics.images import Image, shadow_pair
 
 _Mask = npt.NDArray[np.bool_]
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lumisplat.config import AvatarLightingConfig
 from lumisplat.constants import SHADOW_FOOTPRINT
 from lumisplat.math.arrays import FloatArray
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.progress import Progress
 from lumisplat.relighting.actors import PlacedActor
 from lumisplat.relighting.captured_shadow import light_factors, light_shares

@@ -28,7 +28,7 @@ from lumisplat.constants import (
 )
 from lumisplat.math.arrays import Doubles, Flags, Rows
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.scene import SplatInstance
 
 _DISC = [(0.0, 0.0)] + [(np.cos(angle), np.sin(angle)) for angle in np.arange(8) * (np.pi / 4.0)]

@@ -24,9 +24,9 @@ from lumisplat.math.arrays import (
     refuse_rows,
     three_numbers,
 )
-from lumisplat.math.panorama import panorama_directions, panorama_lookup, panorama_solid_angles
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.directions import panorama_directions, panorama_lookup, panorama_solid_angles
 from lumisplat.math.sh import sh_basis
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.renderer.cubemap import render_cube
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.renderer.scene.frame_plan import bounces_light

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from lumisplat.config import RelightConfig, check_kind
 from lumisplat.errors import check_instance, check_shapes
 from lumisplat.math.arrays import Doubles, FloatArray, float_array, normalise_rows
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import sh_basis
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.scene.gaussians import Gaussians

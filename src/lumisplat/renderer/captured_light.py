@@ -17,7 +17,7 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import CAPTURED_LIGHT_COVERED, CAPTURED_LIGHT_ROWS, NEAR_PLANE, PROBE_FACE_PX
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 from lumisplat.renderer.cubemap import cube_solid_angles, face_pixels, render_faces
 from lumisplat.renderer.scene.frame_plan import CapturedLight, bounces_light, keeps_captures
 from lumisplat.scene.camera import Camera

@@ -16,8 +16,8 @@ from lumisplat.frame.deep import DeepFrame
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray, Rows
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.panorama import panorama_lookup
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.directions import panorama_lookup
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.renderer.checks import checked_config
 from lumisplat.renderer.ray_profiles import PixelProfile
 from lumisplat.renderer.renderer import create_renderer

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.renderer.gradients.results import SetGradient, SplatGradients
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians

@@ -13,7 +13,7 @@ from lumisplat.config.checks import is_number
 from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
-from lumisplat.math.rotations import axis_rotation
+from lumisplat.math.transforms import axis_rotation
 from lumisplat.scene.up import Vector, front_vector, up_vector
 
 FRONT_AXES = {"+z": 0.0, "-z": 180.0, "+x": -90.0, "-x": 90.0}

@@ -14,8 +14,7 @@ from lumisplat.config.renamed import refuse_renamed
 from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, box_text
-from lumisplat.math.rotations import quaternions_from_matrices
-from lumisplat.math.transforms import transform_points
+from lumisplat.math.transforms import quaternions_from_matrices, transform_points
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
 from lumisplat.scene.gaussians import Gaussians, moved_orientation

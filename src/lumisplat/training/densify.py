@@ -24,7 +24,7 @@ from lumisplat.constants.training import (
     TOO_LARGE,
     TOO_LARGE_AFTER,
 )
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.training.learnt import Learnt
 
 Doubles = npt.NDArray[np.float64]

@@ -19,7 +19,7 @@ from lumisplat.io.images.radiance import write_radiance
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.io.scene_toml.toml_text import toml_text
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.transforms import rotation_matrix
 
 SCENE = """
 up = "z-up"

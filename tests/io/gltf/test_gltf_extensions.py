@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.transforms import rotation_matrix
 from support.files.gltf_splats import splat_gltf
 from support.files.gltf_writer import Gltf
 from support.files.mesh_files import QUAD, png_bytes, quad_gltf

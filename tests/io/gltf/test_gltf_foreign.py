@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS
 from support.files.splat_files import capture, load_gaussians
 from support.kinds import expect_kind

@@ -14,7 +14,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.errors import FormatError
 from lumisplat.io.usd.writing import package
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from support.files.splat_files import capture, load_gaussians
 from support.files.usd_files import EXTENSIONS, field, usd_core, validation_messages, write_usda
 from support.kinds import expect_kind

@@ -14,7 +14,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.errors import FormatError
 from lumisplat.io.usd.scene import shows_one_capture
-from lumisplat.math.rotations import quaternions_from_matrices, rotation_matrix
+from lumisplat.math.transforms import quaternions_from_matrices, rotation_matrix
 from lumisplat.scene.lights import Light
 from lumisplat.scene.up import y_up_from
 from support.files.splat_files import capture

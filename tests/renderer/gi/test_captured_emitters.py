@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.config import PATH_PARTS
 from lumisplat.constants import SH_C0
 from lumisplat.device.structs.gi import EmitterBox
-from lumisplat.math.rotations import rotation_from_degrees
+from lumisplat.math.transforms import rotation_from_degrees
 from lumisplat.renderer.scene.captured_emitters import boxes_of, stands_apart
 from lumisplat.runtime.struct_tables import table_dtype
 from support.probes import probe_captured_emitter_kernels as probe

@@ -10,7 +10,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.structs.camera import SampleData
-from lumisplat.math.octahedral import cell_means, directions_of_square, harmonics_of_cells, irradiance_beyond
+from lumisplat.math.directions import cell_means, directions_of_square, harmonics_of_cells, irradiance_beyond
 from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.buffers import device_array
 from support.oracles.screen_probe_oracle import cell_of, spiral, square_of

@@ -12,7 +12,7 @@ from lumisplat.config.probes import ProbeConfig
 from lumisplat.constants import LAYER_LIFT, SHADOW_OFFSET
 from lumisplat.constants.realtime import OUTDATED_SHARE
 from lumisplat.device.structs.gi import ProbeData
-from lumisplat.math.octahedral import directions_of_square
+from lumisplat.math.directions import directions_of_square
 from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.runtime.buffers import device_array
 from support.oracles import screen_probe_oracle as oracle

@@ -13,7 +13,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.sheen import SHEEN_CURVES, albedo_curves, sheen_albedo
+from lumisplat.math.reflectance import SHEEN_CURVES, albedo_curves, sheen_albedo
 from support.scenes.path_scenes import quad
 from support.scenes.pipelines import DIRECT
 

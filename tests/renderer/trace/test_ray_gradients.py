@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.rigid import cross_matrix, rigid_from_twist
+from lumisplat.math.transforms import cross_matrix, rigid_from_twist
 from lumisplat.renderer.gradients import ray_backward
 from lumisplat.renderer.trace.packet_ranges import packet_ranges
 from lumisplat.runtime.launcher import Launcher

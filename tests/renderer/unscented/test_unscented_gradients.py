@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.rigid import cross_matrix, rigid_from_twist
+from lumisplat.math.transforms import cross_matrix, rigid_from_twist
 from lumisplat.runtime.launcher import Launcher
 from support.compare.stale_buffers import fill_with_nan
 from support.oracles.gradient_oracle import differences

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 import lumisplat as ls
-from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
+from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 
 
 def test_poses_at_and_between_keys():

@@ -7,8 +7,8 @@ import numpy.typing as npt
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.math.sh import even_directions, sh_basis
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.editing.affine import under_affine
 from support.files.splat_files import capture
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.editing.moments import areas, log_determinants, mixtures, moments_of, shapes
 from support.kinds import expect_kind, present
 from support.scenes.raster_scenes import random_gaussians

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.math.rotations import quaternions_from_matrices, rotation_from_degrees, rotation_matrix
 from lumisplat.math.sh import sh_basis, sh_rotation
+from lumisplat.math.transforms import quaternions_from_matrices, rotation_from_degrees, rotation_matrix
 from support.kinds import present
 from support.scenes.raster_scenes import random_gaussians, rotation
 from support.scenes.sphere import unit

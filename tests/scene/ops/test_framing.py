@@ -89,7 +89,7 @@ def test_up_is_a_direction(up):
 
 def test_what_is_upright_shows_its_front():
     """A model made with y up, turned by `Scene.upright_wxyz`, looks as it does in a scene of its own."""
-    from lumisplat.math.rotations import rotation_matrix
+    from lumisplat.math.transforms import rotation_matrix
 
     mesh = ls.Mesh([(0, 0, 0), (1, 0, 0), (0, 2, 0)], [(0, 1, 2)])
     alone = ls.frame_camera(ls.Scene([], [mesh]))

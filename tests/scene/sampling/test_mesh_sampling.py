@@ -14,7 +14,7 @@ from lumisplat.constants import ALPHA_MAX, SH_C0
 from lumisplat.demo import shapes, shapes_swept
 from lumisplat.demo.textures import marble
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.math.rotations import quaternions_from_matrices
+from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.sampling.blue_noise import cross_pairs, neighbour_pairs
 from lumisplat.scene.sampling.creases import crease_points
 from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh

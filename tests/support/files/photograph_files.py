@@ -13,7 +13,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.io.images.png import write_png
-from lumisplat.math.rotations import quaternions_from_matrices
+from lumisplat.math.transforms import quaternions_from_matrices
 
 OPENGL_FROM_OPENCV = np.diag((1.0, -1.0, -1.0, 1.0))
 

@@ -14,7 +14,7 @@ import numpy as np
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.names import name_from_image
 from lumisplat.io.files.source import PathLike, parsing, read_bytes, read_text
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.camera import Camera, CameraModel
 
 FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")

@@ -10,7 +10,7 @@ from lumisplat.io.document.entries import EntryReader, SceneEntry
 from lumisplat.io.document.opening import read_entry
 from lumisplat.io.document.written import PLACED_IN_WORDS, placement_table
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import quaternions_from_matrices, rotation_between, rotation_matrix
+from lumisplat.math.transforms import quaternions_from_matrices, rotation_between, rotation_matrix
 from lumisplat.scene.ops.ground import lowest
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import Vector

@@ -14,7 +14,7 @@ from lumisplat.io.scene_toml.materials import MATERIAL_KINDS
 from lumisplat.io.scene_toml.toml_table import Values
 from lumisplat.io.scene_toml.toml_text import plain_value
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import quaternions_from_matrices
+from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material
 

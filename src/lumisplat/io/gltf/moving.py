@@ -26,7 +26,7 @@ from lumisplat.io.gltf.scene import check_extensions, placed_in
 from lumisplat.io.gltf.skins import read_skin
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import quaternions_from_matrices
+from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.clips import Channel, Clip, Interpolation

@@ -15,7 +15,7 @@ from lumisplat.io.cameras.json_values import is_list
 from lumisplat.io.files.limits import check_expansion
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.math.arrays import finite_numbers
-from lumisplat.math.rotations import matrices_from_quaternions, rotation_matrix
+from lumisplat.math.transforms import matrices_from_quaternions, rotation_matrix
 
 Matrix = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, TEXT, VECTOR, TomlTable
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.ops.insertion import insertion
 from lumisplat.scene.placing import Placing, placed
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance

@@ -34,7 +34,7 @@ from lumisplat.io.usd.walk import Placed
 from lumisplat.io.usd.writing.stage import StageWriter
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.rotations import quaternions_from_matrices, rotation_matrix
+from lumisplat.math.transforms import quaternions_from_matrices, rotation_matrix
 from lumisplat.scene.lights import (
     Light,
     LightDirectional,

@@ -16,7 +16,7 @@ from lumisplat.io.usd.layers import check_layers
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.remarks import Remarks
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import axis_rotation
+from lumisplat.math.transforms import axis_rotation
 
 HINT = "lumisplat"
 """Dictionary in the custom data of a prim in which we note what the format has no place for."""

@@ -15,8 +15,7 @@ from lumisplat.constants.delight import (
     SCALE_STEPS,
     SKY_LEAST,
 )
-from lumisplat.math.arrays import Doubles
-from lumisplat.math.quantiles import weighted_quantile
+from lumisplat.math.arrays import Doubles, weighted_quantile
 from lumisplat.relighting.albedo.irradiance import Irradiance
 
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from lumisplat.constants.delight import RESIDUAL_LARGE, SKY_IMAGE_ROWS, SURE, TOO_LIGHT
 from lumisplat.io.images.radiance import write_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows
-from lumisplat.math.panorama import panorama_directions
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.directions import panorama_directions
+from lumisplat.math.transforms import rotation_matrix
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.scene.gaussians import Gaussians
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from lumisplat.constants.delight import CELL_REACH
 from lumisplat.math.arrays import Doubles, Rows
-from lumisplat.math.octahedral import directions_of_square
+from lumisplat.math.directions import directions_of_square
 
 
 @dataclass(frozen=True, slots=True, eq=False)

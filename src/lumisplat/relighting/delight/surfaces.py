@@ -14,7 +14,7 @@ from lumisplat.constants.delight import (
     SURFACE_SPREAD,
 )
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.sampling.blue_noise import Pairs
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from lumisplat.constants.light_fit import SKY_DIRECTIONS, SKY_ROWS
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.scene.lights import Light, LightEnvironment

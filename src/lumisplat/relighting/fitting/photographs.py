@@ -18,7 +18,7 @@ from lumisplat.io.images.picture import LINEAR, read_picture
 from lumisplat.io.images.radiance import read_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.resampling import area_mean
-from lumisplat.math.tone_map_inverse import remove_tone_map
+from lumisplat.math.tone_map import remove_tone_map
 from lumisplat.scene.camera import Camera
 
 _ASPECT_ERROR = 0.51

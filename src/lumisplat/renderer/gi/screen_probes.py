@@ -13,7 +13,7 @@ from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels, TileNeeds
 from lumisplat.device.structs.rays import RayData
-from lumisplat.math.octahedral import harmonics_of_cells, irradiance_beyond
+from lumisplat.math.directions import harmonics_of_cells, irradiance_beyond
 from lumisplat.renderer.gi import screen_probe_kernels as place_kernels
 from lumisplat.renderer.gi import screen_probe_light_kernels as light_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rigid import cross_matrix
+from lumisplat.math.transforms import cross_matrix
 from lumisplat.runtime.buffers import DeviceArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import SplatInstance

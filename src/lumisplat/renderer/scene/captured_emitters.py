@@ -21,7 +21,7 @@ from lumisplat.device.structs.gi import EmitterBox
 from lumisplat.device.structs.scene import SplatInstanceData
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.struct_tables import table_dtype

@@ -26,7 +26,7 @@ from lumisplat.device.structs.light import (
     LightData,
 )
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.math.rotations import rotation_matrix
+from lumisplat.math.transforms import rotation_matrix
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera

@@ -12,8 +12,7 @@ from lumisplat.constants import CATCHER_AMBIENT, COAT_ROUGHNESS_MIN, SHEEN_ROUGH
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
 from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, VariedData
 from lumisplat.device.structs.shading import MaterialData
-from lumisplat.math.fresnel import mean_fresnel
-from lumisplat.math.sheen import albedo_curve
+from lumisplat.math.reflectance import albedo_curve, mean_fresnel
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.materials import Color, Material, MaterialPbr, MaterialSimple, wraps_of

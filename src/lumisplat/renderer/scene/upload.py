@@ -10,7 +10,7 @@ import warp as wp
 from lumisplat.device.structs.scene import GaussianData, MeshData
 from lumisplat.device.structs.shading import SplatAttributes
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.math.sheen import albedo_curves
+from lumisplat.math.reflectance import albedo_curves
 from lumisplat.runtime.buffers import DeviceArray, device_array
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import Material, texture_names

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import RIG_HIDDEN_AREA, RIG_SHEAR_MIN
 from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
-from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
+from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.mesh_sampling import SurfaceSamples
 

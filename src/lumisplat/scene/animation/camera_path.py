@@ -14,7 +14,7 @@ from lumisplat.config.checks import is_number
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import Doubles, finite_array
-from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
+from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.animation.keyframes import check_time
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import items_of

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import slerp
+from lumisplat.math.transforms import slerp
 
 
 class Channel(Enum):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import finite_array
-from lumisplat.math.rotations import matrices_from_quaternions, slerp
+from lumisplat.math.transforms import matrices_from_quaternions, slerp
 
 
 @dataclass(frozen=True, slots=True, eq=False)

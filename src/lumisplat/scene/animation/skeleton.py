@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.animation.clips import Channel, Clip
 
 

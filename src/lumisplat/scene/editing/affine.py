@@ -8,8 +8,7 @@ import numpy as np
 
 from lumisplat.constants import SCALE_MIN
 from lumisplat.math.arrays import Doubles, matrix_4x4, read_only_view
-from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
-from lumisplat.math.transforms import transform_points
+from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices, transform_points
 from lumisplat.scene.editing.transform import turned_harmonics
 from lumisplat.scene.gaussians import Gaussians, moved_orientation
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import SH_C0
 from lumisplat.math.arrays import Doubles, read_only_view
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.checks import check_argument, check_whole
 from lumisplat.scene.editing.clusters import clusters
 from lumisplat.scene.editing.moments import areas, mixtures, moments_of, shapes

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, finite_numbers, unit_vector
-from lumisplat.math.rotations import rotation_between
+from lumisplat.math.transforms import rotation_between
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import DECIMATE_OPACITY_MIN, SCALE_MIN
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
+from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.gaussians import Gaussians
 
 ROWS, COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)

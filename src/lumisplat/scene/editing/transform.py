@@ -9,9 +9,13 @@ import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, finite_numbers, matrix_4x4, read_only_view
-from lumisplat.math.rotations import multiply_quaternions, quaternions_from_matrices, rotation_from_degrees
 from lumisplat.math.sh import sh_rotation
-from lumisplat.math.transforms import transform_points
+from lumisplat.math.transforms import (
+    multiply_quaternions,
+    quaternions_from_matrices,
+    rotation_from_degrees,
+    transform_points,
+)
 from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians, moved_orientation
 from lumisplat.scene.local_frame import needed_origin

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.gaussians import Gaussians
 
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, Rows
-from lumisplat.math.rotations import matrices_from_quaternions
-from lumisplat.math.transforms import transform_points
+from lumisplat.math.transforms import matrices_from_quaternions, transform_points
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.lights import move_light

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
-from lumisplat.math.rotations import axis_rotation
+from lumisplat.math.transforms import axis_rotation
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_whole
 from lumisplat.scene.ops.framing import frame_camera, target_point

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.math.rotations import multiply_quaternions, quaternions_from_matrices
+from lumisplat.math.transforms import multiply_quaternions, quaternions_from_matrices
 from lumisplat.scene.scene import SplatInstance
 
 ZERO: Doubles = np.zeros(3)

@@ -21,7 +21,7 @@ from lumisplat.constants import (
     SH_C0,
 )
 from lumisplat.math.color import encode_srgb
-from lumisplat.math.rotations import quaternions_from_matrices
+from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.checks import check_argument, check_whole
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import Material, MaterialPbr

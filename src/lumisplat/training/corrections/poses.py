@@ -10,7 +10,7 @@ import numpy as np
 from lumisplat.errors import SceneError
 from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles
-from lumisplat.math.rigid import cross_matrix, rigid_from_twist, twist_from_rigid
+from lumisplat.math.transforms import cross_matrix, rigid_from_twist, twist_from_rigid
 from lumisplat.scene.camera import Camera
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.directions import panorama_directions
 
 HEIGHT, WIDTH = 16, 32
 

@@ -30,7 +30,7 @@ from lumisplat.io.splats.sog.writer import (
     write_folder,
 )
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
-from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.editing.morton import sort_morton
 from lumisplat.scene.gaussians import Gaussians, merge_gaussians

@@ -1,13 +1,55 @@
-"""A square as a map of all directions, in which equal areas are equal solid angles (Clarberg 2008)."""
+"""Maps of directions: latitude-longitude images, and the equal-area octahedral map of a square (Clarberg 2008).
+
+Axes of latitude-longitude images are those of `LightEnvironment`: +y at the top, -z in the middle, +x to the right of
+the middle. In the octahedral map, equal areas are equal solid angles.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.math.arrays import Doubles
 from lumisplat.math.sh import sh_basis
 
-_Doubles = npt.NDArray[np.float64]
+
+def panorama_directions(height: int, width: int) -> Doubles:
+    """Unit directions of the pixel centres, shape (H, W, 3)."""
+    theta = (np.arange(height)[:, None] + 0.5) * (np.pi / height)
+    phi = (np.arange(width) + 0.5) * (2.0 * np.pi / width) - np.pi
+    sine = np.sin(theta)
+    return np.stack(np.broadcast_arrays(sine * np.sin(phi), np.cos(theta), -sine * np.cos(phi)), axis=-1)
+
+
+def panorama_solid_angles(height: int, width: int) -> Doubles:
+    """Exact solid angle of one pixel in each row, steradians, shape (H,). Times the width, they sum to 4 pi."""
+    edges = np.cos(np.arange(height + 1) * (np.pi / height))
+    return (edges[:-1] - edges[1:]) * (2.0 * np.pi / width)
+
+
+def panorama_lookup(image: npt.NDArray[np.floating], directions: Doubles) -> Doubles:
+    """Values of an image along unit directions: bilinear, with the left and right edges joined, as kernels look it up.
+
+    Args:
+        image: Shape (H, W, 3).
+        directions: In the image's axes, shape (..., 3).
+
+    Returns:
+        Shape (..., 3).
+    """
+    height, width = image.shape[:2]
+    x, y, z = np.moveaxis(directions, -1, 0)
+    across = (0.5 + np.arctan2(x, -z) / (2.0 * np.pi)) * width - 0.5
+    down = np.clip(np.arctan2(np.hypot(x, z), y) / np.pi * height - 0.5, 0.0, height - 1.0)
+    left, top = np.floor(across).astype(int), np.floor(down).astype(int)
+    right, below = across - left, down - top
+    columns = (left % width, (left + 1) % width)
+    rows = (top, np.minimum(top + 1, height - 1))
+    upper, lower = (
+        image[r, columns[0]] * (1.0 - right)[..., None] + image[r, columns[1]] * right[..., None] for r in rows
+    )
+    return upper * (1.0 - below)[..., None] + lower * below[..., None]
+
 
 _POINTS = 64
 """Points along each side of a cell at which harmonics are summed."""
@@ -15,7 +57,7 @@ _COSINE_POINTS = 16
 """The same for cosines."""
 
 
-def directions_of_square(points: npt.ArrayLike) -> _Doubles:
+def directions_of_square(points: npt.ArrayLike) -> Doubles:
     """Unit directions of points of the square, 0..1; shapes (..., 2) and (..., 3)."""
     u, v = np.moveaxis(2.0 * np.asarray(points, np.float64) - 1.0, -1, 0)
     inside = 1.0 - np.abs(u) - np.abs(v)
@@ -27,7 +69,7 @@ def directions_of_square(points: npt.ArrayLike) -> _Doubles:
     return np.stack([x, y, np.copysign(1.0 - r * r, inside)], axis=-1)
 
 
-def cell_means(cells: int, degree: int) -> _Doubles:
+def cell_means(cells: int, degree: int) -> Doubles:
     """Means of the spherical harmonics over the cells of the map.
 
     Args:
@@ -40,7 +82,7 @@ def cell_means(cells: int, degree: int) -> _Doubles:
     return np.array([sh_basis(directions_of_square(points), degree).mean(axis=0) for points in _points(cells, _POINTS)])
 
 
-def harmonics_of_cells(cells: int, degree: int) -> _Doubles:
+def harmonics_of_cells(cells: int, degree: int) -> Doubles:
     """What each cell's mean adds to the coefficients of the harmonics that fit all cells' means best.
 
     Light of no higher degree is found exactly, so that which is the same everywhere. Integrals of the harmonics over
@@ -57,7 +99,7 @@ def harmonics_of_cells(cells: int, degree: int) -> _Doubles:
     return np.asarray(np.linalg.pinv(cell_means(cells, degree)).T, np.float64)
 
 
-def irradiance_beyond(cells: int, degree: int, normals: int) -> _Doubles:
+def irradiance_beyond(cells: int, degree: int, normals: int) -> Doubles:
     """What each cell's mean adds to an irradiance that the fit of the harmonics leaves out.
 
     Cosines, integrated over the cells, times what the cells' means are apart from those of the fit: light of no higher
@@ -79,7 +121,7 @@ def irradiance_beyond(cells: int, degree: int, normals: int) -> _Doubles:
     return np.asarray(4.0 * np.pi / cells**2 * beyond, np.float64)
 
 
-def _points(cells: int, count: int) -> _Doubles:
+def _points(cells: int, count: int) -> Doubles:
     """Evenly spread points of each cell, as many along each side, shape (cells^2, count^2, 2)."""
     steps = (np.arange(count) + 0.5) / count
     within = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, logm
 
-from lumisplat.math.rigid import cross_matrix, rigid_from_twist, twist_from_rigid
+from lumisplat.math.transforms import cross_matrix, rigid_from_twist, twist_from_rigid
 
 
 def generator(twist: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lumisplat.math.quantiles import weighted_quantile
+from lumisplat.math.arrays import weighted_quantile
 
 RNG = np.random.default_rng(8)
 
