@@ -18,7 +18,7 @@ from lumisplat.renderer.checks import check_projection
 from lumisplat.viewer.frames.renderers import frame_config
 from lumisplat.viewer.panels.described import described
 from lumisplat.viewer.panels.settings import SettingsPanel
-from lumisplat.viewer.state.applicable import is_lit, shown_views, unused_settings
+from lumisplat.viewer.state.applicable import shown_views, unused_settings
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.words import page_words
 
@@ -42,7 +42,8 @@ def test_the_views_that_are_offered_are_those_that_frames_have(pipeline: ls.Pipe
         config = ls.RenderConfig(pipeline=pipeline, lighting=lighting)
         renderer = ls.create_renderer(config, "cpu")
         there = [view for view in ls.Frame.VIEWS if shows(renderer, scene, view)]
-        assert shown_views(config, lit=is_lit(config, scene)) == ("color", *there), (lighting, scene.lights)
+        lit = config.is_lit(by_default=scene.is_lit_by_default)
+        assert shown_views(config, lit=lit) == ("color", *there), (lighting, scene.lights)
 
 
 def test_a_view_that_other_settings_do_not_have_becomes_the_colour() -> None:
@@ -73,7 +74,8 @@ def test_settings_without_an_effect_change_no_pixel() -> None:
         config = ls.RenderConfig(pipeline=pipeline, samples=None if pipeline is ls.Pipeline.REALTIME else 1)
         renderer = ls.create_renderer(config, "cpu")
         expected = renderer.render(scene, camera(height=18)).color
-        for name in unused_settings(config, lit=is_lit(config, scene)).keys() & others.keys():
+        lit = config.is_lit(by_default=scene.is_lit_by_default)
+        for name in unused_settings(config, lit=lit).keys() & others.keys():
             renderer.reconfigure(replace(config, **{name: others[name]}))
             np.testing.assert_array_equal(renderer.render(scene, camera(height=18)).color, expected, f"{name}")
 

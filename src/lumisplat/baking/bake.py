@@ -119,7 +119,7 @@ class _Settings:
     def __post_init__(self) -> None:
         check_whole("degree", self.degree, 0, SH_DEGREE_MAX)
         check_whole("directions", self.directions, 4, BAKE_DIRECTIONS_MAX)
-        if self.config.pipeline not in (Pipeline.PATH, Pipeline.TRACE):
+        if self.config.pipeline.rasterises:
             raise ConfigError(f"bake takes Pipeline.PATH, or TRACE for direct light, got {self.config.pipeline}")
         check_whole("samples", self.samples, 2, SAMPLES_MAX)
         if not math.isfinite(self.exposure):

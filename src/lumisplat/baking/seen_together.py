@@ -133,7 +133,7 @@ class SeenTogether:
         half = max((config.samples or 2) // 2, 1)
         self._paths = FrameRays(replace(config, samples=half), launcher)
         self._bounced: tuple[FrameRays, FrameRays] | None = None
-        if config.pipeline is Pipeline.PATH and config.max_bounces != 0:
+        if config.pipeline.traces_paths and config.max_bounces != 0:
             # By the same random numbers: what paths bring without bouncing is a part of what they bring.
             few = replace(config, samples=min(max(half // BOUNCED_PART, BOUNCED_MIN), half))
             self._bounced = FrameRays(few, launcher), FrameRays(replace(few, max_bounces=0), launcher)
@@ -199,7 +199,7 @@ class SeenTogether:
         facing = self._facing(met.gaussian, directions[met.ray])
         # Rays that see more of the backs of Gaussians with normals than of their fronts: nobody is there.
         kept &= met.total(facing * self._knows_front[met.gaussian]) <= 0.0
-        if self._config.pipeline is Pipeline.PATH:  # which shows lights as bodies, in front of Gaussians and behind
+        if self._config.pipeline.traces_paths:  # which shows lights as bodies, in front of Gaussians and behind
             kept &= ~meets_light(self._scene.lights, origins, directions)
         kept = kept.reshape(lines.origins.shape[:2])
         kept &= np.cumsum(kept, axis=1) <= wanted[:, None]

@@ -14,6 +14,7 @@ from lumisplat.config.dataset import (
 )
 from lumisplat.config.materials import MaterialsConfig
 from lumisplat.config.paths import PathConfig, PathPrimary
+from lumisplat.config.pipelines import Integrator, Pipeline, Visibility
 from lumisplat.config.probes import ProbeConfig
 from lumisplat.config.raster import Antialiasing, GaussianSurface, Projection, RasterConfig, RasterStrategy
 from lumisplat.config.rays import (
@@ -33,7 +34,6 @@ from lumisplat.config.render import (
     PATH_AOVS,
     PATH_PARTS,
     REALTIME_AOVS,
-    Pipeline,
     RenderConfig,
     Shadows,
     ToneMap,
@@ -62,6 +62,7 @@ __all__ = [
     "FilterConfig",
     "GaussianSurface",
     "HitDistance",
+    "Integrator",
     "LearningRates",
     "LightEstimationConfig",
     "MaterialsConfig",
@@ -89,6 +90,7 @@ __all__ = [
     "TraceConfig",
     "TraceStrategy",
     "TrainConfig",
+    "Visibility",
     "check_flag",
     "check_kind",
     "check_range",

@@ -19,28 +19,13 @@ from lumisplat.config.checks import (
 )
 from lumisplat.config.colors import display_color
 from lumisplat.config.paths import PathConfig
+from lumisplat.config.pipelines import READ_BY, READ_IF_LIT, Pipeline
 from lumisplat.config.raster import RasterConfig
 from lumisplat.config.rays import ResponseConfig, ShadowConfig, TraceConfig
 from lumisplat.config.realtime import RealtimeConfig
 from lumisplat.config.renamed import refuse_renamed
 from lumisplat.constants import CAPTURE_GAIN_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError
-
-
-class Pipeline(Enum):
-    """How the surfaces that the camera sees are found."""
-
-    RASTER = "raster"
-    """Sorted, tiled rasterisation."""
-    TRACE = "trace"
-    """Rays through the Gaussians themselves, mirrors and glass included."""
-    HYBRID = "hybrid"
-    """Rasterised first; rays continue from there, for shadows, mirrors and glass."""
-    PATH = "path"
-    """Paths of light that bounces, in any direction and as often as ``max_bounces`` (docs/method/paths.md)."""
-    REALTIME = "realtime"
-    """A sequence of rasterised frames in which light bounces: each adds to what those before it have found
-    (docs/method/realtime.md)."""
 
 
 class Shadows(Enum):
@@ -211,6 +196,32 @@ class RenderConfig:
         check_whole("seed", self.seed, 0, 2**32 - 1)
         if self.max_bounces is not None:
             check_whole("max_bounces", self.max_bounces, 0, 64)
+
+    def is_lit(self, *, by_default: bool) -> bool:
+        """Whether lights light the frames of a scene.
+
+        Args:
+            by_default: Whether the scene itself asks for light: `Scene.is_lit_by_default`.
+        """
+        return by_default or self.pipeline.bounces_light if self.lighting is None else self.lighting
+
+    def unused_settings(self, *, lit: bool) -> dict[str, str]:
+        """Returns the settings, and groups of settings, without an effect on frames, each with what would give it one.
+
+        Args:
+            lit: Whether frames are lit, as `is_lit` says.
+        """
+        unused = {name: _readers(pipelines) for name, pipelines in READ_BY.items() if self.pipeline not in pipelines}
+        if self.shadows is Shadows.OFF:
+            unused["shadow_rays"] = "Used with shadows, hard or soft."
+        if not lit:
+            unused |= dict.fromkeys(READ_IF_LIT, "Used where lights shine: add one, or switch lighting on.")
+        return unused
+
+
+def _readers(pipelines: tuple[Pipeline, ...]) -> str:
+    names = [pipeline.value for pipeline in pipelines]
+    return f"Used by the pipeline{'s' * (len(names) > 1)} {', '.join(names)}."
 
 
 def _checked_aovs(aovs: object) -> tuple[str, ...]:

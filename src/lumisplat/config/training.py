@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from lumisplat.config.checks import check_flag, check_kind, check_positive, check_range, check_whole, take_enum
+from lumisplat.config.pipelines import Pipeline
 from lumisplat.config.raster import Projection
-from lumisplat.config.render import Pipeline
 from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
 from lumisplat.errors import ConfigError
 
@@ -163,11 +163,11 @@ class TrainConfig:
         return max(self.flatness, self.normals, self.depth_spread, self.normal_smoothness) > 0.0
 
     def _check_pipeline(self) -> None:
-        if self.pipeline not in (Pipeline.RASTER, Pipeline.TRACE):
+        if not self.pipeline.is_differentiable:
             raise ConfigError(f"pipeline is {self.pipeline.value}, expected raster or trace: others cannot be trained")
-        if self.pipeline is Pipeline.RASTER and self.kernel_degree != KERNEL_DEGREE:
+        if self.pipeline.rasterises and self.kernel_degree != KERNEL_DEGREE:
             raise ConfigError(f"kernel_degree is {self.kernel_degree}, which rays alone show: use Pipeline.TRACE")
-        if self.pipeline is Pipeline.TRACE and self.projection is not Projection.EWA:
+        if not self.pipeline.rasterises and self.projection is not Projection.EWA:
             raise ConfigError("projection is unscented, which is of Pipeline.RASTER: rays see every lens as it is")
         if self.keeps_lenses and self.densification is Densification.ADAPTIVE:
             raise ConfigError("densification is adaptive, which looks at splats of Pipeline.RASTER: use mcmc for rays")
@@ -182,4 +182,4 @@ class TrainConfig:
     @property
     def keeps_lenses(self) -> bool:
         """Whether photographs of distorting lenses and fisheyes are learnt from as they are, along rays."""
-        return self.pipeline is Pipeline.TRACE or self.projection is Projection.UNSCENTED
+        return not self.pipeline.rasterises or self.projection is Projection.UNSCENTED

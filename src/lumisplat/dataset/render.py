@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import RenderConfig
 from lumisplat.config.dataset import DatasetConfig
 from lumisplat.dataset.files import view_file
 from lumisplat.dataset.finish import DatasetSummary, finish_dataset
@@ -69,7 +69,7 @@ def _frame_config(render: RenderConfig, config: DatasetConfig) -> RenderConfig:
     Raises:
         ConfigError: The pipeline is in real time: its frames follow from each other, and views do not.
     """
-    if render.pipeline is Pipeline.REALTIME:
+    if render.pipeline.is_sequence:
         raise ConfigError(
             "Pipeline.REALTIME is of frames that follow from each other, and views do not: "
             "use Pipeline.PATH or Pipeline.HYBRID"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.config import PathPrimary, Pipeline, RasterStrategy, RenderConfig, TraceStrategy
+from lumisplat.config import PathPrimary, RasterStrategy, RenderConfig, TraceStrategy
 from lumisplat.constants import DENOISE_TOUCH_REACH, WEIGHT_ROUNDING
 from lumisplat.errors import ConfigError, MissingExtraError
 from lumisplat.frame.aovs import check_layer
@@ -74,9 +74,9 @@ def _guides(frame: FrameData) -> dict[str, Any]:
 
 def draws_surfaces(config: RenderConfig) -> bool:
     """Whether the first Gaussian on a ray is drawn at random, so that albedo and normals are as noisy as light is."""
-    if config.pipeline is Pipeline.PATH:
+    if config.pipeline.traces_paths:
         return config.path.primary is not PathPrimary.ISO
-    if config.pipeline is Pipeline.TRACE:
+    if not config.pipeline.rasterises:
         return config.trace.strategy is not TraceStrategy.SORTED
     return config.raster.strategy is not RasterStrategy.SORTED
 

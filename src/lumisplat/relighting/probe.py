@@ -29,7 +29,6 @@ from lumisplat.math.sh import sh_basis
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.renderer.cubemap import render_cube
 from lumisplat.renderer.renderer import Renderer, create_renderer
-from lumisplat.renderer.scene.frame_plan import bounces_light
 from lumisplat.scene.checks import check_kind
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
@@ -116,7 +115,7 @@ class EnvironmentProbe:
         place = three_numbers("position", position)
         renderer = create_renderer(config, device) if renderer is None else renderer
         check_kind("scene", scene, Scene, "a Scene")
-        bounces = bool(scene.splats) and bounces_light(renderer.config)
+        bounces = bool(scene.splats) and renderer.config.pipeline.bounces_light
         if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights and not bounces:
             # What lights meshes where there are no lights is at the viewer, or was captured by a probe.
             renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)

@@ -19,7 +19,7 @@ from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.directions import panorama_directions
 from lumisplat.renderer.cubemap import cube_solid_angles, face_pixels, render_faces
-from lumisplat.renderer.scene.frame_plan import CapturedLight, bounces_light, keeps_captures
+from lumisplat.renderer.scene.frame_plan import CapturedLight, keeps_captures
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
@@ -35,7 +35,7 @@ def takes_captured_light(config: RenderConfig, scene: Scene) -> bool:
     Paths and frames in real time find that light by themselves.
     """
     is_unlit = config.lighting is None and not scene.lights
-    return is_unlit and bool(scene.meshes) and keeps_captures(scene) and not bounces_light(config)
+    return is_unlit and bool(scene.meshes) and keeps_captures(scene) and not config.pipeline.bounces_light
 
 
 class MeshSurroundings:

@@ -39,7 +39,7 @@ def without_catcher_meshes(scene: Scene) -> Scene:
 
 def catcher_config(config: RenderConfig) -> RenderConfig:
     """Settings of the frames that find what meshes catch: through the middles of pixels, without the background."""
-    pipeline = config.pipeline if config.pipeline in (Pipeline.TRACE, Pipeline.PATH) else Pipeline.HYBRID
+    pipeline = Pipeline.HYBRID if config.pipeline.rasterises else config.pipeline
     return replace(
         config,
         pipeline=pipeline,

@@ -11,7 +11,6 @@ from lumisplat.config import (
     PATH_AOVS,
     REALTIME_AOVS,
     GaussianSurface,
-    Pipeline,
     Projection,
     RasterStrategy,
     RenderConfig,
@@ -76,13 +75,13 @@ def check_projection(config: RenderConfig) -> None:
     for value, needed in ((raster.strategy, RasterStrategy.SORTED), (raster.surface, GaussianSurface.ISO)):
         if value is not needed:
             raise ConfigError(f"{value} does not go with Projection.UNSCENTED, which has {needed} alone")
-    if config.pipeline is Pipeline.REALTIME:
+    if config.pipeline.is_sequence:
         raise ConfigError("Projection.UNSCENTED does not go with Pipeline.REALTIME: use Pipeline.HYBRID")
 
 
 def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:
     """Raises ConfigError unless a frame can have the samples that its settings ask for."""
-    if config.pipeline is Pipeline.REALTIME:
+    if config.pipeline.is_sequence:
         given = [name for name in ("samples", "time_limit", "noise", "adaptive") if getattr(config, name) is not None]
         if config.samples == 1:
             given.remove("samples")
@@ -93,7 +92,7 @@ def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -
         if resume is not None:
             raise ConfigError("a frame of Pipeline.REALTIME cannot be resumed: the renderer's next frame goes on")
     if config.adaptive and not may_adapt(config):
-        if config.pipeline in (Pipeline.TRACE, Pipeline.PATH):
+        if not config.pipeline.rasterises:
             raise ConfigError("RenderConfig.adaptive=True needs pixels with draws of their own: not shared_draws")
         raise ConfigError("RenderConfig.adaptive=True needs rays from the camera: Pipeline.PATH or Pipeline.TRACE")
     if "variance" in plan.aovs and plan.samples == 1 and resume is None and not plan.has_history:

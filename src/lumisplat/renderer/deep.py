@@ -182,7 +182,7 @@ class _DeepTracer:
         for light in filter(operator.attrgetter("enabled"), self._scene.lights):
             if isinstance(light, LightEnvironment) and light.visible and config.background is not None:
                 self._sky = light
-            elif isinstance(light, AreaLight) and light.visible and config.pipeline is Pipeline.PATH:
+            elif isinstance(light, AreaLight) and light.visible and config.pipeline.traces_paths:
                 self._lamps.append(light)
 
     def band(self, pixels: slice, wanted: _Wanted, offsets: list[tuple[float, float]]) -> _Samples:

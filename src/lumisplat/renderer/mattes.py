@@ -44,8 +44,7 @@ def render_mattes(scene: Scene, camera: Camera, config: RenderConfig | None = No
         SceneError: As for ``Renderer.render``.
     """
     config = checked_config(config)
-    by_rays = config.pipeline in (Pipeline.TRACE, Pipeline.PATH)
-    pipeline = Pipeline.TRACE if by_rays else Pipeline.RASTER
+    pipeline = Pipeline.RASTER if config.pipeline.rasterises else Pipeline.TRACE
     config = replace(config, pipeline=pipeline, lighting=False, aovs=(), samples=None)
     renderer = create_renderer(config, device)
     instances: list[IntArray] = []

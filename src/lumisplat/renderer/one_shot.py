@@ -6,7 +6,7 @@ import math
 
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RenderConfig, check_whole
+from lumisplat.config import RenderConfig, check_whole
 from lumisplat.constants import SAMPLES_MAX
 from lumisplat.constants.realtime import WARM_UP_FRAMES
 from lumisplat.errors import ConfigError
@@ -43,7 +43,7 @@ def render(
         DeviceError: There is no such device, or it is out of memory.
         SceneError: As for ``Renderer.render``.
     """
-    is_sequence = checked_config(config).pipeline is Pipeline.REALTIME
+    is_sequence = checked_config(config).pipeline.is_sequence
     if frames is not None:
         if not is_sequence:
             raise ConfigError("frames is of Pipeline.REALTIME: samples make frames of other pipelines better")

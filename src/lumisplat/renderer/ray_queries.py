@@ -190,4 +190,4 @@ def _starts(origins: FloatArray, offsets: FloatArray | None) -> FloatArray:
 def tracing(config: RenderConfig | None) -> RenderConfig:
     """The settings with a pipeline of rays: that of paths, or the ray tracer."""
     config = config or RenderConfig()
-    return config if config.pipeline is Pipeline.PATH else replace(config, pipeline=Pipeline.TRACE)
+    return config if config.pipeline.traces_paths else replace(config, pipeline=Pipeline.TRACE)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, Projection, RasterStrategy, RenderConfig
+from lumisplat.config import Integrator, Projection, RasterStrategy, RenderConfig
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
@@ -350,7 +350,7 @@ class Renderer:
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
         """Syncs the scene for rays that a caller gives, or for some of a camera's."""
-        if self.config.pipeline not in (Pipeline.TRACE, Pipeline.PATH):
+        if self.config.pipeline.rasterises:
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or Pipeline.PATH: this one rasterises")
         check_scene(scene)
         if has_catcher_meshes(scene):
@@ -396,9 +396,9 @@ class Renderer:
             check_projection(self.config)
             refuse_lens(camera, self.config.pipeline, self.config.raster.projection)
             self._warnings.warn_of_degree(scene)
-        if self.config.pipeline is Pipeline.HYBRID and scene.splats:
+        if plan.rasterises and self.config.pipeline.integrator is Integrator.WHITTED and scene.splats:
             self._warnings.warn_of_normals(self.config.trace)
-        if plan.is_lit and self.config.pipeline is Pipeline.RASTER:
+        if plan.is_lit and not self.config.pipeline.spawns_rays:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import Pipeline, Projection, RasterStrategy, RenderConfig, TraceStrategy
+from lumisplat.config import Projection, RasterStrategy, RenderConfig, TraceStrategy
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.errors import ConfigError
@@ -93,7 +93,7 @@ class DifferentiableRenderer(Renderer):
 
     def _prepare(self) -> None:
         """Sets up the backward passes of the settings."""
-        self._traces = self.config.pipeline is Pipeline.TRACE
+        self._traces = not self.config.pipeline.rasterises
         self._is_unscented = not self._traces and self.config.raster.projection is Projection.UNSCENTED
         self._load(self._backward_modules(), self._progress)
         self._backward = SplatBackward(self._launcher, self._buffers)
@@ -356,9 +356,9 @@ def _checked(config: RenderConfig) -> RenderConfig:
     Raises:
         ConfigError: They cannot.
     """
-    if config.pipeline not in (Pipeline.RASTER, Pipeline.TRACE):
+    if not config.pipeline.is_differentiable:
         raise ConfigError(f"gradients are those of frames of Pipeline.RASTER or TRACE, not of {config.pipeline.name}")
-    traces = config.pipeline is Pipeline.TRACE
+    traces = not config.pipeline.rasterises
     strategy = config.trace.strategy if traces else config.raster.strategy
     if strategy not in (TraceStrategy.SORTED, RasterStrategy.SORTED):
         raise ConfigError(f"gradients are those of sorted frames, not of the strategy {strategy.name}")

@@ -11,7 +11,6 @@ import warp as wp
 from lumisplat.config import (
     Antialiasing,
     Densification,
-    Pipeline,
     Projection,
     RasterConfig,
     RenderConfig,
@@ -362,14 +361,14 @@ def falling(first: float, last: float, done: float) -> float:
 
 def raster_of(config: TrainConfig) -> type[TrainingRaster | TrainingRays | TrainingUnscented]:
     """What draws the Gaussians that are learnt."""
-    if config.pipeline is Pipeline.TRACE:
+    if not config.pipeline.rasterises:
         return TrainingRays
     return TrainingUnscented if config.projection is Projection.UNSCENTED else TrainingRaster
 
 
 def backward_modules(config: TrainConfig, launcher: Launcher) -> list[KernelModule]:
     """The kernel modules of the derivatives of its frames."""
-    if config.pipeline is Pipeline.TRACE:
+    if not config.pipeline.rasterises:
         return [*ray_gradient_modules(), traced_pixel_kernels]
     if config.projection is Projection.UNSCENTED:
         return [*unscented_gradient_modules(launcher), traced_pixel_kernels]

@@ -114,7 +114,7 @@ class Animate(FrameCommand):
             origin=self._origin(animation, config, renderer.device, folder.folder),
             wanted=tuple(frame_numbers("--frames", self.frames, animation.frame_count)),
             fps=animation.fps,
-            in_sequence=config.pipeline is ls.Pipeline.REALTIME,
+            in_sequence=config.pipeline.is_sequence,
         )
         remarks = partial(frame_remarks, config, raster=[], rays=self.rays, light=self.light, device=self.device)
         maker = AnimationFrames(animation, cameras, self.frame_source(renderer), folder, remarks=remarks)

@@ -132,7 +132,7 @@ class Bench(PlacingCommand, DeviceCommand):
         pipeline = without_none({"pipeline": self.pipeline and ls.Pipeline(self.pipeline)})
         strategy = without_none({"strategy": self.strategy and ls.TraceStrategy(self.strategy)})
         config = changed_config(base, pipeline, {"trace": strategy})
-        if strategy and config.pipeline is ls.Pipeline.RASTER:
+        if strategy and not config.pipeline.spawns_rays:
             _log.warning("%s", not_used(config, ["--strategy"], "trace and hybrid"))
         return config
 

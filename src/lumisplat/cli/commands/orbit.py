@@ -107,7 +107,7 @@ class Orbit(ViewsCommand, FrameCommand):
             origin=self._origin(config, renderer.device, folder.folder),
             wanted=wanted,
             fps=self.fps,
-            in_sequence=config.pipeline is ls.Pipeline.REALTIME,
+            in_sequence=config.pipeline.is_sequence,
         )
         return FrameJob(
             frames=frames,

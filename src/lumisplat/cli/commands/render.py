@@ -170,7 +170,7 @@ class Render(ViewsCommand, FrameCommand):
             folder=FrameFolder(folder, "", _STAMP, tuple(shot.path.name for shot in shots)),
             origin=self._origin(config, source.renderer.device),
             wanted=tuple(self._wanted(shots)),
-            in_sequence=config.pipeline is ls.Pipeline.REALTIME and self.path is not None,
+            in_sequence=config.pipeline.is_sequence and self.path is not None,
         )
         if self.tiles:
             tiles = Tiles.of(shots, [*frames.wanted], self.tiles, self.output, _STAMP, has_layers=bool(self.aov))
@@ -208,7 +208,7 @@ class Render(ViewsCommand, FrameCommand):
         scene = blocks.preview if blocks else self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
         config = self.light.exposed_captures(renderer, config, scene)
-        if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(self, _OF_REALTIME)):
+        if not config.pipeline.is_sequence and (unused := given_options(self, _OF_REALTIME)):
             _log.warning("%s", not_used(config, unused, "realtime"))
         for line in frame_remarks(
             config, scene, given_options(self, _OF_RASTER), self.rays, self.light, device=self.device

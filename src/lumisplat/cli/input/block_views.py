@@ -82,7 +82,7 @@ def block_views(
         return None
     needs = [
         "other files of the scene" * (len(paths) > 1),
-        f"--pipeline {config.pipeline.value}" * (config.pipeline is not ls.Pipeline.RASTER),
+        f"--pipeline {config.pipeline.value}" * config.pipeline.spawns_rays,
         "--projection unscented" * (config.raster.projection is ls.Projection.UNSCENTED),
         "light" * (lit or config.lighting is True),
         whole,

@@ -59,7 +59,7 @@ def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
     """
     lights = [light for light in scene.lights if light.enabled]
     is_surrounded = any(isinstance(light, ls.LightEnvironment) for light in lights)
-    bounces = config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)  # there, the capture itself lights them
+    bounces = config.pipeline.bounces_light  # there, the capture itself lights them
     if config.lighting is False or len(lights) != 1 or is_surrounded or not scene.splats or bounces:
         return
     relit = [splats.material for splats in scene.splats if splats.material is not None and not splats.shadow_catcher]
@@ -77,7 +77,7 @@ def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
 
 def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: LightOptions) -> Iterator[str]:
     """A line if captures alone light what is added, by light that is clipped at a display's white."""
-    bounces = config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME) and config.lighting is not False
+    bounces = config.pipeline.bounces_light and config.lighting is not False
     relit = [one for one in scene.splats if one.material is not None and not one.shadow_catcher]
     has_captures = len(relit) < len(scene.splats)
     asked = config.capture_gain != 0.0 or light.capture_gain is not None

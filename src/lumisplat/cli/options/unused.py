@@ -32,13 +32,13 @@ def unused_options(
         rays: The options of rays.
         light: The options of light.
     """
-    is_path = config.pipeline is ls.Pipeline.PATH
-    bounces = config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)
-    lit = scene.is_lit_by_default or bounces if config.lighting is None else config.lighting
+    is_path = config.pipeline.traces_paths
+    bounces = config.pipeline.bounces_light
+    lit = config.is_lit(by_default=scene.is_lit_by_default)
     shadowed = lit and config.shadows is not ls.Shadows.OFF
-    if config.pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH) and raster:
+    if not config.pipeline.rasterises and raster:
         yield not_used(config, raster, "raster and hybrid")
-    if config.pipeline is ls.Pipeline.RASTER:
+    if not config.pipeline.spawns_rays:
         others = *_OF_PATHS, *_OF_REALTIME, *_REFUSED
         used = given_options(rays, [*_used_by_raster(config, lit=lit, shadowed=shadowed), *others])
         unused = [option for option in given_options(rays) if option not in used]
@@ -46,7 +46,7 @@ def unused_options(
             yield not_used(config, unused, "trace and hybrid")
     if not is_path and (unused := given_options(rays, _OF_PATHS)):
         yield not_used(config, unused, "path")
-    if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(rays, _OF_REALTIME)):
+    if not config.pipeline.is_sequence and (unused := given_options(rays, _OF_REALTIME)):
         yield not_used(config, unused, "realtime")
     if is_path and (unused := given_options(rays, _NOT_OF_PATHS)):
         yield (

@@ -57,7 +57,7 @@ def lit_pictures(scene: ls.Scene, camera: ls.Camera, folder: Path, start: Start,
     """
     view = camera.scaled(max(1, camera.width // 2))
     for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID):
-        aovs = SHEET_AOVS if pipeline is ls.Pipeline.HYBRID else ()
+        aovs = SHEET_AOVS if pipeline.rasterises and pipeline.spawns_rays else ()
         renderer = start(replace(_CONFIG, pipeline=pipeline, aovs=aovs))
         frame = renderer.render(scene, view, progress=_labelled(report, f"lighting, {pipeline.value}"))
         path = folder / f"lit-{pipeline.value}.png"

@@ -92,7 +92,7 @@ class FrameSource:
 
     def _rendered(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
         """One frame; in real time the last of those that it takes."""
-        if self.renderer.config.pipeline is not ls.Pipeline.REALTIME:
+        if not self.renderer.config.pipeline.is_sequence:
             return self.renderer.render(scene, camera, progress=report)
         if self._is_warm and not self.warm_up.each:
             return self.renderer.render(scene, camera)
@@ -115,7 +115,7 @@ class FrameSource:
 def grain_line(frame: ls.Frame) -> str | None:
     """What helps against the grain of a frame of paths; None: there is little, or --noise says how much is left."""
     config, noise = frame.config, None if frame.stats is None else frame.stats.noise
-    if config is None or config.pipeline is not ls.Pipeline.PATH or config.noise is not None:
+    if config is None or not config.pipeline.traces_paths or config.noise is not None:
         return None
     if frame.light is None or not frame.light.any():
         return None  # a kept capture: what is left are its edges

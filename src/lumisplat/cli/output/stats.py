@@ -40,7 +40,7 @@ def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
     stats = frame.stats
     assert stats is not None
     rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]
-    if pipeline is not ls.Pipeline.TRACE:
+    if pipeline.rasterises:
         rows += [("visible", f"{stats.visible_count:,}"), ("tile pairs", f"{stats.pair_count:,}")]
     if frame.samples:
         rows += [("samples", f"{frame.samples:,}")]

@@ -31,9 +31,6 @@ from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.renderer.scene.instance_tables import footprint_of
 from lumisplat.scene.gaussians import Gaussians
 
-SPLATS, RAYS = (Pipeline.RASTER, Pipeline.HYBRID), (Pipeline.TRACE, Pipeline.PATH)
-"""Pipelines that show Gaussians through the centres of pixels as they were learnt: all, and those that rays widen."""
-
 
 def evaluate_materials(
     gaussians: Gaussians,
@@ -112,7 +109,9 @@ def _relighting(
     settings = config or RenderConfig(pipeline=Pipeline.PATH if has_lamps else Pipeline.HYBRID)
     if samples is None and settings.time_limit is None and settings.noise is None:
         samples = settings.samples or RELIT_SAMPLES
-    wide = settings.pipeline in SPLATS or (settings.pipeline in RAYS and footprint_of(gaussians, settings) > 0.0)
+    # Splats show Gaussians through the centres of pixels as they were learnt, and so do rays that widen them.
+    pipeline = settings.pipeline
+    wide = not pipeline.is_sequence and (pipeline.rasterises or footprint_of(gaussians, settings) > 0.0)
     return replace(settings, background=None, samples=samples, jitter=settings.jitter and not wide)
 
 

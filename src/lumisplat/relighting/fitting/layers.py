@@ -51,9 +51,9 @@ class LightLayers:
         rendered: Callable[[], None] = lambda: None,
     ) -> None:
         base = RenderConfig(pipeline=Pipeline.PATH) if config is None else config
-        if base.pipeline is Pipeline.REALTIME:
+        if base.pipeline.is_sequence:
             raise ConfigError("Pipeline.REALTIME finds light over many frames: fit by Pipeline.PATH, whose light it is")
-        self.is_path = base.pipeline is Pipeline.PATH
+        self.is_path = base.pipeline.traces_paths
         samples = base.samples or (FIT_SAMPLES_OF_PATHS if self.is_path else None)
         half = None if samples is None else max(1, round(0.5 * share * samples))
         settled = {"background": (0.0, 0.0, 0.0), "lighting": True, "samples": half, "adaptive": False}

@@ -53,7 +53,7 @@ def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Pro
     It is not a sharp pinhole or has a rolling shutter; with sigma points, it is orthographic or not sharp.
     """
     problem, remedy = None, ""
-    if pipeline is not Pipeline.REALTIME:
+    if not pipeline.is_sequence:
         remedy = "Projection.UNSCENTED or "
     if camera.model is CameraModel.ORTHOGRAPHIC or camera.aperture > 0.0:
         sharp = f"is {camera.model.value}" if camera.aperture == 0.0 else f"has an aperture of {camera.aperture:g}"
@@ -66,7 +66,7 @@ def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Pro
         problem = "has a rolling shutter"
     if problem:
         name = f" '{camera.name}'" if camera.name else ""
-        others = "PATH" if pipeline is Pipeline.REALTIME else "TRACE"
+        others = "PATH" if pipeline.is_sequence else "TRACE"
         raise SceneError(
             f"camera{name} {problem}, which Pipeline.{pipeline.name} cannot draw: use {remedy}Pipeline.{others}"
         )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from lumisplat.config import (
     PATH_PARTS,
     GaussianSurface,
+    Integrator,
     PathPrimary,
     Pipeline,
     Projection,
@@ -175,13 +176,11 @@ class FramePlan:
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
         """The plan of a frame of a scene."""
-        bounces = bounces_light(config)
-        is_path = config.pipeline is Pipeline.PATH
-        is_realtime = config.pipeline is Pipeline.REALTIME
-        is_lit = scene.is_lit_by_default or bounces if config.lighting is None else config.lighting
+        pipeline = config.pipeline
+        bounces, is_path, is_realtime = pipeline.bounces_light, pipeline.traces_paths, pipeline.is_sequence
+        is_lit = config.is_lit(by_default=scene.is_lit_by_default)
         traces_paths = bounces and is_lit
-        rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID, Pipeline.REALTIME)
-        only_rasterises = config.pipeline is Pipeline.RASTER
+        rasterises, only_rasterises = pipeline.rasterises, not pipeline.spawns_rays
         is_unscented = rasterises and config.raster.projection is Projection.UNSCENTED
         keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
@@ -195,7 +194,7 @@ class FramePlan:
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
         has_unshadowed = is_lit and not is_path and reflects and not all_cast
         grain = random_light(config, scene) if not bounces and (has_unshadowed or casts_shadows) else ()
-        follows = config.pipeline in (Pipeline.TRACE, Pipeline.HYBRID) and config.max_bounces != 0
+        follows = pipeline.integrator is Integrator.WHITTED and config.max_bounces != 0
         wants_lobes = has_rough_metal(scene) if config.glossy_reflections is None else config.glossy_reflections
         has_lobes = wants_lobes and follows and is_lit and reflects
         grain += (SURROUNDINGS,) * has_lobes
@@ -255,7 +254,7 @@ class FramePlan:
     @classmethod
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:
         """The plan of rays that a caller gives: without a camera, its headlight, a background, and further images."""
-        is_path = config.pipeline is Pipeline.PATH
+        is_path = config.pipeline.traces_paths
         pipeline = Pipeline.PATH if is_path else Pipeline.TRACE
         lighting = config.lighting
         if lighting is None:
@@ -268,40 +267,33 @@ class FramePlan:
 
 def may_jitter(config: RenderConfig, *, is_lit: bool) -> bool:
     """Whether samples may be anywhere in their pixels; in real time, if frames are averaged."""
-    if config.pipeline is Pipeline.REALTIME:
+    if config.pipeline.is_sequence:
         return config.jitter and is_lit and config.realtime.of_quality.antialiasing
     return config.jitter
 
 
-def bounces_light(config: RenderConfig) -> bool:
-    """Whether light bounces in all directions."""
-    return config.pipeline in (Pipeline.PATH, Pipeline.REALTIME)
-
-
 def blends_first(config: RenderConfig) -> bool:
     """Whether Gaussians on rays from the camera are blended, not met one at a time."""
-    return config.pipeline is not Pipeline.PATH or config.path.primary is PathPrimary.ISO
+    return not config.pipeline.traces_paths or config.path.primary is PathPrimary.ISO
 
 
 def may_adapt(config: RenderConfig) -> bool:
     """Whether pixels may have different numbers of samples: rays find what they see, and each has its own chance."""
-    rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID, Pipeline.REALTIME)
     shadows = config.shadow_rays
-    return not rasterises and not (shadows.method is ShadowMethod.STOCHASTIC and shadows.shared_draws)
+    return not config.pipeline.rasterises and not (shadows.method is ShadowMethod.STOCHASTIC and shadows.shared_draws)
 
 
 def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
     """Whether anything casts shadows: a light, or in paths what shines by itself."""
     if config.shadows is Shadows.OFF:
         return False
-    return any(light.enabled and light.casts_shadow for light in scene.lights) or (
-        bounces_light(config) and shines(scene)
-    )
+    casts = any(light.enabled and light.casts_shadow for light in scene.lights)
+    return casts or (config.pipeline.bounces_light and shines(scene))
 
 
 def shows_lights_in_haze(config: RenderConfig, scene: Scene) -> bool:
     """Whether rays of paths may show lights behind Gaussians that are blended, so that shadow rays say how much."""
-    if not bounces_light(config) or config.shadows is Shadows.OFF:
+    if not config.pipeline.bounces_light or config.shadows is Shadows.OFF:
         return False
     return (keeps_captures(scene) or blends_first(config)) and any(map(is_visible, scene.lights))
 
@@ -320,7 +312,7 @@ def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> 
     catchers = [instance for instance in scene.splats if instance.shadow_catcher]
     if not (adds_to_captures(scene) and any(any(catcher_ambient(one, scene)) for one in catchers)):
         return 0
-    if config.pipeline is Pipeline.REALTIME:
+    if config.pipeline.is_sequence:
         return AMBIENT_RAYS_OF_FRAMES
     return SAMPLES_OF_RANDOM_LIGHT if config.samples is None and samples_wanted == 1 else 1
 
@@ -332,9 +324,9 @@ def is_visible(light: Light) -> bool:
 
 def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lobes: bool) -> int:
     """How often light bounces at most; in real time, by smooth surfaces."""
-    if config.pipeline is Pipeline.PATH and is_lit:
+    if config.pipeline.traces_paths and is_lit:
         return PATH_BOUNCES if config.max_bounces is None else config.max_bounces
-    if not has_mirrors or config.pipeline is Pipeline.RASTER:
+    if not has_mirrors or not config.pipeline.spawns_rays:
         return int(has_lobes)
     return SPECULAR_BOUNCES if config.max_bounces is None else config.max_bounces
 

@@ -7,7 +7,6 @@ import warp as wp
 from lumisplat.config import RenderConfig
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.frame_plan import bounces_light
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
 from lumisplat.renderer.trace.path_gaussians import Dark, PathGaussians
@@ -28,7 +27,7 @@ class RayTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher = launcher
         self._meshes = MeshTracer(launcher, buffers)
-        traces_paths = bounces_light(config) and config.lighting is not False
+        traces_paths = config.pipeline.bounces_light and config.lighting is not False
         self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
 
     def find_hits(

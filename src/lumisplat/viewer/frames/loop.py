@@ -34,8 +34,6 @@ _log = logging.getLogger("lumisplat")
 
 _MOVING, _AT_REST, _BEFORE = "moving", "at rest", "before"
 """Uses of renderers; frames in real time have one of each page."""
-_FOLLOWING = (ls.Pipeline.REALTIME, ls.Pipeline.PATH)
-"""Pipelines whose time goes with the pixels, or whose frames follow from those before them."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,7 @@ class RenderLoop:
         def work() -> Generator[None]:
             state = self._session.state
             config = frame_config(state.config, "color")
-            if config.pipeline is ls.Pipeline.REALTIME:  # whose first frame is noisy
+            if config.pipeline.is_sequence:  # whose first frame is noisy
                 config = replace(config, pipeline=ls.Pipeline.HYBRID, samples=1)
             scene = self.scenes.of(state.document, config, self._session.options.time, 0, waits=False)
             frame = self._renderers.of(_AT_REST, config).render(scene, camera)
@@ -254,7 +252,7 @@ class RenderLoop:
 
     def _uses(self, job: _Job) -> list[Hashable]:
         """The uses that may have a renderer while the state of a job is shown."""
-        in_sequence = job.state.config.pipeline is ls.Pipeline.REALTIME
+        in_sequence = job.state.config.pipeline.is_sequence
         uses: list[Hashable] = [*self._pages] if in_sequence else [_MOVING, _AT_REST]
         return uses if job.options.split is None else [*uses, (_BEFORE, True), (_BEFORE, False)]
 
@@ -274,7 +272,7 @@ class RenderLoop:
         """A frame of a view that has changed, as fine as the budget allows."""
         page, state, options = job.page, job.state, job.options
         self._moved_at = time.monotonic()
-        follows = state.config.pipeline in _FOLLOWING
+        follows = state.config.pipeline.bounces_light  # its time goes with the pixels
         steps = BY_PIXELS if follows else BY_GAUSSIANS
         if page.pace.steps is not steps:
             page.pace = Pace(steps, first=len(steps) - 2)
@@ -282,7 +280,7 @@ class RenderLoop:
             page.pace = Pace(first=first_step(state.document.scene(options.time).gaussian_count))
         step, started = page.pace.step, time.perf_counter()
         config = frame_config(state.config, options.view)
-        in_sequence = config.pipeline is ls.Pipeline.REALTIME
+        in_sequence = config.pipeline.is_sequence
         is_warm = self._renderers.has(page if in_sequence else _MOVING, config)
         renderer = self._renderers.of(page if in_sequence else _MOVING, config)
         scene = self.scenes.of(state.document, config, options.time, step.level, waits=False)
@@ -303,7 +301,7 @@ class RenderLoop:
         page, state, options = job.page, job.state, job.options
         started = time.perf_counter()
         config = frame_config(state.config, options.view)
-        in_sequence = config.pipeline is ls.Pipeline.REALTIME
+        in_sequence = config.pipeline.is_sequence
         renderer = self._renderers.of(page if in_sequence else _AT_REST, config)
         camera = job.pose.camera(options.height, state.exposure)
         resume = page.frame if page.frames_at_rest and not in_sequence else None
@@ -340,7 +338,7 @@ class RenderLoop:
         """What the scene was before; at rest with as many samples, up to a few."""
         page, options = job.page, job.options
         config = frame_config(job.before.config, options.view)
-        if config.pipeline is not ls.Pipeline.REALTIME and not job.moves:
+        if not config.pipeline.is_sequence and not job.moves:
             config = replace(config, samples=BEFORE_SAMPLES)
         camera = replace(camera, exposure=job.before.exposure)
         key = job.key, job.moves, level, camera.width, camera.height
@@ -359,7 +357,7 @@ def _ignore(label: str, fraction: float) -> None:
 
 def _is_finished(frame: ls.Frame, rests: int, noise: float | None, config: ls.RenderConfig) -> bool:
     """Whether a page at rest needs no further frame after so many."""
-    if config.pipeline is ls.Pipeline.REALTIME:
+    if config.pipeline.is_sequence:
         return rests >= REALTIME_FRAMES_AT_REST
     if frame.samples == 0:
         return True  # the sorted raster is exact

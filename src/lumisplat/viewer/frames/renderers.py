@@ -26,7 +26,7 @@ def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
         view: ``color``, or one of `lumisplat.Frame.VIEWS`.
     """
     needed = ls.Frame.NEEDS.get(view)
-    samples = None if config.pipeline is ls.Pipeline.REALTIME else 1
+    samples = None if config.pipeline.is_sequence else 1
     limits = {"samples": samples, "noise": None, "time_limit": None, "adaptive": None}
     return replace(config, **limits, aovs=() if needed is None else (needed,))
 

@@ -51,7 +51,7 @@ class Studio:
         Raises:
             LumisplatError: It cannot be rendered.
         """
-        follows = renderer.config.pipeline is ls.Pipeline.REALTIME
+        follows = renderer.config.pipeline.is_sequence
         frame: ls.Frame | None = None
         done = 0
         while frame is None or (done < samples and frame.samples > 0):
@@ -73,6 +73,6 @@ def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.Re
     Raises:
         ConfigError: There is no such image.
     """
-    samples = None if config.pipeline is ls.Pipeline.REALTIME else 1
+    samples = None if config.pipeline.is_sequence else 1
     needed = [name for name in layers if name not in ls.Frame.LAYERS or name in ls.Frame.NEEDS]
     return replace(config, samples=samples, noise=None, time_limit=None, adaptive=None, aovs=(*config.aovs, *needed))

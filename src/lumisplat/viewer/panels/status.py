@@ -124,7 +124,7 @@ def frame_line(page: Page, frame: ls.Frame, step: Step | None, took: float) -> s
     parts = [f"{frame.camera.width} × {frame.camera.height}"]
     if step is not None and step.level:
         parts.append(f"{LEVEL_FRACTIONS[step.level]:.0%} of Gaussians")
-    elif frame.config is not None and frame.config.pipeline is ls.Pipeline.REALTIME and page.frames_at_rest:
+    elif frame.config is not None and frame.config.pipeline.is_sequence and page.frames_at_rest:
         parts.append(f"{page.frames_at_rest} frame{'s' * (page.frames_at_rest != 1)}")
     elif frame.samples:
         parts.append(f"{frame.samples:,} sample{'s' * (frame.samples != 1)}")

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.viewer.state.applicable import is_lit, shown_views
+from lumisplat.viewer.state.applicable import shown_views
 from lumisplat.viewer.state.boxes import Boxes
 from lumisplat.viewer.state.extent import Extent
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, MERGE_S, UNDO_BYTES_MAX, UNDO_MAX
@@ -199,7 +199,7 @@ class Session:
     @property
     def is_lit(self) -> bool:
         """Whether frames are lit."""
-        return is_lit(self.state.config, self.scene)
+        return self.state.config.is_lit(by_default=self.scene.is_lit_by_default)
 
     @property
     def views(self) -> tuple[str, ...]:

@@ -133,7 +133,7 @@ class Dataset(FrameCommand, PlacingCommand):
         base = scene_settings(scene_file(self.scene))
         albedo = ("albedo",) if "albedo" in settings.layers else ()
         config = self.frame_config(base, {"aovs": (*base.aovs, *albedo)})
-        if config.pipeline is ls.Pipeline.REALTIME:
+        if config.pipeline.is_sequence:
             raise ls.ConfigError(
                 "--pipeline realtime is of frames that follow from each other, and views do not: path or hybrid"
             )

@@ -92,7 +92,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
             config = replace(config, raster=replace(config.raster, projection=ls.Projection(self.projection)))
         if config.background is None:
             raise ls.ConfigError("--background is transparent, expected a colour over which pictures are compared")
-        keeps_lenses = config.pipeline is ls.Pipeline.TRACE or config.raster.projection is ls.Projection.UNSCENTED
+        keeps_lenses = not config.pipeline.rasterises or config.raster.projection is ls.Projection.UNSCENTED
         if self.output is not None:
             check_folder(self.output)
         with progress_bars() as report:

@@ -1,0 +1,64 @@
+"""Pipelines: what each name means is stated once, and asked nowhere else."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import lumisplat
+import lumisplat as ls
+from lumisplat.config import Integrator, Visibility
+
+SOURCES = Path(lumisplat.__file__).parent
+
+
+@pytest.mark.parametrize("pipeline", ls.Pipeline)
+def test_each_pipeline_is_its_own_pair_of_visibility_and_integrator(pipeline: ls.Pipeline) -> None:
+    """No two pipelines render the same way."""
+    pair = pipeline.visibility, pipeline.integrator
+    assert [one for one in ls.Pipeline if (one.visibility, one.integrator) == pair] == [pipeline]
+
+
+def test_raster_and_trace_differ_from_hybrid_in_one_thing_each() -> None:
+    """Hybrid frames find primary hits as raster does, and carry light as trace does."""
+    assert ls.Pipeline.RASTER.visibility is ls.Pipeline.HYBRID.visibility is Visibility.RASTERISED
+    assert ls.Pipeline.TRACE.integrator is ls.Pipeline.HYBRID.integrator is Integrator.WHITTED
+
+
+@pytest.mark.parametrize("pipeline", ls.Pipeline)
+def test_light_that_bounces_lights_scenes_without_lights(pipeline: ls.Pipeline) -> None:
+    """Others light a scene by default if it asks for it; whoever sets lighting decides."""
+    config = ls.RenderConfig(pipeline=pipeline)
+    assert config.is_lit(by_default=True)
+    assert config.is_lit(by_default=False) == (pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME))
+    for lighting in (True, False):
+        given = ls.RenderConfig(pipeline=pipeline, lighting=lighting)
+        assert given.is_lit(by_default=not lighting) == lighting
+
+
+def test_unused_settings_name_their_readers() -> None:
+    """Those of other pipelines, of lit frames, and of frames with shadows."""
+    unused = ls.RenderConfig(pipeline=ls.Pipeline.RASTER, shadows=ls.Shadows.OFF).unused_settings(lit=True)
+    assert unused["max_bounces"] == "Used by the pipelines trace, hybrid, path, realtime."
+    assert unused["realtime"] == "Used by the pipeline realtime."
+    assert unused["shadow_rays"] == "Used with shadows, hard or soft."
+    assert "raster" not in unused and "tone_map" not in unused
+    assert "tone_map" in ls.RenderConfig().unused_settings(lit=False)
+
+
+def test_no_other_code_asks_which_pipeline_it_is() -> None:
+    """Code asks for the property that it depends on: `rasterises`, `bounces_light` and so on."""
+    asking: list[str] = []
+    for path in SOURCES.rglob("*.py"):
+        if path == SOURCES / "config" / "pipelines.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.Compare):
+                continue
+            sides = [node.left, *node.comparators]
+            names = [name for side in sides for name in ast.walk(side) if isinstance(name, ast.Attribute)]
+            if any(ast.unparse(name.value) in ("Pipeline", "ls.Pipeline") for name in names):
+                asking.append(f"{path.relative_to(SOURCES)}:{node.lineno}")
+    assert not asking
