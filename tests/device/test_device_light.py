@@ -10,16 +10,17 @@ import numpy.typing as npt
 import pytest
 import warp as wp
 
-from lumisplat.device.structs.light import (
+from lumisplat.device.light.light import (
     LIGHT_DIRECTIONAL,
+    LIGHT_DISK,
     LIGHT_ENVIRONMENT,
     LIGHT_HEADLIGHT,
     LIGHT_POINT,
     LIGHT_RECT,
     LIGHT_SPOT,
-    LightData,
-    LightSample,
 )
+from lumisplat.device.structs.light import LightData, LightSample
+from lumisplat.device.structs.path import LightCrossing
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.oracles.light_oracle import Array, cap, cone, first_hit, polygon_irradiance, window
@@ -29,7 +30,7 @@ DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 POSITION = (1.0, 2.0, -0.5)
 AXIS = np.array([2.0, -6.0, 3.0]) / 7.0
 ACROSS = np.array([3.0, 2.0, 2.0]) / math.sqrt(17.0)  # square to the axis
-KINDS = (LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL, LIGHT_RECT, LIGHT_HEADLIGHT, LIGHT_ENVIRONMENT)
+KINDS = (LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL, LIGHT_RECT, LIGHT_DISK, LIGHT_HEADLIGHT, LIGHT_ENVIRONMENT)
 
 
 def light(kind: Any, **values: Any) -> npt.NDArray[Any]:
@@ -63,6 +64,15 @@ def seen(
     samples = wp.zeros(count, dtype=LightSample, device=device)
     Launcher(device, threads=1).run(probe_light_kernels.probe_lights, count, *inputs, samples)
     return samples.numpy()
+
+
+def crossed(there: npt.NDArray[Any], origin: Array, directions: npt.NDArray[Any]) -> Any:
+    """Where rays from a point cross a light, as a structured array."""
+    ways = wp.array(directions.astype(np.float32), dtype=wp.vec3, device="cpu")
+    crossings = wp.zeros(len(directions), dtype=LightCrossing, device="cpu")
+    inputs = wp.array(there, dtype=LightData, device="cpu"), wp.vec3(*origin), ways
+    Launcher("cpu", threads=1).run(probe_light_kernels.probe_crossings, len(directions), *inputs, crossings)
+    return crossings.numpy()
 
 
 def grid(steps: int) -> Array:
@@ -272,6 +282,73 @@ def test_rectangles_give_what_lambert_says(seed: int) -> None:
     # Nothing on its other side.
     behind = seen(there, 2.0 * position, True, grid(4))
     assert not behind["irradiance"].any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_disks_give_what_lambert_says(seed: int) -> None:
+    """A disk over a receiver that looks its way, as a polygon of many corners; samples are even over its area."""
+    rng = np.random.default_rng(seed)
+    position, axis = np.array([0.0, 0.0, 2.0]) + 0.3 * rng.normal(size=3), np.array([0.0, 0.0, -1.0])
+    axis = axis + 0.3 * rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    normal = np.array([0.0, 0.0, 1.0]) + 0.2 * rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    u = np.cross(axis, (1.0, 0.0, 0.0))
+    u /= np.linalg.norm(u)
+    v, turn = np.cross(axis, u), 2.0 * np.pi * np.arange(4000)[:, None] / 4000
+    corners = position + 0.7 * (np.cos(turn) * u + np.sin(turn) * v)
+    assert (corners @ normal > 0.0).all()
+    there = light(LIGHT_DISK, position=position, direction=axis, radius=0.7)
+    samples = seen(there, (0.0, 0.0, 0.0), True, grid(128))
+    expected = abs(polygon_irradiance(corners, np.zeros(3), normal))
+    np.testing.assert_allclose(gathered(samples, normal), expected * np.array([3.0, 2.0, 1.0]), rtol=2e-4)
+    np.testing.assert_allclose(samples["irradiance"][:, 0] * samples["density"], 3.0, rtol=1e-5)
+    offsets = samples["distance"][:, None] * samples["direction"].astype(np.float64) - position
+    np.testing.assert_allclose(offsets @ axis, 0.0, atol=2e-6)
+    shares = (offsets**2).sum(axis=1) / 0.49
+    np.testing.assert_allclose(np.quantile(shares, (0.25, 0.5, 0.75, 1.0)), (0.25, 0.5, 0.75, 1.0), atol=0.01)
+    np.testing.assert_allclose(offsets.mean(axis=0), 0.0, atol=1e-5)
+    assert not seen(there, position - 0.1 * axis, True, grid(4))["irradiance"].any()
+
+
+@pytest.mark.parametrize("height", [0.05, 0.7, 20.0])
+def test_a_disk_above_its_axis(height: float) -> None:
+    """Radiance times pi r^2 / (r^2 + h^2); hard, all of it at the centre, but never above pi."""
+    there = light(LIGHT_DISK, position=(0.0, height, 0.0), direction=(0.0, -1.0, 0.0), radius=0.7)
+    up = np.array([0.0, 1.0, 0.0])
+    radii2 = np.stack([(np.arange(20000) + 0.5) / 20000, np.full(20000, 0.3)], axis=1)
+    soft = gathered(seen(there, (0.0, 0.0, 0.0), True, radii2), up)
+    assert soft[0] == pytest.approx(3.0 * math.pi * 0.49 / (0.49 + height**2), rel=1e-3)
+    hard = gathered(seen(there, (0.0, 0.0, 0.0)), up)
+    assert hard[0] == pytest.approx(3.0 * math.pi * min(0.49 / height**2, 1.0), rel=1e-5)
+
+
+FLAT = {
+    LIGHT_RECT: {"edge_u": (0.9, 0.1, 0.0), "edge_v": (0.0, 0.2, 1.1)},
+    LIGHT_DISK: {"radius": 0.6},
+    LIGHT_POINT: {"radius": 0.6},
+}
+
+
+@pytest.mark.parametrize("kind", FLAT)
+def test_rays_cross_lights_where_samples_lie(kind: Any) -> None:
+    """At the same distance and with the same density, which integrates to one over all directions."""
+    there = light(kind, **FLAT[kind])
+    towards = there["direction"][0].astype(np.float64)
+    point = np.array(POSITION) + 1.3 * towards + 0.4 * np.cross(towards, (1.0, 0.0, 0.0))
+    samples = seen(there, point, True, np.clip(grid(40), 0.001, 0.999))
+    crossings = crossed(there, point, samples["direction"])
+    assert np.isfinite(crossings["t"]).all()
+    np.testing.assert_allclose(crossings["t"], samples["distance"], rtol=1e-3 if kind == LIGHT_POINT else 1e-5)
+    np.testing.assert_allclose(crossings["density"], samples["density"], rtol=1e-4)
+    cells = grid(1200)
+    height, turn = 2.0 * cells[:, 0] - 1.0, 2.0 * math.pi * cells[:, 1]
+    around = np.stack(
+        [np.sqrt(1.0 - height**2) * np.cos(turn), height, np.sqrt(1.0 - height**2) * np.sin(turn)], axis=1
+    )
+    densities = crossed(there, point, around)["density"].astype(np.float64)
+    assert 4.0 * math.pi * densities.mean() == pytest.approx(1.0, rel=3e-3)
+    assert np.isinf(crossed(there, point, -samples["direction"])["t"]).all()
 
 
 def test_lambert_by_hand() -> None:

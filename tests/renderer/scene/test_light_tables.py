@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lumisplat.device.structs.light import (
+from lumisplat.device.light.light import (
     LIGHT_DIRECTIONAL,
     LIGHT_ENVIRONMENT,
     LIGHT_HEADLIGHT,

@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.gi.light_grid import GridCell, bounded, grid_cell, grid_key, grid_light, light_weight
-from lumisplat.device.light.light_choice import chosen_light, light_importance, vertex_at
+from lumisplat.device.light.direct_light import chosen_light, light_importance, vertex_at
 from lumisplat.device.structs.gi import LightGrid
 from lumisplat.device.structs.path import LightChoice
 from lumisplat.device.structs.shading import Interaction, ShadingScene

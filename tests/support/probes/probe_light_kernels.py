@@ -5,9 +5,10 @@ import warp as wp
 from lumisplat.device.gi.albedo import diffuse_albedo, glossy_albedo, transmitted_albedo
 from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light.interaction import bsdf_of
-from lumisplat.device.light.light import sample_light
+from lumisplat.device.light.light import light_crossing, sample_light
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
 from lumisplat.device.structs.light import Bsdf, BsdfSample, EnvironmentData, LightData, LightSample
+from lumisplat.device.structs.path import LightCrossing
 from lumisplat.device.structs.shading import MaterialData
 
 wp.set_module_options({"enable_backward": False})
@@ -64,6 +65,18 @@ def probe_lights(
     """How points see lights."""
     i = wp.tid()
     samples[i] = sample_light(lights[i], points[i], soft, randoms[i])
+
+
+@wp.kernel
+def probe_crossings(
+    light: wp.array(dtype=LightData),
+    origin: wp.vec3,
+    directions: wp.array(dtype=wp.vec3),
+    crossings: wp.array(dtype=LightCrossing),
+):
+    """Where rays from a point cross a light."""
+    i = wp.tid()
+    crossings[i] = light_crossing(light[0], origin, directions[i])
 
 
 @wp.kernel

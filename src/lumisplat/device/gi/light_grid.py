@@ -1,31 +1,38 @@
 """The light grid: cells of the world with some of many lights each, among which their surfaces choose one.
 
-docs/method/realtime.md#light-grid
+Without a grid, surfaces in real time choose as paths do. docs/method/realtime.md#light-grid
 """
 
 import warp as wp
 
-from lumisplat.constants import LIGHT_POWER_MAX, LUMINANCE
+from lumisplat.constants import LIGHT_POWER_MAX
 from lumisplat.constants.realtime import GRID_CELL_SIZE, GRID_CHOICES, GRID_LIGHTS
 from lumisplat.device.gi.radiance_cache import exponent_of, width_of
-from lumisplat.device.light.light import window
-from lumisplat.device.light.light_choice import light_importance, place_of
-from lumisplat.device.math.directions import PI
-from lumisplat.device.math.random import BITS_8, mix
-from lumisplat.device.structs.gi import LightGrid
-from lumisplat.device.structs.light import (
-    LIGHT_DIRECTIONAL,
-    LIGHT_ENVIRONMENT,
-    LIGHT_HEADLIGHT,
-    LIGHT_RECT,
-    LIGHT_SPOT,
-    EmitterData,
-    LightData,
+from lumisplat.device.light.direct_light import (
+    CHOICE_BRANCH,
+    chosen_light,
+    light_importance,
+    place_of,
+    sample_choice,
+    vertex_at,
 )
-from lumisplat.device.structs.path import LightChoice
-from lumisplat.device.structs.shading import Interaction, ShadingScene
+from lumisplat.device.light.light import LIGHT_ENVIRONMENT, light_bound
+from lumisplat.device.math.directions import PI
+from lumisplat.device.math.random import BITS_8, branch_key, mix, sobol_2d
+from lumisplat.device.path.steps import branch_of
+from lumisplat.device.structs.gi import LightGrid
+from lumisplat.device.structs.light import EmitterData, LightData
+from lumisplat.device.structs.path import Branch, LightChoice
+from lumisplat.device.structs.rays import Bounce, RayData
+from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
+
+# Branches of a ray's key.
+SURFACE_BRANCH = wp.constant(7)
+"""Which surface of the ray."""
+CELL_BRANCH = wp.constant(8)
+"""Which cell."""
 
 KEPT = wp.constant(GRID_LIGHTS)
 """Lights of a cell."""
@@ -44,7 +51,6 @@ LOW_18 = wp.constant(wp.int64(2**18 - 1))
 BITS_2 = wp.constant(wp.int64(2))
 ROOT_3 = wp.constant(wp.float32(3.0**0.5))
 UNIT = wp.constant(wp.float32(2.0**-24))
-WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 LEAST = wp.constant(wp.float32(1e-30))
 MOST = wp.constant(wp.float32(LIGHT_POWER_MAX))
 FEW = wp.constant(wp.float32(0.01))
@@ -103,25 +109,6 @@ def grid_cell(key: wp.int64) -> GridCell:
 
 
 @wp.func
-def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: float) -> float:
-    """The most that the cone of a spot leaves of it anywhere within ``reach`` of a point.
-
-    Args:
-        light: The spot.
-        to_light: From the point.
-        distance: The same; its length.
-        reach: Scene units.
-    """
-    if distance <= reach:
-        return 1.0
-    off = to_light / distance + light.direction
-    angle = 2.0 * wp.asin(wp.min(0.5 * wp.length(off), 1.0))
-    sine = wp.sin(0.5 * wp.max(angle - wp.asin(reach / distance), 0.0))
-    share = wp.clamp((light.outer - 2.0 * sine * sine) / wp.max(light.outer - light.inner, LEAST), 0.0, 1.0)
-    return share * share
-
-
-@wp.func
 def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> float:
     """About the irradiance that a light gives what faces it in a cell; above 0 if it gives any surface there some.
 
@@ -130,27 +117,9 @@ def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> f
         environment_mean: Mean luminance of the environment.
         cell: The cell.
     """
-    power = wp.dot(WEIGHTS, light.power)
     if light.kind == LIGHT_ENVIRONMENT:
         return PI * environment_mean
-    if light.kind == LIGHT_DIRECTIONAL or light.kind == LIGHT_HEADLIGHT:  # noqa: PLR1714
-        return power
-    to_light = light.position - cell.center
-    distance = wp.length(to_light)
-    reach = 2.0 * cell.half
-    nearest2 = wp.max(distance * distance, wp.max(cell.half * cell.half, LEAST))
-    if light.kind == LIGHT_RECT:
-        height = reach - wp.dot(to_light, light.direction)
-        if height <= 0.0:
-            return 0.0
-        cosine = wp.min(height / wp.sqrt(nearest2), 1.0)
-        area = wp.length(wp.cross(light.edge_u, light.edge_v))
-        return power * wp.min(cosine * area / nearest2, PI)
-    near = wp.max(distance - reach, 0.0)
-    share = window(light, near * near)
-    if light.kind == LIGHT_SPOT:
-        share *= widest_cone(light, to_light, distance, reach)
-    return share * power / nearest2
+    return light_bound(light, cell.center, cell.half)
 
 
 @wp.func
@@ -222,3 +191,33 @@ def grid_light(
             choice.probability = sent[slot] / total
             rest -= sent[slot] / chances[cell * SLOTS + slot]
     return choice
+
+
+@wp.func
+def lit_surface(i: int, wave: wp.array[WaveData]) -> Branch:
+    """Which of the surfaces on ray ``i`` is lit, in proportion to what about each reflects: its kind is its slot."""
+    u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], SURFACE_BRANCH), wave[0].rays.sample[i])
+    return branch_of(i, u[0], False, Bounce(), wave)
+
+
+@wp.func
+def sample_light_of(
+    i: int,
+    slot: int,
+    interaction: Interaction,
+    no_shadows: bool,
+    grid: LightGrid,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    rays: RayData,
+) -> Contribution:
+    """As ``sample_choice``, of a light that is chosen by what each sends there; ``grid``: of the wave."""
+    u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
+    choice = LightChoice()
+    if grid.cell_of.shape[0] > 0:
+        choice = grid_light(u[0], grid.cell_of[i], interaction, grid, scene)
+    else:
+        choice = chosen_light(u[0], vertex_at(interaction, scene), scene)
+    if choice.number < 0:
+        return Contribution()
+    return sample_choice(i, slot, choice, interaction, no_shadows, scene, wave, rays)

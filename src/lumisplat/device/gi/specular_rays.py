@@ -7,17 +7,16 @@ block these samples: what shines by a mirror is seen by rays alone (docs/method/
 import warp as wp
 
 from lumisplat.constants.realtime import MIRRORED_SOLID_ANGLE
+from lumisplat.device.light.direct_light import environment_number, light_importance, meets_rays
 from lumisplat.device.light.environment import environment_radiance
-from lumisplat.device.light.light_choice import light_importance, meets_rays
+from lumisplat.device.light.light import light_crossing
 from lumisplat.device.light.mesh_interaction import mesh_emission
-from lumisplat.device.light.visible_light import light_crossing
 from lumisplat.device.material.fresnel import reflect
 from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.material.specular_bounce import bounce_across, sends_rays_on, spawn_point
 from lumisplat.device.math.color import luminance
 from lumisplat.device.math.random import branch_key
 from lumisplat.device.mesh.mesh_surface import hit_weights
-from lumisplat.device.path.seen_light import environment_number
 from lumisplat.device.structs.path import BRANCH_REFLECTED, Branch, PathStep
 from lumisplat.device.structs.rays import Bounce, RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData

@@ -1,23 +1,179 @@
-"""Direct light at interactions: unshadowed contributions of lights to a ray's radiance (docs/method/lighting.md)."""
+"""Direct light at a surface: choose a light, sample it, weight the sample against others, and start its shadow ray.
+
+All integrators estimate direct light by these functions; they differ in which lights they ask:
+
+- Whitted's asks all, each by its centre or a random point of its extent, and the environment twice, by its radiance and
+  by the BSDF (``light_contribution``).
+- Paths choose one by about what each sends (``chosen_light``, ``sample_chosen``); their own rays meet some, too.
+- In real time, one is chosen likewise or from a cell of the light grid (``sample_choice``).
+
+The equations are in docs/method/lighting.md and docs/method/paths.md#lights.
+"""
 
 import warp as wp
 
+from lumisplat.constants import LIGHT_COSINE_MIN, LUMINANCE
+from lumisplat.device.light.emitter import sample_emitter
 from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
-from lumisplat.device.light.light import sample_light
-from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
+from lumisplat.device.light.light import LIGHT_ENVIRONMENT, sample_light
+from lumisplat.device.light.shadow_ray import start_shadow_ray
+from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample, view_albedo
 from lumisplat.device.material.rough_glass import transmits
 from lumisplat.device.math.color import is_black
+from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.structs.light import LIGHT_ENVIRONMENT, Bsdf, LightSample
-from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene
+from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf, LightSample
+from lumisplat.device.structs.path import LightChoice, PathVertex, SampledLight
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
 LIGHT_BRANCHES = wp.constant(2)
-"""First branch of the lights' random numbers: 0 and 1 are the reflected and the refracted ray."""
+"""First branch of a ray's key for the random numbers of all lights: 0 and 1 are the reflected and the refracted ray."""
+BSDF_BRANCHES = wp.constant(2)
+"""First branch of a light's key for its shadow rays: 0 and 1 are samples of the BSDF."""
 
-SHADOW_BRANCHES = wp.constant(2)
-"""First branch of a light's shadow rays: 0 and 1 are samples of the BSDF."""
+# Branches of a ray's key where one light is chosen.
+POINT_BRANCH = wp.constant(2)
+"""Which point of the light."""
+CHOICE_BRANCH = wp.constant(3)
+"""Which light, and which triangle of those that shine."""
+SHADOW_BRANCH = wp.constant(5)
+"""How Gaussians hide it: not by the numbers that chose its point."""
+
+WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
+COSINE_MIN = wp.constant(wp.float32(LIGHT_COSINE_MIN))
+TINY = wp.constant(wp.float32(1e-30))
+
+
+# --- Which light: the triangles that shine are one light more, after all others ---
+
+
+@wp.func
+def choice_count(scene: wp.array[ShadingScene]) -> int:
+    """Lights among which paths choose."""
+    return scene[0].settings[0].light_count + wp.where(scene[0].emitters.ends.shape[0] > 0, 1, 0)
+
+
+@wp.func
+def is_environment(number: int, scene: wp.array[ShadingScene]) -> bool:
+    """Whether this light is the environment; the triangles that shine are one light more, after all others."""
+    if number == scene[0].settings[0].light_count:
+        return False
+    return scene[0].lights[number].kind == LIGHT_ENVIRONMENT
+
+
+@wp.func
+def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
+    """Whether what is in the way of light ``number`` blocks it: always, if it is that of meshes."""
+    if number == scene[0].settings[0].light_count:
+        return True
+    return scene[0].lights[number].casts_shadow != 0
+
+
+@wp.func
+def meets_rays(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
+    """Whether rays that surfaces scatter show light ``number``, and its samples are weighted against them.
+
+    Not those whose samples pass what would block the rays, or are shadowed otherwise, and those that have no extent.
+    """
+    if no_shadows or scene[0].settings[0].changes_shadows != 0:
+        return False
+    if number == scene[0].settings[0].light_count:
+        return True
+    light = scene[0].lights[number]
+    if light.casts_shadow == 0:
+        return False
+    if light.kind == LIGHT_ENVIRONMENT:
+        return light.range == wp.inf
+    return light.visible != 0
+
+
+@wp.func
+def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
+    """About the irradiance that light ``number`` gives a surface; above 0 wherever it gives any."""
+    if number == scene[0].settings[0].light_count:
+        emitters = scene[0].emitters
+        away = emitters.center - position
+        return emitters.power / wp.max(wp.max(wp.dot(away, away), emitters.radius * emitters.radius), TINY)
+    light = scene[0].lights[number]
+    if light.kind == LIGHT_ENVIRONMENT:
+        return PI * scene[0].environment.mean
+    sample = sample_light(light, position, 0, wp.vec2(0.5))
+    cosine = wp.max(wp.dot(normal, sample.direction), COSINE_MIN)  # soft lights reach above the horizon
+    return cosine * wp.dot(WEIGHTS, sample.irradiance)
+
+
+@wp.func
+def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
+    """About the irradiance that all lights give a surface."""
+    total = float(0.0)
+    for number in range(choice_count(scene)):
+        total += light_importance(number, position, normal, scene)
+    return total
+
+
+@wp.func
+def place_of(interaction: Interaction) -> PathVertex:
+    """An interaction as the choice of a light reads it, but for what the lights send there."""
+    vertex = PathVertex()
+    vertex.position = interaction.position
+    vertex.normal = interaction.normal
+    if transmits(interaction.bsdf):
+        vertex.normal = wp.vec3(0.0)  # light counts from both sides
+    return vertex
+
+
+@wp.func
+def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
+    """An interaction as the choice of a light reads it."""
+    vertex = place_of(interaction)
+    vertex.importance = total_importance(vertex.position, vertex.normal, scene)
+    return vertex
+
+
+@wp.func
+def chosen_light(u: float, vertex: PathVertex, scene: wp.array[ShadingScene]) -> LightChoice:
+    """The light to be sampled at a surface.
+
+    Args:
+        u: Random, 0..1.
+        vertex: The surface.
+        scene: With the lights.
+    """
+    choice = LightChoice()
+    choice.number = -1
+    if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
+        return choice
+    rest = u * vertex.importance
+    for number in range(choice_count(scene)):
+        importance = light_importance(number, vertex.position, vertex.normal, scene)
+        if importance > 0.0 and rest >= 0.0:
+            choice.number = number
+            choice.probability = importance / vertex.importance
+            rest -= importance
+    return choice
+
+
+@wp.func
+def choice_probability(number: int, vertex: PathVertex, scene: wp.array[ShadingScene]) -> float:
+    """Probability with which ``chosen_light`` chooses light ``number`` at a surface."""
+    if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
+        return 0.0
+    return light_importance(number, vertex.position, vertex.normal, scene) / vertex.importance
+
+
+@wp.func
+def environment_number(scene: wp.array[ShadingScene]) -> int:
+    """Number of the light that is the environment; -1: there is none."""
+    for number in range(scene[0].settings[0].light_count):
+        if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
+            return number
+    return -1
+
+
+# --- One sample of a light, and what it adds ---
 
 
 @wp.func
@@ -55,40 +211,12 @@ def contribution_of(interaction: Interaction, sample: LightSample, share: float)
 
 
 @wp.func
-def light_key(pixel_key: wp.uint32, number: int) -> wp.uint32:
-    """Key of the random sequence that samples light ``number``."""
-    return branch_key(pixel_key, LIGHT_BRANCHES + number)
-
-
-@wp.func
-def shadow_ray_key(key: wp.uint32, number: int, samples_bsdf: bool, slot: int) -> wp.uint32:
-    """Key of the shadow ray from interaction ``slot`` of a ray of this key towards light ``number``."""
-    return branch_key(light_key(key, number), SHADOW_BRANCHES + slot + 2 * int(samples_bsdf))
-
-
-@wp.func
-def light_center_contribution(number: int, interaction: Interaction, scene: wp.array[ShadingScene]) -> Contribution:
-    """Contribution of light ``number``, not the environment, sampled at its centre."""
-    sample = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
-    return contribution_of(interaction, sample, 1.0)
-
-
-@wp.func
-def light_sample_contribution(
-    number: int, interaction: Interaction, pixel_key: wp.uint32, index: int, scene: wp.array[ShadingScene]
-) -> Contribution:
-    """Contribution of light ``number``, not the environment, sampled at a random point of its extent.
-
-    Args:
-        number: Of the light.
-        interaction: What it lights.
-        pixel_key: Of the ray.
-        index: Number of the ray's sample.
-        scene: The scene.
-    """
-    u = sobol_2d(light_key(pixel_key, number), index)
-    sample = sample_light(scene[0].lights[number], interaction.position, 1, u)
-    return contribution_of(interaction, sample, 1.0)
+def power_heuristic(density: float, other: float) -> float:
+    """Weight of a sample of this density, if the direction might have been sampled with the other one as well."""
+    if density <= 0.0:
+        return 0.0
+    ratio = other / density
+    return 1.0 / (1.0 + ratio * ratio)
 
 
 @wp.func
@@ -127,6 +255,46 @@ def environment_sample(
             other = bsdf_pdf(bsdf, interaction.normal, interaction.wo, sample.direction)
             sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
     return sample
+
+
+# --- All lights, one by one ---
+
+
+@wp.func
+def light_key(pixel_key: wp.uint32, number: int) -> wp.uint32:
+    """Key of the random sequence that samples light ``number``."""
+    return branch_key(pixel_key, LIGHT_BRANCHES + number)
+
+
+@wp.func
+def shadow_ray_key(key: wp.uint32, number: int, samples_bsdf: bool, slot: int) -> wp.uint32:
+    """Key of the shadow ray from interaction ``slot`` of a ray of this key towards light ``number``."""
+    return branch_key(light_key(key, number), BSDF_BRANCHES + slot + 2 * int(samples_bsdf))
+
+
+@wp.func
+def light_center_contribution(number: int, interaction: Interaction, scene: wp.array[ShadingScene]) -> Contribution:
+    """Contribution of light ``number``, not the environment, sampled at its centre."""
+    sample = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
+    return contribution_of(interaction, sample, 1.0)
+
+
+@wp.func
+def light_sample_contribution(
+    number: int, interaction: Interaction, pixel_key: wp.uint32, index: int, scene: wp.array[ShadingScene]
+) -> Contribution:
+    """Contribution of light ``number``, not the environment, sampled at a random point of its extent.
+
+    Args:
+        number: Of the light.
+        interaction: What it lights.
+        pixel_key: Of the ray.
+        index: Number of the ray's sample.
+        scene: The scene.
+    """
+    u = sobol_2d(light_key(pixel_key, number), index)
+    sample = sample_light(scene[0].lights[number], interaction.position, 1, u)
+    return contribution_of(interaction, sample, 1.0)
 
 
 @wp.func
@@ -170,4 +338,144 @@ def light_contribution(
         contribution = light_sample_contribution(number, interaction, pixel_key, index, scene)
     else:
         contribution = light_center_contribution(number, interaction, scene)
+    return contribution
+
+
+# --- One light, chosen at random ---
+
+
+@wp.func
+def sample_chosen(
+    choice: LightChoice,
+    interaction: Interaction,
+    u: wp.vec2,
+    which: float,
+    is_met: bool,
+    scene: wp.array[ShadingScene],
+) -> SampledLight:
+    """Contribution of the chosen light at an interaction, over the probability of the choice.
+
+    Args:
+        choice: The light.
+        interaction: The surface.
+        u: Random, 0..1 each.
+        which: Random, 0..1.
+        is_met: Whether rays that the surface scatters show this light, see ``meets_rays``.
+        scene: With the lights.
+    """
+    sample = LightSample()
+    if choice.number == scene[0].settings[0].light_count:
+        sample = sample_emitter(interaction.position, u, which, scene)
+    else:
+        light = scene[0].lights[choice.number]
+        if light.kind == LIGHT_ENVIRONMENT:
+            sample = sample_environment(scene[0].environment, u)
+        else:
+            sample = sample_light(light, interaction.position, scene[0].settings[0].soft, u)
+    weight = float(1.0)
+    if is_met and sample.density > 0.0:
+        density = bsdf_pdf(interaction.bsdf, interaction.normal, interaction.wo, sample.direction)
+        weight = power_heuristic(choice.probability * sample.density, density)
+    result = SampledLight()
+    result.contribution = contribution_of(interaction, sample, 1.0 / choice.probability)
+    result.sent = result.contribution.color
+    result.contribution.color = weight * result.sent
+    return result
+
+
+@wp.func
+def half_highlight(bsdf: Bsdf, cos_view: float) -> Bsdf:
+    """The BSDF with no more of its diffuse part than of its highlight: half of its samples are of that.
+
+    They would be rare and bright among those of the BSDF itself.
+    """
+    half = bsdf
+    mirrored = bsdf.specular
+    if bsdf.model != BSDF_SIMPLE:
+        mirrored = view_albedo(bsdf, cos_view)
+    if not is_black(mirrored):
+        half.diffuse = wp.min(bsdf.diffuse, mirrored)
+    half.rescattered = wp.vec3(0.0)
+    return half
+
+
+@wp.func
+def sample_chosen_environment(
+    choice: LightChoice,
+    interaction: Interaction,
+    u: wp.vec2,
+    which: float,
+    scene: wp.array[ShadingScene],
+) -> Contribution:
+    """Contribution of the environment, over the probability of its choice, by one of two samples.
+
+    One is of its radiance, the other one of the surface.
+
+    Args:
+        choice: The environment.
+        interaction: The surface.
+        u: Random, 0..1 each; the first one decides between the samples, so that all are stratified together.
+        which: Random, 0..1.
+        scene: The scene.
+    """
+    lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
+    samples_lobe = u[0] >= 0.5
+    place = wp.vec2(2.0 * u[0] - wp.where(samples_lobe, 1.0, 0.0), u[1])
+    sample = environment_sample(samples_lobe, lobe, interaction, place, which, scene)
+    return contribution_of(interaction, sample, 2.0 / choice.probability)
+
+
+@wp.func
+def start_chosen_ray(
+    i: int,
+    slot: int,
+    number: int,
+    contribution: Contribution,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    rays: RayData,
+):
+    """Starts shadow ray ``i`` to the light that is sampled at the surface ``slot`` of ray ``i``."""
+    j = slot * wave[0].rays.is_active.shape[0] + i
+    start_shadow_ray(i, j, number, contribution, scene, wave, rays)
+    rays.pixel_key[i] = branch_key(wave[0].rays.pixel_key[i], SHADOW_BRANCH)
+    rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
+    rays.sample[i] = wave[0].rays.sample[i]
+
+
+@wp.func
+def sample_choice(
+    i: int,
+    slot: int,
+    choice: LightChoice,
+    interaction: Interaction,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    rays: RayData,
+) -> Contribution:
+    """One sample of a light that was chosen in real time; starts shadow ray ``i``, unless what it brings needs none.
+
+    Args:
+        i: The ray.
+        slot: Which of its surfaces is lit: 0, Gaussians, or 1, a mesh.
+        choice: The light.
+        interaction: With that surface.
+        no_shadows: Light passes through everything.
+        scene: The scene.
+        wave: Of the ray.
+        rays: The shadow rays; ``i`` is not active before.
+    """
+    key = wave[0].rays.pixel_key[i]
+    sample = wave[0].rays.sample[i]
+    u = sobol_2d(branch_key(key, POINT_BRANCH), sample)
+    which = sobol_2d(branch_key(key, CHOICE_BRANCH), sample)[1]
+    contribution = Contribution()
+    if is_environment(choice.number, scene):
+        contribution = sample_chosen_environment(choice, interaction, u, which, scene)
+    else:
+        contribution = sample_chosen(choice, interaction, u, which, False, scene).contribution
+    if is_black(contribution.color) or no_shadows or not casts_shadow(choice.number, scene):
+        return contribution
+    start_chosen_ray(i, slot, choice.number, contribution, scene, wave, rays)
     return contribution

@@ -1,29 +1,33 @@
-"""Samples of lights from a point of a surface: direction, distance and irradiance.
+"""Every type of light: its samples from a point of a surface, where rays cross it, and what it gives a cell at most.
 
 A hard light is sampled at its centre. A soft one has an extent, and ``u`` samples a direction within it: the mean of
-irradiance times cosine over ``u`` is the irradiance by the whole light.
+irradiance times cosine over ``u`` is the irradiance by the whole light. The environment has a file of its own.
 
 The equations are in docs/method/lighting.md#lights.
 """
 
 import warp as wp
 
-from lumisplat.constants import LIGHT_DISTANCE_MIN, LIGHT_POWER_MAX
+from lumisplat.constants import LIGHT_DISTANCE_MIN, LIGHT_POWER_MAX, LUMINANCE
 from lumisplat.device.math.directions import PI, TWO_PI, around
-from lumisplat.device.structs.light import (
-    LIGHT_DIRECTIONAL,
-    LIGHT_HEADLIGHT,
-    LIGHT_POINT,
-    LIGHT_RECT,
-    LIGHT_SPOT,
-    LightData,
-    LightSample,
-)
+from lumisplat.device.structs.light import LightData, LightSample
+from lumisplat.device.structs.path import LightCrossing
 
 wp.set_module_options({"enable_backward": False})
 
+LIGHT_POINT: int = wp.constant(0)
+"""Also a sphere."""
+LIGHT_SPOT: int = wp.constant(1)
+LIGHT_DIRECTIONAL: int = wp.constant(2)
+LIGHT_RECT: int = wp.constant(3)
+LIGHT_ENVIRONMENT: int = wp.constant(4)
+LIGHT_DISK: int = wp.constant(6)
+LIGHT_HEADLIGHT: int = wp.constant(5)
+"""At the eye of the camera, without falloff or shadow: a white surface that faces it looks white."""
+
 NEAREST2 = wp.constant(wp.float32(LIGHT_DISTANCE_MIN**2))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
+WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 TINY = wp.constant(wp.float32(1e-30))
 """Smallest divisor, and squared distance below which a light is at the point itself and has no direction."""
 
@@ -108,12 +112,46 @@ def sample_directional(light: LightData, soft: int, u: wp.vec2) -> LightSample:
 
 
 @wp.func
-def sample_rect(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """A parallelogram: all of it at its centre; soft, at a random point of it."""
+def is_flat(light: LightData) -> bool:
+    """Whether a light shines from one side of a plane."""
+    return light.kind == LIGHT_RECT or light.kind == LIGHT_DISK  # noqa: PLR1714
+
+
+@wp.func
+def flat_area(light: LightData) -> float:
+    """Area of a flat light."""
+    if light.kind == LIGHT_DISK:
+        return PI * light.radius * light.radius
+    return wp.length(wp.cross(light.edge_u, light.edge_v))
+
+
+@wp.func
+def flat_point(light: LightData, u: wp.vec2) -> wp.vec3:
+    """A random point of a flat light, uniform in area, from its centre."""
+    if light.kind == LIGHT_DISK:
+        return light.radius * wp.sqrt(u[0]) * around(light.direction, 0.0, 1.0, u[1])
+    return (u[0] - 0.5) * light.edge_u + (u[1] - 0.5) * light.edge_v
+
+
+@wp.func
+def flat_covers(light: LightData, offset: wp.vec3) -> bool:
+    """Whether a flat light reaches a point of its plane, which is given from its centre."""
+    if light.kind == LIGHT_DISK:
+        return wp.dot(offset, offset) <= light.radius * light.radius
+    across = wp.cross(light.edge_u, light.edge_v)
+    area2 = wp.dot(across, across)
+    u = wp.dot(wp.cross(offset, light.edge_v), across) / area2
+    v = wp.dot(wp.cross(light.edge_u, offset), across) / area2
+    return wp.max(wp.abs(u), wp.abs(v)) <= 0.5
+
+
+@wp.func
+def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
+    """A flat light: all of it at its centre; soft, at a random point of it."""
     sample = LightSample()
     offset = light.position - point
     if soft != 0:
-        offset += (u[0] - 0.5) * light.edge_u + (u[1] - 0.5) * light.edge_v
+        offset += flat_point(light, u)
     distance2 = wp.dot(offset, offset)
     sample.distance = wp.sqrt(distance2)
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
@@ -123,8 +161,7 @@ def sample_rect(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
     cosine = -wp.dot(sample.direction, light.direction)
     if cosine <= 0.0:
         return sample
-    area = wp.length(wp.cross(light.edge_u, light.edge_v))
-    solid_angle = wp.min(cosine * area / wp.max(distance2, NEAREST2), 1.0 / NEAREST2)
+    solid_angle = wp.min(cosine * flat_area(light) / wp.max(distance2, NEAREST2), 1.0 / NEAREST2)
     if soft != 0:
         sample.density = 1.0 / wp.max(solid_angle, TINY)
     else:
@@ -148,8 +185,8 @@ def sample_light(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
         return sample_point(light, point, soft, u)
     if light.kind == LIGHT_DIRECTIONAL:
         return sample_directional(light, soft, u)
-    if light.kind == LIGHT_RECT:
-        return sample_rect(light, point, soft, u)
+    if is_flat(light):
+        return sample_flat(light, point, soft, u)
     sample = LightSample()
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
     if light.kind == LIGHT_HEADLIGHT:
@@ -159,3 +196,96 @@ def sample_light(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
             sample.direction = (1.0 / sample.distance) * offset
             sample.irradiance = light.power
     return sample
+
+
+@wp.func
+def flat_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
+    """Where a ray reaches the side of a flat light that shines."""
+    crossing = LightCrossing()
+    crossing.t = wp.inf
+    cosine = -wp.dot(direction, light.direction)
+    if cosine <= 0.0:
+        return crossing
+    t = wp.dot(origin - light.position, light.direction) / cosine
+    offset = origin + t * direction - light.position
+    if t > 0.0 and flat_covers(light, offset):
+        crossing.t = t
+        crossing.radiance = light.power
+        crossing.density = wp.max(t * t, NEAREST2) / wp.max(cosine * flat_area(light), TINY)
+    return crossing
+
+
+@wp.func
+def sphere_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
+    """Where a ray from outside enters a sphere."""
+    crossing = LightCrossing()
+    crossing.t = wp.inf
+    offset = light.position - origin
+    distance2 = wp.dot(offset, offset)
+    radius2 = light.radius * light.radius
+    along = wp.dot(offset, direction)
+    beside = offset - along * direction
+    inside = radius2 - wp.dot(beside, beside)
+    if distance2 > radius2 and along > 0.0 and inside >= 0.0:
+        ratio2 = radius2 / distance2
+        edge = ratio2 / (1.0 + wp.sqrt(1.0 - ratio2))
+        crossing.t = along - wp.sqrt(inside)
+        crossing.radiance = light.power / wp.max(PI * radius2, TINY)
+        crossing.density = 1.0 / wp.max(TWO_PI * edge, TINY)
+    return crossing
+
+
+@wp.func
+def light_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
+    """Where a ray crosses a light that is visible, its radiance, and the density of its samples there."""
+    if is_flat(light):
+        return flat_crossing(light, origin, direction)
+    return sphere_crossing(light, origin, direction)
+
+
+@wp.func
+def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: float) -> float:
+    """The most that the cone of a spot leaves of it anywhere within ``reach`` of a point.
+
+    Args:
+        light: The spot.
+        to_light: From the point.
+        distance: The same; its length.
+        reach: Scene units.
+    """
+    if distance <= reach:
+        return 1.0
+    off = to_light / distance + light.direction
+    angle = 2.0 * wp.asin(wp.min(0.5 * wp.length(off), 1.0))
+    sine = wp.sin(0.5 * wp.max(angle - wp.asin(reach / distance), 0.0))
+    share = wp.clamp((light.outer - 2.0 * sine * sine) / wp.max(light.outer - light.inner, TINY), 0.0, 1.0)
+    return share * share
+
+
+@wp.func
+def light_bound(light: LightData, center: wp.vec3, half: float) -> float:
+    """About the irradiance that a light gives what faces it in a cell; above 0 if it gives any surface there some.
+
+    Args:
+        light: Any but the environment.
+        center: Of the cell, world space.
+        half: Half its diagonal.
+    """
+    power = wp.dot(WEIGHTS, light.power)
+    if light.kind == LIGHT_DIRECTIONAL or light.kind == LIGHT_HEADLIGHT:  # noqa: PLR1714
+        return power
+    to_light = light.position - center
+    distance = wp.length(to_light)
+    reach = 2.0 * half
+    nearest2 = wp.max(distance * distance, wp.max(half * half, TINY))
+    if is_flat(light):
+        height = reach - wp.dot(to_light, light.direction)
+        if height <= 0.0:
+            return 0.0
+        cosine = wp.min(height / wp.sqrt(nearest2), 1.0)
+        return power * wp.min(cosine * flat_area(light) / nearest2, PI)
+    near = wp.max(distance - reach, 0.0)
+    share = window(light, near * near)
+    if light.kind == LIGHT_SPOT:
+        share *= widest_cone(light, to_light, distance, reach)
+    return share * power / nearest2

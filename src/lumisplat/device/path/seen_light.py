@@ -5,16 +5,14 @@ Surfaces sample the environment, triangles that shine and visible lights as well
 
 import warp as wp
 
+from lumisplat.device.light.direct_light import choice_probability, environment_number, meets_rays, power_heuristic
 from lumisplat.device.light.emitter import area_density, emitter_share
 from lumisplat.device.light.environment import environment_density, environment_radiance
-from lumisplat.device.light.light_choice import choice_probability, meets_rays
+from lumisplat.device.light.light import light_crossing
 from lumisplat.device.light.mesh_interaction import mesh_emission
-from lumisplat.device.light.visible_light import light_crossing
 from lumisplat.device.material.media import absorption_on_ray, passed
 from lumisplat.device.material.specular_bounce import mesh_coverage
 from lumisplat.device.math.color import captured_color, decode_srgb_color
-from lumisplat.device.path.sampled_light import power_heuristic
-from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
 from lumisplat.device.structs.path import LightCrossing, PathData, PathVertex
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
@@ -129,12 +127,3 @@ def own_light(
             reached = wave[0].gaussians.transmittance[i] * mesh_coverage(i, scene, wave)
             seen += (share - 1.0) * reached * mesh_emission(i, scene, wave)
     return seen
-
-
-@wp.func
-def environment_number(scene: wp.array[ShadingScene]) -> int:
-    """Number of the light that is the environment; -1: there is none."""
-    for number in range(scene[0].settings[0].light_count):
-        if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-            return number
-    return -1

@@ -5,29 +5,29 @@ The equations are in docs/method/paths.md#lights.
 
 import warp as wp
 
-from lumisplat.device.light.light_choice import casts_shadow, chosen_light, meets_rays
-from lumisplat.device.light.shadow_ray import start_shadow_ray
+from lumisplat.device.light.direct_light import (
+    CHOICE_BRANCH,
+    POINT_BRANCH,
+    casts_shadow,
+    chosen_light,
+    environment_number,
+    meets_rays,
+    sample_chosen,
+    start_chosen_ray,
+)
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.material.media import absorption_in, passed, scattered_media
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, draw, sobol_2d
 from lumisplat.device.path.images import add_first_light, add_light, add_sent_light
-from lumisplat.device.path.sampled_light import sampled_light
-from lumisplat.device.path.seen_light import environment_number, shown_light
+from lumisplat.device.path.seen_light import shown_light
 from lumisplat.device.structs.path import BRANCH_MESH, PathData, PathImages, PathShadowRays, PathVertex
 from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
-# Branches of a ray's key: 0 is the ray that goes on, and path_kernels.py has the others.
-LIGHT_POINT_BRANCH = wp.constant(2)
-"""Which point of a light."""
-LIGHT_BRANCH = wp.constant(3)
-"""Which light."""
 SHOWN_BRANCH = wp.constant(4)
-"""How Gaussians hide a light that the ray itself shows."""
-SHADOW_BRANCH = wp.constant(5)
-"""How they hide the sampled one: not by the numbers that chose its point."""
+"""Branch of a ray's key: how Gaussians hide a light that the ray itself shows. See also light/direct_light.py."""
 
 
 @wp.func
@@ -141,8 +141,8 @@ def light_surface(
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
-    u = sobol_2d(branch_key(key, LIGHT_POINT_BRANCH), sample)
-    which = sobol_2d(branch_key(key, LIGHT_BRANCH), sample)
+    u = sobol_2d(branch_key(key, POINT_BRANCH), sample)
+    which = sobol_2d(branch_key(key, CHOICE_BRANCH), sample)
     choice = chosen_light(which[0], vertex, scene)
     if choice.number < 0:
         return
@@ -154,7 +154,7 @@ def light_surface(
             return
         shadows[0].skips[i] = True
         is_met = False
-    light = sampled_light(choice, interaction, u, which[1], is_met, scene)
+    light = sample_chosen(choice, interaction, u, which[1], is_met, scene)
     shadows[0].contributions[i] = wp.cw_mul(factor, light.contribution.color)
     direction = light.contribution.direction
     reaching = wp.cw_mul(factor, light.sent)
@@ -175,11 +175,7 @@ def light_surface(
         shadows[0].reaching[i] = reaching
     if is_black(shadows[0].contributions[i]) or no_shadows or not casts_shadow(choice.number, scene):
         return
-    count = wave[0].rays.is_active.shape[0]
-    start_shadow_ray(i, slot * count + i, choice.number, light.contribution, scene, wave, shadows[0].rays)
-    shadows[0].rays.pixel_key[i] = branch_key(key, SHADOW_BRANCH)
-    shadows[0].rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
-    shadows[0].rays.sample[i] = sample
+    start_chosen_ray(i, slot, choice.number, light.contribution, scene, wave, shadows[0].rays)
 
 
 @wp.func

@@ -4,15 +4,6 @@ import warp as wp
 
 from lumisplat.device.structs.declare import struct
 
-LIGHT_POINT: int = wp.constant(0)
-"""Also a sphere."""
-LIGHT_SPOT: int = wp.constant(1)
-LIGHT_DIRECTIONAL: int = wp.constant(2)
-LIGHT_RECT: int = wp.constant(3)
-LIGHT_ENVIRONMENT: int = wp.constant(4)
-LIGHT_HEADLIGHT: int = wp.constant(5)
-"""At the eye of the camera, without falloff or shadow: a white surface that faces it looks white."""
-
 BSDF_SIMPLE: int = wp.constant(0)
 BSDF_PBR: int = wp.constant(1)
 
@@ -22,26 +13,26 @@ class LightData:
     """A light, world space."""
 
     kind: int
-    """LIGHT_POINT and so on."""
+    """LIGHT_POINT and so on, see device/light/light.py."""
     position: wp.vec3
     direction: wp.vec3
-    """Unit: axis of a spot, direction in which directional light travels, normal of a rectangle."""
+    """Unit: axis of a spot, direction in which directional light travels, normal of a flat light."""
     power: wp.vec3
-    """Linear Rec.709: candela of points and spots, lux of directional light, radiance of rectangles, factor of the
+    """Linear Rec.709: candela of points and spots, lux of directional light, radiance of flat lights, factor of the
     environment's image."""
     edge_u: wp.vec3
     edge_v: wp.vec3
     range: float
     """Of points and spots, where they end; of light from infinitely far, how far shadows reach; else inf."""
     radius: float
-    """Of a point or spot, scene units; of directional light, radians."""
+    """Of a point, spot or disk, scene units; of directional light, radians."""
     inner: float
     """1 - cosine of the angle from the axis of a spot up to which it has its full intensity."""
     outer: float
     """The same of the angle from which on it is dark. Cosines near 1 would lose the digits of small cones."""
     casts_shadow: int
     visible: int
-    """1: paths see it, as a rectangle or a sphere."""
+    """1: paths see it, as a flat light or a sphere."""
 
 
 @struct

@@ -6,6 +6,7 @@ Write-once, and a function of the cell alone: the same for any schedule.
 import warp as wp
 
 from lumisplat.device.gi.light_grid import (
+    CELL_BRANCH,
     NO_CELL,
     SLOTS,
     GridCell,
@@ -16,10 +17,10 @@ from lumisplat.device.gi.light_grid import (
     grid_cell,
     grid_key,
     light_weight,
+    lit_surface,
 )
-from lumisplat.device.gi.light_sample import CELL_BRANCH, lit_surface
 from lumisplat.device.gi.radiance_cache import cell_key
-from lumisplat.device.light.light_choice import choice_count
+from lumisplat.device.light.direct_light import choice_count
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import LightGrid

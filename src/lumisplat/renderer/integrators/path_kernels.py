@@ -7,16 +7,16 @@ The equations are in docs/method/paths.md.
 
 import warp as wp
 
+from lumisplat.device.light.direct_light import environment_number, vertex_at
 from lumisplat.device.light.environment import environment_radiance
 from lumisplat.device.light.interaction import SHADE_OPTIONS
-from lumisplat.device.light.light_choice import vertex_at
 from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.material.media import passed_by_ray
 from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.path.images import add_light, add_own_light, add_sent_light
-from lumisplat.device.path.seen_light import environment_number, far_light, leaves_receiver, own_light
+from lumisplat.device.path.seen_light import far_light, leaves_receiver, own_light
 from lumisplat.device.path.shadow_rays import (
     add_sent,
     add_shown_lights,
@@ -47,7 +47,7 @@ from lumisplat.device.structs.shading import SEES_ENVIRONMENT, ShadingScene, Wav
 
 wp.set_module_options(SHADE_OPTIONS)
 
-# Branches of a ray's key: 0 is the ray that goes on, and path/shadow_rays.py has the others.
+# Branches of a ray's key: 0 is the ray that goes on, and light/direct_light.py and path/shadow_rays.py have others.
 DIRECTION_BRANCH = wp.constant(6)
 """In which direction a path goes on."""
 WAY_BRANCH = wp.constant(7)

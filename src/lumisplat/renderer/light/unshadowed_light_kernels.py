@@ -8,7 +8,7 @@ from lumisplat.device.light.direct_light import (
     light_sample_contribution,
 )
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
+from lumisplat.device.light.light import LIGHT_ENVIRONMENT
 from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)

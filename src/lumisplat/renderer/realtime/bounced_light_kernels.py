@@ -6,7 +6,7 @@ The method is in docs/method/realtime.md#rays.
 import warp as wp
 
 from lumisplat.device.gi.albedo import matte_albedo
-from lumisplat.device.gi.light_sample import SURFACE_BRANCH, sample_light_of
+from lumisplat.device.gi.light_grid import SURFACE_BRANCH, sample_light_of
 from lumisplat.device.gi.specular_rays import mirrored_light, start_onward, straight_bounce, straight_step
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.mesh_interaction import mesh_emission

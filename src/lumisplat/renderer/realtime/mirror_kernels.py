@@ -3,8 +3,8 @@
 import warp as wp
 
 from lumisplat.device.gi.albedo import matte_albedo
-from lumisplat.device.gi.light_grid import SLOTS
-from lumisplat.device.gi.light_sample import CELL_BRANCH, lit_surface, sample_choice
+from lumisplat.device.gi.light_grid import CELL_BRANCH, SLOTS, lit_surface
+from lumisplat.device.light.direct_light import sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.math.directions import around
 from lumisplat.device.math.random import branch_key, sobol_2d

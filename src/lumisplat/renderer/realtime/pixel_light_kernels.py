@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.constants.realtime import ALBEDO_MIN
 from lumisplat.device.camera.ray_blocks import pixel_number, pixel_of_ray
-from lumisplat.device.gi.light_sample import lit_surface, sample_light_of
+from lumisplat.device.gi.light_grid import lit_surface, sample_light_of
 from lumisplat.device.gi.turns import has_turn
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.material.bsdf import diffuse_share

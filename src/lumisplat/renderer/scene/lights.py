@@ -15,16 +15,15 @@ from lumisplat.constants import (
     LUMINANCE,
     TRANSFORM_MAX,
 )
-from lumisplat.device.structs.light import (
+from lumisplat.device.light.light import (
     LIGHT_DIRECTIONAL,
     LIGHT_ENVIRONMENT,
     LIGHT_HEADLIGHT,
     LIGHT_POINT,
     LIGHT_RECT,
     LIGHT_SPOT,
-    EnvironmentData,
-    LightData,
 )
+from lumisplat.device.structs.light import EnvironmentData, LightData
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.runtime.buffers import Buffers, DeviceArray
