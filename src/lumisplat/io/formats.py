@@ -90,7 +90,6 @@ _SCENE_WRITERS = {
     ".glb": "gltf.writing.scene.write_gltf",
     ".gltf": "gltf.writing.scene.write_gltf",
     **dict.fromkeys(USD, "usd.writing.scene.write_usd"),
-    ".blend-ready": "gltf.writing.blend_ready.write_blend_ready",
 }
 """Writers of scenes with their cameras, to which captures and meshes are scenes, too."""
 
@@ -99,7 +98,7 @@ READABLE = (
     "blocks, .obj, .stl, .glb, .gltf, .usda, .usdc, .usdz, .usd, .toml"
 )
 WRITABLE = (
-    ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, .usda, .usdc, .usdz, .usd, .blend-ready (a folder), or, in a "
+    ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, .usda, .usdc, .usdz, .usd, or, in a "
     "folder, meta.json (SOG) or lod-meta.json (SOG in levels of detail)"
 )
 

@@ -28,8 +28,6 @@ class Export(PlacingCommand):
 
     For film and simulation, with area lamps, the sky and what moves: lumisplat export scene.toml -o scene.usdz
 
-    As a folder that Blender puts together by a script: lumisplat export scene.toml -o room.blend-ready
-
     Files of glTF and OpenUSD have y up: what stands upright in the scene stands upright there. What they cannot hold,
     such as area lamps in glTF, is said in a line. Light on captures goes with them if they are baked: lumisplat bake.
     """
@@ -38,8 +36,8 @@ class Export(PlacingCommand):
     """A scene.toml, or captures and meshes of any format that is read; actors are where they are at time 0, but
     move in OpenUSD."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.glb, or .gltf, the same as text; or .usdz, .usdc, .usd, or .usda, the same as text; or a folder,
-    .blend-ready. Captures alone as .ply, .spz or .sog: lumisplat convert."""
+    """.glb, or .gltf, the same as text; or .usdz, .usdc, .usd, or .usda, the same as text.
+    Captures alone as .ply, .spz or .sog: lumisplat convert."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Cameras of a transforms.json or another camera file, in place of those of the scene."""
     up: UpOption = "auto"
