@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-import re
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any, cast
 
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.config.renamed import RENAMED
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 WHOLE = "expected a whole number from"
@@ -142,21 +139,6 @@ def test_wrong_settings_are_refused(kind: type, settings: dict[str, object], mes
         kind(**settings)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("kind", [ls.RenderConfig, ls.TraceConfig, ls.AvatarLightingConfig])
-def test_renamed_settings_are_refused_with_their_new_names(kind: type) -> None:
-    """What 0.1 called otherwise, also in ``replace``; the new name is that of a setting."""
-    for old, new in RENAMED[kind.__name__].items():
-        message = f"{kind.__name__}.{old} is now {new}"
-        with pytest.raises(ls.ConfigError, match=f"^{re.escape(message)}$"):
-            kind(**{old: None})
-        with pytest.raises(ls.ConfigError, match=f"^{re.escape(message)}$"):
-            replace(kind(), **{old: None})
-        owner, *path = new.split(".")
-        assert functools.reduce(getattr, path, getattr(ls, owner)()) is not None or path[-1] == "kernel_degree"
-    with pytest.raises(TypeError, match="unexpected keyword argument 'sampels'"):
-        kind(sampels=4)
 
 
 def test_the_same_images_asked_for_otherwise_are_equal_settings() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lumisplat.config.probes import ProbeConfig
+from lumisplat.config import ProbeConfig
 from lumisplat.errors import ConfigError
 
 

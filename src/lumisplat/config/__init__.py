@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
 from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
 from lumisplat.config.dataset import (
     DATASET_LAYERS,
@@ -12,34 +11,46 @@ from lumisplat.config.dataset import (
     DatasetPoses,
     PosePlaces,
 )
-from lumisplat.config.materials import MaterialsConfig
-from lumisplat.config.paths import PathConfig, PathPrimary
-from lumisplat.config.pipelines import Integrator, Pipeline, Visibility
-from lumisplat.config.probes import ProbeConfig
-from lumisplat.config.raster import Antialiasing, GaussianSurface, Projection, RasterConfig, RasterStrategy
-from lumisplat.config.rays import (
+from lumisplat.config.gaussians import (
+    Antialiasing,
+    GaussianSurface,
     HitDistance,
     NormalMethod,
+    Projection,
+    RasterConfig,
+    RasterStrategy,
     ResponseConfig,
     ShadowConfig,
     ShadowMethod,
     TraceConfig,
     TraceStrategy,
 )
-from lumisplat.config.realtime import FilterConfig, RadianceCacheConfig, RealtimeConfig, RealtimeQuality
-from lumisplat.config.relighting import DelightConfig, NormalEstimate, RelightConfig
+from lumisplat.config.lighting import (
+    Absorption,
+    AtlasLayout,
+    AvatarLightingConfig,
+    DeepShadowConfig,
+    DelightConfig,
+    LightEstimationConfig,
+    NormalEstimate,
+    ReceiverSampling,
+    RelightConfig,
+)
+from lumisplat.config.pipelines import Integrator, Pipeline, Visibility
+from lumisplat.config.realtime import FilterConfig, ProbeConfig, RadianceCacheConfig, RealtimeConfig, RealtimeQuality
 from lumisplat.config.render import (
     AOVS,
     EVERY_FRAME,
     PATH_AOVS,
     PATH_PARTS,
     REALTIME_AOVS,
+    PathConfig,
+    PathPrimary,
     RenderConfig,
     Shadows,
     ToneMap,
 )
-from lumisplat.config.shadow_maps import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
-from lumisplat.config.training import Densification, LearningRates, TrainConfig
+from lumisplat.config.training import Densification, LearningRates, MaterialsConfig, TrainConfig
 
 __all__ = [
     "AOVS",

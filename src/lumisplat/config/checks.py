@@ -1,4 +1,4 @@
-"""Checks that settings of all kinds share."""
+"""Checks of single values, which settings, scenes and functions share. Values come from users: no type is relied on."""
 
 from __future__ import annotations
 
@@ -6,51 +6,202 @@ import difflib
 import math
 import reprlib
 from collections.abc import Iterable
+from dataclasses import dataclass
 from enum import Enum
-from typing import TypeGuard, TypeVar, cast
+from typing import Any, TypeGuard, TypeVar, cast
 
 import numpy as np
 
-from lumisplat.errors import ConfigError
+from lumisplat.errors import ConfigError, LumisplatError
 
 _Choice = TypeVar("_Choice", bound=Enum)
+_Kind = TypeVar("_Kind")
+
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+"""Largest number that a kernel can be given."""
 
 
-def check_range(name: str, value: object, low: float, high: float) -> None:
-    """Raises ConfigError unless ``value`` is a number with ``low <= value <= high`` (NaN never is)."""
-    if not is_number(value) or not low <= value <= high:
-        raise ConfigError(f"{name} is {quoted(value)}, expected {low} to {high}")
+def plain(value: Any) -> Any:  # noqa: PLR0911
+    """Returns scalars of NumPy, and arrays without dimensions, as numbers of Python; all else as it is."""
+    if type(value) in _PLAIN:
+        return value
+    if isinstance(value, np.bool_):
+        return bool(cast(Any, value))
+    if isinstance(value, np.integer | int):
+        return int(cast(int, value))
+    if isinstance(value, np.floating | float):
+        return float(cast(float, value))
+    if getattr(value, "shape", None) == () and (hasattr(value, "__array__") or hasattr(value, "__dlpack__")):
+        try:
+            array = np.asarray(value) if hasattr(value, "__array__") else np.from_dlpack(value)
+        except (BufferError, RuntimeError, TypeError, ValueError):  # of a GPU
+            return value
+        return plain(array[()]) if array.dtype.kind in "biuf" else value
+    return value
 
 
-def check_between(name: str, value: object, low: float, high: float) -> None:
-    """Raises ConfigError unless ``value`` is a number with ``low < value < high``."""
-    if not is_number(value) or not low < value < high:
-        raise ConfigError(f"{name} is {quoted(value)}, expected more than {low:g} and less than {high:g}")
+_PLAIN = (bool, int, float, str, tuple, list, type(None))
 
 
-def check_positive(name: str, value: object) -> None:
-    """Raises ConfigError unless ``value`` is a finite number above 0."""
-    if not is_number(value) or not 0.0 < value < math.inf:
-        raise ConfigError(f"{name} is {quoted(value)}, expected a number above 0")
+def is_number(value: object) -> TypeGuard[float]:
+    """Returns whether ``value`` is one real number: Python's, NumPy's, or an array without dimensions."""
+    return type(plain(value)) in (int, float)
 
 
-def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """Raises ConfigError unless ``value`` is an integer, Python's or NumPy's, with ``low <= value <= high``."""
-    if not is_whole(value) or not low <= value <= high:
-        raise ConfigError(f"{name} is {quoted(value)}, expected a whole number from {low} to {high}")
+def is_whole(value: object) -> TypeGuard[int]:
+    """Returns whether ``value`` is an integer: Python's, NumPy's, or an array without dimensions."""
+    return type(plain(value)) is int
 
 
-def check_flag(name: str, value: object) -> None:
-    """Raises ConfigError unless ``value`` is a bool, Python's or NumPy's."""
-    if not is_flag(value):
-        raise ConfigError(f"{name} is {quoted(value)}, expected True or False")
+def is_flag(value: object) -> TypeGuard[bool]:
+    """Returns whether ``value`` is a bool: Python's, NumPy's, or an array without dimensions."""
+    return type(plain(value)) is bool
 
 
-def enum_member(name: str, value: object, kind: type[_Choice]) -> _Choice:
-    """A member of ``kind``, given as such or by its value: ``Pipeline.TRACE`` or ``"trace"``.
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The numbers that a field takes, whole ones for ``int``; for a pair, of both its ends."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    """Without an end, numbers are finite in float32, which kernels compute in."""
+    unit: str = ""
+    above: bool = False
+    """Whether ``low`` itself is refused."""
+    below: bool = False
+    """Whether ``high`` itself is refused."""
+    step: int = 1
+    """A whole number is a multiple of it."""
+    infinite: bool = False
+    """Whether infinity is taken."""
+
+    def holds(self, number: float) -> bool:
+        """Returns whether a number is in the range (NaN never is)."""
+        if not (self.low < number if self.above else self.low <= number):
+            return False
+        if not (number < self.high if self.below else number <= self.high):
+            return False
+        is_finite = abs(number) <= FLOAT32_MAX or (self.infinite and number == math.inf)
+        return is_finite and (self.step == 1 or number % self.step == 0)
+
+    def expected(self, kind: type = float) -> str:
+        """Returns the range as messages and tables say it: ``a whole number from 1 to 64``."""
+        low, high = (kind(end) if math.isfinite(end) else end for end in (self.low, self.high))
+        if kind is int:
+            multiple = f", a multiple of {self.step}" if self.step > 1 else ""
+            ends = f" from {low} to {high}" if math.isfinite(high) else f", at least {low}"
+            return f"a whole number{ends if math.isfinite(low) else ''}{multiple}"
+        if math.isfinite(high):
+            if not (self.above or self.below):
+                return f"{low} to {high}"
+            first, last = "more than" if self.above else "at least", "less than" if self.below else "at most"
+            return f"{first} {low:g} and {last} {high:g}"
+        if not math.isfinite(low):
+            return "a finite number"
+        return f"a number {'above' if self.above else 'at least'} {low:g}{', or inf' if self.infinite else ''}"
+
+    def taken(self, name: str, value: object, kind: type, error: type[LumisplatError] = ConfigError) -> Any:
+        """Returns a value as a plain number of a kind, ``int`` or ``float``.
+
+        Raises:
+            LumisplatError: It is no such number, or outside the range; of the type ``error``.
+        """
+        number = plain(value)
+        is_kind = type(number) is int or (kind is float and type(number) is float)
+        if not is_kind or not self.holds(cast(float, number)):
+            raise error(f"{name} is {quoted(value)}, expected {self.expected(kind)}")
+        return kind(number)
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """The few whole numbers that a field takes."""
+
+    values: tuple[int, ...]
+
+    def expected(self, kind: type = int) -> str:
+        """Returns them as messages say them: ``4, 8 or 16``."""
+        *others, last = map(str, self.values)
+        return f"{', '.join(others)} or {last}"
+
+    def taken(self, name: str, value: object, kind: type, error: type[LumisplatError] = ConfigError) -> int:
+        """Returns a value as a plain whole number.
+
+        Raises:
+            LumisplatError: It is none of the values; of the type ``error``.
+        """
+        number = plain(value)
+        if type(number) is not int or number not in self.values:
+            raise error(f"{name} is {quoted(value)}, expected {self.expected()}")
+        return number
+
+
+def check_range(name: str, value: object, low: float, high: float, error: type[LumisplatError] = ConfigError) -> float:
+    """Returns a number with ``low <= value <= high`` as Python's.
 
     Raises:
-        ConfigError: ``value`` is neither.
+        LumisplatError: ``value`` is something else.
+    """
+    return Range(low, high).taken(name, value, float, error)
+
+
+def check_positive(name: str, value: object, error: type[LumisplatError] = ConfigError) -> float:
+    """Returns a finite number above 0 as Python's.
+
+    Raises:
+        LumisplatError: ``value`` is something else.
+    """
+    return Range(0.0, above=True).taken(name, value, float, error)
+
+
+def check_whole(name: str, value: object, low: int, high: int, error: type[LumisplatError] = ConfigError) -> int:
+    """Returns a whole number with ``low <= value <= high`` as Python's.
+
+    Raises:
+        LumisplatError: ``value`` is something else.
+    """
+    return Range(low, high).taken(name, value, int, error)
+
+
+def check_flag(name: str, value: object, error: type[LumisplatError] = ConfigError) -> bool:
+    """Returns a bool, Python's or NumPy's, as Python's.
+
+    Raises:
+        LumisplatError: ``value`` is something else.
+    """
+    flag = plain(value)
+    if type(flag) is not bool:
+        raise error(f"{name} is {quoted(value)}, expected True or False")
+    return flag
+
+
+def check_text(name: str, value: object, error: type[LumisplatError] = ConfigError) -> str:
+    """Returns ``value``, a text.
+
+    Raises:
+        LumisplatError: It is something else.
+    """
+    if not isinstance(value, str):
+        raise error(f"{name} is {quoted(value)}, expected a text")
+    return value
+
+
+def check_kind(name: str, value: object, kind: type[_Kind], error: type[LumisplatError] = ConfigError) -> _Kind:
+    """Returns ``value``, a ``kind``.
+
+    Raises:
+        LumisplatError: It is something else.
+    """
+    if not isinstance(value, kind):
+        raise error(f"{name} is {quoted(value)}, expected a {kind.__name__}")
+    return value
+
+
+def enum_member(name: str, value: object, kind: type[_Choice], error: type[LumisplatError] = ConfigError) -> _Choice:
+    """Returns a member of ``kind``, given as such or by its value: ``Pipeline.TRACE`` or ``"trace"``.
+
+    Raises:
+        LumisplatError: ``value`` is neither.
     """
     if isinstance(value, kind):
         return value
@@ -58,81 +209,17 @@ def enum_member(name: str, value: object, kind: type[_Choice]) -> _Choice:
         for member in kind:
             if member.value == value:
                 return member
-    raise ConfigError(f"{name} is {quoted(value)}, expected {choices(kind)}")
-
-
-def take_enum(settings: object, name: str, kind: type[Enum]) -> None:
-    """Makes a frozen dataclass's field, which may be given by its value, a member of ``kind``.
-
-    Raises:
-        ConfigError: It is none.
-    """
-    object.__setattr__(settings, name, enum_member(name, getattr(settings, name), kind))
-
-
-def take_range(settings: object, name: str, low: float, high: float) -> None:
-    """Makes a frozen dataclass's field, a pair of numbers, a tuple; the first is the least.
-
-    Raises:
-        ConfigError: It is no pair within ``low`` to ``high``.
-    """
-    pair = _pair(getattr(settings, name))
-    if pair is None or not all(is_number(value) and low <= value <= high for value in pair) or pair[0] > pair[1]:
-        raise ConfigError(
-            f"{name} is {quoted(getattr(settings, name))}, expected the least and the largest value, "
-            f"{low:g} to {high:g}"
-        )
-    object.__setattr__(settings, name, (float(pair[0]), float(pair[1])))
-
-
-def take_whole_range(settings: object, name: str, low: int, high: int) -> None:
-    """As `take_range`, of whole numbers."""
-    pair = _pair(getattr(settings, name))
-    if pair is None or not all(is_whole(value) and low <= value <= high for value in pair) or pair[0] > pair[1]:
-        raise ConfigError(
-            f"{name} is {quoted(getattr(settings, name))}, expected the least and the largest number, whole ones from "
-            f"{low} to {high}"
-        )
-    object.__setattr__(settings, name, (int(pair[0]), int(pair[1])))
-
-
-def take_names(settings: object, name: str) -> None:
-    """Makes a frozen dataclass's field, a list of names, a tuple.
-
-    Raises:
-        ConfigError: It is something else.
-    """
-    value = getattr(settings, name)
-    names = None if isinstance(value, str) else listed_names(value)
-    if names is None:
-        raise ConfigError(f"{name} is {quoted(value)}, expected a list of names of files")
-    object.__setattr__(settings, name, names)
-
-
-def _pair(value: object) -> tuple[float, float] | None:
-    """Two values; a single number is both."""
-    if is_number(value):
-        return value, value
-    if not isinstance(value, tuple | list) or len(cast(list[object], value)) != 2:
-        return None
-    first, last = cast(list[float], value)
-    return first, last
+    raise error(f"{name} is {quoted(value)}, expected {choices(kind)}")
 
 
 def choices(kind: type[Enum]) -> str:
-    """The values of an enum as a message lists them: ``'raster', 'trace' or 'hybrid'``."""
+    """Returns the values of an enum as a message lists them: ``'raster', 'trace' or 'hybrid'``."""
     *others, last = (f"'{member.value}'" for member in kind)
     return f"{', '.join(others)} or {last}"
 
 
-def check_kind(name: str, value: object, kind: type) -> None:
-    """Raises ConfigError unless ``value`` is a ``kind``."""
-    if not isinstance(value, kind):
-        raise ConfigError(f"{name} is {quoted(value)}, expected a {kind.__name__}")
-
-
 def listed_names(value: object) -> tuple[str, ...] | None:
-    """Names that are given as a list, or as one text with commas; None: it is neither, or holds something else."""
+    """Returns names that are given as a list, or as one text with commas; None: it is neither."""
     if isinstance(value, str):
         return tuple(name.strip() for name in value.split(",") if name.strip())
     names = list(cast(Iterable[object], value)) if isinstance(value, Iterable) else [None]
@@ -141,26 +228,77 @@ def listed_names(value: object) -> tuple[str, ...] | None:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """A hint for an unknown name: the most similar known name, else all known names."""
+    """Returns a hint for an unknown name: the most similar known name, else all known names."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
 
 
-def is_number(value: object) -> TypeGuard[float]:
-    """Whether ``value`` is one real number, Python's or NumPy's."""
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-
-
-def is_whole(value: object) -> TypeGuard[int]:
-    """Whether ``value`` is an integer, Python's or NumPy's."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
-def is_flag(value: object) -> TypeGuard[bool]:
-    """Whether ``value`` is a bool, Python's or NumPy's."""
-    return isinstance(value, bool | np.bool_)
-
-
 def quoted(value: object) -> str:
-    """A value as a message of one line shows it."""
+    """Returns a value as a message of one line shows it."""
     return str(value) if is_number(value) else " ".join(reprlib.repr(value).split())
+
+
+Color = tuple[float, float, float]
+
+NO_COLOR = ("transparent", "none")
+"""Words for no colour at all."""
+
+
+class DisplayColor:
+    """Converts what is given for a display-referred colour; see `display_color`."""
+
+    kind = "color"
+    is_linear = False
+
+    def __call__(self, value: str | Iterable[float] | None, name: str = "color") -> Color | None:
+        """Returns the colour, or None for none."""
+        return display_color(name, value)
+
+
+def display_color(name: str, value: object) -> Color | None:
+    """Returns display-referred sRGB, 0..1 each, or None for no colour.
+
+    Args:
+        name: What the colour is of, for messages.
+        value: Three numbers in 0..1; or a text: three numbers with commas or spaces, ``"#ff8800"``, ``"#f80"``, a name
+            of CSS such as ``"white"``, ``"transparent"`` or ``"none"``; or None.
+
+    Raises:
+        ConfigError: It is none of these.
+    """
+    if value is None or (isinstance(value, str) and value.strip().lower() in NO_COLOR):
+        return None
+    parts = _of_text(value) if isinstance(value, str) else _of_numbers(value)
+    if parts is None:
+        raise ConfigError(
+            f"{name} is {quoted(value)}, expected three numbers in 0..1, '#ff8800', a name such as 'white', "
+            "or 'transparent'"
+        )
+    return parts
+
+
+def _of_numbers(value: object) -> Color | None:
+    """Returns three numbers in 0..1; None: it is something else."""
+    if not isinstance(value, Iterable):
+        return None
+    parts = list(cast(Iterable[object], value))
+    numbers = [float(part) for part in parts if is_number(part) and 0.0 <= part <= 1.0]
+    if not len(numbers) == len(parts) == 3:
+        return None
+    red, green, blue = numbers
+    return red, green, blue
+
+
+def _of_text(text: str) -> Color | None:
+    """Returns a colour that is written; None: no colour is written so."""
+    from PIL import ImageColor
+
+    try:
+        return _of_numbers([float(part) for part in text.replace(",", " ").split()])
+    except ValueError:
+        pass
+    try:
+        channels = ImageColor.getrgb(text.strip())
+    except ValueError:
+        return None
+    return _of_numbers([channel / 255.0 for channel in channels])  # not a colour with alpha, of four

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from lumisplat.config.checks import check_between, check_flag, check_kind, check_whole, take_enum
-from lumisplat.config.probes import ProbeConfig
+from lumisplat.config.checks import Range
+from lumisplat.config.setting import Share, take_fields
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -52,20 +52,40 @@ class FilterConfig:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
-    frames: int = 32
-    """Frames over which light is averaged, 1..1024: more are less noisy, and slower to follow what changes."""
-    indirect_frames: int = 8
-    """The same of indirect light, 1..1024, if that is fewer: the probes that find it have histories of their own."""
-    passes: int = 4
-    """Times that each pixel is averaged with those around it, twice as far apart each time, 0..6."""
-    radius: int = 1
-    """Neighbours to each side in a pass, 1 or 2."""
+    frames: Annotated[int, Range(1, 1024)] = 32
+    """Frames over which light is averaged: more are less noisy, and slower to follow what changes."""
+    indirect_frames: Annotated[int, Range(1, 1024)] = 8
+    """The same of indirect light, if that is fewer: the probes that find it have histories of their own."""
+    passes: Annotated[int, Range(0, 6)] = 4
+    """Times that each pixel is averaged with those around it, twice as far apart each time."""
+    radius: Annotated[int, Range(1, 2)] = 1
+    """Neighbours to each side in a pass."""
 
-    def __post_init__(self) -> None:
-        check_whole("frames", self.frames, 1, 1024)
-        check_whole("indirect_frames", self.indirect_frames, 1, 1024)
-        check_whole("passes", self.passes, 0, 6)
-        check_whole("radius", self.radius, 1, 2)
+    __post_init__ = take_fields
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeConfig:
+    """Settings of screen probes: what gathers indirect light in real time (docs/method/realtime.md#screen-probes).
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    tile: Annotated[int, Range(8, 64, "pixels")] = 8
+    """Side of the square of pixels that has a probe: 16 takes a tenth less time on CPUs, for errors nearly
+    twice as large."""
+    cells: Annotated[int, Range(4, 16)] = 8
+    """Cells along each side of a probe's map of all directions; each refresh takes a ray a cell."""
+    refreshed: Annotated[float, Range(0.01, 1.0)] = 0.25
+    """Probes that a frame refreshes, as a share of the number of tiles: with 8-pixel tiles and 8 x 8 cells,
+    0.25 is one ray for 4 pixels."""
+    history: Annotated[int, Range(1, 256)] = 4
+    """Refreshes that a cell's mean goes back: more of them are quieter, and follow light more slowly."""
+    adaptive: Share = 0.5
+    """Most probes besides one a tile, as a share of the number of tiles: for surfaces that those miss."""
+
+    __post_init__ = take_fields
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,33 +96,25 @@ class RadianceCacheConfig:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
-    tiles: int = 16_384
+    tiles: Annotated[int, Range(64, 2**20)] = 16_384
     """Most tiles that are kept, each 8 x 8 cells and 4.9 KiB. When all are in use, those unused longest go."""
-    cell_size: float = 1.0 / 8.0
+    cell_size: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 1.0 / 8.0
     """Largest width of a cell as a share of its distance from the eye; widths are powers of two."""
-    history: int | None = None
-    """Frames that a mean of direct light is taken over, 1..1024. None: 16 on CUDA, 32 on CPUs, whose frames have fewer
+    history: Annotated[int, Range(1, 1024)] | None = None
+    """Frames that a mean of direct light is taken over. None: 16 on CUDA, 32 on CPUs, whose frames have fewer
     rays."""
-    bounce_history: int = 4
-    """Rays that a mean of indirect light is taken over, 1..1024. Light that bounces often is the sooner there the fewer
+    bounce_history: Annotated[int, Range(1, 1024)] = 4
+    """Rays that a mean of indirect light is taken over. Light that bounces often is the sooner there the fewer
     they are; probes average what noise they leave."""
-    samples_min: int = 8
+    samples_min: Annotated[int, Range(1, 1024)] = 8
     """Samples below which a mean counts as noisy, and one over more cells is taken."""
-    bounces: int = 8192
+    bounces: Annotated[int, Range(128, 2**20)] = 8192
     """Rays of a frame that leave cells, for the light that these receive from other surfaces: one a cell, or up to 16
     where fewer cells share them."""
-    unused_frames: int = 50
+    unused_frames: Annotated[int, Range(1, 10_000)] = 50
     """A tile that no ray has hit for so many frames is forgotten."""
 
-    def __post_init__(self) -> None:
-        check_whole("tiles", self.tiles, 64, 2**20)
-        check_between("cell_size", self.cell_size, 0.0, 1.0)
-        if self.history is not None:
-            check_whole("history", self.history, 1, 1024)
-        check_whole("bounce_history", self.bounce_history, 1, 1024)
-        check_whole("samples_min", self.samples_min, 1, 1024)
-        check_whole("bounces", self.bounces, 128, 2**20)
-        check_whole("unused_frames", self.unused_frames, 1, 10_000)
+    __post_init__ = take_fields
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,8 +127,8 @@ class RealtimeConfig:
 
     quality: RealtimeQuality = RealtimeQuality.BALANCED
     """What all other settings here are that have their defaults; those that differ from them stay as they are."""
-    light_interval: int = 1
-    """Frames in which each pixel has one sample of direct and of indirect light, 1 or 2: with 2, half of the blocks of
+    light_interval: Annotated[int, Range(1, 2)] = 1
+    """Frames in which each pixel has one sample of direct and of indirect light: with 2, half of the blocks of
     4 x 4 pixels in one frame, the others in the next. It is 1 where ``filter.passes`` is below 2: new surfaces would be
     black."""
     highlight_rays: bool = True
@@ -130,14 +142,7 @@ class RealtimeConfig:
     cache: RadianceCacheConfig = field(default_factory=RadianceCacheConfig)
     """What is kept of the surfaces around."""
 
-    def __post_init__(self) -> None:
-        take_enum(self, "quality", RealtimeQuality)
-        check_whole("light_interval", self.light_interval, 1, 2)
-        check_flag("highlight_rays", self.highlight_rays)
-        check_flag("antialiasing", self.antialiasing)
-        check_kind("filter", self.filter, FilterConfig)
-        check_kind("probes", self.probes, ProbeConfig)
-        check_kind("cache", self.cache, RadianceCacheConfig)
+    __post_init__ = take_fields
 
     @property
     def of_quality(self) -> RealtimeConfig:

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Annotated
 
-from lumisplat.config.checks import (
-    check_between,
-    check_flag,
-    check_kind,
-    check_positive,
-    check_range,
-    check_whole,
-    listed_names,
-    quoted,
-    suggestion,
-    take_enum,
-)
-from lumisplat.config.colors import display_color
-from lumisplat.config.paths import PathConfig
+from lumisplat.config.checks import Color, DisplayColor, Range, listed_names, quoted, suggestion
+from lumisplat.config.gaussians import RasterConfig, ResponseConfig, ShadowConfig, TraceConfig
 from lumisplat.config.pipelines import READ_BY, READ_IF_LIT, Pipeline
-from lumisplat.config.raster import RasterConfig
-from lumisplat.config.rays import ResponseConfig, ShadowConfig, TraceConfig
 from lumisplat.config.realtime import RealtimeConfig
-from lumisplat.config.renamed import refuse_renamed
+from lumisplat.config.setting import Seed, frozen, given, take_fields
 from lumisplat.constants import CAPTURE_GAIN_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError
 
@@ -70,8 +58,44 @@ AOVS = (
 """Images of a frame that are made only where ``RenderConfig.aovs`` asks for them."""
 
 
-@refuse_renamed
+def _checked_aovs(aovs: str | Iterable[str], name: str = "aovs") -> tuple[str, ...]:
+    """Returns names of images, in the order of `AOVS`, each once."""
+    names = listed_names(aovs)
+    if names is None:
+        raise ConfigError(f"{name} is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
+    for aov in names:
+        if aov in EVERY_FRAME:
+            raise ConfigError(f"{name} has {aov!r}, which every frame has: leave it out")
+        if aov not in AOVS:
+            raise ConfigError(f"{name} has {aov!r}, {suggestion(aov, AOVS)}")
+    return tuple(aov for aov in AOVS if aov in names)  # in one order, each once
+
+
+class PathPrimary(Enum):
+    """What paths meet first, where the camera sees relit Gaussians."""
+
+    PARTICLE = "particle"
+    """One Gaussian, drawn by the opacities of all, with its own normal and material; as at all later surfaces."""
+    ISO = "iso"
+    """The surface of the other pipelines: at the depth of ``TraceConfig.depth_iso_transmittance``, with the normals and
+    colours of all Gaussians on the ray blended."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PathConfig:
+    """Settings of paths, read by ``Pipeline.PATH`` (docs/method/paths.md).
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    primary: PathPrimary = PathPrimary.PARTICLE
+    """What paths meet first. ``ISO`` is what pipelines in real time can converge to."""
+
+    __post_init__ = take_fields
+
+
+@frozen(kw_only=True, eq=True)
 class RenderConfig:
     """Settings of a frame.
 
@@ -99,8 +123,8 @@ class RenderConfig:
 
     pipeline: Pipeline = Pipeline.RASTER
     """How the surfaces that the camera sees are found."""
-    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
-    """Display-referred sRGB behind everything, 0..1 each; None leaves the frame transparent. Also accepted are
+    background: Color | None = given(DisplayColor(), default=(0.0, 0.0, 0.0))
+    """Display-referred sRGB behind everything; None leaves the frame transparent. Also accepted are
     ``"#ff8800"``, names such as ``"white"``, and ``"transparent"``, which become numbers or None."""
     raster: RasterConfig = field(default_factory=RasterConfig)
     """Settings of the rasteriser."""
@@ -122,21 +146,21 @@ class RenderConfig:
     """Settings of shadow rays."""
     tone_map: ToneMap = ToneMap.NONE
     """How lit frames become pictures; pixels that show only a capture stay as captured."""
-    aovs: tuple[str, ...] = ()
+    aovs: tuple[str, ...] = given(_checked_aovs, default=())
     """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
     ``variance``, ``sample_count``, ``shadow_ratio``; ``hits``, ``variance`` and ``sample_count`` of an unlit one, too.
     Paths have no ``reflection``, but also ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``,
     ``indirect_glossy`` and ``bounces``. Frames in real time have these but ``bounces``, and ``motion``, ``history``,
     ``probes``, ``cache`` and ``cache_cells``. A single name, or several with commas, becomes a tuple."""
-    samples: int | None = None
-    """Samples a pixel, averaged, at least 1. None: 64 paths; else as many as random light needs, 16 for an environment
+    samples: Annotated[int, Range(1, SAMPLES_MAX)] | None = None
+    """Samples a pixel, averaged. None: 64 paths; else as many as random light needs, 16 for an environment
     and for soft shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted
     raster is exact with one, and takes no more, but with ``UNSCENTED``, which samples antialias."""
-    time_limit: float | None = None
-    """Seconds that the samples of a frame take, above 0; ``samples`` is then the most of them, and None as many as
+    time_limit: Annotated[float, Range(0.0, unit="seconds", above=True)] | None = None
+    """Time that the samples of a frame take; ``samples`` is then the most of them, and None as many as
     there is time for, at least one. None: no limit."""
-    noise: float | None = None
-    """Relative error at which a frame has samples enough, 0 to 1, both excluded: 95 % of its pixels are estimated to be
+    noise: Annotated[float, Range(0.0, 1.0, above=True, below=True)] | None = None
+    """Relative error at which a frame has samples enough: 95 % of its pixels are estimated to be
     below it (docs/method/samples.md). ``samples`` is then the most of them, and None as many as it takes. None: the
     noise ends no frame."""
     adaptive: bool | None = None
@@ -146,8 +170,8 @@ class RenderConfig:
     """Whether rough metals and glossy surfaces reflect what is around them, in lit frames of the trace and hybrid
     pipelines; without, they reflect lights and the environment only. One ray a sample, from the first surface: noisy,
     samples average it. None: if a rough metal and something else are in the scene. Paths always have it."""
-    capture_gain: float = 0.0
-    """Stops by which the light is brightened that captures shine onto what they light: their light sources are clipped
+    capture_gain: Annotated[float, Range(-CAPTURE_GAIN_MAX, CAPTURE_GAIN_MAX, "stops")] = 0.0
+    """How much the light is brightened that captures shine onto what they light: their light sources are clipped
     at a display's white. What is seen of captures, in mirrors as well, stays as it is. `estimate_capture_gain` finds a
     value. Of frames in which captures light anything: paths, real time, glossy reflections, and meshes in scenes
     without lights."""
@@ -157,45 +181,14 @@ class RenderConfig:
     jitter: bool = True
     """Samples after the first spread over their pixel, which antialiases; the first goes through its centre. In all
     pipelines, wherever ``samples`` counts."""
-    seed: int = 0
-    """Of all random numbers, 0..2^32 - 1: the same seed gives the same image."""
-    max_bounces: int | None = None
-    """Reflections and refractions that a ray follows, 0..64, in the trace and hybrid pipelines, beyond which it sees
+    seed: Seed = 0
+    """Of all random numbers: the same seed gives the same image."""
+    max_bounces: Annotated[int, Range(0, 64)] | None = None
+    """Reflections and refractions that a ray follows, in the trace and hybrid pipelines, beyond which it sees
     the background; in the path pipeline bounces of any kind, beyond which there is no light: 0 is direct light. In real
     time those of reflections, and 0 is direct light, too. None: 3, and 8 in the path pipeline."""
 
-    def __post_init__(self) -> None:
-        take_enum(self, "pipeline", Pipeline)
-        # A list, an array or a text becomes a tuple, so that equal backgrounds make equal settings.
-        object.__setattr__(self, "background", display_color("background", self.background))
-        check_kind("raster", self.raster, RasterConfig)
-        check_kind("trace", self.trace, TraceConfig)
-        check_kind("path", self.path, PathConfig)
-        check_kind("realtime", self.realtime, RealtimeConfig)
-        check_kind("response", self.response, ResponseConfig)
-        if self.lighting is not None:
-            check_flag("lighting", self.lighting)
-        take_enum(self, "shadows", Shadows)
-        check_kind("shadow_rays", self.shadow_rays, ShadowConfig)
-        take_enum(self, "tone_map", ToneMap)
-        # In one order, each once, so that settings that ask for the same images are equal.
-        object.__setattr__(self, "aovs", _checked_aovs(self.aovs))
-        if self.samples is not None:
-            check_whole("samples", self.samples, 1, SAMPLES_MAX)
-        if self.time_limit is not None:
-            check_positive("time_limit", self.time_limit)
-        if self.noise is not None:
-            check_between("noise", self.noise, 0.0, 1.0)
-        if self.adaptive is not None:
-            check_flag("adaptive", self.adaptive)
-        if self.glossy_reflections is not None:
-            check_flag("glossy_reflections", self.glossy_reflections)
-        check_range("capture_gain", self.capture_gain, -CAPTURE_GAIN_MAX, CAPTURE_GAIN_MAX)
-        check_flag("energy_compensation", self.energy_compensation)
-        check_flag("jitter", self.jitter)
-        check_whole("seed", self.seed, 0, 2**32 - 1)
-        if self.max_bounces is not None:
-            check_whole("max_bounces", self.max_bounces, 0, 64)
+    __post_init__ = take_fields
 
     def is_lit(self, *, by_default: bool) -> bool:
         """Whether lights light the frames of a scene.
@@ -222,16 +215,3 @@ class RenderConfig:
 def _readers(pipelines: tuple[Pipeline, ...]) -> str:
     names = [pipeline.value for pipeline in pipelines]
     return f"Used by the pipeline{'s' * (len(names) > 1)} {', '.join(names)}."
-
-
-def _checked_aovs(aovs: object) -> tuple[str, ...]:
-    """Names of images, in the order of `AOVS`, each once."""
-    names = listed_names(aovs)
-    if names is None:
-        raise ConfigError(f"aovs is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
-    for name in names:
-        if name in EVERY_FRAME:
-            raise ConfigError(f"aovs has {name!r}, which every frame has: leave it out")
-        if name not in AOVS:
-            raise ConfigError(f"aovs has {name!r}, {suggestion(name, AOVS)}")
-    return tuple(name for name in AOVS if name in names)

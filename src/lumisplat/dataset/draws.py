@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from lumisplat.config.dataset import Range, WholeRange
+from lumisplat.config.setting import Span, WholeSpan
 from lumisplat.math.arrays import Doubles
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -45,15 +45,15 @@ class Draws:
         """A number from 0 to before 1."""
         return float(self._generator.random())
 
-    def between(self, ends: Range) -> float:
+    def between(self, ends: Span) -> float:
         """A number of a range."""
         return ends[0] + (ends[1] - ends[0]) * self.unit()
 
-    def factor(self, ends: Range) -> float:
+    def factor(self, ends: Span) -> float:
         """A number of a range of positive ones, whose logarithm is spread evenly."""
         return math.exp(self.between((math.log(ends[0]), math.log(ends[1]))))
 
-    def whole(self, ends: WholeRange) -> int:
+    def whole(self, ends: WholeSpan) -> int:
         """A whole number of a range, both ends included."""
         return ends[0] + self.below(ends[1] - ends[0] + 1)
 

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, TypeGuard
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import is_flag, is_number, is_whole, take_enum
-from lumisplat.errors import ConfigError, SceneError
+from lumisplat.config.checks import enum_member, is_flag, is_number, is_whole
+from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FLOAT32_MAX, host_array
 from lumisplat.scene.textures import Texture, TextureWrap, WrapPair, Wraps, checked_texture, checked_wraps
 
@@ -344,12 +344,8 @@ def _check_unit(name: str, value: object) -> None:
 
 def _check_alpha_and_wrap(material: MaterialPbr | MaterialSimple) -> None:
     """Takes enums that are given by their values, and checks alpha."""
-    try:
-        take_enum(material, "wrap_u", TextureWrap)
-        take_enum(material, "wrap_v", TextureWrap)
-        take_enum(material, "alpha_mode", AlphaMode)
-    except ConfigError as error:
-        raise SceneError(str(error)) from None
+    for name, kind in (("wrap_u", TextureWrap), ("wrap_v", TextureWrap), ("alpha_mode", AlphaMode)):
+        object.__setattr__(material, name, enum_member(name, getattr(material, name), kind, SceneError))
     _check_unit("alpha", material.alpha)
     if not is_number(material.alpha_cutoff) or not 0.0 <= material.alpha_cutoff <= FLOAT32_MAX:
         raise SceneError(f"alpha_cutoff is {material.alpha_cutoff}, expected at least 0")

@@ -10,7 +10,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.renamed import refuse_renamed
 from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, box_text
@@ -33,7 +32,6 @@ _BINS = 2**14
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
 
-@refuse_renamed
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatInstance(PlacedInstance):
     """A Gaussian set placed in the world by rotation, uniform scale and translation.

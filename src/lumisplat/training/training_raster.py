@@ -8,7 +8,7 @@ from dataclasses import replace
 import warp as wp
 
 from lumisplat.config import RenderConfig
-from lumisplat.config.colors import Color
+from lumisplat.config.checks import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData

@@ -186,13 +186,7 @@ def test_what_may_be_auto_is_on_or_off_as_in_the_shell(tmp_path: Path, written: 
         ("aovs = [['hits']]", "line 2, render: aovs is"),
         ("trace = 3", "line 2, render: trace is 3, expected a table"),
         ("jitter = 1", "line 2, render: jitter is 1, expected true or false"),
-        ("[render.trace]\njitter = false", "line 3, render.trace: 'jitter' is now render.jitter"),
-        (
-            "[render.trace]\nmin_response = 0.1",
-            "line 3, render.trace: 'min_response' is now render.response.min_response",
-        ),
-        ("[render.shadow]\nmethod = 'exact'", "line 2, render: 'shadow' is now render.shadow_rays"),
-        ("shadow.hits = 8", "line 2, render: 'shadow' is now render.shadow_rays"),
+        ("[render.shadow]\nmethod = 'exact'", "line 2, render: unknown 'shadow', did you mean 'shadows'?"),
         ("[render.trace]\nhits_per_pass = 17", "line 3, render.trace: hits_per_pass is 17, expected 4, 8, 16 or 32"),
         (
             "[render.response]\nkernel_degree = 'none'",

@@ -166,7 +166,7 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + "[animation.lighting]\ndirekt = 0.5", "line 5, animation.lighting: unknown 'direkt', did you mean"),
         (
             ACTOR + "[animation.lighting]\nshadow.bins = 16",
-            "line 5, animation.lighting: 'shadow' is now animation.lighting.shadow_map",
+            "line 5, animation.lighting: unknown 'shadow', did you mean 'shadows'?",
         ),
         (ACTOR + "[animation.lighting]\ndirect = 2", "line 5, animation.lighting: direct is 2, expected 0.0 to 1.0"),
     ],

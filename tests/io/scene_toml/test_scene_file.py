@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -104,8 +103,6 @@ def test_shadow_only_is_the_old_key_of_shadow_catcher(folder: Path) -> None:
     """Scene files that were written before the new name keep their meaning."""
     scene = load_text(folder, '[[splats]]\npath = "capture.ply"\nshadow_only = true\n')
     assert scene.splats[0].shadow_catcher
-    with pytest.raises(ls.ConfigError, match=r"shadow_only is now SplatInstance\.shadow_catcher"):
-        cast("Any", ls.SplatInstance)(scene.splats[0].gaussians, shadow_only=True)
 
 
 def test_comments_and_byte_order_marks_do_not_matter(folder: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.config.probes import ProbeConfig
+from lumisplat.config import ProbeConfig
 from lumisplat.constants import LAYER_LIFT, SHADOW_OFFSET
 from lumisplat.constants.realtime import OUTDATED_SHARE
 from lumisplat.device.structs.gi import ProbeData

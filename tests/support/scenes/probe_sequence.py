@@ -9,7 +9,7 @@ import numpy.typing as npt
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.config.probes import ProbeConfig
+from lumisplat.config import ProbeConfig
 from lumisplat.renderer.gi.screen_probes import ScreenProbes
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher

@@ -9,7 +9,7 @@ import stat
 import struct
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -159,3 +159,12 @@ def _reason(error: Exception) -> str:
             return ": holds an integer of thousands of digits" if is_long else f": {text}"[:200]
         case _:
             return ""
+
+
+_PRESENT_KEYS = {"shadow_only": "shadow_catcher"}
+"""Old key of files -> its name now."""
+
+
+def with_present_keys(values: dict[str, Any]) -> dict[str, Any]:
+    """Returns the values that a file gives, those under old keys by their present names."""
+    return {_PRESENT_KEYS.get(key, key): value for key, value in values.items()}

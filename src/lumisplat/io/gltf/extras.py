@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from dataclasses import MISSING, fields
 from typing import Any, cast
 
-from lumisplat.config.renamed import with_present_keys
 from lumisplat.errors import SceneError
+from lumisplat.io.files.source import with_present_keys
 from lumisplat.scene.lights import Light
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.scene import SplatInstance

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from lumisplat.config.checks import check_flag, check_range, check_whole, is_number, quoted
-from lumisplat.config.colors import Color, display_color
+from lumisplat.config.checks import Color, check_flag, check_range, check_whole, display_color, is_number, quoted
 from lumisplat.constants.photographs import HOLD_OUT, PHOTOGRAPH_CACHE_BYTES
 from lumisplat.errors import ConfigError, FormatError, MissingFileError
 from lumisplat.io.cameras.colmap import count_colmap_images, is_colmap

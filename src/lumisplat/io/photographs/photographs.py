@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.config.colors import Color
+from lumisplat.config.checks import Color
 from lumisplat.errors import FormatError
 from lumisplat.io.photographs.cache import PixelCache, Pixels, Plane
 from lumisplat.io.photographs.pixels import Source, decode

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from lumisplat.config import RenderConfig
-from lumisplat.config.renamed import RENAMED
 from lumisplat.errors import ConfigError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
@@ -36,15 +35,12 @@ _WORD_FOR_NONE = {"background": "none"}
 _SWITCH = {"on": True, "off": False}
 """Words for a flag that may be None, as the shell has them: ``--lighting off``."""
 
-_TABLE_OF = {"RenderConfig": "render", "AvatarLightingConfig": "animation.lighting"}
-"""The table of a scene file that holds the fields of a class."""
-
 
 def read_config(document: TomlTable) -> RenderConfig:
     """The settings of a scene file; defaults for those that it does not name.
 
     Raises:
-        FormatError: An unknown or renamed setting, or a bad value.
+        FormatError: An unknown setting, or a bad value.
     """
     return read_settings(document.table("render"), RenderConfig)
 
@@ -71,24 +67,14 @@ def read_settings(table: TomlTable, kind: type[_Config]) -> _Config:
         kind: The class of the settings.
 
     Raises:
-        FormatError: An unknown or renamed setting, or a bad value.
+        FormatError: An unknown setting, or a bad value.
     """
     hints = get_type_hints(kind)
-    _refuse_renamed(table, kind)
     table.check_keys(hints)
     try:
         return kind(**{key: _setting(table, key, hints[key]) for key in table.values})
     except ConfigError as error:
         raise table.failed(error) from None
-
-
-def _refuse_renamed(table: TomlTable, kind: type) -> None:
-    """Raises FormatError, with the new name, at the first key that has been renamed."""
-    renamed = RENAMED.get(kind.__name__, {})
-    for key in table.values:
-        if key in renamed:
-            owner, _, path = renamed[key].partition(".")
-            raise table.error(f"{key!r} is now {_TABLE_OF[owner]}.{path}", key)
 
 
 def _setting(table: TomlTable, key: str, hint: object) -> object:

@@ -32,8 +32,7 @@ from dataclasses import replace
 
 import numpy.typing as npt
 
-from lumisplat.config.renamed import with_present_keys
-from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.files.source import PathLike, parsing, with_present_keys
 from lumisplat.io.scene_toml.actors import Load, read_actors, with_instances
 from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.lights import read_environment, read_light

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.config.renamed import with_present_keys
 from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.files.source import PathLike
+from lumisplat.io.files.source import PathLike, with_present_keys
 from lumisplat.io.gltf.gaussians.placed import alone
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.io.splats.columns import gaussians_from_columns

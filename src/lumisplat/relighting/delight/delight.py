@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import DelightConfig, Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.config.relighting import DelightConfig
 from lumisplat.constants.delight import (
     BRIGHT_CELLS,
     BRIGHT_PARTS,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import warp as wp
 
-from lumisplat.config.probes import ProbeConfig
+from lumisplat.config import ProbeConfig
 from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS
 from lumisplat.device.structs.camera import CameraData

@@ -7,7 +7,7 @@ import math
 import warp as wp
 
 from lumisplat.config import RenderConfig
-from lumisplat.config.colors import Color
+from lumisplat.config.checks import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData

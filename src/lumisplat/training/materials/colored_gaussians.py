@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 
 from lumisplat.config import TrainConfig
-from lumisplat.config.colors import Color
+from lumisplat.config.checks import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.progress import Progress

@@ -7,11 +7,13 @@ import inspect
 import re
 import sys
 import types
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from lumisplat.config.checks import Range
+from lumisplat.config.setting import settings_of
 from lumisplat.viewer.words import label
 
 Kind = Literal["flag", "choice", "whole", "number", "color", "vector", "text", "group"]
@@ -62,10 +64,14 @@ class Described:
 def described(cls: type) -> tuple[Described, ...]:
     """The fields of a dataclass that a control can show, in their order; others, such as arrays, are left out."""
     hints, helps = get_type_hints(cls), _docstrings(cls)
+    declared = {one.name: one for one in settings_of(cls)}
     found: list[Described] = []
     for field in fields(cls):
         default = field.default_factory() if field.default_factory is not MISSING else field.default
         one = _described(field.name, hints[field.name], helps.get(field.name, ""), default)
+        if one is not None and declared[field.name].range != Range():
+            known = declared[field.name]
+            one = replace(one, low=known.low, high=known.high, step=known.range.step)
         if one is not None:
             found.append(one)
     return tuple(found)

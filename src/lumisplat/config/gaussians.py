@@ -1,13 +1,13 @@
-"""Settings of rays: how Gaussians respond to all of them, how rays from the camera and rays to lights are followed."""
+"""Settings of what is seen of Gaussians: by the rasteriser, by rays from the camera, and by rays to lights."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Annotated
 
-from lumisplat.config.checks import check_flag, check_range, check_whole, is_whole, quoted, take_enum
-from lumisplat.config.raster import Antialiasing
-from lumisplat.config.renamed import refuse_renamed
+from lumisplat.config.checks import OneOf, Range
+from lumisplat.config.setting import Share, take_fields
 from lumisplat.constants import (
     DEPTH_ISO_TRANSMITTANCE,
     DILATION_PX2,
@@ -19,6 +19,82 @@ from lumisplat.constants import (
     TRANSMITTANCE_MIN,
 )
 from lumisplat.errors import ConfigError
+
+
+class RasterStrategy(Enum):
+    """How the rasteriser turns the splats of a pixel into one colour."""
+
+    SORTED = "sorted"
+    """Blends all of them front to back: no noise."""
+    STOCHASTIC = "stochastic"
+    """Accepts each splat with its alpha as probability; the nearest accepted one is the sample. Nothing is sorted, and
+    the mean over samples converges to the exact colour."""
+
+
+class Projection(Enum):
+    """How the rasteriser sees a Gaussian (docs/method/unscented.md)."""
+
+    EWA = "ewa"
+    """As the ellipse that a linearised pinhole makes of it (Zwicker et al. 2001): fast, and what most captures are
+    trained with. The frame of a lens that distorts is one of a pinhole, resampled."""
+    UNSCENTED = "unscented"
+    """By its response along the ray of each pixel, as the tracer sees it; points of it find the tiles (Wu et al. 2025).
+    Through any lens, distorted or fisheye, and with a rolling shutter."""
+
+
+class GaussianSurface(Enum):
+    """Which surface of the Gaussians in a pixel is lit (docs/method/rasterisation.md#weighted-mean-surface)."""
+
+    ISO = "iso"
+    """Where the transmittance falls below ``depth_iso_transmittance``, with the roughness of the Gaussian there."""
+    MEAN = "mean"
+    """At the mean of where they are, each weighted by how much it shows, with their mean roughness. In frames that are
+    sorted, and of sets that are relit: those that keep their captured colours keep the other surface."""
+
+
+class Antialiasing(Enum):
+    """Whose opacity is compensated for the dilation, as that of Mip-Splatting's captures is (Yu et al. 2024)."""
+
+    AUTO = "auto"
+    """As each capture's own ``antialiased`` flag says."""
+    OFF = "off"
+    """None."""
+    ON = "on"
+    """All."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RasterConfig:
+    """Settings of the rasteriser.
+
+    Read by ``Pipeline.RASTER``, and by ``Pipeline.HYBRID`` for what the camera sees directly. Rays do not read them:
+    of what mirrors and glass show in a hybrid frame, `TraceConfig` has its own ``sh_degree``, ``transmittance_min`` and
+    ``depth_iso_transmittance``.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    strategy: RasterStrategy = RasterStrategy.SORTED
+    """How the splats of a pixel become its colour."""
+    projection: Projection = Projection.EWA
+    """How Gaussians are seen: as ellipses, or along rays, for any lens; of ``Pipeline.RASTER`` and ``HYBRID``, with
+    ``SORTED`` and ``ISO``."""
+    surface: GaussianSurface = GaussianSurface.ISO
+    """Which surface of a pixel's Gaussians lights reach, in lit frames."""
+    antialiasing: Antialiasing = Antialiasing.AUTO
+    """When to compensate opacity for the dilation."""
+    dilation: Annotated[float, Range(0.0, 10.0, "pixel^2")] = DILATION_PX2
+    """Variance added to the projected covariance; with ``UNSCENTED`` to a Gaussian itself, in squared
+    widths of the pixel where it is."""
+    sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = SH_DEGREE_MAX
+    """Highest SH degree that is evaluated."""
+    transmittance_min: Share = TRANSMITTANCE_MIN
+    """A pixel is finished before the Gaussian that would lower its transmittance to this."""
+    depth_iso_transmittance: Share = DEPTH_ISO_TRANSMITTANCE
+    """Depth, normal and index are those of the first Gaussian behind which the transmittance is below this."""
+
+    __post_init__ = take_fields
 
 
 class TraceStrategy(Enum):
@@ -80,22 +156,17 @@ class ResponseConfig:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
-    kernel_degree: int | None = None
+    kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] | None = None
     """Exponent of the distance in the response, 0 (linear) to 5 (quintic), 2 is Gaussian; None: each capture's own."""
-    min_response: float = 0.0
-    """A Gaussian ends where its response falls to this, 0..0.97, if its alpha has not fallen to 1/255 before. 0.0113 is
+    min_response: Annotated[float, Range(0.0, 0.97)] = 0.0
+    """A Gaussian ends where its response falls to this, if its alpha has not fallen to 1/255 before. 0.0113 is
     NVIDIA's figure, about the response at three standard deviations."""
     adaptive_clamping: bool = True
     """Whether ``min_response`` limits the response times the opacity instead of the response alone."""
 
-    def __post_init__(self) -> None:
-        if self.kernel_degree is not None:
-            check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
-        check_range("min_response", self.min_response, 0.0, 0.97)
-        check_flag("adaptive_clamping", self.adaptive_clamping)
+    __post_init__ = take_fields
 
 
-@refuse_renamed
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TraceConfig:
     """Settings of the ray tracer.
@@ -109,15 +180,15 @@ class TraceConfig:
 
     strategy: TraceStrategy = TraceStrategy.SORTED
     """How the Gaussians on a ray become its colour."""
-    hits_per_pass: int = HITS_PER_PASS
-    """Gaussians that a ray collects in a pass, k: one of 4, 8, 16, 32. Of ``STOCHASTIC_PASS``, how many a sample shows;
+    hits_per_pass: Annotated[int, OneOf(HIT_COUNTS)] = HITS_PER_PASS
+    """Gaussians that a ray collects in a pass, k. Of ``STOCHASTIC_PASS``, how many a sample shows;
     images of the other strategies do not depend on it, only their cost."""
     hit_distance: HitDistance | None = None
     """Where along a ray a Gaussian is hit: the order in which they hide each other. ``MEAN`` shows captures as trained;
     ``PEAK`` sorts large ones that cross each other better. None: ``MEAN`` for sets that are shown as captured, ``PEAK``
     for those that are relit."""
-    dilation: float = DILATION_PX2
-    """Variance added to Gaussians that are not antialiased, in squared widths of the pixel where they are, 0..10:
+    dilation: Annotated[float, Range(0.0, 10.0)] = DILATION_PX2
+    """Variance added to Gaussians that are not antialiased, in squared widths of the pixel where they are:
     captures are trained with it. Rays from a camera and their reflections have pixels; given ones do not, nor do the
     parallel ones of an orthographic camera."""
     antialiasing: Antialiasing = Antialiasing.AUTO
@@ -125,28 +196,17 @@ class TraceConfig:
     normal_method: NormalMethod = NormalMethod.PLANE
     """Normal of a single Gaussian that a ray hits. Rasterised Gaussians always have that of ``PLANE``: no effect on the
     raster pipeline, nor on what the camera itself sees in the hybrid one."""
-    sh_degree: int = SH_DEGREE_MAX
-    """Highest SH degree that is evaluated, 0..3."""
-    transmittance_min: float = TRANSMITTANCE_MIN
-    """A sorted ray ends behind the Gaussian at which its transmittance falls to this, 0..1: at most so much is lost."""
-    depth_iso_transmittance: float = DEPTH_ISO_TRANSMITTANCE
-    """Depth, normal and index are those of the first Gaussian behind which the transmittance is below this, 0..1."""
-    acceptance_scale: float = 1.0
-    """Random numbers of ``STOCHASTIC_HIT`` are scaled by this, 0.001 to 1: below 1 it accepts sooner, which is
+    sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = SH_DEGREE_MAX
+    """Highest SH degree that is evaluated."""
+    transmittance_min: Share = TRANSMITTANCE_MIN
+    """A sorted ray ends behind the Gaussian at which its transmittance falls to this: at most so much is lost."""
+    depth_iso_transmittance: Share = DEPTH_ISO_TRANSMITTANCE
+    """Depth, normal and index are those of the first Gaussian behind which the transmittance is below this."""
+    acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
+    """Random numbers of ``STOCHASTIC_HIT`` are scaled by this: below 1 it accepts sooner, which is
     faster and biased towards opaque (Hu et al. 2025, figure 4)."""
 
-    def __post_init__(self) -> None:
-        take_enum(self, "strategy", TraceStrategy)
-        _check_hits("hits_per_pass", self.hits_per_pass)
-        if self.hit_distance is not None:
-            take_enum(self, "hit_distance", HitDistance)
-        check_range("dilation", self.dilation, 0.0, 10.0)
-        take_enum(self, "antialiasing", Antialiasing)
-        take_enum(self, "normal_method", NormalMethod)
-        check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
-        check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
-        check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
-        check_range("acceptance_scale", self.acceptance_scale, 1e-3, 1.0)
+    __post_init__ = take_fields
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,52 +221,37 @@ class ShadowConfig:
 
     method: ShadowMethod = ShadowMethod.EXACT
     """How the transmittance of Gaussians is found."""
-    hits: int = HITS_PER_PASS
-    """Gaussians that ``FIRST_HITS`` counts: 4, 8, 16 or 32."""
+    hits: Annotated[int, OneOf(HIT_COUNTS)] = HITS_PER_PASS
+    """Gaussians that ``FIRST_HITS`` counts."""
     hit_distance: HitDistance = HitDistance.PEAK
     """Where along a shadow ray a Gaussian is hit, ``PEAK`` or ``HULL``: which ones are the first of ``FIRST_HITS``. The
     other methods do not depend on it."""
-    offset: float = SHADOW_OFFSET
+    offset: Annotated[float, Range(0.0, 100.0)] = SHADOW_OFFSET
     """A splat surface is not shadowed by Gaussians nearer than this many times their largest scale or that of its own
-    Gaussian, whichever is less, 0..100 (docs/method/shadows.md#offset), unless they are of another layer
+    Gaussian, whichever is less (docs/method/shadows.md#offset), unless they are of another layer
     (docs/method/shadows.md#layers)."""
-    offset_absolute: float = 0.0
-    """Added to that, scene units, 0..1e6."""
-    transmittance_min: float = TRANSMITTANCE_MIN
-    """A shadow ray ends where its transmittance falls to this, 0..1, and counts as black: an early exit. To darken
+    offset_absolute: Annotated[float, Range(0.0, 1e6, "scene units")] = 0.0
+    """Added to that."""
+    transmittance_min: Share = TRANSMITTANCE_MIN
+    """A shadow ray ends where its transmittance falls to this, and counts as black: an early exit. To darken
     shadows on purpose, raise ``transmittance_threshold``."""
-    transmittance_threshold: float = 0.0
-    """A transmittance below this counts as black, and the rest is stretched to all of the range; 0 (none) to 0.99."""
-    acceptance_scale: float = 1.0
-    """Random numbers of ``STOCHASTIC`` are scaled by this, 0.001 to 1: below 1, Gaussians block sooner, with their
+    transmittance_threshold: Annotated[float, Range(0.0, 0.99)] = 0.0
+    """A transmittance below this counts as black, and the rest is stretched to all of the range; 0: none does."""
+    acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
+    """Random numbers of ``STOCHASTIC`` are scaled by this: below 1, Gaussians block sooner, with their
     alpha over this as probability, which is faster and darker than exact (Hu et al. 2025, figure 4)."""
     shared_draws: bool = False
     """Whether all rays of a ``STOCHASTIC`` sample share one number for each Gaussian: up to twice as fast, but few
     samples show blotches, which no filter removes."""
-    color_strength: float = 0.0
-    """How much partial shadows take on the colour of the Gaussians in the way, 0..5: stained glass."""
+    color_strength: Annotated[float, Range(0.0, 5.0)] = 0.0
+    """How much partial shadows take on the colour of the Gaussians in the way: stained glass."""
 
     def __post_init__(self) -> None:
-        take_enum(self, "method", ShadowMethod)
-        _check_hits("hits", self.hits)
-        take_enum(self, "hit_distance", HitDistance)
+        take_fields(self)
         if self.hit_distance is HitDistance.MEAN:
             raise ConfigError("hit_distance is 'mean', expected 'peak' or 'hull': shadow rays have no order of means")
-        check_range("offset", self.offset, 0.0, 100.0)
-        check_range("offset_absolute", self.offset_absolute, 0.0, 1e6)
-        check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
-        check_range("transmittance_threshold", self.transmittance_threshold, 0.0, 0.99)
-        check_range("acceptance_scale", self.acceptance_scale, 1e-3, 1.0)
-        check_flag("shared_draws", self.shared_draws)
-        check_range("color_strength", self.color_strength, 0.0, 5.0)
 
     @property
     def changes_shadows(self) -> bool:
         """Whether shadows differ on purpose from what Gaussians let through."""
         return self.transmittance_threshold > 0.0 or self.color_strength > 0.0
-
-
-def _check_hits(name: str, value: object) -> None:
-    """Raises ConfigError unless ``value`` is one of the numbers of hits that kernels hold."""
-    if not is_whole(value) or value not in HIT_COUNTS:
-        raise ConfigError(f"{name} is {quoted(value)}, expected 4, 8, 16 or 32")
