@@ -63,9 +63,11 @@ class Range:
     """The numbers that a field takes, whole ones for ``int``; for a pair, of both its ends."""
 
     low: float = -math.inf
+    """Least number."""
     high: float = math.inf
-    """Without an end, numbers are finite in float32, which kernels compute in."""
+    """Largest number. Without an end, numbers are finite in float32, which kernels compute in."""
     unit: str = ""
+    """Unit of the numbers."""
     above: bool = False
     """Whether ``low`` itself is refused."""
     below: bool = False
@@ -118,6 +120,7 @@ class OneOf:
     """The few whole numbers that a field takes."""
 
     values: tuple[int, ...]
+    """The numbers."""
 
     def expected(self, kind: type = int) -> str:
         """Returns them as messages say them: ``4, 8 or 16``."""

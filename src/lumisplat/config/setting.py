@@ -135,6 +135,7 @@ class Setting:
     """What a class declares of one of its fields."""
 
     name: str
+    """Name of the field."""
     kind: Kind
     """What it is: ``vector`` is three numbers, ``span`` two, ``other`` what nobody types, such as an array."""
     help: str
@@ -144,12 +145,13 @@ class Setting:
     range: Range = _ANY
     """Of numbers, those of spans included."""
     choices: tuple[Enum, ...] = ()
+    """The members of its enum."""
     numbers: tuple[int, ...] = ()
     """The few whole numbers that it takes; empty: all in the range."""
     group: type[Any] | None = None
     """The class of a group of fields."""
     default: Any = None
-    """`dataclasses.MISSING` where a value is needed."""
+    """The value if none is given; `dataclasses.MISSING` where a value is needed."""
     is_linear: bool = True
     """Whether a colour is linear light; else it is as displays show it."""
 

@@ -11,13 +11,12 @@ color_strength = 1.0
 
 from __future__ import annotations
 
-import types
-from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from lumisplat.config import RenderConfig
+from lumisplat.config.setting import Setting, settings_of
 from lumisplat.errors import ConfigError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
@@ -28,9 +27,6 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _Config = TypeVar("_Config")
-
-_WORD_FOR_NONE = {"background": "none"}
-"""How None is written, by setting; "auto" for all others."""
 
 _SWITCH = {"on": True, "off": False}
 """Words for a flag that may be None, as the shell has them: ``--lighting off``."""
@@ -54,7 +50,7 @@ def write_config(path: PathLike, config: RenderConfig) -> None:
     """
     if not isinstance(config, RenderConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ConfigError(f"config is a {type(config).__name__}, expected a RenderConfig")
-    text = toml_text({"render": _all_settings(config)})
+    text = toml_text({"render": _table(config)})
     with atomic_write(path) as temporary:
         Path(temporary).write_text(text, encoding="utf-8")
 
@@ -69,39 +65,49 @@ def read_settings(table: TomlTable, kind: type[_Config]) -> _Config:
     Raises:
         FormatError: An unknown setting, or a bad value.
     """
-    hints = get_type_hints(kind)
-    table.check_keys(hints)
+    declared = {one.name: one for one in settings_of(kind)}
+    table.check_keys(declared)
     try:
-        return kind(**{key: _setting(table, key, hints[key]) for key in table.values})
+        return kind(**{key: _setting(table, declared[key]) for key in table.values})
     except ConfigError as error:
         raise table.failed(error) from None
 
 
-def _setting(table: TomlTable, key: str, hint: object) -> object:
-    """The value of a key, of the type that ``hint`` names; whether it is in its range is checked by the settings."""
-    value = table.values[key]
-    none = _WORD_FOR_NONE.get(key, "auto") if isinstance(hint, types.UnionType) else ""
-    if none:
-        if value == none:
-            return None
-        (hint,) = (one for one in get_args(hint) if one is not types.NoneType)
-    if isinstance(hint, type) and is_dataclass(hint):
-        if not TABLE.accepts(value):
-            raise table.wrong(key, TABLE.expected)
-        return read_settings(table.table(key), hint)
-    if hint is bool and none and isinstance(value, str):
-        value = _SWITCH.get(value, value)
-    if hint is bool and not FLAG.accepts(value):
-        raise table.wrong(key, FLAG.expected + (none and f', as words "on" or "off", or "{none}"'))
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        return _member(table, key, hint)
-    return tuple(cast(list[object], value)) if get_origin(hint) is tuple and isinstance(value, list) else value
+def _setting(table: TomlTable, setting: Setting) -> object:
+    """The value of a setting, of its kind; whether it is in its range is checked by the settings."""
+    key, value = setting.name, table.values[setting.name]
+    none = _word_for_none(setting) if setting.is_optional else ""
+    if none and value == none:
+        return None
+    match setting.kind:
+        case "group":
+            if not TABLE.accepts(value):
+                raise table.wrong(key, TABLE.expected)
+            assert setting.group is not None
+            return read_settings(table.table(key), setting.group)
+        case "flag":
+            if none and isinstance(value, str):
+                value = _SWITCH.get(value, value)
+            if not FLAG.accepts(value):
+                raise table.wrong(key, FLAG.expected + (none and f', as words "on" or "off", or "{none}"'))
+            return value
+        case "choice":
+            return _member(table, setting)
+        case "color" | "vector" | "span" | "names":
+            return tuple(cast(list[object], value)) if isinstance(value, list) else value
+        case _:
+            return value
 
 
-def _member(table: TomlTable, key: str, kind: type[Enum]) -> Enum:
+def _word_for_none(setting: Setting) -> str:
+    """How None is written."""
+    return "none" if setting.kind == "color" else "auto"
+
+
+def _member(table: TomlTable, setting: Setting) -> Enum:
     """The member of an enum that a key names by its value."""
-    value = table.values[key]
-    members = {str(member.value): member for member in kind}
+    key, value = setting.name, table.values[setting.name]
+    members = {str(member.value): member for member in setting.choices}
     if not isinstance(value, str):
         raise table.wrong(key, ", ".join(members))
     if value not in members:
@@ -109,33 +115,29 @@ def _member(table: TomlTable, key: str, kind: type[Enum]) -> Enum:
     return members[value]
 
 
-def _all_settings(config: DataclassInstance) -> dict[str, Any]:
-    """Returns every setting as a table of a scene file has it, those of groups in tables."""
-    values = {field.name: getattr(config, field.name) for field in fields(config)}
-    return {
-        name: _all_settings(cast(Any, value)) if is_dataclass(value) else _written(name, value)
-        for name, value in values.items()
-    }
-
-
 def changed_settings(config: DataclassInstance) -> dict[str, Any]:
     """The settings that differ from the defaults, as a table of a scene file has them; those of groups in tables."""
-    base = type(config)()
+    return _table(config, type(config)())
+
+
+def _table(config: Any, base: Any = None) -> dict[str, Any]:
+    """Returns settings as a table of a scene file has them: all, or those that differ from others."""
     table: dict[str, Any] = {}
-    for field in fields(config):
-        value = getattr(config, field.name)
-        if is_dataclass(value) and not isinstance(value, type):
-            if changes := changed_settings(value):
-                table[field.name] = changes
-        elif value != getattr(base, field.name):
-            table[field.name] = _written(field.name, value)
+    kind: type = type(config)
+    for one in settings_of(kind):
+        value, before = getattr(config, one.name), getattr(base, one.name, None)
+        if one.kind == "group":
+            if group := _table(value, before):
+                table[one.name] = group
+        elif base is None or value != before:
+            table[one.name] = _written(one, value)
     return table
 
 
-def _written(name: str, value: object) -> object:
+def _written(setting: Setting, value: object) -> object:
     """The value of a setting as a table has it."""
     if value is None:
-        return _WORD_FOR_NONE.get(name, "auto")
+        return _word_for_none(setting)
     if isinstance(value, tuple):
         return list(cast(tuple[object, ...], value))
     return value.value if isinstance(value, Enum) else value

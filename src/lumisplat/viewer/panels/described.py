@@ -12,7 +12,6 @@ from enum import Enum
 from functools import cache
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from lumisplat.config.checks import Range
 from lumisplat.config.setting import settings_of
 from lumisplat.viewer.words import label
 
@@ -69,8 +68,7 @@ def described(cls: type) -> tuple[Described, ...]:
     for field in fields(cls):
         default = field.default_factory() if field.default_factory is not MISSING else field.default
         one = _described(field.name, hints[field.name], helps.get(field.name, ""), default)
-        if one is not None and declared[field.name].range != Range():
-            known = declared[field.name]
+        if one is not None and (known := declared[field.name]).low is not None:
             one = replace(one, low=known.low, high=known.high, step=known.range.step)
         if one is not None:
             found.append(one)
