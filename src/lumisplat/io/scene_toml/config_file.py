@@ -120,11 +120,10 @@ def changed_settings(config: DataclassInstance) -> dict[str, Any]:
     return _table(config, type(config)())
 
 
-def _table(config: Any, base: Any = None) -> dict[str, Any]:
+def _table(config: object, base: object = None) -> dict[str, Any]:
     """Returns settings as a table of a scene file has them: all, or those that differ from others."""
     table: dict[str, Any] = {}
-    kind: type = type(config)
-    for one in settings_of(kind):
+    for one in settings_of(type(config)):
         value, before = getattr(config, one.name), getattr(base, one.name, None)
         if one.kind == "group":
             if group := _table(value, before):
