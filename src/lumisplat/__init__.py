@@ -146,7 +146,15 @@ if TYPE_CHECKING:
     from lumisplat.scene.editing.sh_degree import limit_sh_degree
     from lumisplat.scene.editing.transform import transform
     from lumisplat.scene.gaussians import Gaussians
-    from lumisplat.scene.lights import LightDirectional, LightEnvironment, LightPoint, LightRect, LightSphere, LightSpot
+    from lumisplat.scene.lights import (
+        LightDirectional,
+        LightDisk,
+        LightEnvironment,
+        LightPoint,
+        LightRect,
+        LightSphere,
+        LightSpot,
+    )
     from lumisplat.scene.materials import AlphaMode, MaterialPbr, MaterialSimple
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.ops.estimate_normals import estimate_normals
@@ -218,6 +226,7 @@ _MODULE_OF = {
     "Keyframes": "scene.animation.keyframes",
     "LearningRates": "config",
     "LightDirectional": "scene.lights",
+    "LightDisk": "scene.lights",
     "LightEnvironment": "scene.lights",
     "LightEstimate": "relighting.light_estimation",
     "LightEstimationConfig": "config",
@@ -432,6 +441,7 @@ __all__ = [
     "Keyframes",
     "LearningRates",
     "LightDirectional",
+    "LightDisk",
     "LightEnvironment",
     "LightEstimate",
     "LightEstimationConfig",

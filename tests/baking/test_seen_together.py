@@ -90,12 +90,15 @@ def test_a_few_rays_that_come_later_do_not_undo_what_many_have_shown() -> None:
 LAMPS = [
     ls.LightSphere((0.0, 2.0, 0.0), 0.5, intensity=3.0),
     ls.LightRect((0.0, 1.6, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 2.0), intensity=3.0),
+    ls.LightDisk((0.0, 1.6, 0.0), (0.0, -1.0, 0.0), 1.0, intensity=3.0),
 ]
-"""Above, of which the rectangle shines downwards."""
+"""Above, of which the flat ones shine downwards."""
 
 
 @pytest.mark.parametrize("lamp", LAMPS)
-def test_a_lamp_that_is_seen_is_not_baked_into_what_it_lights(lamp: ls.LightSphere | ls.LightRect) -> None:
+def test_a_lamp_that_is_seen_is_not_baked_into_what_it_lights(
+    lamp: ls.LightSphere | ls.LightRect | ls.LightDisk,
+) -> None:
     """Rays past the edge of a Gaussian see the lamp behind it: a black body stays black."""
     black = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.0), rows=16), 60), material=diffuse(0.0))
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=2, max_bounces=0)

@@ -172,6 +172,7 @@ def test_what_is_before_a_sky_keeps_its_light() -> None:
 LAMPS = {
     "sphere": ls.LightSphere((0.1, 0.0, 4.0), 0.4, color=(1.0, 0.8, 0.5), intensity=6.0),
     "rect": ls.LightRect((0.1, 0.0, 3.6), (0.0, 0.9, 0.1), (0.9, 0.2, 0.0), intensity=6.0),
+    "disk": ls.LightDisk((0.1, 0.0, 3.6), (0.0, 0.0, -1.0), 0.5, intensity=6.0),
 }
 
 

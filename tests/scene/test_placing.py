@@ -139,6 +139,11 @@ def test_lights_are_aimed(light, direction):
     assert replace(light, intensity=3.0).direction == light.direction
 
 
+def test_a_disk_faces_its_target():
+    """As a spot does."""
+    np.testing.assert_allclose(ls.LightDisk((0, 4, 0), target=(3, 0, 0)).direction, (0.6, -0.8, 0.0), atol=1e-6)
+
+
 def test_a_rect_faces_its_target():
     """With its width level."""
     light = ls.LightRect((0, 4, 0), target=(3, 0, 0), size=(2, 0.5))
@@ -155,6 +160,7 @@ def test_a_rect_faces_its_target():
         (lambda: ls.LightSpot((0, 4, 0), (0, 1, 0), target=(0, 0, 0)), "direction and target of a spot are both given"),
         (lambda: ls.LightSpot((0, 4, 0), target=(0, 4, 0)), "target of a spot is where it stands"),
         (lambda: ls.LightDirectional(target=(0, 0, 0)), "without a position"),
+        (lambda: ls.LightDisk((0, 4, 0), (0, 1, 0), target=(0, 0, 0)), "direction and target of a disk"),
         (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0)), "target and size of a rect go together"),
         (lambda: ls.LightRect((0, 4, 0), (1, 0, 0), (0, 1, 0), target=(0, 0, 0), size=(1, 1)), "both given"),
         (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0), size=(1, 0)), "size is"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.scene.lights import facing_irradiance, move_light
 from support.scenes.raster_scenes import quad, random_gaussians
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -20,6 +21,7 @@ REQUIRED: dict[type, dict[str, Any]] = {
     ls.LightDirectional: {"direction": DOWN},
     ls.LightSphere: {"position": ORIGIN, "radius": 1.0},
     ls.LightRect: {"position": ORIGIN, "edge_u": (1.0, 0.0, 0.0), "edge_v": (0.0, 0.0, 1.0)},
+    ls.LightDisk: {"position": ORIGIN, "direction": DOWN},
     ls.LightEnvironment: {},
 }
 
@@ -37,6 +39,38 @@ def test_directions_become_unit() -> None:
     assert spot.position == (1.0, 2.0, 3.0)
     np.testing.assert_allclose(spot.direction, (0.0, 0.6, -0.8))
     np.testing.assert_allclose(ls.LightDirectional((2.0, 0.0, 0.0)).direction, (1.0, 0.0, 0.0))
+
+
+def test_disks_move_with_what_they_belong_to() -> None:
+    """Position, direction and radius follow a turn about x by a quarter, a scale of 2 and a shift."""
+    matrix = np.array([[2, 0, 0, 1], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]], np.float64)
+    disk = move_light(ls.LightDisk((0, 3, 0), (0, -1, 0), 0.25), matrix)
+    assert isinstance(disk, ls.LightDisk)
+    np.testing.assert_allclose([disk.position, disk.direction], [(1, 0, 6), (0, 0, -1)], atol=1e-12)
+    assert disk.radius == pytest.approx(0.5)
+
+
+FLAT = [
+    (ls.LightRect((0, 2, 0), (0.8, 0, 0), (0, 0, 0.6)), 0.48),
+    (ls.LightDisk((0, 2, 0), (0, -1, 0), 0.4), math.pi * 0.16),
+]
+
+
+@pytest.mark.parametrize(("light", "area"), FLAT, ids=lambda value: getattr(value, "kind", ""))
+def test_flat_lights_have_an_area_and_one_side(light: ls.LightRect | ls.LightDisk, area: float) -> None:
+    """Their extent by rays from below, of which the share that reaches them is their area; from above, none does."""
+    rng = np.random.default_rng(3)
+    assert light.boundary()[:, 1] == pytest.approx(2.0)
+    starts = np.stack([rng.uniform(-0.5, 0.5, 40000), np.zeros(40000), rng.uniform(-0.5, 0.5, 40000)], axis=1)
+    up = np.tile((0.0, 1.0, 0.0), (40000, 1))
+    distances = light.distances(starts, up)
+    assert np.isfinite(distances).mean() == pytest.approx(area, rel=0.02)
+    np.testing.assert_allclose(distances[np.isfinite(distances)], 2.0)
+    assert np.isinf(light.distances(starts + 4.0 * up, -up)).all()
+    np.testing.assert_allclose(light.area_vector, (0.0, -area, 0.0), atol=1e-12)
+    # Half as much at 60 degrees, and nothing on the other side.
+    below = facing_irradiance(light, np.array([(0, -8, 0), (10 * math.sin(math.pi / 3), -3, 0), (0, 3, 0)]))[:, 0]
+    np.testing.assert_allclose(below, (area / 100, 0.5 * area / 100, 0.0), atol=1e-12)
 
 
 def test_environments() -> None:
@@ -78,6 +112,8 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightDirectional, {"shadow_distance": 0.0}, "shadow_distance is 0.0, expected a number above 0"),
         (ls.LightEnvironment, {"shadow_distance": math.nan}, "shadow_distance is nan, expected a number above 0"),
         (ls.LightSphere, {"radius": 0.0}, "radius is 0.0, expected a number above 0"),
+        (ls.LightDisk, {"radius": 0.0}, "radius is 0.0, expected a number above 0"),
+        (ls.LightDisk, {"direction": ORIGIN}, "direction has no length: a disk needs one, or a target"),
         (ls.LightRect, {"edge_v": (2.0, 0.0, 0.0)}, "span no area"),
         (ls.LightRect, {"edge_u": ORIGIN}, "span no area"),
         (ls.LightEnvironment, {"image": np.ones((4, 3))}, r"image has shape \(4, 3\), expected \(H, W, 3\)"),

@@ -50,6 +50,7 @@ def test_shadow_falls_behind_and_not_beside() -> None:
         ls.LightPoint(LIGHT),
         ls.LightSphere(LIGHT, radius=0.5),
         ls.LightSpot(LIGHT, direction=(0.0, 0.0, 1.0)),
+        ls.LightDisk(LIGHT, direction=(0.0, 0.0, 1.0)),
         ls.LightRect(LIGHT, edge_u=(1.0, 0.0, 0.0), edge_v=(0.0, 1.0, 0.0)),
     ],
     ids=lambda light: type(light).__name__,

@@ -215,6 +215,8 @@ def test_lines_are_dimmed_behind_what_is_in_the_frame() -> None:
         (ls.LightPoint((0, 0, 0), radius=0.3, range=2.0), 2.0),
         (ls.LightSphere((0, 0, 0), 0.5), 0.5),
         (ls.LightSpot((0, 0, 0), (0, 0, 1), range=3.0, outer_angle=0.5), 3.0),
+        (ls.LightRect((0, 0, 0), (0.6, 0, 0), (0, 0.8, 0)), 0.5),
+        (ls.LightDisk((0, 0, 0), (1, 2, -2), 0.5), 0.5),
     ],
 )
 def test_outlines_reach_as_far_as_lights(light: object, reach: float) -> None:

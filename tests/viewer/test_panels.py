@@ -153,6 +153,7 @@ def document() -> ls.SceneDocument:
         ls.LightSpot((0, -2, 0), (0, 1, 0)),
         ls.LightDirectional((0, 1, 0)),
         ls.LightRect((0, -1, 0), (1, 0, 0), (0, 0, 1)),
+        ls.LightDisk((0, -1, 0), (0, 1, 0), 0.5),
         ls.LightEnvironment(),
     ]
     return ls.SceneDocument.of(ls.Scene(meshes=[box, floor], lights=lights, up="y-down"))
@@ -182,11 +183,11 @@ def test_drags_move_things_as_the_hand_does() -> None:
     before = document().scene()
     after = moved(0, shift(0.5, 0.0, -1.0)).scene()
     np.testing.assert_allclose(after.meshes[0].transform, shift(0.5, 0.0, -1.0) @ before.meshes[0].transform, atol=1e-9)
-    lights = [moved(number, shift(0.5, 0.0, 0.0)).scene().lights[number - 2] for number in (2, 3, 5)]
-    assert [light.position for light in lights] == [(1.5, 2.0, 3.0), (0.5, -2.0, 0.0), (0.5, -1.0, 0.0)]  # pyright: ignore
+    lights = [moved(number, shift(0.5, 0.0, 0.0)).scene().lights[number - 2] for number in (2, 3, 5, 6)]
+    assert [light.position for light in lights] == [(1.5, 2.0, 3.0), (0.5, -2.0, 0.0), *[(0.5, -1.0, 0.0)] * 2]  # pyright: ignore
     sun = moved(4, shift(EXTENT.dome_radius, 0.0, 0.0)).scene().lights[2]
     np.testing.assert_allclose(sun.direction, (-math.sqrt(0.5), math.sqrt(0.5), 0.0), atol=1e-9)  # pyright: ignore
-    assert grip_of(document().entry(6), None, EXTENT) is None  # a sky is nowhere
+    assert grip_of(document().entry(7), None, EXTENT) is None  # a sky is nowhere
 
 
 def test_turns_turn_what_shines() -> None:
@@ -197,6 +198,8 @@ def test_turns_turn_what_shines() -> None:
     np.testing.assert_allclose(spot.direction, (0.0, 0.0, 1.0), atol=1e-9)  # pyright: ignore
     rect = moved(5, shift(0, -1, 0) @ turn @ shift(0, 1, 0)).scene().lights[3]
     np.testing.assert_allclose(rect.edge_v, (0.0, -1.0, 0.0), atol=1e-9)  # pyright: ignore
+    disk = moved(6, shift(0, -1, 0) @ turn @ shift(0, 1, 0)).scene().lights[4]
+    np.testing.assert_allclose(disk.direction, (0.0, 0.0, 1.0), atol=1e-9)  # pyright: ignore
 
 
 def test_the_inspector_edits_what_it_names() -> None:
@@ -357,7 +360,8 @@ def test_new_lamps_are_seen_and_light_what_is_looked_at(aspect: float) -> None:
         x, y = local[0] / local[2] * view.fx + view.cx, local[1] / local[2] * view.fy + view.cy
         assert 0.2 * view.width < x < 0.8 * view.width and 0.05 * view.height < y < 0.5 * view.height
         distance = np.linalg.norm(target - light.position)
-        area = {"sphere": math.pi * table.get("radius", 0.0) ** 2, "rect": math.prod(table.get("size", (0.0,)))}
+        disk = math.pi * table.get("radius", 0.0) ** 2
+        area = {"sphere": disk, "disk": disk, "rect": math.prod(table.get("size", (0.0,)))}
         assert table["intensity"] * area.get(kind, 1.0) / distance**2 == pytest.approx(3.0)
 
 
@@ -456,7 +460,7 @@ def test_edits_of_several_threads_are_all_there() -> None:
     session.configure(lambda config: replace(config, seed=7))
     session.apply(lambda document: document.changed(2, intensity=5.0))
     thread.join()
-    assert session.state.config.seed == 7 and len(session.state.document.entries) == 8
+    assert session.state.config.seed == 7 and len(session.state.document.entries) == 9
     assert session.state.document.entry(2).lights[0].intensity == 5.0  # pyright: ignore
 
 

@@ -374,6 +374,85 @@ class LightRect:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LightDisk:
+    """A disk that shines on one side. Only the path pipeline shows it.
+
+    Raises:
+        SceneError: A value is not finite, negative or of the wrong shape, or the direction has no length.
+    """
+
+    kind: ClassVar[str] = "disk"
+    unit: ClassVar[str] = "cd/m2"
+    aim_fields: ClassVar[tuple[str, ...]] = ("direction",)
+    aim_keys: ClassVar[tuple[str, ...]] = ("target",)
+
+    position: Vector
+    """Centre of the disk."""
+    direction: Vector = (0.0, 0.0, 0.0)
+    """Normal of the side that shines, of any length; normalised. Needed unless there is a ``target``."""
+    radius: float = 0.5
+    """Scene units, > 0."""
+    color: Vector = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    """Radiance: candela per square metre."""
+    enabled: bool = field(default=True, kw_only=True)
+    casts_shadow: bool = field(default=True, kw_only=True)
+    visible: bool = field(default=True, kw_only=True)
+    """Whether the path pipeline shows it, to the camera and to surfaces alike. No pipeline lets it block light."""
+    name: str = field(default="", kw_only=True)
+    target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``direction``: world position towards which it faces, shape (3,)."""
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            position: npt.ArrayLike,
+            direction: npt.ArrayLike = (0.0, 0.0, 0.0),
+            radius: float = 0.5,
+            color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            intensity: float = 1.0,
+            *,
+            enabled: bool = True,
+            casts_shadow: bool = True,
+            visible: bool = True,
+            name: str = "",
+            target: npt.ArrayLike | None = None,
+        ) -> None: ...
+
+    def __post_init__(self, target: npt.ArrayLike | None) -> None:
+        _check_shared(self)
+        object.__setattr__(self, "position", vector("position", self.position))
+        object.__setattr__(self, "direction", towards("a disk", self.direction, self.position, target))
+        _check_number("radius", self.radius, 0.0, above=True)
+        check_flag("visible", self.visible)
+
+    @property
+    def area_vector(self) -> Doubles:
+        """Normal of the side that shines, as long as the area, shape (3,)."""
+        return math.pi * self.radius**2 * np.array(self.direction)
+
+    def boundary(self) -> Doubles:
+        """Returns points of its edge in order, world space, shape (48, 3)."""
+        normal, angles = np.array(self.direction), np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)[:, None]
+        u = np.cross(np.eye(3)[int(np.abs(normal).argmin())], normal)
+        u /= np.linalg.norm(u)
+        return self.position + self.radius * (np.cos(angles) * u + np.sin(angles) * np.cross(normal, u))
+
+    def covers(self, offsets: Doubles) -> Flags:
+        """Returns which points of its plane lie within it, shape (N,); ``offsets`` are from its position."""
+        return np.asarray((offsets**2).sum(axis=1) <= self.radius**2)
+
+    def candela(self, offsets: Doubles) -> Doubles:
+        """As `LightPoint.candela`."""
+        return _flat_candela(self, offsets)
+
+    def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
+        """Returns where rays reach the side that shines, scene units, shape (N,); inf where they miss it."""
+        return _flat_distances(self, origins, directions)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LightEnvironment:
     """Light from all directions, infinitely far away: a latitude-longitude image, or one colour.
 
@@ -442,20 +521,20 @@ class LightEnvironment:
         _check_number("shadow_distance", self.shadow_distance, 0.0, above=True, finite=False)
 
 
-FlatLight = LightRect
+FlatLight = LightRect | LightDisk
 """Lights that shine from one side of a plane."""
-AreaLight = LightSphere | LightRect
+AreaLight = LightSphere | LightRect | LightDisk
 """Lights whose surface shines: their intensity is a radiance, and paths show them."""
-RoundLight = LightPoint | LightSpot | LightSphere
+RoundLight = LightPoint | LightSpot | LightSphere | LightDisk
 """Lights at a position that have a radius."""
-AimedLight = LightSpot | LightDirectional
+AimedLight = LightSpot | LightDirectional | LightDisk
 """Lights with a direction."""
-PlacedLight = LightPoint | LightSpot | LightSphere | LightRect
+PlacedLight = LightPoint | LightSpot | LightSphere | LightRect | LightDisk
 """Lights at a position."""
 Light = PlacedLight | LightDirectional | LightEnvironment
 """Any light."""
 LIGHT_KINDS: dict[str, type[PlacedLight | LightDirectional]] = {
-    one.kind: one for one in (LightPoint, LightSpot, LightDirectional, LightSphere, LightRect)
+    one.kind: one for one in (LightPoint, LightSpot, LightDirectional, LightSphere, LightRect, LightDisk)
 }
 """Lights by their ``type`` in scene files, where the environment has a table of its own."""
 
@@ -491,6 +570,8 @@ def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light
     changes: dict[str, Any] = {
         name: linear @ getattr(light, name) for name in ("direction", "edge_u", "edge_v") if hasattr(light, name)
     }
+    if isinstance(light, LightDisk):
+        changes["radius"] = light.radius * float(np.cbrt(np.linalg.det(linear)))
     if isinstance(light, PlacedLight):
         changes["position"] = linear @ light.position + world_from_light[:3, 3]
     return replace(light, **changes)

@@ -49,6 +49,7 @@ LIGHTS: st.SearchStrategy[Any] = st.one_of(
         **cast(dict[str, Any], SHARED),
     ),
     st.builds(ls.LightSphere, POINT, POSITIVE, COLOR, POSITIVE, visible=st.booleans(), **SHARED),
+    st.builds(ls.LightDisk, POINT, DIRECTION, POSITIVE, COLOR, POSITIVE, visible=st.booleans(), **SHARED),
     st.builds(lambda p, s, name: ls.LightRect(p, (s, 0.1, 0.0), (0.0, 1.0, s), name=name), POINT, POSITIVE, st.text()),
     st.builds(
         ls.LightEnvironment,

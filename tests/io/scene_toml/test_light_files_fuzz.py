@@ -119,6 +119,11 @@ type = "rect"
 position = [0, 0, 0]
 edge_u = [1, 0, 0]
 edge_v = [0, 1, 0]
+[[lights]]
+type = "disk"
+position = [0, 0, 0]
+direction = [0, 1, 0]
+radius = 0.5
 [environment]
 color = [1, 1, 1]
 rotation_wxyz = [1, 0, 0, 0]

@@ -48,12 +48,19 @@ position = [0, 0, 2]
 edge_u = [1, 0, 0]
 edge_v = [0, 1, 0]
 intensity = 3.0
+
+[[lights]]
+type = "disk"
+position = [0, 0, 2]
+target = [0, 3, 2]
+radius = 0.25
+intensity = 4
 """
 
 
 def test_every_light(tmp_path: Path) -> None:
     """Keys are the fields of the lights, with the defaults of Python; angles are in degrees."""
-    point, spot, sun, sphere, rect = load_scene(tmp_path, ALL).lights
+    point, spot, sun, sphere, rect, disk = load_scene(tmp_path, ALL).lights
     assert isinstance(point, ls.LightPoint)
     assert (point.name, point.position, point.color) == ("bulb", (1.0, 2.0, 3.0), (1.0, 0.5, 0.25))
     assert (point.intensity, point.range, point.radius, point.casts_shadow) == (40, 7.5, 0.1, False)
@@ -64,6 +71,8 @@ def test_every_light(tmp_path: Path) -> None:
     assert sun.angle == pytest.approx(math.radians(0.25)) and not sun.enabled
     assert isinstance(sphere, ls.LightSphere) and sphere.radius == 0.5
     assert isinstance(rect, ls.LightRect) and (rect.edge_v, rect.intensity) == ((0.0, 1.0, 0.0), 3.0)
+    assert isinstance(disk, ls.LightDisk)
+    assert (disk.direction, disk.radius, disk.intensity) == ((0.0, 1.0, 0.0), 0.25, 4)
 
 
 def test_the_widest_cone(tmp_path: Path) -> None:
@@ -90,7 +99,7 @@ def test_an_environment(tmp_path: Path) -> None:
 def test_an_environment_of_one_colour(tmp_path: Path) -> None:
     """An environment needs no image; it comes after the other lights."""
     lights = load_scene(tmp_path, "[environment]\ncolor = [0.1, 0.2, 0.3]\n" + ALL).lights
-    assert isinstance(lights[-1], ls.LightEnvironment) and len(lights) == 6
+    assert isinstance(lights[-1], ls.LightEnvironment) and len(lights) == 7
     assert lights[-1].image is None and lights[-1].color == (0.1, 0.2, 0.3)
 
 

@@ -109,11 +109,24 @@ def test_rectangles(tmp_path: Path) -> None:
     assert mirrored.intensity == pytest.approx(1.0)
 
 
-def test_discs_are_squares_of_their_area(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_disks(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Radiance stays, normalised it is divided by the area in the world; it shines along -z, also where mirrored."""
+    inputs = "float inputs:radius = 2\nfloat inputs:intensity = 12"
+    lamp = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", inputs))
+    assert (lamp.radius, lamp.intensity, lamp.direction) == (2.0, 12.0, (0.0, 0.0, -1.0))
+    place = '\ndouble3 xformOp:scale = (-3, 3, 3)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    mirrored = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"{inputs}\nbool inputs:normalize = 1{place}"))
+    assert (mirrored.radius, mirrored.direction) == (pytest.approx(6.0), (0.0, 0.0, -1.0))
+    assert mirrored.intensity == pytest.approx(12.0 / (math.pi * 36.0))
+    assert not caplog.text
+
+
+def test_stretched_disks_are_round_ones_of_their_area(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """With a remark."""
-    lamp = expect_kind(ls.LightRect, light(tmp_path, "DiskLight", "float inputs:radius = 2"))
-    assert np.linalg.norm(np.cross(lamp.edge_u, lamp.edge_v)) == pytest.approx(4.0 * math.pi)
-    assert "discs that shine, read as squares of the same area (/lamp)" in caplog.text
+    place = '\ndouble3 xformOp:scale = (4, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    lamp = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"float inputs:radius = 2{place}"))
+    assert lamp.radius == pytest.approx(4.0)
+    assert "disks that are stretched, read as round ones of the same area (/lamp)" in caplog.text
 
 
 def test_temperature_and_colour(tmp_path: Path) -> None:

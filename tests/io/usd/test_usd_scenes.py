@@ -124,7 +124,7 @@ def test_what_others_will_not_know_is_one_line(tmp_path: Path, caplog: pytest.Lo
         "shadow_catcher and sh_degree of captures, which only Lumisplat will know (relit)",
         "colours of vertices beside a texture (textures)",
         "the range of lights (bulb)",
-        "that lights are not seen themselves (visible) (ball, sky)",
+        "that lights are not seen themselves (visible) (ball, sky, disk)",
         "parallelograms, which are sheared rectangles (skewed)",
         "the fall-off of spots between their cones, which is another curve (spot)",
     ):

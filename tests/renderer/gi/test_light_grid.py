@@ -150,7 +150,9 @@ def test_lights_have_weight_wherever_they_reach() -> None:
         away = point - place
         distance = float(np.linalg.norm(away))
         tilt = away / distance + 0.05 * rng.normal(size=3)
-        if number % 3 == 0:
+        if number % 4 == 3:
+            lights.append(ls.LightDisk(tuple(place), tuple(np.cross(away, rng.normal(size=3)) + 0.1 * away), distance))
+        elif number % 3 == 0:
             outer = float(rng.uniform(0.01, 0.2))
             lights.append(ls.LightSpot(tuple(place), tuple(tilt), inner_angle=0.5 * outer, outer_angle=outer))
         elif number % 3 == 1:
@@ -175,9 +177,18 @@ def test_kinds_of_lights_are_weighed_alike() -> None:
         ls.LightRect((0.0, 400.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 3.0), intensity=4.0),
         sky,
         ls.LightSphere((0.0, -400.0, 0.0), 0.5, intensity=3.0),
+        ls.LightDisk((0.0, 400.0, 0.0), (0.0, -1.0, 0.0), 0.5, intensity=8.0),
     ]
     cells = [Cell(0, np.zeros(3), 0.5)] * len(lights)
     weights, _ = LightGridRig(lights, cells).reaches(np.zeros((len(lights), 3)))
     square = 400.0**2
-    expected = [5.0 / square, 7.0 / square, 2.0, 24.0 / square, 0.5 * np.pi, 0.75 * np.pi / square]
+    expected = [
+        5.0 / square,
+        7.0 / square,
+        2.0,
+        24.0 / square,
+        0.5 * np.pi,
+        0.75 * np.pi / square,
+        2.0 * np.pi / square,
+    ]
     np.testing.assert_allclose(weights, expected, rtol=1e-2)

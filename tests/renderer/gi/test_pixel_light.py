@@ -46,6 +46,7 @@ def half_sky() -> ls.LightEnvironment:
 SHINING: dict[str, tuple[list[ls.Mesh], list[Light], float]] = {
     "point": ([], [ls.LightPoint((0.0, 2.0, 0.0), intensity=3.0)], 0.75),
     "rect": ([], [ls.LightRect((0.0, 1.0, 0.0), (1, 0, 0), (0, 0, 1), intensity=1.0)], np.pi * PANEL),
+    "disk": ([], [ls.LightDisk((0.0, 1.0, 0.0), (0, -1, 0), 0.75, intensity=1.0)], np.pi * 0.36),
     "mesh": ([quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))], [], np.pi * PANEL),
     "sky": ([], [half_sky()], 0.5 * np.pi),
     "two lamps": (

@@ -159,6 +159,24 @@ def test_rectangle_over_a_plane() -> None:
     assert np.abs(blocks(ours) / blocks(expected) - 1.0).max() < 0.02
 
 
+def test_disk_over_a_plane() -> None:
+    """Sampled, the closed form of its irradiance (a disk parallel to the receiver); hard, that of its centre."""
+    camera, disk = above(), ls.LightDisk((0.3, 1.2, -0.2), (0.0, -1.0, 0.0), 0.5, intensity=3.0)
+    scene, points = ls.Scene((), [floor(matte(0.8))], [disk]), floor_points(camera)
+    directions, distances = towards(disk.position, points)
+    as_point = 3.0 * np.pi * 0.25 * directions[..., 1] ** 2 / distances**2
+    hard = lit(scene, camera, shadows=ls.Shadows.HARD).color[..., 0]
+    assert_relatively_close(hard, 0.8 / np.pi * as_point, 1e-4)
+    height2 = (distances * directions[..., 1]) ** 2
+    aside2 = distances**2 - height2
+    total = height2 + aside2 + 0.25
+    factor = 0.5 * (1.0 - (total - 0.5) / np.sqrt(total**2 - aside2))
+    expected = 0.8 * 3.0 * factor
+    ours = lit(scene, camera, shadows=ls.Shadows.SOFT, samples=128).color[..., 0]
+    assert np.mean(ours) == pytest.approx(np.mean(expected), rel=2e-3)
+    assert np.abs(blocks(ours) / blocks(expected) - 1.0).max() < 0.02
+
+
 # --- Materials under a point light and in even light ---
 
 

@@ -81,6 +81,17 @@ def test_a_disc(way: str) -> None:
     assert_is(found(lamp, way), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
 
 
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("place", [(0.0, 0.8, 0.0), (0.7, 0.9, -0.4)])
+def test_a_disk(place: tuple[float, float, float], way: str) -> None:
+    """L / 2 times Lambert's sum over its edge, of many corners; it faces the floor at a slant."""
+    light = ls.LightDisk(place, (-0.2, -1.0, 0.1), 0.35, intensity=2.0)
+    u, v = (light.boundary()[k] - place for k in (0, 12))
+    turn = 2.0 * np.pi * np.arange(1000)[:, None] / 1000
+    rim = np.array(place) + np.cos(turn) * u + np.sin(turn) * v
+    assert_is(found(light, way), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
+
+
 @pytest.mark.parametrize(("lamp", "way"), [("mesh", "met"), ("mesh", "both"), *(("rect", way) for way in WAYS)])
 def test_a_polygon(lamp: str, way: str) -> None:
     """L / 2 times Lambert's sum over its edges: a slanting parallelogram."""

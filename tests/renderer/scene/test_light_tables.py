@@ -10,6 +10,7 @@ import pytest
 
 from lumisplat.device.light.light import (
     LIGHT_DIRECTIONAL,
+    LIGHT_DISK,
     LIGHT_ENVIRONMENT,
     LIGHT_HEADLIGHT,
     LIGHT_POINT,
@@ -23,6 +24,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import (
     Light,
     LightDirectional,
+    LightDisk,
     LightEnvironment,
     LightPoint,
     LightRect,
@@ -63,20 +65,23 @@ def test_units(rig: Rig) -> None:
         LightSphere((4, 5, 6), 0.5, intensity=3.0),
         LightRect((0, 3, 0), (2, 0, 0), (0, 0, 1), intensity=4.0, casts_shadow=False),
         LightEnvironment(IMAGE, intensity=2.0),
+        LightDisk((7, 8, 9), (0, 2, 0), 0.75, (1.0, 0.5, 0.0), 6.0),
     )
-    kinds = [LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_RECT, LIGHT_ENVIRONMENT]
+    kinds = [LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_RECT, LIGHT_ENVIRONMENT, LIGHT_DISK]
     assert rows["kind"].tolist() == [int(kind) for kind in kinds]
-    power = [(8, 4, 0), (2, 2, 2), (5, 5, 5), (0.75 * math.pi,) * 3, (4, 4, 4), (2, 2, 2)]
+    power = [(8, 4, 0), (2, 2, 2), (5, 5, 5), (0.75 * math.pi,) * 3, (4, 4, 4), (2, 2, 2), (6, 3, 0)]
     np.testing.assert_allclose(rows["power"], power, rtol=1e-6)
-    np.testing.assert_allclose(rows["position"][[0, 1, 3, 4]], [(1, 2, 3), (0, 1, 0), (4, 5, 6), (0, 3, 0)])
-    np.testing.assert_allclose(rows["direction"][[1, 2, 4]], [(0, -1, 0), (0, 0, 1), (0, -1, 0)])
-    np.testing.assert_allclose(rows["radius"], [0.25, 0.1, 0.02, 0.5, 0.0, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(
+        rows["position"][[0, 1, 3, 4, 6]], [(1, 2, 3), (0, 1, 0), (4, 5, 6), (0, 3, 0), (7, 8, 9)]
+    )
+    np.testing.assert_allclose(rows["direction"][[1, 2, 4, 6]], [(0, -1, 0), (0, 0, 1), (0, -1, 0), (0, 1, 0)])
+    np.testing.assert_allclose(rows["radius"], [0.25, 0.1, 0.02, 0.5, 0.0, 0.0, 0.75], rtol=1e-6)
     np.testing.assert_allclose([rows["inner"][1], rows["outer"][1]], 1.0 - np.cos([0.2, 1.0]), rtol=1e-6)
     assert rows["range"][0] == 7.0
     assert np.isinf(rows["range"][1:]).all()
     np.testing.assert_array_equal(rows["edge_u"][4], (2, 0, 0))
     np.testing.assert_array_equal(rows["edge_v"][4], (0, 0, 1))
-    assert rows["casts_shadow"].tolist() == [1, 1, 1, 1, 0, 1]
+    assert rows["casts_shadow"].tolist() == [1, 1, 1, 1, 0, 1, 1]
 
 
 def test_order_and_names(rig: Rig) -> None:

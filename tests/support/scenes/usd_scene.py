@@ -67,6 +67,7 @@ def lights() -> list[Light]:
         ls.LightRect((0, 3, 0), (1, 0, 0.5), (0, 0.5, 1), (1, 1, 1), 12.0, name="skewed"),
         ls.LightRect((0, 3, 0), target=(0, 0, 0.3), size=(1, 2), intensity=3.0, enabled=False, name="panel"),
         ls.LightEnvironment(sky, (1, 0.9, 0.8), 1.5, rotation_wxyz=(0.5, 0.5, -0.5, 0.5), visible=False, name="sky"),
+        ls.LightDisk((1, 4, -2), (0.5, -2, 1), 0.75, (1, 0.5, 0.25), 9.0, visible=False, name="disk"),
     ]
 
 

@@ -19,15 +19,7 @@ from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.extras import light_extras, light_settings, own_extras, with_extras
 from lumisplat.io.gltf.nodes import Matrix
 from lumisplat.io.gltf.writing.document import GltfDocument
-from lumisplat.scene.lights import (
-    Light,
-    LightDirectional,
-    LightEnvironment,
-    LightPoint,
-    LightRect,
-    LightSphere,
-    LightSpot,
-)
+from lumisplat.scene.lights import Light, LightDirectional, LightPoint, LightSphere, LightSpot
 
 _log = logging.getLogger("lumisplat")
 
@@ -112,7 +104,7 @@ def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> P
 
 def can_hold_light(light: Light) -> bool:
     """Whether glTF has such a light; one that is off it has not."""
-    return light.enabled and not isinstance(light, LightRect | LightEnvironment)
+    return light.enabled and isinstance(light, PunctualLight | LightSphere)
 
 
 def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> int | None:
@@ -125,7 +117,7 @@ def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> 
         light = LightPoint(
             light.position, light.color, candela, radius=light.radius, casts_shadow=light.casts_shadow, name=light.name
         )
-    if isinstance(light, LightRect | LightEnvironment):
+    if not isinstance(light, PunctualLight):
         return None
     strongest = max(light.color)
     item: dict[str, Any] = {"name": light.name} if light.name else {}

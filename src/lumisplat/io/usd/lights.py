@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.constants.usd import USD_POINT_RADIUS
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.images.radiance import read_radiance, write_radiance
@@ -38,6 +39,7 @@ from lumisplat.math.transforms import quaternions_from_matrices, rotation_matrix
 from lumisplat.scene.lights import (
     Light,
     LightDirectional,
+    LightDisk,
     LightEnvironment,
     LightPoint,
     LightRect,
@@ -175,32 +177,40 @@ def _distant(file: UsdFile, placed: Placed, emission: float, shared: dict[str, A
 
 
 def _rect(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]) -> Light:
-    sizes = number(file, placed.prim, "inputs:width", 1.0), number(file, placed.prim, "inputs:height", 1.0)
+    """A rectangle in the plane of x and y that shines along -z."""
+    width, height = (number(file, placed.prim, f"inputs:{side}", 1.0) for side in ("width", "height"))
     if value(file, placed.prim, "inputs:texture:file"):
         file.remarks.add("textures of rectangular lights", str(placed.prim.GetPath()))
-    return _panel(file, placed, emission, shared, sizes)
+    linear = placed.world_from_prim[:3, :3]
+    edge_u, edge_v = -linear[:, 0] * width, linear[:, 1] * height
+    normal = np.cross(edge_u, edge_v)
+    if normal @ linear[:, 2] > 0.0:  # its place mirrors
+        edge_u = -edge_u
+    radiance = _flat_radiance(file, placed, emission, float(np.linalg.norm(normal)), "rectangular")
+    return LightRect(placed.world_from_prim[:3, 3], edge_u, edge_v, intensity=radiance, **shared)
 
 
 def _disk(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]) -> Light:
-    side = number(file, placed.prim, "inputs:radius", 0.5) * math.sqrt(math.pi)
-    file.remarks.add("discs that shine, read as squares of the same area", str(placed.prim.GetPath()))
-    return _panel(file, placed, emission, shared, (side, side))
-
-
-def _panel(
-    file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any], sizes: tuple[float, float]
-) -> LightRect:
-    """A rectangle in the plane of x and y that shines along -z."""
+    """A disk in the plane of x and y that shines along -z."""
     linear = placed.world_from_prim[:3, :3]
-    edge_u, edge_v = -linear[:, 0] * sizes[0], linear[:, 1] * sizes[1]
-    normal = np.cross(edge_u, edge_v)
-    if normal @ linear[:, 2] > 0.0:  # its place mirrors
-        edge_u, normal = -edge_u, -normal
+    x, y, z = linear.T
+    normal = np.cross(x, y)
+    if normal @ z > 0.0:
+        normal = -normal
+    scale2 = float(np.linalg.norm(normal))
+    gram = np.array([x @ x, x @ y, y @ y])
+    if np.abs(gram - (scale2, 0.0, scale2)).max() > SIMILARITY_TOLERANCE * scale2:
+        file.remarks.add("disks that are stretched, read as round ones of the same area", str(placed.prim.GetPath()))
+    radius = number(file, placed.prim, "inputs:radius", 0.5) * math.sqrt(scale2)
+    radiance = _flat_radiance(file, placed, emission, math.pi * radius**2, "disk")
+    return LightDisk(placed.world_from_prim[:3, 3], normal, radius, intensity=radiance, **shared)
+
+
+def _flat_radiance(file: UsdFile, placed: Placed, emission: float, area: float, kind: str) -> float:
+    """Radiance of a light in a plane, whose emission is divided by its area if it normalises."""
     if _has_cone(placed.prim):
-        file.remarks.add("cones of rectangular lights", str(placed.prim.GetPath()))
-    if _normalises(file, placed.prim):
-        emission *= file.unit**2 / float(np.linalg.norm(normal))
-    return LightRect(placed.world_from_prim[:3, 3], edge_u, edge_v, intensity=emission, **shared)
+        file.remarks.add(f"cones of {kind} lights", str(placed.prim.GetPath()))
+    return emission * (file.unit**2 / area) if _normalises(file, placed.prim) else emission
 
 
 def _has_cone(prim: Any) -> bool:
@@ -287,10 +297,15 @@ def write_light(writer: StageWriter, light: Light) -> None:
             prim, intensity = _write_dome(writer, light)
         case LightRect():
             prim, intensity = _write_rect(writer, light)
+        case LightDisk():
+            prim = _define(writer, light, "DiskLight")
+            _set(prim, "inputs:radius", light.radius)
+            writer.place(prim, _placed(light.position, light.direction))
+            intensity = light.intensity
         case LightSphere():
             prim = _define(writer, light, "SphereLight")
             _set(prim, "inputs:radius", light.radius)
-            writer.place(prim, _moved(light.position))
+            writer.place(prim, _placed(light.position))
             intensity = light.intensity
         case LightPoint() | LightSpot():
             prim, intensity = _write_point(writer, light)
@@ -326,9 +341,8 @@ def _write_point(writer: StageWriter, light: LightPoint | LightSpot) -> tuple[An
     if light.range < math.inf:
         writer.hint(prim, range=light.range)
         writer.remarks.add("the range of lights", light.name)
-    place = _moved(light.position)
+    place = _placed(light.position, light.direction if isinstance(light, LightSpot) else None)
     if isinstance(light, LightSpot):
-        place[:3, :3] = _facing(light.direction)
         shaping = pxr().UsdLux.ShapingAPI.Apply(prim)
         shaping.CreateShapingConeAngleAttr(math.degrees(light.outer_angle))
         shaping.CreateShapingConeSoftnessAttr(1.0 - light.inner_angle / light.outer_angle)
@@ -342,9 +356,7 @@ def _write_distant(writer: StageWriter, light: LightDirectional) -> tuple[Any, f
     _set(prim, "inputs:angle", math.degrees(2.0 * light.angle))
     _set(prim, "inputs:normalize", True)
     _write_shadow_distance(prim, light.shadow_distance)
-    place = np.eye(4)
-    place[:3, :3] = _facing(light.direction)
-    writer.place(prim, place)
+    writer.place(prim, _placed((0.0, 0.0, 0.0), light.direction))
     return prim, light.intensity
 
 
@@ -358,7 +370,7 @@ def _write_rect(writer: StageWriter, light: LightRect) -> tuple[Any, float]:
     if abs(x @ y) > 1e-6:
         writer.remarks.add("parallelograms, which are sheared rectangles", light.name)
     z = np.cross(x, y)
-    place = _moved(light.position)
+    place = _placed(light.position)
     place[:3, :3] = np.stack([x, y, z / np.linalg.norm(z)], axis=1)
     writer.place(prim, place)
     return prim, light.intensity
@@ -387,10 +399,12 @@ def _shadow_api(prim: Any) -> Any:
     return pxr().UsdLux.ShadowAPI.Apply(prim)
 
 
-def _moved(position: Any) -> Doubles:
-    """A place without a rotation, shape (4, 4)."""
+def _placed(position: Any, direction: Any = None) -> Doubles:
+    """A transform to a position that turns -z to a unit vector, if there is one, shape (4, 4)."""
     place = np.eye(4)
     place[:3, 3] = position
+    if direction is not None:
+        place[:3, :3] = _facing(direction)
     return place
 
 

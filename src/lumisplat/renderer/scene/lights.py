@@ -17,6 +17,7 @@ from lumisplat.constants import (
 )
 from lumisplat.device.light.light import (
     LIGHT_DIRECTIONAL,
+    LIGHT_DISK,
     LIGHT_ENVIRONMENT,
     LIGHT_HEADLIGHT,
     LIGHT_POINT,
@@ -34,6 +35,7 @@ from lumisplat.scene.lights import (
     AreaLight,
     Light,
     LightDirectional,
+    LightDisk,
     LightEnvironment,
     LightPoint,
     LightRect,
@@ -52,6 +54,7 @@ _KINDS: dict[type, int] = {
     LightSpot: LIGHT_SPOT,
     LightDirectional: LIGHT_DIRECTIONAL,
     LightRect: LIGHT_RECT,
+    LightDisk: LIGHT_DISK,
 }
 """What kernels take lights for; all others for the environment."""
 

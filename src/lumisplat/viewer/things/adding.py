@@ -24,7 +24,7 @@ _NOTHING = "nothing"
 _SKIES = (".hdr", ".exr")
 _CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
 _READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", *_SKIES)
-_LIGHTS = ("point", "spot", "directional", "sphere", "rect")
+_LIGHTS = ("point", "spot", "directional", "sphere", "rect", "disk")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
 """Folder beside the scene."""
@@ -161,6 +161,12 @@ def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
         "directional": {"direction": _listed(slanted), "intensity": _BRIGHTNESS, "angle_degrees": 0.27},
         "sphere": {"position": at, "radius": radius, "intensity": intensity / (math.pi * radius**2)},
         "rect": {"position": at, "target": list(pose.target), "size": [size, size], "intensity": intensity / size**2},
+        "disk": {
+            "position": at,
+            "direction": towards,
+            "radius": radius,
+            "intensity": intensity / (math.pi * radius**2),
+        },
     }
 
 

@@ -385,6 +385,7 @@ def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixt
         ],
         lights=[
             ls.LightRect((0, 5, 0), (1, 0, 0), (0, 0, 1), name="panel"),
+            ls.LightDisk((0, 5, 0), (0, -1, 0)),
             ls.LightEnvironment(),
             ls.LightPoint((0, 0, 0), enabled=False),
         ],
@@ -398,9 +399,9 @@ def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixt
     assert said(caplog) == (
         f"{path}: glTF cannot hold light on captures (1 are relit here, and shown as captured elsewhere); antialiased "
         "captures (1 look sharper elsewhere); kernels of degree 4 (elsewhere they are Gaussians); simple materials "
-        "(chalk are approximated); which glass is there where bodies overlap; area lamps (panel); the environment; "
-        "lights that are off (1); fisheyes and lenses that distort (1 cameras are left out); principal points (1 "
-        "cameras have it in the middle instead); rolling shutters (1 cameras have their first pose)"
+        "(chalk are approximated); which glass is there where bodies overlap; area lamps (panel, a disk); the "
+        "environment; lights that are off (1); fisheyes and lenses that distort (1 cameras are left out); principal "
+        "points (1 cameras have it in the middle instead); rolling shutters (1 cameras have their first pose)"
     )
     assert len(ls.load_cameras(path)) == 2
 

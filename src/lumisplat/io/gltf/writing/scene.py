@@ -20,7 +20,7 @@ from lumisplat.io.gltf.writing.gaussians import add_gaussians
 from lumisplat.io.gltf.writing.materials import MaterialWriter
 from lumisplat.io.gltf.writing.meshes import add_mesh
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.lights import Light, LightEnvironment, LightRect
+from lumisplat.scene.lights import FlatLight, Light, LightEnvironment
 from lumisplat.scene.ops.placed_mesh import placed_mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import y_up_from
@@ -136,13 +136,13 @@ def _material_losses(materials: MaterialWriter) -> list[str]:
 def light_losses(lights: Sequence[Light]) -> list[str]:
     """Which lights glTF cannot hold, a phrase each."""
     on = [light for light in lights if light.enabled]
-    rects = [light.name or "a rectangle" for light in on if isinstance(light, LightRect)]
+    flat = [light.name or f"a {light.kind}" for light in on if isinstance(light, FlatLight)]
     skies = [light for light in on if isinstance(light, LightEnvironment)]
     off = len(lights) - len(on)
     return [
         phrase
         for given, phrase in (
-            (rects, f"area lamps ({', '.join(rects[:4])}{' ...' if rects[4:] else ''})"),
+            (flat, f"area lamps ({', '.join(flat[:4])}{' ...' if flat[4:] else ''})"),
             (skies, "the environment"),
             (off, f"lights that are off ({off})"),
         )
