@@ -75,8 +75,9 @@ direction = [0.2, -1.0, 0.1]
 intensity = 2.0
 """
 )
-SCENE_FOR = {"--no-relight": RELIT, "--no-sun-on-actors": SUNNY}
-OTHER = ["--no-shadows", "--no-relight", "--no-sun-on-actors", "--direct=0.2", "--background=white", "--width=40"]
+SCENE_FOR = {"--set=animation.lighting.relight=false": RELIT, "--set=animation.lighting.sun_on_actors=false": SUNNY}
+OTHER = [f"--set=animation.lighting.{text}=false" for text in ("shadows", "relight", "sun_on_actors")]
+OTHER += ["--set=animation.lighting.direct=0.2", "--background=white", "--width=40"]
 
 
 def disc_gaussians(means: np.ndarray, scales: tuple[float, float, float], color: float) -> ls.Gaussians:
@@ -342,10 +343,10 @@ def test_meshes_alone(work):
 
 def test_options_without_effect_are_said(work, caplog):
     """Once, of the scene as it is lit: the lamp says where shadows fall, and there are no meshes for it to light."""
-    assert animate(work, "frames", "--frames", "0:2", "--kernel-degree", "2", "--shadows", "off").status == 0
+    assert animate(work, "frames", "--frames", "0:2", "--set=response.kernel_degree=2", "--shadows", "off").status == 0
     lines = [record.message for record in caplog.records if "not used" in record.message]
     assert lines == [
-        "not used by --pipeline raster: --kernel-degree (it is of --pipeline trace and hybrid)",
+        "not used by --pipeline raster: --set response.kernel_degree (it is of --pipeline trace and hybrid)",
         "not used in an unlit frame: --shadows (no lights: --lighting on has one at the camera)",
     ]
 
@@ -399,7 +400,7 @@ def test_formats_and_stats(work):
         (("--frames", "2:9"), "--frames is '2:9', of an animation of 4 frames"),
         (("--frames", "2:2"), "--frames is '2:2', of an animation of 4 frames"),
         (("--fps", "0"), "--fps is 0"),
-        (("--direct", "2"), "direct is 2"),
+        (("--set=animation.lighting.direct=2",), "direct is 2"),
         (("--fps", "1e9"), "frame_count is 400,000,000 at 1e+09 frames a second, expected at most 1,000,000"),
         (("--video", "@out.avi"), "/out.avi: unknown extension '.avi' of an animation"),
         (("--video", "@out.png"), "out.png: is a picture's name"),

@@ -74,7 +74,10 @@ def test_albedo_of_a_capture_is_lit_by_an_environment(work):
         (("@dark.toml", "-o", "@b.ply"), "no lights"),
         (("@plain.toml", "-o", "@b.ply"), "no splat set has a material"),
         (("@both.toml", "-o", "@b.ply", "--degree", "4"), "degree is 4"),
-        (("@both.toml", "-o", "@b.ply", "--direct", "--max-bounces", "3"), "leaves out the bounces that --max-bounces"),
+        (
+            ("@both.toml", "-o", "@b.ply", "--direct", "--set=max_bounces=3"),
+            "leaves out the bounces that --set max_bounces",
+        ),
         (("@both.toml", "-o", "@b.ply", "--samples", "0"), "samples is 0"),
         (("@both.toml", "-o", "@b.ply", "--exposure", "nan"), "exposure is nan"),
     ],

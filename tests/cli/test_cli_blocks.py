@@ -115,12 +115,12 @@ def test_views_are_in_memory_one_at_a_time(work: Workplace, monkeypatch: pytest.
 
 
 def test_coarser_where_it_is_far(work: Workplace) -> None:
-    """--lod-pixels takes coarser levels, and an orbit shows the same capture."""
+    """--lod pixels=PX takes coarser levels, and an orbit shows the same capture."""
     made(work, "--coarser", "2")
     for tolerance, out in (("0", "fine"), ("12", "coarse")):
         outcome = work.run(
-            "render", "@town", "--cameras", "@views.json", "--frame", "inside", "-o", f"@{out}.png",
-            "--lod-pixels", tolerance, "--device", "cpu",
+            "render", "@town", "--cameras", "@views.json", "--frames", "inside", "-o", f"@{out}.png",
+            "--lod", f"pixels={tolerance}", "--device", "cpu",
         )  # fmt: skip
         assert outcome.status == 0, outcome.err
     fine, coarse = pixels(work.path("fine.png")), pixels(work.path("coarse.png"))
@@ -137,7 +137,7 @@ def test_light_needs_all_of_it(work: Workplace, caplog: pytest.LogCaptureFixture
     """Other pipelines and scenes of several things load the whole capture, and say so."""
     made(work)
     outcome = work.run(
-        "render", "@town", "--pipeline", "trace", "--cameras", "@views.json", "--frame", "far", "-o", "@a.png",
+        "render", "@town", "--pipeline", "trace", "--cameras", "@views.json", "--frames", "far", "-o", "@a.png",
         "--width", "16", "--device", "cpu",
     )  # fmt: skip
     assert outcome.status == 0
@@ -180,9 +180,9 @@ def test_what_workers_hold(work: Workplace) -> None:
         (["blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "0"], "workers is 0"),
         (["blocks", "@town", "--plan", "--cameras", "@views.json", "--memory", "0"], "--memory is 0"),
         (["blocks", "@town.ply", "-o", "@town"], "holds a complete capture in blocks: give another folder"),
-        (["render", "@town.ply", "--lod-pixels", "1", "-o", "@a.png"], "--lod-pixels is of captures in blocks"),
-        (["render", "@town", "--lod-pixels", "-1", "-o", "@a.png"], "--lod-pixels is -1, expected 0 or more"),
-        (["render", "@town", "--lod-pixels", "1", "--deep", "-o", "@a.exr"], "--lod-pixels and --deep do not go"),
+        (["render", "@town.ply", "--lod", "pixels=1", "-o", "@a.png"], "--lod pixels= is of captures in blocks"),
+        (["render", "@town", "--lod", "pixels=-1", "-o", "@a.png"], "--lod is pixels=-1, expected pixels=N of 0"),
+        (["render", "@town", "--lod", "pixels=1", "--aov", "deep", "-o", "@a.exr"], "--lod pixels= and --aov deep"),
     ],
 )  # fmt: skip
 def test_mistakes(work: Workplace, arguments: list[str], message: str) -> None:

@@ -40,7 +40,7 @@ def test_demo(work, monkeypatch):
     lit = {"lit-raster.png", "lit-trace.png", "lit-hybrid.png", "lit-aovs.png", "lit-swing.gif"}
     assert {path.name for path in work.path("demo").iterdir()} == pictures | lit | {"demo.ply", "transforms.json"}
     assert {Path(line).name for line in outcome.out.split()} == pictures | lit
-    args = ("render", "@demo/demo.ply", "--cameras", "@demo/transforms.json", "--frame", "left", "--width", "64")
+    args = ("render", "@demo/demo.ply", "--cameras", "@demo/transforms.json", "--frames", "left", "--width", "64")
     assert work.run(*args, "-o", "@again.png").status == 0
     first, again = (read_image(work.path(name))["srgb"] for name in ("demo/left.png", "again.png"))
     assert np.abs(first.astype(int) - again).max() <= 1

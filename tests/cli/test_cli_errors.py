@@ -58,7 +58,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("render", "@capture.ply", "--cameras", "@broken.json"), "broken.json"),
         (("render", "@capture.ply", "--cameras", "@zero_width.json"), "zero_width.json"),
         (("render", "@capture.ply", "--cameras", "@singular.json"), "singular.json"),
-        (("render", "@capture.ply", *CAMERAS, "--frame", "middle"), "no frame is named 'middle'"),
+        (("render", "@capture.ply", *CAMERAS, "--frames", "middle"), "no frame is named 'middle'"),
         (("render", "@capture.ply", *CAMERAS, "--width", "0"), "error: --width is 0, expected a whole number from 1"),
         (("render", "@capture.ply", "--height", "-3"), "error: --height is -3, expected a whole number from 1"),
         (("orbit", "@capture.ply", "-o", "@round", "--width", "100000"), "error: --width is 100000, expected"),
@@ -74,13 +74,28 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("render", "@capture.ply", "--background", "0,0,7"), "background"),
         (("render", "@capture.ply", "--background", "nan,0,0"), "background"),
         (("render", "@capture.ply", "--aov", "depth,dept"), "'dept'"),
-        (("render", "@capture.ply", "--sh-degree", "4"), "--sh-degree"),
+        (
+            ("render", "@capture.ply", "--set=raster.sh_degree=4", "--set=trace.sh_degree=4"),
+            "--set raster.sh_degree=4: sh_degree is 4",
+        ),
         (("render", "@capture.ply", "--samples", "0"), "samples is 0"),
-        (("render", "@capture.ply", "--seed", "-1"), "seed is -1"),
-        (("render", "@capture.ply", "--max-bounces", "65"), "--max-bounces is 65"),
-        (("render", "@capture.ply", "--kernel-degree", "6"), "--kernel-degree is 6"),
-        (("render", "@capture.ply", "--min-response", "nan"), "--min-response is nan"),
-        (("render", "@capture.ply", "--transmittance-min", "2"), "--transmittance-min is 2"),
+        (("render", "@capture.ply", "--set=seed=-1"), "seed is -1"),
+        (("render", "@capture.ply", "--set=max_bounces=65"), "--set max_bounces=65: max_bounces is 65"),
+        (
+            ("render", "@capture.ply", "--set=response.kernel_degree=6"),
+            "--set response.kernel_degree=6: kernel_degree is 6",
+        ),
+        (("render", "@capture.ply", "--set=response.min_response=nan"), "min_response is nan"),
+        (
+            (
+                "render",
+                "@capture.ply",
+                "--set=raster.transmittance_min=2",
+                "--set=trace.transmittance_min=2",
+                "--set=shadow_rays.transmittance_min=2",
+            ),
+            "transmittance_min is 2",
+        ),
         (("render", "@quintic.toml"), "line 3, splats[0]: kernel_degree is 9"),
         (("render", "@settings.toml"), "line 4, render: unknown 'sampels', did you mean 'samples'?"),
         (("render", "@settings.toml", "@quintic.toml"), "are both scene files"),
@@ -90,9 +105,9 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("render", "@capture.ply", "--environment", "@capture.ply"), "is neither Radiance HDR nor OpenEXR"),
         (("render", "@capture.ply", "--environment-rotation", "90"), "--environment-rotation turns --environment"),
         (("render", "@capture.ply", "--exposure", "nan", *CAMERAS), "--exposure is nan"),
-        (("render", "@capture.ply", "--shadow-offset", "-1"), "offset is -1"),
-        (("render", "@capture.ply", "--shadow-threshold", "1"), "--shadow-threshold is 1"),
-        (("render", "@capture.ply", "--shadow-color", "6"), "--shadow-color is 6"),
+        (("render", "@capture.ply", "--set=shadow_rays.offset=-1"), "offset is -1"),
+        (("render", "@capture.ply", "--set=shadow_rays.transmittance_threshold=1"), "transmittance_threshold is 1"),
+        (("render", "@capture.ply", "--set=shadow_rays.color_strength=6"), "color_strength is 6"),
         (("info",), "no file"),
         (("info", "@missing.ply"), "missing.ply"),
         (("info", "@no_frames.json"), "no_frames.json"),
@@ -153,9 +168,9 @@ def test_mistake_is_one_line(work, monkeypatch, args, named):
         (("-o", "@a_file/deeper"), "a_file"),
         (("-o", "@out.png"), "2 frames"),
         (("-o", "@out.jpg"), "expected .png, .exr or .npz"),
-        (("-o", "@out.png", "--frame", "left", "--format", "exr"), "--format"),
+        (("-o", "@out.png", "--frames", "left", "--format", "exr"), "--format"),
         (("-o", "/proc/lumisplat"), "/proc/lumisplat"),
-        (("-o", "/proc/lumisplat.png", "--frame", "left"), "/proc/lumisplat.png"),
+        (("-o", "/proc/lumisplat.png", "--frames", "left"), "/proc/lumisplat.png"),
     ],
 )
 def test_output_that_cannot_be_written(work, output, named):
@@ -176,12 +191,15 @@ def test_output_that_cannot_be_written(work, output, named):
         (("x.ply",), "'x.ply' is no command: lumisplat render x.ply renders it (see lumisplat --help)"),
         (("render", "x.ply", "--format", "gif"), "'gif' for argument '--format'"),
         (("render", "x.ply", "--width", "wide"), "'wide'"),
-        (("render", "x.ply", "--strategy", "random"), "'random' for argument '--strategy'"),
+        (("render", "x.ply", "--set=trace.strategy=random"), "--set trace.strategy=random: strategy is 'random'"),
         (
-            ("render", "x.ply", "--hits-per-pass", "17"),
-            "'17' for argument '--hits-per-pass'. Expected one of 4, 8, 16, 32.",
+            ("render", "x.ply", "--set=trace.hits_per_pass=17"),
+            "--set trace.hits_per_pass=17: hits_per_pass is 17, expected 4, 8, 16 or 32",
         ),
-        (("render", "x.ply", "--kernel-degree", "two"), "--kernel-degree is 'two', expected a whole number"),
+        (
+            ("render", "x.ply", "--set=response.kernel_degree=two"),
+            "--set response.kernel_degree=two: kernel_degree is 'two', expected a whole number",
+        ),
         (
             ("bench", "x.ply", "--pipeline", "rays"),
             "argument '--pipeline'. Expected one of hybrid, path, raster, realtime, trace.",
@@ -266,7 +284,7 @@ def test_no_place_for_kernels(work):
 
 def test_names_too_long(work):
     """A file name longer than the system takes is an error that says what could not be done."""
-    outcome = work.run("render", "@mesh.obj", *CAMERAS, "--frame", "left", "-o", "@" + "x" * 300 + ".png")
+    outcome = work.run("render", "@mesh.obj", *CAMERAS, "--frames", "left", "-o", "@" + "x" * 300 + ".png")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
     assert "cannot be written: File name too long" in outcome.err
     said = work.run("info", "@" + "x" * 300 + ".ply").err

@@ -40,8 +40,8 @@ def lines(tmp_path, capsys, monkeypatch, caplog):
 def noise_of(line: str, samples: str) -> float:
     """The noise that a line has, which names the samples and what helps."""
     found = re.fullmatch(
-        rf"light that bounces is grainy with {samples} a pixel \(about ([\d.]+) of noise\): more --samples, a longer "
-        "--time or --noise 0.02 make it smooth, and --denoise does so at once",
+        rf"light that bounces is grainy with {samples} a pixel \(about ([\d.]+) of noise\): more --samples, or "
+        "--set noise=0.02 make it smooth, and --denoise does so at once",
         line,
     )
     assert found, line
@@ -68,13 +68,13 @@ def test_one_sample_tells_no_noise(lines) -> None:
     [
         (FLOOR + SKY, ("--samples", "32")),
         ('[[splats]]\npath = "capture.ply"\n', ("--samples", "4")),
-        (FLOOR + BOX + LAMP, ("--samples", "4", "--noise", "0.02")),
+        (FLOOR + BOX + LAMP, ("--samples", "4", "--set=noise=0.02")),
         (FLOOR + BOX + LAMP, ("--samples", "4", "--lighting", "off")),
     ],
     ids=["smooth", "kept capture", "noise given", "unlit"],
 )
 def test_nothing_is_said_without_grain(lines, scene: str, options: tuple[str, ...]) -> None:
-    """Nor where --noise says what is left."""
+    """Nor where noise says what is left."""
     assert lines(scene, *options) == []
 
 

@@ -22,7 +22,7 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
 
 
 @pytest.mark.parametrize(
-    ("options", "count"), [([], 50), (["--lod", "1"], 23), (["--lod-budget", "30"], 23), (["--lod-budget", "8"], 8)]
+    ("options", "count"), [([], 50), (["--lod", "1"], 23), (["--lod", "budget=30"], 23), (["--lod", "budget=8"], 8)]
 )
 def test_a_level_is_converted_and_shown(work: Workplace, options: list[str], count: int) -> None:
     """That which is asked for, of the folder or its file."""
@@ -61,15 +61,14 @@ def test_entries_of_scene_files(work: Workplace, keys: str, count: int) -> None:
             ["info", "@capture.ply", "--lod", "1"],
             "--lod is of streamed SOGs (a folder with a lod-meta.json) and blocks, got ",
         ),
-        (["convert", "@capture.ply", "@b.ply", "--lod-budget", "9"], "--lod-budget is of streamed SOGs"),
+        (["convert", "@capture.ply", "@b.ply", "--lod", "budget=9"], "--lod is of streamed SOGs"),
         (["render", "@capture.ply", "--lod", "1"], "--lod is of streamed SOGs"),
-        (["render", "@city", "--lod", "-1"], "--lod is -1, expected 0 or more"),
-        (["view", "@city", "--lod-budget", "0"], "--lod-budget is 0, expected 1 or more"),
-        (["info", "@city", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go together"),
-        (["render", "@city", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go together"),
-        (["view", "@city", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go together"),
-        (["convert", "@city", "@b.ply", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go"),
-        (["orbit", "@city", "-o", "@o", "--lod", "1", "--lod-budget", "30"], "--lod and --lod-budget do not go"),
+        (["render", "@city", "--lod", "-1"], "--lod is -1, expected a whole number of at least 0, or budget=COUNT"),
+        (["view", "@city", "--lod", "budget=0"], "--lod is budget=0, expected a whole number of at least 1"),
+        (["info", "@city", "--lod", "pixels=2"], "--lod is pixels=2, expected a level such as 1, or budget=N"),
+        (["render", "@city", "--lod", "size=2"], "expected a level such as 1, or budget=N or pixels=N"),
+        (["view", "@city", "--lod", "budget=much"], "--lod is budget=much, expected a whole number of at least 1"),
+        (["convert", "@city", "@b.ply", "--lod", ""], "--lod is empty, expected a level such as 1, or budget=N"),
         (["info", "@city", "--lod", "3"], "has no level 3: its levels are 0 (finest) to 2"),
     ],
 )

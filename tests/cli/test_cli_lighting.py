@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -12,12 +11,9 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.options.lighting import LightOptions
-from lumisplat.cli.options.rays import RayOptions
+from lumisplat.cli.options.lighting import EnvironmentOptions
+from lumisplat.cli.options.remarks import unused_options
 from lumisplat.cli.options.settings import changed_config
-from lumisplat.cli.options.unused import unused_options
-from lumisplat.cli.output.frame_source import WarmUp
-from lumisplat.constants import CREASE_ANGLE
 from lumisplat.io.images.exr import write_exr
 from support.files.cli_files import Workplace
 from support.files.image_files import read_image
@@ -123,20 +119,44 @@ def test_options_win_over_the_file(work, monkeypatch):
     """Each changes its own setting, also back to the library's default, and leaves the others of the file."""
     stage = Stage(monkeypatch)
     options = ("--pipeline", "raster", "--samples", "auto", "--shadows", "hard", "--tone-map", "none")
-    options += ("--background", "black", "--shadow-offset", "4", "--min-response", "0", "--exposure", "-2")
-    assert work.run("render", "@scene.toml", "-o", "@a.png", "--frame", "near", *options).status == 0
+    options += (
+        "--background",
+        "black",
+        "--set=shadow_rays.offset=4",
+        "--set=response.min_response=0",
+        "--exposure",
+        "-2",
+    )
+    assert work.run("render", "@scene.toml", "-o", "@a.png", "--frames", "near", *options).status == 0
     assert stage.config == ls.RenderConfig()
     assert [camera.exposure for camera in stage.cameras] == [-2.0]
-    assert work.run("render", "@scene.toml", "-o", "@out", "--sh-degree", "1", "--lighting", "off").status == 0
+    assert (
+        work.run(
+            "render",
+            "@scene.toml",
+            "-o",
+            "@out",
+            "--set=raster.sh_degree=1",
+            "--set=trace.sh_degree=1",
+            "--lighting",
+            "off",
+        ).status
+        == 0
+    )
     assert stage.config == replace(
         FILE_CONFIG, lighting=False, raster=ls.RasterConfig(sh_degree=1), trace=replace(FILE_CONFIG.trace, sh_degree=1)
     )
 
 
 LIGHT_OPTIONS = (
-    *("--lighting", "on", "--shadows", "soft", "--shadow-method", "stochastic", "--shadow-hits", "8"),
-    *("--shadow-offset", "2.5", "--shadow-offset-absolute", "0.1", "--shadow-threshold", "0.5", "--shadow-color", "3"),
-    *("--tone-map", "neutral", "--raster-strategy", "stochastic", "--pipeline", "hybrid"),
+    *("--lighting", "on", "--shadows", "soft", "--set=shadow_rays.method=stochastic", "--set=shadow_rays.hits=8"),
+    *(
+        "--set=shadow_rays.offset=2.5",
+        "--set=shadow_rays.offset_absolute=0.1",
+        "--set=shadow_rays.transmittance_threshold=0.5",
+        "--set=shadow_rays.color_strength=3",
+    ),
+    *("--tone-map", "neutral", "--set=raster.strategy=stochastic", "--pipeline", "hybrid"),
 )
 
 
@@ -186,7 +206,7 @@ def test_a_scene_file_without_cameras_is_framed(work, monkeypatch):
 def test_bench_takes_a_scene_file_whole(work, monkeypatch):
     """Its settings and its first camera."""
     stage = Stage(monkeypatch)
-    assert work.run("bench", "@scene.toml", "--repeats", "1", "--strategy", "stochastic-hit").status == 0
+    assert work.run("bench", "@scene.toml", "--repeats", "1", "--set=trace.strategy=stochastic-hit").status == 0
     strategy = ls.TraceStrategy.STOCHASTIC_HIT
     assert stage.config == replace(FILE_CONFIG, trace=replace(FILE_CONFIG.trace, strategy=strategy))
     assert {camera.name for camera in stage.cameras} == {"near"}
@@ -249,8 +269,9 @@ def test_two_environments_of_two_files(work):
 
 
 LAMP = ls.Scene(lights=[ls.LightPoint((0.0, 0.0, 0.0))])
-RAYS = RayOptions(samples=4, seed=1, no_jitter=True, kernel_degree=4, max_bounces=2, normals="ellipsoid")
-LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
+NAMES = ("seed", "max_bounces", "response.kernel_degree", "trace.normal_method", "jitter", "shadow_rays.offset")
+GIVEN = {"samples": "--samples"} | {name: f"--set {name}" for name in (*NAMES, "raster.antialiasing")}
+LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
 
 
 @pytest.mark.parametrize(
@@ -260,9 +281,10 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
             {},
             ls.Scene(),
             [
-                "not used by --pipeline raster: --samples, --seed, --max-bounces, --kernel-degree, --normals, "
-                "--no-jitter (they are of --pipeline trace and hybrid)",
-                "not used in an unlit frame: --shadow-offset, --exposure "
+                "not used by --pipeline raster: --samples, --set seed, --set max_bounces, "
+                "--set response.kernel_degree, --set trace.normal_method, --set jitter "
+                "(they are of --pipeline trace and hybrid)",
+                "not used in an unlit frame: --exposure, --set shadow_rays.offset "
                 "(no lights: --lighting on has one at the camera)",
             ],
         ),
@@ -270,22 +292,25 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
             {"raster": {"strategy": ls.RasterStrategy.STOCHASTIC}, "lighting": False},
             LAMP,
             [
-                "not used by --pipeline raster: --max-bounces, --kernel-degree, --normals "
-                "(they are of --pipeline trace and hybrid)",
-                "not used in an unlit frame: --shadow-offset, --exposure (--lighting is off)",
+                "not used by --pipeline raster: --set max_bounces, --set response.kernel_degree, "
+                "--set trace.normal_method (they are of --pipeline trace and hybrid)",
+                "not used in an unlit frame: --exposure, --set shadow_rays.offset (--lighting is off)",
             ],
         ),
         (
             {},
             LAMP,
-            ["not used by --pipeline raster: --max-bounces, --normals (they are of --pipeline trace and hybrid)"],
+            [
+                "not used by --pipeline raster: --set max_bounces, --set trace.normal_method "
+                "(they are of --pipeline trace and hybrid)"
+            ],
         ),
         (
             {"shadows": ls.Shadows.OFF, "pipeline": ls.Pipeline.TRACE, "lighting": True},
             ls.Scene(),
             [
-                "not used by --pipeline trace: --antialiasing (it is of --pipeline raster and hybrid)",
-                "not used without shadows: --shadow-offset (--shadows hard or soft has some)",
+                "not used by --pipeline trace: --set raster.antialiasing (it is of --pipeline raster and hybrid)",
+                "not used without shadows: --set shadow_rays.offset (--shadows hard or soft has some)",
             ],
         ),
         (
@@ -296,7 +321,7 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
         (
             {"pipeline": ls.Pipeline.PATH},
             ls.Scene(),
-            ["not used by --pipeline path: --antialiasing (it is of --pipeline raster and hybrid)"],
+            ["not used by --pipeline path: --set raster.antialiasing (it is of --pipeline raster and hybrid)"],
         ),
     ],
     ids=[
@@ -311,22 +336,8 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
 def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list[str]) -> None:
     """A line for each reason; what a frame uses is not in it, and what it always uses never."""
     config = changed_config(ls.RenderConfig(), settings)
-    assert list(unused_options(config, scene, ["--antialiasing"], RAYS, LIGHT)) == lines
-    assert not list(unused_options(config, scene, [], RayOptions(), LightOptions()))
-
-
-@pytest.mark.parametrize(
-    ("method", "unused"),
-    [(ls.ShadowMethod.EXACT, "--hit-distance, --hits-per-pass"), (ls.ShadowMethod.FIRST_HITS, "--hits-per-pass")],
-    ids=lambda value: getattr(value, "value", None),
-)
-def test_what_shadow_rays_use_of_the_options_of_rays(method: ls.ShadowMethod, unused: str) -> None:
-    """Where Gaussians are hit, if first hits count; how many a traced ray collects, never."""
-    config = ls.RenderConfig(shadow_rays=ls.ShadowConfig(method=method))
-    rays = RayOptions(hit_distance="hull", hits_per_pass=8)
-    (line,) = unused_options(config, LAMP, [], rays, LightOptions())
-    are = "they are" if "," in unused else "it is"
-    assert line == f"not used by --pipeline raster: {unused} ({are} of --pipeline trace and hybrid)"
+    assert list(unused_options(config, scene, GIVEN, LIGHT)) == lines
+    assert not list(unused_options(config, scene, {}, EnvironmentOptions()))
 
 
 @pytest.mark.parametrize(
@@ -335,32 +346,33 @@ def test_what_shadow_rays_use_of_the_options_of_rays(method: ls.ShadowMethod, un
         (
             "raster",
             [
-                "not used by --pipeline raster: --strategy, --glossy-reflections (they are of --pipeline trace and "
-                "hybrid)",
-                "not used by --pipeline raster: --primary (it is of --pipeline path)",
+                "not used by --pipeline raster: --set trace.strategy, --set glossy_reflections (they are of --pipeline "
+                "trace and hybrid)",
+                "not used by --pipeline raster: --set path.primary (it is of --pipeline path)",
             ],
         ),
-        ("trace", ["not used by --pipeline trace: --primary (it is of --pipeline path)"]),
-        ("hybrid", ["not used by --pipeline hybrid: --primary (it is of --pipeline path)"]),
+        ("trace", ["not used by --pipeline trace: --set path.primary (it is of --pipeline path)"]),
+        ("hybrid", ["not used by --pipeline hybrid: --set path.primary (it is of --pipeline path)"]),
         (
             "path",
             [
-                "not used by --pipeline path: --strategy, --glossy-reflections (its rays meet one relit Gaussian, by "
-                "chance, blend captures that are kept, and reflect what is around)"
+                "not used by --pipeline path: --set trace.strategy, --set glossy_reflections (its rays meet one relit "
+                "Gaussian, by chance, blend captures that are kept, and reflect what is around)"
             ],
         ),
     ],
 )
 def test_what_paths_and_others_do_not_share(pipeline: str, lines: list[str]) -> None:
-    """Each option is listed where nothing reads it; --adaptive on is refused where it has no effect, and not listed."""
-    rays = RayOptions(strategy="stochastic-hit", glossy_reflections=True, primary="iso", adaptive="on")
+    """Each option is listed where nothing reads it; adaptive is refused where it has no effect, and not listed."""
+    names = ("trace.strategy", "glossy_reflections", "path.primary", "adaptive")
+    given = {name: f"--set {name}" for name in names}
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline))
-    assert list(unused_options(config, LAMP, [], rays, LightOptions())) == lines
+    assert list(unused_options(config, LAMP, given, EnvironmentOptions())) == lines
 
 
 def test_lit_pictures_come_out(work):
     """From a scene file with a lamp, through all three pipelines: the mesh is lit, and brighter with more exposure."""
-    args = ("render", "@scene.toml", "-o", "@a.png", "--frame", "far", "--device", "cpu", "--background", "black")
+    args = ("render", "@scene.toml", "-o", "@a.png", "--frames", "far", "--device", "cpu", "--background", "black")
     for pipeline in ("raster", "trace", "hybrid"):
         pictures = []
         for exposure in ("-2", "0"):
@@ -384,51 +396,20 @@ def hints(options: type) -> dict[str, str]:
 CONFIG = ls.RenderConfig()
 DEFAULTS: dict[str, Any] = {
     "pipeline": CONFIG.pipeline,
-    "warm_up": WarmUp().frames,
-    "crease_angle": 51.6,
     "background": "black" if CONFIG.background == (0.0, 0.0, 0.0) else CONFIG.background,
-    "raster_strategy": CONFIG.raster.strategy,
-    "antialiasing": CONFIG.raster.antialiasing,
-    "sh_degree": CONFIG.raster.sh_degree,
-    "transmittance_min": CONFIG.raster.transmittance_min,
-    "strategy": CONFIG.trace.strategy,
     "samples": "auto" if CONFIG.samples is None else CONFIG.samples,
-    "time": "off" if CONFIG.time_limit is None else CONFIG.time_limit,
-    "noise": "off" if CONFIG.noise is None else CONFIG.noise,
-    "adaptive": "auto" if CONFIG.adaptive is None else CONFIG.adaptive,
-    "seed": CONFIG.seed,
-    "max_bounces": "auto" if CONFIG.max_bounces is None else CONFIG.max_bounces,
-    "projection": CONFIG.raster.projection,
-    "primary": CONFIG.path.primary,
-    "quality": CONFIG.realtime.quality,
-    "min_response": CONFIG.response.min_response,
-    "hit_distance": "auto" if CONFIG.trace.hit_distance is None else CONFIG.trace.hit_distance,
-    "normals": CONFIG.trace.normal_method,
-    "hits_per_pass": CONFIG.trace.hits_per_pass,
     "lighting": "auto" if CONFIG.lighting is None else CONFIG.lighting,
     "shadows": CONFIG.shadows,
-    "shadow_method": CONFIG.shadow_rays.method,
-    "shadow_hits": CONFIG.shadow_rays.hits,
-    "depth_iso": CONFIG.raster.depth_iso_transmittance,
-    "acceptance_scale": CONFIG.trace.acceptance_scale,
-    "shadow_offset": CONFIG.shadow_rays.offset,
-    "shadow_offset_absolute": CONFIG.shadow_rays.offset_absolute,
-    "shadow_threshold": CONFIG.shadow_rays.transmittance_threshold,
-    "shadow_color": CONFIG.shadow_rays.color_strength,
     "tone_map": CONFIG.tone_map,
-    "capture_gain": CONFIG.capture_gain,
-    "environment_rotation": 0,
-    "lod": "0, the finest",
-    "lod_pixels": "0, the finest of all",
+    "capture_gain": f"{CONFIG.capture_gain:g}",
 }
 
 
 def test_the_help_tells_the_defaults_of_the_library() -> None:
-    """What an option is called to be without, is what the settings are; none is forgotten here."""
-    assert round(math.degrees(CREASE_ANGLE), 1) == DEFAULTS["crease_angle"]
-    told = hints(Render) | hints(RayOptions) | hints(LightOptions)
-    expected = {name: getattr(value, "value", value) for name, value in DEFAULTS.items()}
-    assert told == {name: f"{value:f}".rstrip("0") if value == 1e-4 else str(value) for name, value in expected.items()}
+    """What an option is called to be without, is what the setting of its name is."""
+    told = hints(Render) | hints(EnvironmentOptions)
+    for name, value in DEFAULTS.items():
+        assert told[name] == getattr(value, "value", value)
 
 
 def test_info_lists_lights_cameras_and_settings(work, sky):

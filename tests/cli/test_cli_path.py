@@ -1,4 +1,4 @@
-"""``--path``: a camera that moves through the cameras of a file."""
+"""``--camera-path``: a camera that moves through the cameras of a file."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def same(work: Workplace, name: str, camera: ls.Camera) -> bool:
 
 def test_render_goes_along_a_path(work) -> None:
     """A picture for each frame: a second from each camera to the next, at --fps."""
-    outcome = work.run("render", "@capture.ply", "--path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
+    outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
     assert outcome.status == 0 and "5 pictures" in outcome.out
     way = ls.load_camera_path(work.path("way.json"))
     for k in range(5):
@@ -46,7 +46,7 @@ def test_render_goes_along_a_path(work) -> None:
 def test_orbit_goes_along_a_path(work) -> None:
     """As a video, over all of its length; frames of another path are refused."""
     args = ("orbit", "@capture.ply", "-o", "@out", "--seconds", "0.2", "--fps", "20", *SIZE)
-    assert work.run(*args, "--path", "@way.json").status == 0
+    assert work.run(*args, "--camera-path", "@way.json").status == 0
     way = ls.load_camera_path(work.path("way.json"))
     for k in range(4):
         assert same(work, f"out/frame_{k:04d}.png", way.at(2.0 * k / 3))
@@ -80,12 +80,12 @@ def test_paths_of_nerfstudio_and_colmap_are_cameras_too(work) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--cameras", "@cameras.json"), "--path and --cameras are both given"),
-        (("--azimuth", "3"), "--path and a viewpoint of your own are both given"),
+        (("--cameras", "@cameras.json"), "--camera-path and --cameras are both given"),
+        (("--azimuth", "3"), "--camera-path and a viewpoint of your own are both given"),
         (("--fps", "0"), "fps is 0"),
     ],
 )
 def test_contradictions_are_refused(work, options, message) -> None:
     """In one line."""
-    outcome = work.run("render", "@capture.ply", "--path", "@way.json", "-o", "@out", *options)
+    outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "-o", "@out", *options)
     assert outcome.status == 2 and message in outcome.err

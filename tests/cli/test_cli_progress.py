@@ -60,16 +60,16 @@ def test_details_stay_in_the_bar_of_their_label(monkeypatch) -> None:
 
 def test_frames_of_a_time_or_a_noise_say_what_they_have(work, caplog) -> None:
     """In the line about the picture; and in another one where the noise is not as low as it should be."""
-    path = ("render", "@mesh.obj", *SIZE, "--pipeline", "path", "--max-bounces", "1", "-o", "@a.png")
-    timed = work.run(*path, "--time", "0.001")
+    path = ("render", "@mesh.obj", *SIZE, "--pipeline", "path", "--set=max_bounces=1", "-o", "@a.png")
+    timed = work.run(*path, "--set=time_limit=0.001")
     assert timed.status == 0 and timed.out.endswith("), 1 sample\n"), timed.err
-    enough = work.run(*path, "--noise", "0.9", "--stats")
+    enough = work.run(*path, "--set=noise=0.9", "--stats")
     assert re.search(r"\), 16 samples, noise 0\.\d{3}\n", enough.out) and "noise" in enough.out
     caplog.clear()  # that the frame of one sample is grainy, which test_cli_grain.py asks
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        assert work.run(*path, "--noise", "0.0001", "--samples", "18").status == 0
+        assert work.run(*path, "--set=noise=0.0001", "--samples", "18").status == 0
     (line,) = [record.getMessage() for record in caplog.records if "noise" in record.getMessage()]
-    assert re.fullmatch(r"the noise is 0\.\d{3} after 18 samples a pixel, where --noise is 0\.0001", line)
+    assert re.fullmatch(r"the noise is 0\.\d{3} after 18 samples a pixel, where --set noise is 0\.0001", line)
 
 
 def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
@@ -112,7 +112,7 @@ def test_cameras_of_files_and_animations_are_announced_too(work, monkeypatch, ca
         moved = work.run("animate", "@move.toml", "-o", "@frames", *SIZE)
         assert moved.status == 0, moved.err
     rendered, animated = announced(caplog)
-    assert "0 frames to go" in rendered and "(--frame, --frames)" in rendered
+    assert "0 frames to go" in rendered and "(--frames)" in rendered
     assert "1 frame to go" in animated and "(--frames)" in animated
 
 

@@ -1,4 +1,4 @@
-"""``render --projection``: lenses that only rays can show."""
+"""``raster.projection``: lenses that only rays can show."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ def test_fisheyes_are_rasterised_along_rays(work):
     refused = work.run(*shown)
     assert refused.status == 2
     assert (
-        "is fisheye, which --pipeline raster cannot draw: use --projection unscented or --pipeline trace" in refused.err
+        "is fisheye, which --pipeline raster cannot draw: use --set raster.projection=unscented or --pipeline trace"
+        in refused.err
     )
-    assert work.run(*shown, "--projection", "unscented").status == 0
+    assert work.run(*shown, "--set=raster.projection=unscented").status == 0
     (camera,) = ls.load_cameras(work.folder / "fisheye.json")
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
     capture = expect_kind(ls.Gaussians, ls.load(work.folder / "a.ply"))
@@ -49,10 +50,10 @@ def test_the_option_is_of_the_rasteriser(work, caplog):
     """Rays say that they do not use it; what it does not go with is told in words of the shell."""
     ls.save(work.folder / "a.ply", random_gaussians(3, count=3))
     small = ("--width", "8", "--height", "6", "--device", "cpu")
-    work.run("render", "@a.ply", "-o", "@a.png", *small, "--pipeline", "trace", "--projection", "unscented")
-    assert "not used by --pipeline trace: --projection" in caplog.text
+    work.run("render", "@a.ply", "-o", "@a.png", *small, "--pipeline", "trace", "--set=raster.projection=unscented")
+    assert "not used by --pipeline trace: --set raster.projection" in caplog.text
     refused = work.run(
-        "render", "@a.ply", "-o", "@a.png", "--raster-strategy", "stochastic", "--projection", "unscented"
+        "render", "@a.ply", "-o", "@a.png", "--set=raster.strategy=stochastic", "--set=raster.projection=unscented"
     )
     assert refused.status == 2
-    assert "--raster-strategy stochastic does not go with --projection unscented" in refused.err
+    assert "--set raster.strategy=stochastic does not go with --set raster.projection=unscented" in refused.err

@@ -65,7 +65,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 
 def test_a_picture_is_the_last_of_its_frames(work, monkeypatch):
-    """As many as --warm-up says, 32 without; the mesh is lit."""
+    """As many as --samples says, 32 without; the mesh is lit."""
     counts: list[int] = []
     render = ls.Renderer.render
 
@@ -74,7 +74,7 @@ def test_a_picture_is_the_last_of_its_frames(work, monkeypatch):
         return render(renderer, *args, **kwargs)  # pyright: ignore[reportArgumentType]
 
     monkeypatch.setattr(ls.Renderer, "render", counted)
-    for options, expected in ((("--warm-up", "3"), 3), ((), 32)):
+    for options, expected in ((("--samples", "3"), 3), ((), 32)):
         counts.append(0)
         outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--device", "cpu", *options)
         assert outcome.status == 0, outcome.err
@@ -85,9 +85,9 @@ def test_a_picture_is_the_last_of_its_frames(work, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--warm-up", "0"), "--warm-up is 0, expected 1 or more"),
-        (("--samples", "4"), "--pipeline realtime has one sample a pixel, not samples: render more frames instead"),
-        (("--noise", "0.1"), "--pipeline realtime has one sample a pixel, not noise"),
+        (("--samples", "0"), "--samples is 0, expected a whole number"),
+        (("--set=samples=4",), "--pipeline realtime has one sample a pixel, not samples: render more frames instead"),
+        (("--set=noise=0.1",), "--pipeline realtime has one sample a pixel, not noise"),
         (("--aov", "lights"), "--pipeline realtime has no lights among its aovs: --pipeline path or"),
         (("--aov", "bounces,variance"), "--pipeline realtime has no bounces, variance among its aovs"),
     ],
@@ -104,15 +104,17 @@ def test_what_frames_in_real_time_do_not_have(work, options, message):
 def test_qualities_differ_and_are_of_real_time(work, caplog):
     """Previews are other pictures; other pipelines say that they have none."""
     for name in ("preview", "high"):
-        options = ("--warm-up", "2", "--quality", name, "--device", "cpu")
+        options = ("--samples", "2", f"--set=realtime.quality={name}", "--device", "cpu")
         outcome = work.run("render", "@scene.toml", "-o", f"@{name}.png", *options)
         assert (outcome.status, outcome.err) == (0, "")
     assert not np.array_equal(read_image(work.path("preview.png"))["srgb"], read_image(work.path("high.png"))["srgb"])
     for pipeline in ("raster", "path"):
-        options = ("--pipeline", pipeline, "--quality", "preview", "--samples", "1", "--device", "cpu")
+        options = ("--pipeline", pipeline, "--set=realtime.quality=preview", "--samples", "1", "--device", "cpu")
         outcome = work.run("render", "@scene.toml", "-o", "@other.png", *options)
         assert outcome.status == 0
-        assert f"not used by --pipeline {pipeline}: --quality (it is of --pipeline realtime)" in caplog.text
+        assert (
+            f"not used by --pipeline {pipeline}: --set realtime.quality (it is of --pipeline realtime)" in caplog.text
+        )
 
 
 @pytest.mark.parametrize("command", ["animate", "orbit"])
@@ -127,7 +129,7 @@ def test_frames_of_sequences_have_qualities_too(work, command):
     work.path("scene.toml").write_text(scene + MOVING + render + settings)
     made: dict[str, bytes] = {}
     for folder, quality in (("preview", "preview"), ("high", "high"), ("again", "high")):
-        outcome = work.run(command, "@scene.toml", "-o", f"@{folder}", "--quality", quality, *options)
+        outcome = work.run(command, "@scene.toml", "-o", f"@{folder}", f"--set=realtime.quality={quality}", *options)
         assert outcome.status == 0, outcome.err
         made[folder] = work.path(f"{folder}/frame_0001.png").read_bytes()
     assert made["preview"] != made["high"] == made["again"]
@@ -136,7 +138,7 @@ def test_frames_of_sequences_have_qualities_too(work, command):
 def test_stats_are_by_pass(work):
     """In the order of the method, the stages of each below it."""
     work.path("scene.toml").write_text(SCENE.replace("max_bounces = 0", ""))
-    out = work.run("render", "@scene.toml", "-o", "@a.png", "--warm-up", "2", "--stats", "--device", "cpu").out
+    out = work.run("render", "@scene.toml", "-o", "@a.png", "--samples", "2", "--stats", "--device", "cpu").out
     shown = [line.split("  ")[0] for line in out.splitlines() if line.endswith("ms") and not line.startswith("  ")]
     assert [name for name in shown if name in PASSES] == list(PASSES)
     indirect = out.partition("\nindirect")[2].partition("\nfilters")[0]
@@ -147,7 +149,7 @@ def test_stats_are_by_pass(work):
 @pytest.mark.parametrize("view", ["motion", "history", "probes", "cache", "cache_cells", "direct_diffuse", "emission"])
 def test_views_of_frames_in_real_time(work, view):
     """One picture each; what the colours mean is printed where they are a scale."""
-    outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--warm-up", "2", "--view", view, "--device", "cpu")
+    outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--samples", "2", "--view", view, "--device", "cpu")
     assert (outcome.status, outcome.err) == (0, "")
     assert read_image(work.path("a.png"))["srgb"].shape == (16, 24, 3)
     assert ("(violet) to" in outcome.out) == (view in ("history", "probes"))
@@ -202,14 +204,9 @@ def test_one_call_renders_a_sequence(monkeypatch):
 
 
 def test_what_other_pipelines_do_not_use_is_said(work, caplog):
-    """One line each, and the picture: frames before it, and hard shadows where they are soft."""
-    options = ("--pipeline", "hybrid", "--warm-up", "5", "--device", "cpu")
-    outcome = work.run("render", "@scene.toml", "-o", "@a.png", *options)
-    assert outcome.status == 0
-    assert caplog.messages == ["not used by --pipeline hybrid: --warm-up (it is of --pipeline realtime)"]
-    caplog.clear()
+    """One line, and the picture: hard shadows where they are soft."""
     outcome = work.run(
-        "render", "@scene.toml", "-o", "@a.png", "--warm-up", "1", "--shadows", "hard", "--device", "cpu"
+        "render", "@scene.toml", "-o", "@a.png", "--samples", "1", "--shadows", "hard", "--device", "cpu"
     )
     assert outcome.status == 0
     assert caplog.messages == ["not used by --pipeline realtime: --shadows hard (its shadows are soft)"]

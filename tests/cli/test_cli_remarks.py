@@ -10,8 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.cli.options.lighting import LightOptions
-from lumisplat.cli.options.rays import RayOptions
+from lumisplat.cli.options.lighting import EnvironmentOptions
 from lumisplat.cli.options.remarks import frame_remarks
 from support.files.cli_files import Workplace
 from support.scenes.raster_scenes import one_gaussian, quad
@@ -26,7 +25,7 @@ LAMPLIT = quad(4.0, material=ls.MaterialSimple(emissive=(0, 0, 0), ambient=(0.2,
 def remarks(scene: ls.Scene, **changes: object) -> list[str]:
     """The lines about a scene."""
     config = ls.RenderConfig(**changes)  # pyright: ignore[reportArgumentType]
-    return list(frame_remarks(config, scene, [], RayOptions(), LightOptions()))
+    return list(frame_remarks(config, scene, {}, EnvironmentOptions()))
 
 
 @pytest.mark.parametrize(
@@ -88,8 +87,8 @@ def test_captured_light_alone_is_said_to_be_clipped(pipeline: str) -> None:
     for other in (ls.Scene([KEPT]), ls.Scene([KEPT], [WALL], [SKY]), ls.Scene([], [WALL])):
         assert remarks(other, pipeline=pipeline) == []
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline))
-    given = LightOptions(tone_map="agx")
-    assert not any("tone-map" in one for one in frame_remarks(config, scene, [], RayOptions(), given))
+    given = EnvironmentOptions(tone_map="agx")
+    assert not any("tone-map" in one for one in frame_remarks(config, scene, {}, given))
 
 
 def test_the_gain_of_captured_light_is_found_by_the_command(tmp_path, capsys, monkeypatch, caplog) -> None:

@@ -13,7 +13,7 @@ import warp as wp
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.cli.output.frame_writer import FrameWriter
+from lumisplat.cli.output.frame_writer import FrameWriter, Layers
 from support.files.cli_files import Workplace
 from support.files.image_files import read_image
 from support.scenes.raster_scenes import front_camera
@@ -38,7 +38,7 @@ def mesh_scene(work: Workplace) -> ls.Scene:
 @pytest.mark.parametrize("view", ["normal", "depth", "index", "transmittance"])
 def test_a_view_takes_the_place_of_the_picture(work, view):
     """--view writes what the library's view of the same frame is, under the picture's name, and nothing else."""
-    assert work.run(*ARGS, "--frame", "left", "--view", view, "-o", "@out").status == 0
+    assert work.run(*ARGS, "--frames", "left", "--view", view, "-o", "@out").status == 0
     scene, camera = mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0]
     expected = ls.render(scene, camera, device="cpu").view(view)
     assert [path.name for path in work.path("out").iterdir()] == ["left.png"]
@@ -71,7 +71,7 @@ def test_shadows_of_a_lit_scene(work):
         '[[meshes]]\npath = "mesh.obj"\n'
         '[[lights]]\nname = "lamp"\ntype = "point"\nposition = [0, 0, 1]\nintensity = 9\n'
     )
-    args = ("render", "@scene.toml", "--cameras", "@cameras.json", "--frame", "left", "--device", "cpu")
+    args = ("render", "@scene.toml", "--cameras", "@cameras.json", "--frames", "left", "--device", "cpu")
     assert work.run(*args, "--view", "shadow", "-o", "@a.png").status == 0
     picture = read_image(work.path("a.png"))["srgb"]
     assert tuple(picture[24, 32]) == (255, 255, 255)
@@ -89,14 +89,17 @@ def test_shadows_of_a_lit_scene(work):
         (("--aov", "albedo", "--lighting", "off"), "no 'albedo'"),
         (("--view", "depth", "--aov", "depth"), "--view and --aov do not go together"),
         (("--view", "depth", "--format", "exr"), "--view is a picture to look at, expected .png"),
-        (("--cryptomatte",), "--cryptomatte is written into an EXR"),
+        (
+            ("--aov", "cryptomatte"),
+            "--aov cryptomatte is written into an EXR",
+        ),
         (("--view", "shadows"), "'shadows'"),
-        (("--aov", "depth,shadow"), "--aov has 'shadow', expected some of depth, normal"),
+        (("--aov", "depth,shadow"), "--aov has 'shadow', did you mean shadow_ratio? expected some of depth, normal"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(work, options, error):
     """One line says why, nothing is written, and the status is 2."""
-    outcome = work.run(*ARGS, "--frame", "left", *options, "-o", "@out")
+    outcome = work.run(*ARGS, "--frames", "left", *options, "-o", "@out")
     assert outcome.status == 2 and error in outcome.err
     assert outcome.err.count("\n") == 1
     assert not list(work.path("out").glob("*"))
@@ -104,15 +107,15 @@ def test_what_cannot_be_shown_is_refused(work, options, error):
 
 def test_renderers_are_asked_for_what_is_needed():
     """Views and layers name the images that they are made of, each once."""
-    assert FrameWriter("depth, albedo,lights", None).aovs == ("albedo", "lights")
-    assert FrameWriter("", "shadow").aovs == ("lights",)
-    assert FrameWriter("", "hits").aovs == ("hits",)
-    assert FrameWriter("", "depth").aovs == () and FrameWriter("", None).aovs == ()
+    assert FrameWriter(Layers.of("depth, albedo,lights").names, None).aovs == ("albedo", "lights")
+    assert FrameWriter((), "shadow").aovs == ("lights",)
+    assert FrameWriter((), "hits").aovs == ("hits",)
+    assert FrameWriter((), "depth").aovs == () and FrameWriter((), None).aovs == ()
 
 
 def test_depth_can_be_measured(work):
     """--aov depth also writes 16-bit grey; the range in its text, which is printed too, gives the depths back."""
-    outcome = work.run(*ARGS, "--frame", "left", "--aov", "depth", "-o", "@a.png")
+    outcome = work.run(*ARGS, "--frames", "left", "--aov", "depth", "-o", "@a.png")
     assert outcome.status == 0 and work.path("a.depth.png").exists()
     frame = ls.render(mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0], device="cpu")
     assert frame.depth_range is not None
@@ -145,19 +148,19 @@ def test_crease_angle(work) -> None:
     work.path("sheet.obj").write_text(sheet)
     shades = {}
     for angle in ("0", "60", "120"):
-        options = ("--crease-angle", angle, "--width", "32", "--view", "normal")
+        options = (f"--set=meshes.crease_angle_degrees={angle}", "--width", "32", "--view", "normal")
         outcome = work.run("render", "@sheet.obj", *options, "-o", f"@{angle}.png")
         assert outcome.status == 0, outcome.err
         pixels = ls.load_image(work.path(f"{angle}.png"))
         shades[angle] = len(np.unique(pixels.reshape(-1, 3), axis=0))
     assert shades["0"] == shades["60"] < shades["120"]
-    outcome = work.run("render", "@sheet.obj", "--crease-angle", "200", "-o", "@no.png")
-    assert outcome.status == 2 and "--crease-angle is 200, expected 0 to 180 degrees" in outcome.err
+    outcome = work.run("render", "@sheet.obj", "--set=meshes.crease_angle_degrees=200", "-o", "@no.png")
+    assert outcome.status == 2 and "--set meshes.crease_angle_degrees=200: expected 0 to 180 degrees" in outcome.err
 
 
 def test_mattes_go_into_the_exr(work: Workplace) -> None:
     """As parts of their own, with the names of files; the picture stays the first part."""
-    outcome = work.run("render", "@capture.ply", "@mesh.obj", "--width", "24", "--cryptomatte", "-o", "@out.exr")
+    outcome = work.run("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "cryptomatte", "-o", "@out.exr")
     assert outcome.status == 0
     file: Any
     with OpenEXR.File(str(work.path("out.exr"))) as file:
@@ -168,9 +171,9 @@ def test_mattes_go_into_the_exr(work: Workplace) -> None:
 
 def test_deep_frames_lie_beside_the_picture(work: Workplace) -> None:
     """As NAME.deep.exr; standard output has room for one file only."""
-    args = ("render", "@capture.ply", "@mesh.obj", "--width", "24", "--deep")
+    args = ("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "deep")
     assert work.run(*args, "-o", "@out.png").status == 0
     file: Any
     with OpenEXR.File(str(work.path("out.deep.exr")), separate_channels=True) as file:
         assert file.channels().keys() == {"R", "G", "B", "A", "Z", "ZBack"}
-    assert "--deep writes a file beside it" in work.run(*args, "-o", "-").err
+    assert "--aov deep writes a file beside it" in work.run(*args, "-o", "-").err

@@ -133,7 +133,7 @@ MORE_NARROW = {
     "palettes": {"constants", "errors", "runtime", "device", "kernels", "palettes"},
     "io": HOST_ONLY | {"palettes"},  # as it writes SOG; see test_warp_stays_out_of_what_needs_none
     "viewer": {"public", "viewer"},
-    "cli": {"public", "cli"},
+    "cli": {"public", "io", "cli"},  # of io, documented functions
     "__main__": {"cli"},
 } | dict.fromkeys(HOST_ONLY - {"constants", "io"}, HOST_ONLY)
 """Top folder or kind of file -> the top folders that it may import, where the order alone would allow more."""

@@ -536,7 +536,7 @@ def test_the_command_line_loads_files_as_the_page_did_and_has_all_digits_of_the_
     viewer._loader.join()
     pose = Pose((500000.125, 0.0, -5000000.25), (1.0, 0.0, 0.0, 0.0), 0.8, 1.6, 3.0)
     line = command_line(Path("a.toml"), pose, viewer._session)
-    assert "--drop-invalid --lod-budget 1000" in line and "--eye=500000.125,0,-5000000.25" in line
+    assert "--drop-invalid --lod budget=1000" in line and "--eye=500000.125,0,-5000000.25" in line
     viewer.close()
 
 

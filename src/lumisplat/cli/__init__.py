@@ -40,9 +40,10 @@ from lumisplat.cli.commands.shadowmap import ShadowMap
 from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors, unknown_command
-from lumisplat.cli.input.positionals import gathered_positionals
+from lumisplat.cli.input.positionals import gathered_positionals, options_of
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.options.help_text import join_lines_of_docstrings
+from lumisplat.cli.options.moved import moved_option
 from lumisplat.cli.output.console import one_line
 from lumisplat.cli.words import logging_in_shell_words, shell_words
 
@@ -168,7 +169,11 @@ def _arguments(args: Sequence[str]) -> list[str]:
     command = commands.get(name)
     if command is None and name and not name.startswith("-"):
         raise ArgumentsError(unknown_command(name, commands, "lumisplat farm" if count == 2 else "lumisplat"))
-    return words if command is None else [*words[:count], *gathered_positionals(words[count:], command)]
+    if command is None:
+        return words
+    if moved := moved_option(words[count:], options_of(command)):
+        raise ArgumentsError(moved)
+    return [*words[:count], *gathered_positionals(words[count:], command)]
 
 
 def _commands(union: Any) -> dict[str, type[Any]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from lumisplat.errors import FormatError
 from lumisplat.io import formats
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.scene import Scene
 
 __all__ = [
+    "change_config",
     "check_format",
     "load",
     "load_animation",
@@ -46,6 +47,7 @@ __all__ = [
     "save_config",
 ]
 
+_Config = TypeVar("_Config")
 Progress = Callable[[float], None]
 
 
@@ -232,6 +234,22 @@ def load_config(path: PathLike) -> RenderConfig:
     from lumisplat.io.scene_toml.scene_file import read_document
 
     return read_config(read_document(path))
+
+
+def change_config(config: _Config, name: str, value: str) -> _Config:
+    """Returns settings with one of them changed, which is named and written as in a scene file.
+
+    Args:
+        config: A `RenderConfig`, or other settings with groups below them.
+        name: The setting's key in the table of a scene file, behind those of its groups: ``trace.hits_per_pass``.
+        value: Its value in TOML; the quotation marks of a string may be left out: ``8``, ``peak``, ``off``.
+
+    Raises:
+        ConfigError: There is no such setting, or its value is of the wrong type or out of range.
+    """
+    from lumisplat.io.scene_toml.config_file import changed_setting
+
+    return changed_setting(config, name, value)
 
 
 def save_config(path: PathLike, config: RenderConfig) -> None:

@@ -74,8 +74,8 @@ def view(
             settings = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID)
         return State(document, settings if config is None else config(settings))
 
-    given = {"--drop-invalid": drop_invalid or None, "--lod": lod, "--lod-budget": lod_budget}
-    words = (name if value is True else f"{name} {value}" for name, value in given.items() if value is not None)
+    given = {"--drop-invalid": drop_invalid or None, "--lod ": lod, "--lod budget=": lod_budget}
+    words = (name if value is True else f"{name}{value}" for name, value in given.items() if value is not None)
     options = Options(height=height, budget_ms=budget_ms, loading=tuple(words))
     _refuse_missing(scene)
     return Viewer(load, host=host, port=port, device=device, options=options)

@@ -1,4 +1,4 @@
-"""``--split-samples``: one frame's samples shared by workers; killed ones lose nothing."""
+"""``--tiles samples``: one frame's samples shared by workers; killed ones lose nothing."""
 
 from __future__ import annotations
 
@@ -40,23 +40,23 @@ def test_workers_share_a_frame(work) -> None:
     """Two workers, and one process: to the bit; the plain command's frame is nearly the same. Parts are gone then."""
     options = ("@capture.ply", *OPTIONS, "--samples", "70", "--aov", "albedo,depth")
     assert work.run("render", *options, "-o", "@plain.exr").status == 0
-    assert work.run("render", *options, "-o", "@alone.exr", "--split-samples").status == 0
-    done = work.run("farm", "render", *options, "-o", "@shared.exr", "--split-samples", *TWO)
+    assert work.run("render", *options, "-o", "@alone.exr", "--tiles", "samples").status == 0
+    done = work.run("farm", "render", *options, "-o", "@shared.exr", "--tiles", "samples", *TWO)
     assert done.status == 0 and "4 parts by 2 workers in " in done.out, done.err
     assert_same(work.path("shared.exr"), work.path("alone.exr"))
     assert not work.path("shared.samples").exists()
     plain, shared = read_exr(work.path("plain.exr")), read_exr(work.path("shared.exr"))
     np.testing.assert_array_equal(shared["depth.Z"], plain["depth.Z"])
     np.testing.assert_allclose(shared["R"], plain["R"], atol=1e-6)
-    again = work.run("render", *options, "-o", "@shared.exr", "--split-samples", "--resume")
+    again = work.run("render", *options, "-o", "@shared.exr", "--tiles", "samples", "--resume")
     assert again.status == 0 and again.out.strip() == str(work.path("shared.exr"))
 
 
 def test_workers_share_the_samples_of_tiles(work) -> None:
     """Blocks of tiles by two workers, and blocks of the whole by one process: to the bit. No part is left."""
     options = ("@capture.ply", *OPTIONS, "--samples", "40", "--aov", "albedo,depth")
-    assert work.run("render", *options, "-o", "@alone.exr", "--split-samples").status == 0
-    done = work.run("farm", "render", *options, "-o", "@shared.exr", "--split-samples", "--tiles", "2x1", *TWO)
+    assert work.run("render", *options, "-o", "@alone.exr", "--tiles", "samples").status == 0
+    done = work.run("farm", "render", *options, "-o", "@shared.exr", "--tiles", "2x1,samples", *TWO)
     assert done.status == 0 and "6 parts by 2 workers in " in done.out, done.err
     assert done.out.startswith(f"{work.path('shared.exr')}\n")
     assert_same(work.path("shared.exr"), work.path("alone.exr"))
@@ -66,7 +66,7 @@ def test_workers_share_the_samples_of_tiles(work) -> None:
 
 def test_blocks_of_tiles_go_when_their_tile_is_there(work, monkeypatch: pytest.MonkeyPatch) -> None:
     """Interrupted in the second tile: the first is there without its blocks; the rest alone is made then."""
-    options = ("@capture.ply", *OPTIONS, "--samples", "40", "-o", "@out.exr", "--split-samples", "--tiles", "2x1")
+    options = ("@capture.ply", *OPTIONS, "--samples", "40", "-o", "@out.exr", "--tiles", "2x1,samples")
     made: list[range] = []
     render = ls.render_samples
 
@@ -92,7 +92,7 @@ def test_blocks_of_tiles_go_when_their_tile_is_there(work, monkeypatch: pytest.M
 def test_a_killed_worker_and_a_killed_driver(work, tmp_path: Path) -> None:
     """Blocks that are there stay; the picture is that of one process."""
     options = ["capture.ply", *OPTIONS, "--width", "96", "--height", "64", "--samples", "320"]
-    assert work.run("render", "@capture.ply", *options[1:], "-o", "@alone.exr", "--split-samples").status == 0
+    assert work.run("render", "@capture.ply", *options[1:], "-o", "@alone.exr", "--tiles", "samples").status == 0
     command = [
         sys.executable,
         "-m",
@@ -102,7 +102,8 @@ def test_a_killed_worker_and_a_killed_driver(work, tmp_path: Path) -> None:
         *options,
         "-o",
         "shared.exr",
-        "--split-samples",
+        "--tiles",
+        "samples",
         *TWO,
     ]
     driver = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
@@ -124,16 +125,16 @@ def test_a_killed_worker_and_a_killed_driver(work, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--tiles", "2x2", "--denoise"), "--denoise and --tiles do not go together"),
-        (("--tiles", "2x1", "--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
-        (("--noise", "0.1"), "to share them, set samples"),
+        (("--tiles", "2x2,samples", "--denoise"), "--denoise and --tiles do not go together"),
+        (("--tiles", "2x1,samples", "--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
+        (("--set=noise=0.1",), "to share them, set samples"),
         (("--pipeline", "realtime"), "drawn in one go"),
         (("--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
     ],
 )
 def test_mistakes(work, options: tuple[str, ...], message: str) -> None:
     """One line, status 2, and no picture."""
-    done = work.run("render", "@capture.ply", "-o", "@out", *OPTIONS, "--split-samples", *options)
+    done = work.run("render", "@capture.ply", "-o", "@out", *OPTIONS, "--tiles", "samples", *options)
     assert done.status == 2 and message in done.err, done.err
     assert done.err.strip().count("\n") == 0 and not list(work.folder.rglob("*.png"))
 

@@ -113,10 +113,13 @@ def test_a_killed_command_goes_on(work, tmp_path: Path) -> None:
         (("--tiles", "2x9"), "--tiles 2x9: rows is 9, expected 1 to 4"),
         (("--tiles", "2x2", "--format", "npz"), "--tiles writes pictures by rows, .png or .exr"),
         (("--tiles", "2x2", "--aov", "depth"), "write the layers into an EXR: give --format exr"),
-        (("--tiles", "2x2", "--deep", "--format", "exr"), "--deep and --tiles do not go together"),
-        (("--tiles", "2x2", "--cryptomatte", "--format", "exr"), "--cryptomatte and --tiles do not go together"),
+        (("--tiles", "2x2", "--aov", "deep", "--format", "exr"), "--aov deep and --tiles do not go together"),
+        (
+            ("--tiles", "2x2", "--aov", "cryptomatte", "--format", "exr"),
+            "--aov cryptomatte and --tiles do not go together",
+        ),
         (("--tiles", "2x2", "--pipeline", "realtime"), "needs the whole picture"),
-        (("--tiles", "2x2", "--pipeline", "path", "--noise", "0.1"), "choose samples by the whole picture"),
+        (("--tiles", "2x2", "--pipeline", "path", "--set=noise=0.1"), "choose samples by the whole picture"),
     ],
 )
 def test_mistakes(work, options: tuple[str, ...], message: str) -> None:

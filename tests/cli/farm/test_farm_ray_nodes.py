@@ -65,8 +65,8 @@ path = ["--pipeline", "path", "--lighting", "on", "--samples", "40", *size]
 train = ["--iterations", "20", "--cap", "100", "--sh-degree", "0", "--prune-below", "0", "--device", "cpu"]
 jobs = {
     "render": ["capture.ply", "-o", "OUT/tiled.png", *size, "--tiles", "3x2"],
-    "render samples": ["capture.ply", "-o", "OUT/shared.exr", *path, "--split-samples"],
-    "render both": ["capture.ply", "-o", "OUT/both.exr", *path, "--split-samples", "--tiles", "2x1"],
+    "render samples": ["capture.ply", "-o", "OUT/shared.exr", *path, "--tiles", "samples"],
+    "render both": ["capture.ply", "-o", "OUT/both.exr", *path, "--tiles", "2x1,samples"],
     "dataset": ["mesh.obj", "-o", "OUT/set", "--views", "6", *size],
     "train": ["one", "two", "-o", "OUT/captures", *train],
 }

@@ -65,9 +65,9 @@ def test_pictures_are_resumed(work) -> None:
     assert "2 frames in" in (out := render(work, "out", "--resume").out) and "1 of them was there" in out
     assert work.path("out/right.png").stat().st_mtime_ns == before
     assert pictures(work, "out") == pictures(work, "whole")
-    refused = render(work, "out", "--resume", "--sh-degree", "0")
+    refused = render(work, "out", "--resume", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0")
     assert refused.status == 2 and "holds frames of other settings or files (raster.sh_degree" in refused.err
-    assert render(work, "out", "--sh-degree", "0").status == 0
+    assert render(work, "out", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0").status == 0
     assert not work.path("out/render.json").exists()  # it spoke of other pictures
     assert "holds frames, but no render.json" in render(work, "out", "--resume").err
 
@@ -91,7 +91,7 @@ def test_layers_come_before_the_picture_that_says_that_all_is_there(work, monkey
     ("options", "message"),
     [
         (("--resume", "--view", "normal"), "--view colours all pictures by the first of a run"),
-        (("--resume", "-o", "out.png", "--frame", "left"), "is one picture, and frames are many: give a folder"),
+        (("--resume", "-o", "out.png", "--frames", "left"), "is one picture, and frames are many: give a folder"),
         (("--frames", "2"), "of an animation of 2 frames, 0-1"),
     ],
 )

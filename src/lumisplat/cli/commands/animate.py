@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,10 +18,8 @@ from lumisplat.cli.input.loading import WITH_CAMERAS, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
-from lumisplat.cli.options.lighting import LightGroup, LightOptions
-from lumisplat.cli.options.rays import RayGroup, RayOptions
 from lumisplat.cli.options.remarks import frame_remarks
-from lumisplat.cli.options.settings import Changes, setting
+from lumisplat.cli.options.settings import LIGHTING, given_settings, setting
 from lumisplat.cli.output.animation_frames import AnimationFrames, with_actors
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
@@ -37,45 +35,26 @@ class Animate(FrameCommand):
     """
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE")]]
-    """A scene.toml with [[actors]] or a camera with keyframes, and an [animation] that says how many frames there are;
-    or a .usda, .usdc, .usdz or .usd with what moves in it; or a .glb or .gltf, of which the first animation is played,
-    25 frames a second unless --fps says otherwise."""
+    """A scene.toml, an OpenUSD file, or a glTF with a clip."""
     output: Annotated[
         Path | None,
         arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="(default: named after the video, or frames)"),
     ] = None
-    """Where frames go, as frame_0000.png and so on, with animate.json, which says what they were made of. Frames of
-    other settings are replaced in the default folder, and refused in yours."""
+    """Write frames into this folder, with animate.json."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Also make a video of the frames: .mp4 (H.264; pip install 'lumisplat[video]'), .gif, .webp or .apng."""
-    frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""
-    """Only these frames, from 0: 1-100 (both), 1-100x2 (every second), 1,5,9, or A:B, from A to before B, such as 0:48,
-    48: or :10. Parts may be joined by commas."""
-    fps: Annotated[float | None, arg(metavar="FPS", help_behavior_hint="")] = None
-    """Frames a second, in place of the scene file's; the animation lasts as long as before."""
+    """Write a video too: .mp4 (pip install 'lumisplat[video]'), .gif, .webp or .apng."""
+    frames: Annotated[str, setting("FRAMES", "all")] = ""
+    """Render only these, from 0: 1-100, 1-100x2, 1,5,9, 0:48 or 48:."""
+    fps: Annotated[float | None, setting("FPS", "the scene's")] = None
+    """Render so many frames a second; the duration stays."""
     overwrite: Flag = False
-    """Remove the frames that are there first, whatever they were made of."""
-    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """A camera file as render takes, with one camera, or one for each frame. Without: those of the scene file, else
-    the first view that a capture states, else one that shows all of the scene from the front."""
+    """Remove the frames that are there first."""
+    cameras: Annotated[Path | None, setting("FILE", "the scene's, else the front")] = None
+    """Use the camera of this file, or its camera for each frame."""
     camera: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """The camera that is used for all frames, by its name."""
+    """Use the camera of this name for all frames."""
     format: Literal["png", "exr", "npz"] = "png"
-    """PNG is 8-bit sRGB; EXR and NPZ hold floats. A video is made of PNGs."""
-    no_shadows: Flag = False
-    """Actors cast no shadows onto captures."""
-    no_relight: Flag = False
-    """Actors keep the colours that they have."""
-    no_sun_on_actors: Flag = False
-    """Suns of the scene cast shadows, but do not light actors: for captures whose probe holds the sun already."""
-    direct: Annotated[float | None, setting("0..1", "0.7")] = None
-    """Share of a capture's light that comes from the lights, and that shadows take away."""
-    gamma: Annotated[float | None, setting("FACTOR", "1")] = None
-    """Brightness of relit actors: above 1 where a place is much darker than display white."""
-    rays: RayGroup = field(default_factory=RayOptions)
-    """Of --pipeline trace, hybrid and path; --samples, --time, --noise and --seed also of lit frames."""
-    light: LightGroup = field(default_factory=LightOptions)
-    """Of what is lit by lights; captures are shown as captured, with the shadows of actors."""
+    """Write this format; a video is made of PNGs."""
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""
@@ -116,7 +95,8 @@ class Animate(FrameCommand):
             fps=animation.fps,
             in_sequence=config.pipeline.is_sequence,
         )
-        remarks = partial(frame_remarks, config, raster=[], rays=self.rays, light=self.light, device=self.device)
+        given = dict(given_settings(self))
+        remarks = partial(frame_remarks, config, given=given, light=self.light, device=self.device)
         maker = AnimationFrames(animation, cameras, self.frame_source(renderer), folder, remarks=remarks)
         summarise = maker.summarise if self.stats else None
         return FrameJob(frames=frames, render=maker.render, write=maker.write, summarise=summarise)
@@ -130,19 +110,8 @@ class Animate(FrameCommand):
             crease_angle=self.crease_radians,
             allow_outside=self.allow_outside,
         )
-        changes: Changes = {}
-        if self.no_shadows:
-            changes["shadows"] = False
-        if self.no_relight:
-            changes["relight"] = False
-        if self.no_sun_on_actors:
-            changes["sun_on_actors"] = False
-        if self.direct is not None:
-            changes["direct"] = self.direct
-        if self.gamma is not None:
-            changes["transfer"] = replace(animation.lighting.transfer, gamma=self.gamma)
         lit = self.light.lit_scene(self.viewpoint.upright(animation.scene), environment)
-        animation = replace(animation, scene=lit, lighting=replace(animation.lighting, **changes))
+        animation = replace(animation, scene=lit, lighting=self.changed(animation.lighting, LIGHTING))
         report(f"loading {self.scene.name}", 1.0)
         return animation if self.fps is None else _at_rate(animation, self.fps)
 
@@ -160,8 +129,8 @@ class Animate(FrameCommand):
                 listed = ", ".join(camera.name for camera in cameras[:5]) or "none"
                 raise ls.ConfigError(f"{source} has no camera named '{self.camera}': there are {listed}")
             cameras = named
-        if self.path is not None:
-            return self.cameras_along(self.path, animation.times.tolist())
+        if self.camera_path is not None:
+            return self.cameras_along(self.camera_path, animation.times.tolist())
         if animation.camera_path is not None and self.camera is None and not (self.cameras or self.viewpoint.is_given):
             along = (animation.camera_path.at(float(time)) for time in animation.times)
             return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
@@ -176,8 +145,11 @@ class Animate(FrameCommand):
 
     def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
         """All that a frame follows from, except its number."""
-        files = [self.scene, *(path for path in (self.cameras, self.path, self.light.environment) if path is not None)]
-        chosen = ("width", "height", "camera", "drop_invalid", "crease_angle")
+        files = [
+            self.scene,
+            *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
+        ]
+        chosen = ("width", "height", "camera", "drop_invalid")
         return {
             "lumisplat": ls.__version__,
             "device": device,

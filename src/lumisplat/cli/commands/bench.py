@@ -14,12 +14,10 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.options.camera import ViewpointGroup, ViewpointOptions, parse_up
 from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
-from lumisplat.cli.options.rays import PipelineName, StrategyName
-from lumisplat.cli.options.settings import changed_config, setting, without_none
-from lumisplat.cli.options.unused import not_used
-from lumisplat.cli.options.up import parse_up
-from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
+from lumisplat.cli.options.remarks import not_used
+from lumisplat.cli.options.settings import PipelineCommand, given_settings, setting
 from lumisplat.cli.output.console import Report, byte_size, print_table, progress_bars
 from lumisplat.cli.output.stats import count_rows, stage_rows, stage_times
 
@@ -40,7 +38,7 @@ class _SteadyFrames:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench(PlacingCommand, DeviceCommand):
+class Bench(PlacingCommand, DeviceCommand, PipelineCommand):
     """Time loading, the first frame and steady frames of your scene, or of the demo.
 
     Every frame is of the same camera: the first of the file, or the one that render takes when it is given none. Times
@@ -48,17 +46,13 @@ class Bench(PlacingCommand, DeviceCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Files as for render, with the settings and the first camera of a scene.toml; none: the demo scene."""
+    """Captures, meshes or a scene.toml, as for render; none: the demo scene."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """A file of cameras as for render."""
-    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Image width; the aspect ratio is kept."""
-    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path}", "raster")] = None
-    """As for render."""
-    strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
-    """As for render, with --pipeline trace and hybrid."""
+    """Use the first camera of this file."""
+    width: Annotated[int | None, setting("PX", "the camera's")] = None
+    """Set the image width; the aspect ratio is kept."""
     repeats: Annotated[int, arg(metavar="N")] = 20
-    """Steady frames to time."""
+    """Time so many steady frames."""
     viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
     """As for render."""
 
@@ -129,11 +123,10 @@ class Bench(PlacingCommand, DeviceCommand):
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
         """The settings of the scene file, with those that were given in their place."""
-        pipeline = without_none({"pipeline": self.pipeline and ls.Pipeline(self.pipeline)})
-        strategy = without_none({"strategy": self.strategy and ls.TraceStrategy(self.strategy)})
-        config = changed_config(base, pipeline, {"trace": strategy})
-        if strategy and not config.pipeline.spawns_rays:
-            _log.warning("%s", not_used(config, ["--strategy"], "trace and hybrid"))
+        config = self.pipeline_config(base)
+        unused = [option for name, option in given_settings(self) if name.startswith("trace.")]
+        if unused and not config.pipeline.spawns_rays:
+            _log.warning("%s", not_used(config, unused, "trace and hybrid"))
         return config
 
     def _camera(self, cameras: list[ls.Camera], scene: ls.Scene) -> ls.Camera:

@@ -37,25 +37,23 @@ class Blocks(LoadingCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN...", help_behavior_hint="")]] = ()
-    """Captures as convert takes them, all with harmonics of one degree; or, for --plan, a folder that was made."""
+    """Read these captures, or with --plan, a folder of blocks."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="")] = None
-    """A new folder."""
+    """Write into this new folder."""
     cell: Annotated[float | None, arg(metavar="LENGTH", help_behavior_hint="(default: as the file needs)")] = None
-    """Edge of the largest cubes that space is cut in, scene units; those with more than half a million Gaussians are
-    cut further."""
+    """Cut space into cubes of at most this edge, in scene units."""
     coarser: Annotated[int, arg(metavar="N")] = 0
-    """Levels of detail beside the finest, each with a quarter of the Gaussians of the one before; making them takes
-    much longer than the rest."""
+    """Add so many coarser levels, each with a quarter of the Gaussians."""
     plan: Flag = False
-    """Write nothing: say what workers that share views of a folder hold and load."""
+    """Print what workers that share views would load; write nothing."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Of --plan: the views, in order; a camera file as render takes."""
+    """With --plan: read the views from this camera file, in order."""
     workers: Annotated[int, arg(metavar="N")] = 1
-    """Of --plan: how many share the views, each a run of them."""
+    """With --plan: share the views between so many workers."""
     memory: Annotated[float, arg(metavar="GB")] = 8.0
-    """Of --plan: what each has for Gaussians, as they are on disk; rendering takes about five times that."""
+    """With --plan: give each worker so much memory for Gaussians."""
     lod_pixels: Annotated[float, arg(metavar="PX")] = 0.0
-    """Of --plan: as of render."""
+    """With --plan: load far blocks coarser, up to this size of Gaussians."""
 
     def run(self) -> None:
         """Writes the folder, or prints the plan."""

@@ -40,42 +40,37 @@ class Convert(LevelsCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
-    """.ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder, or a glTF or OpenUSD file with captures.
-    Without -o, there are two, and the second is written."""
+    """Read captures, glTF or OpenUSD; without -o, write the second of two."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """.ply, .compressed.ply, .spz, .sog, meta.json or lod-meta.json (SOG folders), .glb, .gltf, .usda, .usdc,
-    .usdz or .usd; glTF and OpenUSD have y up, to which it is turned, as .spz is. - is standard output, in PLY. Needed
-    to join captures."""
+    """Write .ply, .compressed.ply, .spz, .sog, glTF or OpenUSD; - is standard output."""
     box: Annotated[str | None, arg(metavar="X,Y,Z,X,Y,Z", help_behavior_hint="")] = None
-    """Keep what lies between two corners, with its mean."""
+    """Keep Gaussians whose mean lies between two corners."""
     sphere: Annotated[str | None, arg(metavar="X,Y,Z,R", help_behavior_hint="")] = None
-    """Keep what lies within a radius of a point, with its mean; with --box, what lies in both."""
+    """Keep Gaussians whose mean lies within R of a point."""
     outside: Flag = False
     """Keep what is outside of --box and --sphere instead."""
     keep: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=MIN..MAX", help_behavior_hint="")] = ()
-    """Keep what has a value within limits, of which one may be missing: opacity=0.1.. or scale_max=..0.5. Also
-    scale_min, x, y, z, red, green, blue (mean colour, 0..1), roughness and metallic. May be given repeatedly."""
+    """Keep Gaussians with a value in a range: opacity=0.1.., scale_max=..0.5."""
     floaters: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
-    """Remove Gaussians with fewer than so many others within three of their scales; 4 suits most captures."""
+    """Remove Gaussians with fewer neighbours than N; 4 suits most captures."""
     sh_degree: Annotated[int | None, arg(metavar="0..3", help_behavior_hint="")] = None
-    """Write SH of this degree: higher ones are left out, missing ones are zeros, as some importers want 3."""
+    """Write SH of this degree, shortened or padded with zeros."""
     decimate: Annotated[str | None, arg(metavar="COUNT|N%", help_behavior_hint="")] = None
     """Merge neighbours until so many are left: for previews, and for what is far away."""
     level: Flag = False
-    """Turn it about the origin so that its up is an axis: y down, or the one nearest to the up that the file states. Up
-    is found by the ground, else by the axes of the capture itself; a line says how."""
+    """Turn the capture so that its up is an axis."""
     scale: Annotated[float, arg(metavar="FACTOR")] = 1.0
     """Larger or smaller about the origin."""
     rotate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
-    """Turn about the x axis, then y, then z, degrees: 180 0 0 makes y-down captures y-up."""
+    """Turn about the x axis, then y, then z, in degrees."""
     translate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Move, last of the three."""
     columns: Literal["lumisplat", "r3dg"] = "lumisplat"
-    """Of a .ply with materials: ours, or those that the programs of Relightable 3D Gaussians read."""
+    """Write materials in these columns of a .ply."""
     incident: Flag = False
-    """Keep the incident light that a .ply of theirs has beside its materials: it belongs to the old light."""
+    """Keep the incident light of a .ply of Relightable 3D Gaussians."""
     morton: Flag = False
-    """Sort along a Morton curve, so that neighbours are stored together; .compressed.ply always is."""
+    """Sort along a Morton curve, so that neighbours are stored together."""
 
     def run(self) -> None:
         """Loads, edits, writes, and prints what became of it."""

@@ -19,11 +19,11 @@ class Demo(DeviceCommand):
     """Build the demo scene and render it, as captured and lit anew. Nothing is downloaded."""
 
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("out")
-    """Folder for the pictures."""
+    """Write the images into this folder."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Image width, of lit pictures twice their width; the aspect ratio is kept."""
+    """Set the image width; lit images are twice as wide."""
     save_assets: Flag = False
-    """Also write the scene's capture (demo.ply) and cameras (transforms.json), to try the other commands on."""
+    """Write demo.ply and transforms.json too, to try other commands."""
 
     def run(self) -> None:
         """Builds, renders, writes."""

@@ -12,8 +12,8 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.file_marks import gltf_document, toml_values
 from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
+from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.options.command import PlacingCommand
-from lumisplat.cli.options.up import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 
@@ -33,16 +33,13 @@ class Export(PlacingCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """A scene.toml, or captures and meshes of any format that is read; actors are where they are at time 0, but
-    move in OpenUSD."""
+    """Read a scene.toml, or captures and meshes of any format."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.glb, or .gltf, the same as text; or .usdz, .usdc, .usd, or .usda, the same as text.
-    Captures alone as .ply, .spz or .sog: lumisplat convert."""
+    """Write .glb, .gltf, .usdz, .usdc, .usd or .usda."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Cameras of a transforms.json or another camera file, in place of those of the scene."""
     up: UpOption = "auto"
-    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml or
-    the capture says, else y down with a capture, y up for meshes alone."""
+    """Set the up direction: y-down, y-up, z-up and so on, or a vector."""
 
     def run(self) -> None:
         """Loads, writes, and prints what is in the file."""

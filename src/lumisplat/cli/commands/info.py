@@ -31,9 +31,9 @@ class Info(LevelsCommand):
     """Show what is in captures, meshes, scenes, camera files and environment images."""
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]] = ()
-    """Any file that render takes, cameras (also a folder of COLMAP's) and environments too."""
+    """Read captures, meshes, scenes, camera files or environment images."""
     json: Flag = False
-    """Print JSON instead of tables: a list with an object for each file; the guide to captures lists the keys."""
+    """Print JSON instead of tables, an object for each file."""
 
     def run(self) -> None:
         """Prints a table for each asset, or all as JSON; what is wrong with files that cannot be read comes last."""
@@ -103,7 +103,7 @@ class Info(LevelsCommand):
         suffix = path.suffix.lower()
         if _holds_cameras(path):
             return "cameras", ls.load_cameras(path)
-        if self.lod is None and self.lod_budget is None and (folder := block_folder(path)) is not None:
+        if self.lod is None and (folder := block_folder(path)) is not None:
             return "blocks", ls.open_blocks(folder)
         if suffix in (".hdr", ".pic", ".exr"):
             return "radiance", ls.load_radiance(path)

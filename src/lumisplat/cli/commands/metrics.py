@@ -45,20 +45,17 @@ class Metrics(LoadingCommand):
     files: Positional[
         Annotated[tuple[Path, ...], arg(metavar="IMAGE REFERENCE | AVATAR --scene SCENE", help_behavior_hint="")]
     ] = ()
-    """Two pictures (.png, .jpg, .webp, .exr, .hdr), or two folders of pictures with the same names. Or, with --scene,
-    the capture of an avatar where it stands, or a scene.toml that places it."""
+    """Compare two images, or folders; with --scene, read an avatar."""
     metrics: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(default: psnr,ssim,flip)")] = None
-    """Some of psnr, ssim, ms-ssim, flip and, of pictures of shadow strength in which white is black shadow, sae,
-    sm-iou, bf."""
+    """Compute some of psnr, ssim, ms-ssim, flip, sae, sm-iou, bf."""
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """The capture or scene.toml that the avatar is compared with: PAA-Y, APF-Y, NCM-ab, lower is better."""
+    """Compare the light of an avatar with this capture."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """The avatar before it was relit, also where it stands: shows the gain, original minus relit."""
+    """Show the gain over this avatar before it was relit."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
-    """How far from the avatar's centre the scene counts."""
+    """Compare with what is nearer than this."""
     json: Flag = False
-    """Print JSON instead of a table; figures that do not exist are null, infinite ones "inf", and "problems" says
-    why."""
+    """Print JSON instead of a table."""
 
     def run(self) -> None:
         """Prints the figures."""

@@ -17,10 +17,11 @@ from lumisplat.cli.input.block_views import block_views
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
+from lumisplat.cli.options.camera import parse_up
 from lumisplat.cli.options.command import Flag, ViewsCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
-from lumisplat.cli.options.up import parse_up
+from lumisplat.cli.options.settings import given_settings, setting
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.pictures import check_writable
@@ -33,7 +34,7 @@ _log = logging.getLogger("lumisplat")
 
 @dataclass(frozen=True, kw_only=True)
 class Orbit(ViewsCommand, FrameCommand):
-    """Go once round a scene, or along a --path, frame by frame, and make a video of it.
+    """Render a turntable or a camera path as frames and video.
 
     After an interruption, the same command continues: frames that are there stay.
     First try: lumisplat orbit garden.ply --video orbit.mp4
@@ -45,21 +46,19 @@ class Orbit(ViewsCommand, FrameCommand):
         Path | None,
         arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="(default: named after the video, or orbit)"),
     ] = None
-    """Where frames go, as frame_0000.png and so on, with orbit.json, which says what they were made of. Frames of other
-    settings are replaced in the default folder, and refused in yours."""
+    """Write frames into this folder, with orbit.json."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Also make a video of the frames: .mp4 (H.264; pip install 'lumisplat[video]'), .gif, .webp or .apng."""
+    """Write a video too: .mp4 (pip install 'lumisplat[video]'), .gif, .webp or .apng."""
     seconds: Annotated[float, arg(metavar="SECONDS")] = 6.0
-    """How long it takes."""
+    """Take so long."""
     fps: Annotated[float, arg(metavar="FPS")] = 25.0
-    """Frames a second."""
+    """Render so many frames a second."""
     turns: Annotated[float, arg(metavar="TURNS")] = 1.0
-    """How many times round, to the right; negative: to the left."""
-    frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""
-    """Only these frames, from 0: 1-100 (both), 1-100x2 (every second), 1,5,9, or A:B, from A to before B. Parts may be
-    joined by commas."""
+    """Turn so many times to the right; negative: to the left."""
+    frames: Annotated[str, setting("FRAMES", "all")] = ""
+    """Render only these, from 0: 1-100, 1-100x2, 1,5,9, 0:48 or 48:."""
     overwrite: Flag = False
-    """Remove the frames that are there first, whatever they were made of."""
+    """Remove the frames that are there first."""
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""
@@ -86,20 +85,22 @@ class Orbit(ViewsCommand, FrameCommand):
         wanted = tuple(frame_numbers("--frames", self.frames, count))
         self.viewpoint.check(None)
         along = (
-            self.cameras_along(self.path, [index / self.fps for index in range(count)]) if self.path is not None else []
+            self.cameras_along(self.camera_path, [index / self.fps for index in range(count)])
+            if self.camera_path is not None
+            else []
         )
         config = self.frame_config(scene_settings(scene_file(self.scene)))
         check_writable(folder.folder)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
-        whole = next((f"--{name}" for name in ("lod", "lod_budget") if getattr(self, name) is not None), "")
+        whole = "--lod" * self.chooses_level
         lit, up = environment is not None, self.viewpoint.upright
-        blocks = block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole.replace("_", "-"), upright=up)
+        blocks = block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole, upright=up)
         scene = blocks.preview if blocks else self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
         config = self.light.exposed_captures(renderer, config, scene)
         cameras = along or self._round(scene, count)
-        for line in frame_remarks(config, scene, [], self.rays, self.light, device=self.device):
+        for line in frame_remarks(config, scene, dict(given_settings(self)), self.light, device=self.device):
             _log.warning("%s", line)
         source = self.frame_source(renderer, blocks=blocks)
         frames = FrameList(
@@ -138,7 +139,7 @@ class Orbit(ViewsCommand, FrameCommand):
 
     def _origin(self, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
         """All that a frame follows from, except its number."""
-        files = [*self.scene, *(path for path in (self.path, self.light.environment) if path is not None)]
+        files = [*self.scene, *(path for path in (self.camera_path, self.light.environment) if path is not None)]
         chosen = (
             "seconds",
             "fps",
@@ -146,10 +147,7 @@ class Orbit(ViewsCommand, FrameCommand):
             "width",
             "height",
             "drop_invalid",
-            "crease_angle",
             "lod",
-            "lod_budget",
-            "lod_pixels",
         )
         return {
             "lumisplat": ls.__version__,

@@ -27,32 +27,29 @@ class ShadowMap(PlacingCommand, DeviceCommand):
     """Cast shadows of avatars and objects onto a capture, and save it with them."""
 
     casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
-    """What casts: captures, meshes, or a scene.toml that places them, with the capture's up (y-down) unless it says
-    another. They are not part of the result."""
+    """Read what casts shadows: captures, meshes, or a scene.toml."""
     onto: Annotated[Path, arg(metavar="FILE")]
-    """The capture that receives the shadows."""
+    """Cast the shadows onto this capture."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.ply, .compressed.ply or .spz: the capture in shadow. Or .npz: the deep shadow map itself, of one light, for
-    ls.DeepShadowMap.load. - is standard output, a .ply."""
+    """Write a capture .ply or .spz, or the map .npz; - is standard output."""
     light: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="X,Y,Z")] = ()
-    """Position of a light; several lights count as equally strong. Without: the lights of the casters' files, else
-    those that are found in the capture: its lamps, or its sun."""
+    """Position a light; without: those of files, or found in the capture."""
     sun: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
-    """Direction in which the light of a sun travels, in place of --light."""
+    """Set the direction in which sunlight travels, in place of --light."""
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
-    """Share of the capture's light that comes from these lights; the rest is never in shadow."""
+    """Set the share of the capture's light that shadows remove."""
     strength: Annotated[float | None, setting("FACTOR", "1")] = None
-    """Factor of the casters' absorption: more is darker where they are thin."""
+    """Multiply the casters' absorption."""
     absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("{simple,avg,mass,diag}", "avg")] = (
         None
     )
-    """How a Gaussian's opacity becomes absorption."""
+    """Choose how a Gaussian's opacity becomes absorption."""
     sampling: Annotated[
         Literal["center", "stencil", "monte-carlo"] | None, setting("{center,stencil,monte-carlo}", "monte-carlo")
     ] = None
-    """Where the map is read for a Gaussian of the capture: at its centre, at 7 points, or at points drawn from it."""
+    """Read the map at a Gaussian's centre, 7 points, or random points."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
-    """Texels across the map, which covers all directions."""
+    """Set the texels across the map."""
 
     def run(self) -> None:
         """Casts the shadows, and saves the capture or the map."""

@@ -11,17 +11,16 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.options.camera import UpOption, parse_up
 from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand, PlacingCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
-from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
-from lumisplat.cli.options.settings import Changes, changed_config, setting
-from lumisplat.cli.options.up import UpOption, parse_up
+from lumisplat.cli.options.settings import SamplesCommand
 
 _PORT = 8080
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(LevelsCommand, PlacingCommand, DeviceCommand):
+class View(LevelsCommand, PlacingCommand, DeviceCommand, SamplesCommand):
     """Look at a scene in a browser, edit it and light it.
 
     Prints one line, the address of the page, and serves it until it is interrupted. Drag to turn, scroll to come
@@ -29,25 +28,19 @@ class View(LevelsCommand, PlacingCommand, DeviceCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl), both (.glb, .gltf, .usda, .usdc, .usdz,
-    .usd), or a scene.toml. Files that cannot be read are left out, and listed on the page."""
+    """Captures, meshes, glTF and OpenUSD scenes, or a scene.toml; several make one scene."""
     port: Annotated[int, arg(metavar="N")] = _PORT
-    """Port to listen on; 0: a free one."""
+    """Listen on this port; 0: a free one."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address to listen on. Others than 127.0.0.1 let other machines in, if they have the address with its token."""
+    """Listen on this address; others than 127.0.0.1 let other machines in."""
     no_browser: Flag = False
-    """Open no browser; the address is printed anyway."""
+    """Print the address, and open no browser."""
     height: Annotated[int, arg(metavar="PX")] = 720
-    """Rows of pictures at rest; while the view moves, they may have fewer."""
+    """Render so many rows at rest; fewer while the view moves."""
     budget: Annotated[float, arg(metavar="MS")] = 40.0
-    """Milliseconds that a frame may take while the view moves: fewer Gaussians are drawn first, then fewer pixels."""
+    """Take at most so long for a frame while the view moves."""
     up: UpOption = "auto"
-    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml or
-    the capture says, else y down with a capture, y up for meshes alone."""
-    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path,realtime}", "hybrid if lit")] = None
-    """How it is rendered at first; the page can change it."""
-    rays: RayGroup = field(default_factory=RayOptions)
-    """At first; the page can change them."""
+    """Set the up direction: y-down, y-up, z-up and so on, or a vector."""
     light: LightGroup = field(default_factory=LightOptions)
     """At first; the page can change them."""
 
@@ -92,8 +85,7 @@ class View(LevelsCommand, PlacingCommand, DeviceCommand):
         Raises:
             ConfigError: A value is out of its range.
         """
-        own: Changes = {} if self.pipeline is None else {"pipeline": ls.Pipeline(self.pipeline)}
-        return changed_config(base, own, self.rays.changes(), self.light.changes())
+        return self.pipeline_config(base, self.light.changes())
 
 
 def _open_browser(url: str) -> bool:

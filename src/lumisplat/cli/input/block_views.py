@@ -64,33 +64,33 @@ def block_views(
     Args:
         paths: The files of the scene.
         config: The settings of frames.
-        pixels: Of --lod-pixels.
+        pixels: Of ``--lod pixels=``.
         lit: Whether lights are added to the scene.
         whole: An option that needs the whole capture, if it is given.
         upright: Gives a scene its up.
 
     Raises:
-        ConfigError: --lod-pixels is given without a capture in blocks, or is negative.
+        ConfigError: ``pixels`` is given without a capture in blocks, or is negative.
         FormatError: Its index cannot be read.
     """
     folders = [folder for path in paths if (folder := block_folder(path)) is not None]
     if pixels is not None and not pixels >= 0.0:
-        raise ls.ConfigError(f"--lod-pixels is {pixels:g}, expected 0 or more")
+        raise ls.ConfigError(f"--lod pixels={pixels:g}, expected 0 or more")
     if not folders:
         if pixels is not None:
-            raise ls.ConfigError("--lod-pixels is of captures in blocks, which lumisplat blocks makes")
+            raise ls.ConfigError("--lod pixels= is of captures in blocks, which lumisplat blocks makes")
         return None
     needs = [
         "other files of the scene" * (len(paths) > 1),
         f"--pipeline {config.pipeline.value}" * config.pipeline.spawns_rays,
-        "--projection unscented" * (config.raster.projection is ls.Projection.UNSCENTED),
+        "--set raster.projection=unscented" * (config.raster.projection is ls.Projection.UNSCENTED),
         "light" * (lit or config.lighting is True),
         whole,
     ]
     needed = next((one for one in needs if one), "")
     if needed:
         if pixels is not None:
-            raise ls.ConfigError(f"--lod-pixels and {needed} do not go together: all of the capture is loaded")
+            raise ls.ConfigError(f"--lod pixels= and {needed} do not go together: all of the capture is loaded")
         _log.warning(
             "%s: all of it is loaded, for %s: only unlit, rasterised pictures of it alone load what they see",
             folders[0],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any
@@ -43,6 +44,19 @@ def _values(command: Any) -> Iterator[tuple[str, float]]:
             yield "--" + field.name.replace("_", "-"), float("inf")
         elif group := _group(field):
             yield from _values(group)
+
+
+def options_of(command: type[Any]) -> list[str]:
+    """Returns the options of a command's dataclass, as they are typed."""
+    found: list[str] = []
+    for field in fields(command):
+        group = _group(field)
+        named = re.search(r"name='([a-z]+)'", str(field.type).replace('"', "'"))
+        if group:
+            found += options_of(group)
+        elif "Positional" not in str(field.type):
+            found.append("--" + (named[1] if named else field.name).replace("_", "-"))
+    return found
 
 
 def _group(field: Field[Any]) -> Any:

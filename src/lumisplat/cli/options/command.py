@@ -36,7 +36,7 @@ class DeviceCommand(Command):
     """Options of the commands that compute."""
 
     device: Annotated[str, arg(metavar="auto|cpu|cuda:N")] = "auto"
-    """Where to compute; auto takes a CUDA GPU if there is one."""
+    """Compute on this device; auto takes a CUDA GPU if there is one."""
 
     def start_renderer(
         self, report: Report, config: ls.RenderConfig | None = None, profile: bool = False
@@ -60,9 +60,9 @@ class LoadingCommand(Command):
     """Options of the commands that load captures."""
 
     drop_invalid: Flag = False
-    """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
+    """Leave out Gaussians with NaN or infinite values."""
     allow_outside: Flag = False
-    """Let meshes that you trust name buffers, materials and textures outside of their own folders."""
+    """Let files name buffers, materials and textures outside of their folders."""
 
     @property
     def crease_radians(self) -> float | None:
@@ -144,8 +144,7 @@ class PlacingCommand(LoadingCommand):
     """Options of the commands that put meshes into captures."""
 
     keep_coordinates: Flag = False
-    """Meshes beside a capture stay as they are in their files. Without, they stand upright on its ground, where nothing
-    else is, and those in other units are scaled; a scene.toml places them."""
+    """Keep meshes where their files have them, not on a capture's ground."""
 
     @property
     def keeps_places(self) -> bool:
@@ -157,24 +156,51 @@ class PlacingCommand(LoadingCommand):
 class LevelsCommand(LoadingCommand):
     """Options of the commands that load captures in levels of detail."""
 
-    lod: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0, the finest)")] = None
-    """Level of detail of streamed SOGs and captures in blocks, which may be entries of a scene.toml that says none."""
-    lod_budget: Annotated[int | None, arg(metavar="COUNT", help_behavior_hint="")] = None
-    """Of the same, their finest level of no more Gaussians than this."""
+    lod: Annotated[str | None, arg(metavar="N|budget=COUNT", help_behavior_hint="(default: 0, the finest)")] = None
+    """Load this level of detail, or the finest of at most COUNT Gaussians."""
 
     @property
     def levels(self) -> dict[str, int | None]:
-        """As the options say.
+        """The level, or the most Gaussians that it may have.
 
         Raises:
-            ConfigError: One is negative, or both are given.
+            ConfigError: The option is neither, or negative.
         """
-        if self.lod is not None and self.lod_budget is not None:
-            raise ls.ConfigError("--lod and --lod-budget do not go together: each chooses the level by itself")
-        for option, value, least in (("--lod", self.lod, 0), ("--lod-budget", self.lod_budget, 1)):
-            if value is not None and value < least:
-                raise ls.ConfigError(f"{option} is {value}, expected {least} or more")
-        return {"lod": self.lod, "budget": self.lod_budget}
+        kind, text = self._lod()
+        try:
+            number = int(text)
+        except ValueError:
+            number = -1
+        if kind == "pixels" or text == "":
+            return {"lod": None, "budget": None}
+        least = 1 if kind == "budget" else 0
+        if number < least:
+            raise ls.ConfigError(f"--lod is {self.lod}, expected a whole number of at least {least}, or budget=COUNT")
+        return {"lod": None, "budget": number} if kind == "budget" else {"lod": number, "budget": None}
+
+    def _lod(self) -> tuple[str, str]:
+        """What --lod names, budget, pixels or nothing for a level, and its value; empty texts without the option."""
+        if self.lod == "":
+            raise ls.ConfigError(f"--lod is empty, expected a level such as 1, or {self._lod_expected}")
+        kind, equals, text = (self.lod or "").partition("=")
+        if not equals:
+            return "", kind
+        if kind not in self._lod_kinds:
+            raise ls.ConfigError(f"--lod is {self.lod}, expected a level such as 1, or {self._lod_expected}")
+        return kind, text
+
+    @property
+    def _lod_kinds(self) -> tuple[str, ...]:
+        return ("budget",)
+
+    @property
+    def _lod_expected(self) -> str:
+        return " or ".join(f"{name}=N" for name in self._lod_kinds)
+
+    @property
+    def chooses_level(self) -> bool:
+        """Whether one level of detail is asked for, for all of a capture."""
+        return self.lod is not None and self._lod()[0] != "pixels"
 
     def check_levels(self, paths: Sequence[Path]) -> None:
         """Refuses a level of files that have none.
@@ -182,12 +208,9 @@ class LevelsCommand(LoadingCommand):
         Raises:
             ConfigError: No file can be, or name, a streamed SOG.
         """
-        option = "--lod" if self.lod is not None else "--lod-budget" if self.lod_budget is not None else None
-        if option and not any(path.is_dir() or path.suffix.lower() in (".json", ".toml") for path in paths):
+        if self.chooses_level and not any(path.is_dir() or path.suffix.lower() in (".json", ".toml") for path in paths):
             named = ", ".join(map(str, paths[:3]))
-            raise ls.ConfigError(
-                f"{option} is of streamed SOGs (a folder with a lod-meta.json) and blocks, got {named}"
-            )
+            raise ls.ConfigError(f"--lod is of streamed SOGs (a folder with a lod-meta.json) and blocks, got {named}")
 
     def load_scene(
         self,
@@ -206,6 +229,29 @@ class LevelsCommand(LoadingCommand):
 class ViewsCommand(LevelsCommand, PlacingCommand):
     """Options of the commands that show captures in blocks view by view."""
 
-    lod_pixels: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: 0, the finest of all)")] = None
-    """Of captures in blocks that are shown view by view: blocks that are far are of a coarser level, whose mean
-    Gaussian is no larger than this."""
+    lod: Annotated[
+        str | None, arg(metavar="N|budget=COUNT|pixels=PX", help_behavior_hint="(default: 0, the finest)")
+    ] = None
+    """Load a level of detail, by its Gaussians, or by their size on screen."""
+
+    @property
+    def lod_pixels(self) -> float | None:
+        """Largest mean size of the Gaussians of far blocks, pixels; None: it is not given.
+
+        Raises:
+            ConfigError: It is no number of at least 0.
+        """
+        kind, text = self._lod()
+        if kind != "pixels":
+            return None
+        try:
+            pixels = float(text)
+        except ValueError:
+            pixels = -1.0
+        if not pixels >= 0.0:
+            raise ls.ConfigError(f"--lod is {self.lod}, expected pixels=N of 0 or more")
+        return pixels
+
+    @property
+    def _lod_kinds(self) -> tuple[str, ...]:
+        return "budget", "pixels"

@@ -11,62 +11,48 @@ from typing import Annotated
 from tyro.conf import arg
 
 import lumisplat as ls
+from lumisplat.cli.options.camera import CameraGroup, CameraOptions, say_guessed_up
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
-from lumisplat.cli.options.lens import LensGroup, LensOptions
-from lumisplat.cli.options.lighting import LightGroup, LightOptions
-from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
-from lumisplat.cli.options.settings import Changes, changed_config, setting, without_none
-from lumisplat.cli.options.up import say_guessed_up
-from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
+from lumisplat.cli.options.lighting import EnvironmentGroup, EnvironmentOptions
+from lumisplat.cli.options.settings import CREASE, Changes, SamplesCommand, setting, without_none
 from lumisplat.cli.output.frame_folder import flat_settings
 from lumisplat.cli.output.frame_source import FrameSource, SceneOfViews, WarmUp
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameCommand(LoadingCommand, DeviceCommand):
+class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
     """Options of the commands that render frames."""
 
-    path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Move the camera smoothly through the cameras of this file: nerfstudio's camera_path.json, a scene.toml with
-    camera keyframes, or any other camera file, one second from each camera to the next."""
-    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path,realtime}", "raster")] = None
-    """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and fisheye cameras. hybrid: rasterised,
-    and rays from there on for mirrors, glass and shadows. path: light that bounces, and captures that light what
-    stands in them; grainy, --samples average it. realtime: a sequence of rasterised frames in which light bounces."""
-    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Image width; alone, it keeps the camera's aspect ratio."""
-    height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Image height; alone, it keeps the camera's aspect ratio."""
-    crease_angle: Annotated[float | None, setting("DEGREES", "51.6")] = None
-    """Of OBJs without normals: faces that meet at less are shaded smoothly; 0: flat."""
+    camera_path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Move the camera through the cameras of this file, one second each."""
+    width: Annotated[int | None, setting("PX", "the camera's")] = None
+    """Set the image width; alone, it keeps the aspect ratio."""
+    height: Annotated[int | None, setting("PX", "the camera's")] = None
+    """Set the image height; alone, it keeps the aspect ratio."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
-    """transparent, a name such as white, #rrggbb, or r,g,b in 0..1. An EXR is without one."""
+    """Fill the background: transparent, a name, #rrggbb, or r,g,b in 0..1."""
     stats: Flag = False
     """Print times, counts and memory of the last frame."""
-    viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
-    """A camera of your own, in place of those of files: lumisplat render garden.ply --azimuth 30 --elevation 20"""
-    lens: LensGroup = field(default_factory=LensOptions)
-    """Of --pipeline trace and path, with --samples: lumisplat render garden.ply --pipeline trace --samples 32
-    --aperture 0.05 --focus 640,360 -o view.png"""
-    rays: RayGroup = field(default_factory=RayOptions)
-    """Of --pipeline trace, hybrid and path; --samples, --time, --noise and --seed also of lit frames. With mirrors and
-    glass, smooth edges and little noise: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png"""
-    light: LightGroup = field(default_factory=LightOptions)
-    """Lights are those of a scene.toml and of glTF files. Soft shadows and an environment, filmic:
-    lumisplat render scene.toml --environment sky.hdr --shadows soft --samples 32 --tone-map agx -o view.png"""
+    viewpoint: CameraGroup = field(default_factory=CameraOptions)
+    """A camera of your own: lumisplat render garden.ply --azimuth 30 --elevation 20"""
+    light: EnvironmentGroup = field(default_factory=EnvironmentOptions)
+    """Beside the lights of files: lumisplat render scene.toml --environment sky.hdr --shadows soft"""
 
     @property
     def crease_radians(self) -> float | None:
-        """As `LoadingCommand.crease_radians`, as the option says.
+        """As `LoadingCommand.crease_radians`, as --set says.
 
         Raises:
             ConfigError: It is out of range.
         """
-        if self.crease_angle is None:
-            return None
-        if not 0.0 <= self.crease_angle <= 180.0:
-            raise ls.ConfigError(f"--crease-angle is {self.crease_angle:g}, expected 0 to 180 degrees")
-        return math.radians(self.crease_angle)
+        text = self.set_values(CREASE).get(CREASE)
+        try:
+            degrees = math.nan if text is None else float(text)
+        except ValueError:
+            degrees = -1.0
+        if not 0.0 <= degrees <= 180.0 and text is not None:
+            raise ls.ConfigError(f"--set {CREASE}={text}: expected 0 to 180 degrees")
+        return None if text is None else math.radians(degrees)
 
     def frame_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
         """The settings of a scene file, with those that were given in their place.
@@ -81,13 +67,9 @@ class FrameCommand(LoadingCommand, DeviceCommand):
             SceneError: The size of the image is.
         """
         self._check_size()
-        self.lens.pixel()
-        own: Changes = {}
-        if self.pipeline is not None:
-            own["pipeline"] = ls.Pipeline(self.pipeline)
-        if self.background is not None:
-            own["background"] = self.background
-        config = changed_config(base, *changes, own, self.rays.changes(), self.light.changes())
+        self.viewpoint.pixel()
+        own = without_none({"background": self.background})
+        config = self.pipeline_config(base, *changes, own, self.light.changes())
         if not self.light.denoise:
             return config
         ls.Frame.check_denoiser()
@@ -106,9 +88,8 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         Raises:
             ConfigError: --focus is no pixel.
         """
-        return FrameSource(
-            renderer, self.lens.aperture, self.lens.pixel(), self.light.denoise, warm_up or WarmUp(), blocks
-        )
+        lens = self.viewpoint
+        return FrameSource(renderer, lens.aperture, lens.pixel(), self.light.denoise, warm_up or WarmUp(), blocks)
 
     def _check_size(self) -> None:
         """Refuses sizes that no camera has, before files are loaded and named as the ones to blame."""
@@ -135,11 +116,11 @@ class FrameCommand(LoadingCommand, DeviceCommand):
             raise ls.FormatError(path, "has no cameras")
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in loaded]
 
-    def camera_path(self, path: Path, cameras: Path | None = None) -> ls.CameraPath:
-        """The way of --path.
+    def load_camera_path(self, path: Path, cameras: Path | None = None) -> ls.CameraPath:
+        """The way of --camera-path.
 
         Args:
-            path: The file of --path.
+            path: The file of --camera-path.
             cameras: The file of --cameras.
 
         Raises:
@@ -149,12 +130,12 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         self.viewpoint.check(cameras)
         if cameras is not None or self.viewpoint.is_given:
             other = "--cameras" if cameras is not None else "a viewpoint of your own"
-            raise ls.ConfigError(f"--path and {other} are both given: choose one")
+            raise ls.ConfigError(f"--camera-path and {other} are both given: choose one")
         return ls.load_camera_path(path, width=self.width, height=self.height)
 
     def cameras_along(self, path: Path, times: Sequence[float]) -> list[ls.Camera]:
-        """The cameras of --path at the times of frames, over which all of the path is spread."""
-        way = self.camera_path(path)
+        """The cameras of --camera-path at the times of frames, over which all of the path is spread."""
+        way = self.load_camera_path(path)
         stretched = way.stretched(float(times[-1])) if times[-1] > 0.0 else way
         along = (stretched.at(float(time)) for time in times)
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
@@ -186,6 +167,6 @@ def shared_origin(command: FrameCommand, config: ls.RenderConfig) -> dict[str, s
         "denoise": f"{command.light.denoise}",
         "environment_rotation": f"{command.light.environment_rotation}",
         **dict(flat_settings("viewpoint.", command.viewpoint)),
-        **dict(flat_settings("lens.", command.lens)),
+        "crease_angle": f"{command.crease_radians}",
         **dict(flat_settings("", config)),
     }

@@ -2,33 +2,105 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import lumisplat as ls
-from lumisplat.cli.options.lighting import LightOptions
-from lumisplat.cli.options.rays import RayOptions
-from lumisplat.cli.options.unused import unused_options
+from lumisplat.cli.options.lighting import EnvironmentOptions
+from lumisplat.cli.options.settings import given_options
 
 if TYPE_CHECKING:
     from lumisplat.scene.materials import Material
 
 
+_OF_SAMPLES = ("samples", "time_limit", "noise", "seed", "jitter")
+_OF_RAYS = ("trace.", "max_bounces", "glossy_reflections")
+_NOT_OF_PATHS = ("trace.strategy", "glossy_reflections")
+
+
 def frame_remarks(
     config: ls.RenderConfig,
     scene: ls.Scene,
-    raster: list[str],
-    rays: RayOptions,
-    light: LightOptions,
+    given: Mapping[str, str],
+    light: EnvironmentOptions,
     *,
     device: str = "auto",
 ) -> Iterator[str]:
-    """Yields what has no effect, what comes out black or in patches; arguments as of `unused_options`."""
-    yield from unused_options(config, scene, raster, rays, light)
+    """Yields lines about what has no effect, and what comes out black or in patches.
+
+    Args:
+        config: Settings of the frame.
+        scene: What it shows.
+        given: The settings that were given, each with the option that gives it.
+        light: The options of light.
+        device: As of ``--device``.
+    """
+    yield from unused_options(config, scene, given, light)
     yield from _unused_albedos(config, scene)
     yield from _dark_sides(config, scene)
     yield from _lit_fog(config, scene, device)
     yield from _clipped_light(config, scene, light)
+
+
+def unused_options(
+    config: ls.RenderConfig, scene: ls.Scene, given: Mapping[str, str], light: EnvironmentOptions
+) -> Iterator[str]:
+    """Yields a line for each reason why options are not used; arguments as of `frame_remarks`."""
+
+    def options(*names: str) -> list[str]:
+        """Those given, of these settings and groups."""
+        return [text for name, text in given.items() if name in names or name.startswith(_groups(names))]
+
+    is_path = config.pipeline.traces_paths
+    bounces = config.pipeline.bounces_light
+    lit = config.is_lit(by_default=scene.is_lit_by_default)
+    shadowed = lit and config.shadows is not ls.Shadows.OFF
+    if not config.pipeline.rasterises and (unused := options("raster.")):
+        yield not_used(config, unused, "raster and hybrid")
+    if not config.pipeline.spawns_rays:
+        used = _used_by_raster(config, lit=lit, shadowed=shadowed)
+        unused = [one for one in options(*_OF_SAMPLES, *_OF_RAYS, "response.") if one not in options(*used)]
+        if unused:
+            yield not_used(config, unused, "trace and hybrid")
+    if not is_path and (unused := options("path.")):
+        yield not_used(config, unused, "path")
+    if not config.pipeline.is_sequence and (unused := options("realtime.")):
+        yield not_used(config, unused, "realtime")
+    if is_path and (unused := options(*_NOT_OF_PATHS)):
+        yield (
+            f"not used by --pipeline path: {', '.join(unused)} (its rays meet one relit Gaussian, by chance, blend "
+            "captures that are kept, and reflect what is around)"
+        )
+    if not lit:
+        unused = [*(option for option in given_options(light) if option != "--lighting"), *options("shadow_rays.")]
+        if unused:
+            why = "--lighting is off" if config.lighting is False else "no lights: --lighting on has one at the camera"
+            yield f"not used in an unlit frame: {', '.join(unused)} ({why})"
+    elif bounces and light.shadows == "hard":
+        yield f"not used by --pipeline {config.pipeline.value}: --shadows hard (its shadows are soft)"
+    elif not shadowed and (unused := options("shadow_rays.")):
+        yield f"not used without shadows: {', '.join(unused)} (--shadows hard or soft has some)"
+
+
+def not_used(config: ls.RenderConfig, options: list[str], others: str) -> str:
+    """Returns the line that a pipeline does not use options, and which others do."""
+    are = "it is" if len(options) == 1 else "they are"
+    return f"not used by --pipeline {config.pipeline.value}: {', '.join(options)} ({are} of --pipeline {others})"
+
+
+def _groups(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name for name in names if name.endswith("."))
+
+
+def _used_by_raster(config: ls.RenderConfig, *, lit: bool, shadowed: bool) -> list[str]:
+    """Settings of samples and rays that a rasterised frame uses: those of samples, and those of shadow rays."""
+    used: list[str] = []
+    raster = config.raster
+    if lit or raster.strategy is ls.RasterStrategy.STOCHASTIC or raster.projection is ls.Projection.UNSCENTED:
+        used += _OF_SAMPLES
+    if shadowed:
+        used.append("response.")
+    return used
 
 
 def _lit_fog(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[str]:
@@ -75,7 +147,7 @@ def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
         )
 
 
-def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: LightOptions) -> Iterator[str]:
+def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: EnvironmentOptions) -> Iterator[str]:
     """A line if captures alone light what is added, by light that is clipped at a display's white."""
     bounces = config.pipeline.bounces_light and config.lighting is not False
     relit = [one for one in scene.splats if one.material is not None and not one.shadow_catcher]

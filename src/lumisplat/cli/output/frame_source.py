@@ -113,7 +113,7 @@ class FrameSource:
 
 
 def grain_line(frame: ls.Frame) -> str | None:
-    """What helps against the grain of a frame of paths; None: there is little, or --noise says how much is left."""
+    """Returns what helps against the noise of a frame of paths; None: there is little, or its noise was chosen."""
     config, noise = frame.config, None if frame.stats is None else frame.stats.noise
     if config is None or not config.pipeline.traces_paths or config.noise is not None:
         return None
@@ -126,6 +126,6 @@ def grain_line(frame: ls.Frame) -> str | None:
     else:
         return None
     return (
-        f"light that bounces is grainy with {counted(frame.samples, 'sample')} a pixel{found}: more --samples, a "
-        "longer --time or --noise 0.02 make it smooth, and --denoise does so at once"
+        f"light that bounces is grainy with {counted(frame.samples, 'sample')} a pixel{found}: more --samples, "
+        "or --set noise=0.02 make it smooth, and --denoise does so at once"
     )

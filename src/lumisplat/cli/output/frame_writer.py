@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -23,27 +24,49 @@ _LEGENDS = {
 """What the colours of a view mean, of views whose colours depend on the scene."""
 
 
+@dataclass(frozen=True)
+class Layers:
+    """What ``--aov`` asks for: layers of a frame, mattes, and samples in depth."""
+
+    names: tuple[str, ...]
+    """Layers of the frame itself."""
+    cryptomatte: bool
+    deep: bool
+
+    @classmethod
+    def of(cls, text: str) -> Layers:
+        """Reads names with commas between.
+
+        Raises:
+            ConfigError: There is no such layer.
+        """
+        known = (*ls.Frame.LAYERS, "cryptomatte", "deep")
+        given = [name.strip() for name in text.split(",") if name.strip()]
+        for name in given:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, 1)
+                hint = f", did you mean {near[0]}?" if near else ""
+                raise ls.ConfigError(f"--aov has '{name}'{hint or ','} expected some of {', '.join(known)}")
+        names = tuple(name for name in given if name in ls.Frame.LAYERS)
+        return cls(names, "cryptomatte" in given, "deep" in given)
+
+
 @dataclass
 class FrameWriter:
     """Writes frames with their layers, or a view of each; in all frames of a run the same colours mean the same.
 
     Raises:
-        ConfigError: There is no such layer, or there is both a view and layers.
+        ConfigError: There is both a view and layers.
     """
 
-    aov: str
-    """Names of layers, with commas between."""
+    layers: tuple[str, ...]
+    """Names of layers."""
     view: ViewName | None
-    layers: tuple[str, ...] = field(init=False)
     legend: str | None = field(default=None, init=False)
     """What the colours of the view or the values of the depth mean, once a frame has been written."""
     _limits: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self.layers = tuple(name.strip() for name in self.aov.split(",") if name.strip())
-        for name in self.layers:
-            if name not in ls.Frame.LAYERS:
-                raise ls.ConfigError(f"--aov has '{name}', expected some of {', '.join(ls.Frame.LAYERS)}")
         if self.view and self.layers:
             raise ls.ConfigError("--view and --aov do not go together: a view is written instead of the picture")
 

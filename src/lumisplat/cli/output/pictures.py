@@ -55,7 +55,9 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
     if format_name not in ("auto", suffix):
         raise ls.ConfigError(f"{output}: the name says {suffix}, --format says {format_name}")
     if len(chosen) > 1:
-        raise ls.ConfigError(f"{output}: {len(chosen)} frames do not fit in one file: give a folder, or pick a --frame")
+        raise ls.ConfigError(
+            f"{output}: {len(chosen)} frames do not fit in one file: give a folder, or name one by --frames"
+        )
     return [Shot(cameras[index], output) for index in chosen]
 
 

@@ -11,13 +11,16 @@ color_strength = 1.0
 
 from __future__ import annotations
 
+import difflib
+import tomllib
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from lumisplat.config import RenderConfig
-from lumisplat.config.setting import Setting, settings_of
-from lumisplat.errors import ConfigError
+from lumisplat.config.setting import Setting, all_settings, settings_of
+from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.scene_toml.toml_table import FLAG, TABLE, TomlTable, suggestion
@@ -55,12 +58,13 @@ def write_config(path: PathLike, config: RenderConfig) -> None:
         Path(temporary).write_text(text, encoding="utf-8")
 
 
-def read_settings(table: TomlTable, kind: type[_Config]) -> _Config:
+def read_settings(table: TomlTable, kind: type[_Config], base: _Config | None = None) -> _Config:
     """The settings of a table, those of groups in tables below it; defaults for those that it does not name.
 
     Args:
         table: Its keys are names of fields.
         kind: The class of the settings.
+        base: Has the settings that the table does not name; None: their defaults.
 
     Raises:
         FormatError: An unknown setting, or a bad value.
@@ -68,12 +72,39 @@ def read_settings(table: TomlTable, kind: type[_Config]) -> _Config:
     declared = {one.name: one for one in settings_of(kind)}
     table.check_keys(declared)
     try:
-        return kind(**{key: _setting(table, declared[key]) for key in table.values})
+        values = {key: _setting(table, declared[key], getattr(base, key, None)) for key in table.values}
+        return kind(**values) if base is None else replace(cast(Any, base), **values)
     except ConfigError as error:
         raise table.failed(error) from None
 
 
-def _setting(table: TomlTable, setting: Setting) -> object:
+def changed_setting(base: _Config, name: str, text: str) -> _Config:
+    """Returns settings with one of them changed; see `lumisplat.io.change_config`.
+
+    Raises:
+        ConfigError: There is no such setting, or the value is a bad one.
+    """
+    try:
+        value: object = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    known = [*all_settings(type(base))]
+    *groups, key = name.split(".")
+    if name not in known:
+        near = [other for other in known if other.rpartition(".")[2] == key]
+        near = near or difflib.get_close_matches(name, known, 1)
+        hint = f", did you mean {' or '.join(near)}?" if near else ""
+        raise ConfigError(f"there is no setting '{name}'{hint}")
+    values = {key: value}
+    for group in reversed(groups):
+        values = {group: values}
+    try:
+        return read_settings(TomlTable.of(Path(name), values), type(base), base)
+    except FormatError as error:
+        raise ConfigError(str(error).removeprefix(f"{name}: ")) from None
+
+
+def _setting(table: TomlTable, setting: Setting, base: object) -> object:
     """The value of a setting, of its kind; whether it is in its range is checked by the settings."""
     key, value = setting.name, table.values[setting.name]
     none = _word_for_none(setting) if setting.is_optional else ""
@@ -84,7 +115,7 @@ def _setting(table: TomlTable, setting: Setting) -> object:
             if not TABLE.accepts(value):
                 raise table.wrong(key, TABLE.expected)
             assert setting.group is not None
-            return read_settings(table.table(key), setting.group)
+            return read_settings(table.table(key), setting.group, cast(Any, base))
         case "flag":
             if none and isinstance(value, str):
                 value = _SWITCH.get(value, value)

@@ -10,17 +10,17 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.options.camera import UpOption, parse_up
 from lumisplat.cli.options.command import DeviceCommand, Flag, PlacingCommand
-from lumisplat.cli.options.lighting import LightOptions
-from lumisplat.cli.options.settings import changed_config, setting, without_none
-from lumisplat.cli.options.up import UpOption, parse_up
+from lumisplat.cli.options.lighting import EnvironmentOptions
+from lumisplat.cli.options.settings import SetCommand, changed_config, setting, without_none
 from lumisplat.cli.output.console import byte_size, counted, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bake(PlacingCommand, DeviceCommand):
+class Bake(PlacingCommand, DeviceCommand, SetCommand):
     """Write the splat sets of a scene as a capture of how they look in its light, shadows and bounces included.
 
     Every viewer of captures shows it. Meshes and lights do their part, and are not in it.
@@ -30,32 +30,27 @@ class Bake(PlacingCommand, DeviceCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """A scene.toml whose splat sets have a material, or captures with albedo, such as delight writes. Sets without stay
-    as captured. Several become one."""
+    """Read a scene.toml with materials, or captures with albedo; several become one."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.ply, .compressed.ply or .spz, in the scene's coordinates, or .glb. - is standard output, a .ply."""
+    """Write .ply, .compressed.ply, .spz or .glb; - is standard output."""
     degree: Annotated[int, arg(metavar="0..3")] = 3
-    """How much of what changes with the direction of view is kept, such as highlights; 0 is one colour."""
+    """Keep view-dependent colour up to this SH degree."""
     samples: Annotated[int, arg(metavar="N")] = 8
-    """Paths of light of each ray, at least 2. The time is in proportion; the noise falls with its root."""
+    """Follow so many paths for each ray, at least 2."""
     directions: Annotated[int, arg(metavar="N")] = 32
-    """From which each Gaussian is seen, 4 to 1024. The time is in proportion; 64 are 0.7 dB nearer in a room."""
+    """View each Gaussian from so many directions, 4 to 1024."""
     direct: Flag = False
-    """Lights and their shadows only, without bounces: faster, and without their noise."""
-    max_bounces: Annotated[int | None, setting("0..64", "8")] = None
-    """How often light bounces."""
+    """Bake lights and shadows only, without bounces."""
     exposure: Annotated[float, arg(metavar="STOPS")] = 0.0
-    """1 is twice as bright, -1 half. What is brighter than a display's white becomes white."""
+    """Expose: 1 is twice as bright, -1 half."""
     tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("{none,neutral,agx}", "none")] = None
-    """How light becomes display colours, as for render."""
+    """Map lit colours to the display: clipped, true or filmic."""
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Light from everywhere by a latitude-longitude image, .hdr or .exr, in place of the scene's own."""
+    """Light the scene by a latitude-longitude image, .hdr or .exr."""
     environment_rotation: Annotated[float | None, setting("DEGREES", "0")] = None
-    """Turns --environment about the vertical, counter-clockwise seen from above."""
+    """Turn the environment about the vertical, counter-clockwise from above."""
     up: UpOption = "auto"
-    """Which way is up, for --environment; auto: as the scene.toml or the capture says, else y down."""
-    seed: Annotated[int | None, setting("N", "0")] = None
-    """Of all random numbers: the same seed gives the same capture."""
+    """Set the up direction: y-down, y-up, z-up and so on, or a vector."""
 
     def run(self) -> None:
         """Loads, bakes, joins, writes."""
@@ -66,7 +61,7 @@ class Bake(PlacingCommand, DeviceCommand):
         ls.check_format(self.output)  # found now, rather than after the work
         check_folder(self.output.absolute().parent, self.output)
         config = self._config()
-        light = LightOptions(environment=self.environment, environment_rotation=self.environment_rotation)
+        light = EnvironmentOptions(environment=self.environment, environment_rotation=self.environment_rotation)
         environment = light.environment_light()
         with progress_bars() as report:
             self.quiet_warp()
@@ -95,13 +90,12 @@ class Bake(PlacingCommand, DeviceCommand):
         Raises:
             ConfigError: They contradict each other.
         """
-        if self.direct and self.max_bounces is not None:
-            raise ls.ConfigError("--direct leaves out the bounces that --max-bounces counts: give one of them")
+        if self.direct and "max_bounces" in self.set_values():
+            raise ls.ConfigError("--direct leaves out the bounces that --set max_bounces counts: give one of them")
         base = scene_settings(scene_file(self.scene))
-        given = {"max_bounces": self.max_bounces, "seed": self.seed, "tone_map": self.tone_map}
         pipeline = ls.Pipeline.TRACE if self.direct else ls.Pipeline.PATH
         whole = {"pipeline": pipeline, "samples": self.samples, "lighting": None}
-        return changed_config(base, whole, without_none(given))
+        return self.changed(changed_config(base, whole, without_none({"tone_map": self.tone_map})))
 
 
 def _with_material(instance: ls.SplatInstance) -> ls.SplatInstance:

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.options.captures import holds_materials
 from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
-from lumisplat.cli.options.up import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
@@ -31,24 +31,21 @@ class Delight(LevelsCommand, DeviceCommand):
     """
 
     capture: Positional[Annotated[Path, arg(metavar="CAPTURE")]]
-    """A capture: .ply, .compressed.ply, .spz, .sog or a folder of streamed SOG."""
+    """Read this capture."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """.ply, .glb, .gltf, .usda, .usdc, .usdz or .usd, which have room for materials. - is standard output, a .ply."""
+    """Write .ply, glTF or OpenUSD, which hold materials; - is standard output."""
     inside: Literal["auto", "yes", "no"] = "auto"
-    """Whether the capture was taken from inside of it, as that of a room is; then there is no sky. auto: yes if a good
-    part of it sees none."""
+    """Treat the capture as a room, which has no environment."""
     sky: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Also write the sky that was found as a latitude-longitude image, .exr: --environment of render takes it. Of a
-    room, there is none."""
+    """Write the environment that was found as an image, .exr."""
     up: UpOption = "auto"
-    """Which way is up in the image of --sky; auto: as the capture says, else y down."""
+    """Set the up direction in the image of --sky."""
     cells: Annotated[int, arg(metavar="4..32")] = 12
-    """The light is traced in N x N parts of all directions. The time is in proportion to N x N."""
+    """Trace light in N x N directions; time grows with N x N."""
     matt: Flag = False
-    """Take all that the capture shows for its albedo, for materials that mirror nothing (specular = 0 in a scene.toml).
-    Else albedo is what is left beside what a material without settings mirrors, and comes back as it was captured."""
+    """Take all captured colour as albedo, for materials without specular."""
     seed: Annotated[int, arg(metavar="N")] = 0
-    """Of all random numbers: the same seed gives the same capture."""
+    """Draw other random numbers."""
 
     def run(self) -> None:
         """Loads, finds, writes."""

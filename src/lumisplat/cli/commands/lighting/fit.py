@@ -13,8 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
-from lumisplat.cli.options.rays import PipelineName
-from lumisplat.cli.options.settings import setting
+from lumisplat.cli.options.settings import PipelineName, SetCommand, setting
 from lumisplat.cli.output.console import print_columns, progress_bars
 from lumisplat.cli.output.pictures import check_folder
 from lumisplat.cli.output.reports.files import check_report
@@ -27,7 +26,7 @@ _PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit(LoadingCommand, DeviceCommand):
+class Fit(LoadingCommand, DeviceCommand, SetCommand):
     """Find the lights of a scene from photographs of it.
 
     What is put into the scene then has the photograph's light: lumisplat fit room.toml photo.jpg --camera door
@@ -38,50 +37,47 @@ class Fit(LoadingCommand, DeviceCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE PHOTO...", help_behavior_hint="")]] = ()
-    """A scene.toml with lamps where they may be, or captures and meshes, and photographs: .png, .jpg or .webp, or
-    linear .exr or .hdr."""
+    """Read a scene, and images of it: .png, .jpg, .webp, .exr, .hdr."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """The scene file to write, .toml, with the lights that were found; an environment is beside it."""
+    """Write the scene with the lights that were found, as .toml."""
     overwrite: Flag = False
-    """Whether OUT, which may be SCENE itself, may replace a file that is there; comments in it are lost."""
+    """Replace OUT, which may be SCENE itself."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """The cameras of the photographs, as of render; without: those of the scene.toml."""
+    """Read the images' cameras from this file."""
     camera: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
-    """Camera of the first photograph, again for the next; without: the one with the photograph's name, or the only
-    one."""
+    """Name the camera of the first image; again for the next."""
     mask: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
-    """Picture, white where the first photograph counts, again for the next."""
+    """Use the pixels that are white in this mask; again for the next."""
     report: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="")] = None
-    """Write photograph, picture and difference (four times as strong) side by side, and the figures as report.json."""
+    """Write images, renders, differences and report.json into this folder."""
     environment_degree: Annotated[Literal["auto", "none", "0", "1", "2", "3", "4"], arg(metavar="auto|none|0-4")] = (
         "auto"
     )
-    """Harmonics of an environment; auto: 2, unless the scene has one with an image, which keeps it."""
+    """Set the SH degree of the environment; auto is 2."""
     no_intensities: Flag = False
     """Keep the lights' intensities and colours."""
     keep_hues: Flag = False
     """Keep the lights' colours, and find their intensities."""
     positions: Flag = False
-    """Find the places of lamps, and where spots and suns shine: takes minutes, for hundreds of pictures of a lamp."""
+    """Find positions of lights and directions of spots and suns; takes minutes."""
     radii: Flag = False
-    """Find the radii of lamps that have one."""
+    """Find the radii of lights that have one."""
     angles: Flag = False
     """Find the cones of spots."""
     base_colors: Annotated[str | None, arg(metavar="all|NAMES", help_behavior_hint="")] = None
-    """Find the base colours of all materials of meshes, and one factor a channel for those of each capture, or of these
-    (names with commas), the others being known."""
+    """Find the base colours of all or of these materials."""
     exposure: Annotated[str | None, setting("STOPS|fit", "that of the cameras")] = None
-    """Of the photographs; fit: it is unknown."""
+    """Set the exposure of the images; fit finds it."""
     tone_map: Literal["none", "neutral", "agx"] = "none"
-    """What the photographs went through, besides sRGB."""
+    """Set the tone map of the images."""
     pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path}", "path")] = None
-    """How light behaves: path in reality; else that which has rendered the picture."""
+    """Choose how light is carried."""
     samples: Annotated[int | None, setting("N", "64 of paths")] = None
-    """Samples a pixel, for each light."""
+    """Average so many samples a pixel, for each light."""
     shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("{off,hard,soft}", "hard")] = None
-    """Of pipelines but path."""
+    """Cast these shadows, in pipelines other than path."""
     size: Annotated[int, arg(metavar="PX")] = 128
-    """Longer side of the pictures that are compared."""
+    """Compare images of this longer side."""
 
     def run(self) -> None:
         """Fits, writes, prints."""
@@ -170,7 +166,7 @@ class Fit(LoadingCommand, DeviceCommand):
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
         """How light behaves: by paths, unless another pipeline is given."""
         config = replace(base, pipeline=ls.Pipeline(self.pipeline or "path"), samples=self.samples, tone_map="none")
-        return config if self.shadows is None else replace(config, shadows=ls.Shadows(self.shadows))
+        return self.changed(config if self.shadows is None else replace(config, shadows=ls.Shadows(self.shadows)))
 
     def _degree(self) -> int | Literal["auto"] | None:
         if self.environment_degree == "auto":

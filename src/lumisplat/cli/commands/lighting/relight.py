@@ -12,9 +12,9 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import vector
+from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up
 from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
-from lumisplat.cli.options.settings import changed_config, setting
-from lumisplat.cli.options.up import UpOption, parse_up, say_guessed_up
+from lumisplat.cli.options.settings import SetCommand, changed_config, setting
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
@@ -25,7 +25,7 @@ _GAMMA_MAX = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relight(PlacingCommand, DeviceCommand):
+class Relight(PlacingCommand, DeviceCommand, SetCommand):
     """Relight a captured avatar or object by the light of a scene, and write it as a capture again.
 
     The scene is rendered all around the place where the avatar stands; how bright it is towards each Gaussian's normal
@@ -33,35 +33,31 @@ class Relight(PlacingCommand, DeviceCommand):
     """
 
     avatar: Positional[Annotated[Path, arg(metavar="AVATAR")]]
-    """A capture (.ply, .compressed.ply, .spz, .sog), or a scene.toml with one, whose position and rotation_wxyz say how
-    it stands in the scene. What is written is in the capture's own coordinates: to show it, or to compare it by
-    metrics, name it in a second scene.toml."""
+    """Read a capture, or a scene.toml that positions one."""
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """What gives light, without the avatar: captures, meshes or a scene.toml, whose settings and background count."""
+    """Gather light from these captures, meshes or scene.toml."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("relit.ply")
-    """.ply, .compressed.ply, .spz or .glb. - is standard output, a .ply."""
+    """Write .ply, .compressed.ply, .spz or .glb; - is standard output."""
     at: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: its middle)")] = None
-    """Where the light is gathered, in the scene's coordinates; without: the middle of the avatar."""
+    """Gather the light here, in the scene's coordinates."""
     gamma: Annotated[float, arg(metavar="0..1000")] = 1.0
-    """Brightness as a whole, a factor of light. At 1, only surroundings as bright as display white keep the avatar's
-    brightness; what is printed at the end helps to choose."""
+    """Multiply all light by this factor."""
     exponent: Annotated[float, arg(metavar="0.1..64")] = 1.0
-    """1 is matt; more gathers light from a narrower cone about the normal, which looks glossier."""
+    """Gather light from a narrower cone about the normal; 1 is matt."""
     scale_max: Annotated[float, arg(metavar="0..1000")] = 4.0
-    """No Gaussian gets more than this many times the light it was captured in, before --gamma."""
+    """Limit the factor of each colour, before --gamma."""
     normals: Literal["auto", "smallest-axis", "pca"] = "auto"
-    """auto: those of the file, else smallest-axis. pca: of the neighbours' plane, for round Gaussians; slower."""
+    """Take the file's normals, the smallest axes, or the neighbours' planes."""
     degree: Annotated[int, arg(metavar="0..8")] = 3
-    """Degree of the harmonics that hold the light; a large --exponent shows more of it with more."""
+    """Store the light as SH of this degree."""
     near: Annotated[float, arg(metavar="UNITS")] = 0.01
-    """Nothing of the scene nearer to the place than this gives light."""
+    """Ignore what is nearer than this."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
-    """Light from where the scene covers nothing: black, white, #rrggbb, or r,g,b in 0..1."""
+    """Set the light from where the scene covers nothing."""
     probe: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Also write the light that was found as a latitude-longitude image, .exr: --environment of render takes it."""
+    """Write the light that was found as an image, .exr."""
     up: UpOption = "auto"
-    """Which way is up in the image of --probe; auto: as the scene.toml or the capture says, else y down with a
-    capture, y up for meshes alone."""
+    """Set the up direction in the image of --probe."""
 
     def run(self) -> None:
         """Loads, gathers the light, relights, writes."""
@@ -80,6 +76,7 @@ class Relight(PlacingCommand, DeviceCommand):
         rendering = scene_settings(scene_file(self.scene))
         if self.background is not None:
             rendering = changed_config(rendering, {"background": self.background})
+        rendering = self.changed(rendering)
         with progress_bars() as report:
             renderer = self.start_renderer(report, rendering)
             avatar = self._loaded_avatar(report)

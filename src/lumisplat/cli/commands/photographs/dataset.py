@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,13 +15,11 @@ from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
+from lumisplat.cli.options.camera import parse_up
 from lumisplat.cli.options.command import Flag, PlacingCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
-from lumisplat.cli.options.lighting import LightGroup, LightOptions
-from lumisplat.cli.options.rays import RayGroup, RayOptions
 from lumisplat.cli.options.remarks import frame_remarks
-from lumisplat.cli.options.settings import given_options, setting, without_none
-from lumisplat.cli.options.up import parse_up
+from lumisplat.cli.options.settings import given_options, given_settings, setting, without_none
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_source import FrameSource
@@ -47,35 +45,29 @@ class Dataset(FrameCommand, PlacingCommand):
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """Captures, meshes or a scene.toml, as for render."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("dataset")
-    """Where files go: images, a folder for each layer, views (what is known of each, in JSON), transforms.json,
-    layers.json, contact_sheet.png, and dataset.json, which says what they were made of."""
+    """Write images, layers, transforms.json and dataset.json into this folder."""
     file: Annotated[Path | None, arg(name="settings", metavar="FILE.toml", help_behavior_hint="")] = None
-    """Settings of poses, lights and objects; options that are given come before it."""
+    """Read settings of poses, lights and objects from this file."""
     views: Annotated[int | None, setting("N", "100")] = None
-    """How many there are."""
+    """Make so many views."""
     width: Annotated[int | None, setting("PX", "640")] = None
-    """Width of pictures."""
+    """Set the image width."""
     height: Annotated[int | None, setting("PX", "480")] = None
-    """Height of pictures."""
+    """Set the image height."""
     layers: Annotated[str | None, setting("LAYERS", "depth,normal,instance")] = None
-    """What there is beside the pictures, some of depth, normal, albedo, alpha, mask, instance, category and exr (with
-    commas); none: nothing."""
+    """Write depth, normal, albedo, alpha, mask, instance, category or exr beside images; or none."""
     objects: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")] = ()
-    """Captures and meshes, some of which are put into each view, on the ground and with room around them."""
+    """Put some of these captures and meshes into each view."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Cameras near which views are, in place of those around the scene: those of a capture's photographs, say."""
+    """Place views near the cameras of this file, not around the scene."""
+    seed: Annotated[int | None, setting("N", "0")] = None
+    """Draw other poses, lights, objects and noise."""
     shards: Annotated[int | None, setting("N", "0")] = None
-    """Also write shards for WebDataset, of so many views each."""
-    frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""
-    """Only these views, from 0: 1-100 (both), 1-100x2 (every second), 1,5,9, or A:B, from A to before B. Parts may be
-    joined by commas. What follows from all views is written once all are there."""
+    """Write shards for WebDataset, of so many views each."""
+    frames: Annotated[str, setting("FRAMES", "all")] = ""
+    """Render only these views, from 0: 1-100, 1-100x2, 1,5,9 or 48:."""
     overwrite: Flag = False
-    """Remove the views that are there first, whatever they were made of."""
-    rays: RayGroup = field(default_factory=RayOptions)
-    """Of --pipeline trace, hybrid and path; --samples, --time and --noise also of lit frames. --seed is that of poses,
-    lights and objects, too."""
-    light: LightGroup = field(default_factory=LightOptions)
-    """Of lit views. --environment is turned from view to view."""
+    """Remove the views that are there first."""
 
     def run(self) -> None:
         """Renders the views that are missing, then what follows from all of them."""
@@ -94,7 +86,8 @@ class Dataset(FrameCommand, PlacingCommand):
         """
         refuse_standard_output(self.output)
         single = given_options(self.viewpoint)
-        single = [option for option in single if option != "--up"] + ["--path"] * (self.path is not None)
+        single = [option for option in single if option not in ("--up", "--aperture", "--focus")]
+        single += ["--camera-path"] * (self.camera_path is not None)
         if single:
             raise ls.ConfigError(
                 f"{single[0]} is of one camera, and views are random: [poses] of --settings says where"
@@ -102,7 +95,7 @@ class Dataset(FrameCommand, PlacingCommand):
         config = ls.DatasetConfig() if self.file is None else ls.load_dataset_config(self.file)
         given = {
             "views": self.views,
-            "seed": self.rays.seed,
+            "seed": self.seed,
             "width": self.width,
             "height": self.height,
             "layers": None if self.layers is None else self.layers.replace("none", ""),
@@ -132,7 +125,7 @@ class Dataset(FrameCommand, PlacingCommand):
         wanted = tuple(frame_numbers("--frames", self.frames, settings.views))
         base = scene_settings(scene_file(self.scene))
         albedo = ("albedo",) if "albedo" in settings.layers else ()
-        config = self.frame_config(base, {"aovs": (*base.aovs, *albedo)})
+        config = self.frame_config(base, {"aovs": (*base.aovs, *albedo)}, without_none({"seed": self.seed}))
         if config.pipeline.is_sequence:
             raise ls.ConfigError(
                 "--pipeline realtime is of frames that follow from each other, and views do not: path or hybrid"
@@ -152,8 +145,8 @@ class Dataset(FrameCommand, PlacingCommand):
         )
         if albedo and not (views.are_lit if config.lighting is None else config.lighting):
             raise ls.ConfigError("--layers has albedo, which lit views have: give lights, or --lighting on")
-        rays = replace(self.rays, seed=None)  # the poses always use it
-        for line in frame_remarks(config, views.view(wanted[0]).scene, [], rays, self.light, device=self.device):
+        given = {name: option for name, option in given_settings(self) if name != "seed"}  # the poses always use it
+        for line in frame_remarks(config, views.view(wanted[0]).scene, given, self.light, device=self.device):
             _log.warning("%s", line)
         maker = _ViewMaker(self, views, self.frame_source(renderer))
         return FrameJob(
@@ -210,7 +203,7 @@ class Dataset(FrameCommand, PlacingCommand):
             "lumisplat": ls.__version__,
             "device": device,
             "scene": " ".join(map(str, self.scene)),
-            **{name: f"{getattr(self, name)}" for name in ("drop_invalid", "crease_angle")},
+            "drop_invalid": f"{self.drop_invalid}",
             **{
                 name: value
                 for name, value in flat_settings("dataset.", settings)

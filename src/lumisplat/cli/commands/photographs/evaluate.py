@@ -43,33 +43,26 @@ class Evaluate(LoadingCommand, DeviceCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE... FOLDER", help_behavior_hint="")]] = ()
-    """A capture, or a scene.toml with settings of its own, and the folder of photographs: with transforms.json,
-    transforms_train.json and transforms_test.json, or a sparse model of COLMAP."""
+    """Read a capture, and a folder of images with poses."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """A folder for metrics.json, with the figures of all views, and for photograph, picture and difference (four times
-    as strong) of the worst ones, side by side."""
+    """Write metrics.json and the worst views into this folder."""
     scale: Annotated[float, arg(metavar="0..1")] = 1.0
-    """Size of the photographs, as a share of that of the files: that at which the capture was trained."""
+    """Scale the images, above 0 to 1."""
     hold_out: Annotated[int, arg(metavar="N")] = _HOLD_OUT
-    """The first photograph by name and each Nth after it are compared; of Blender's sets those of transforms_test.json
-    are."""
+    """Evaluate every N-th image, as training holds them out."""
     pipeline: Annotated[
         Literal["raster", "trace", "hybrid", "path"] | None, setting("{raster,trace,hybrid,path}", "raster")
     ] = None
-    """What draws the capture: trace for a kernel degree other than 2, over photographs of lenses as they are. What
-    relights it with --materials: hybrid (the default then), without bounces, or path (the default in a room with
-    lamps), with them."""
+    """Choose how the capture is drawn, or relit with --materials."""
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
-    """How Gaussians are rasterised: unscented, along the rays of lenses, whose photographs then stay as they are."""
+    """Rasterise by ellipses, or along the rays of any lens."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
-    """Behind the capture, and behind transparent photographs: a name such as white, #rrggbb, or r,g,b in 0..1."""
+    """Fill the background: a name, #rrggbb, or r,g,b in 0..1."""
 
     materials: Flag = False
-    """Compare albedo, normals, roughness and what it looks like in other light with the truth, which FOLDER has: a set
-    of tools/make_relightable_set.py or make_relightable_room.py."""
+    """Compare materials and relit images with the true ones of the folder."""
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """With --materials: the light of the photographs that was found, .exr or .hdr; without: NAME.environment.exr beside
-    the capture NAME.ply, if it is there."""
+    """With --materials: read the environment that was found, .exr or .hdr."""
     samples: Annotated[int | None, setting("N", "64")] = None
     """With --materials: samples a pixel of relit pictures."""
 

@@ -36,8 +36,7 @@ class Train(DeviceCommand):
     """
 
     folder: Positional[Annotated[Path, arg(metavar="FOLDER")]]
-    """Photographs with a transforms.json (nerfstudio, instant-ngp), a transforms_train.json (Blender) or a sparse model
-    of COLMAP."""
+    """Read images with transforms.json, transforms_train.json or a COLMAP model."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FILE")]
     """The capture: .ply or .spz."""
     iterations: Annotated[int, arg(metavar="N")] = 7000
@@ -45,29 +44,25 @@ class Train(DeviceCommand):
     cap: Annotated[int, arg(metavar="N")] = 100_000
     """Gaussians, at most."""
     hold_out: Annotated[int, arg(metavar="N")] = 8
-    """Each so many photographs, one is not learnt from, but measured with; 0: none."""
+    """Hold out every N-th image for evaluation; 0 disables."""
     scale: Annotated[float, arg(metavar="SHARE")] = 1.0
-    """Size of the photographs, as a share of that of the files, above 0, at most 1."""
+    """Scale the images, above 0 to 1."""
     poses: Annotated[
         Literal["colmap", "colmap-film"] | None, arg(metavar="{colmap,colmap-film}", help_behavior_hint="")
     ] = None
-    """Find poses first, if the folder has none: of photographs that see each other in any order, or of the frames of a
-    film (pip install 'lumisplat[poses]')."""
+    """Find missing poses first; needs pip install 'lumisplat[poses]'."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
-    """Behind the Gaussians and what is transparent in photographs: a name, "#rrggbb", r,g,b, or random, another one in
-    each step (measured over black)."""
+    """Fill the background: a name, #rrggbb, r,g,b, or random."""
     densification: Literal["mcmc", "adaptive"] = "mcmc"
     """How Gaussians come and go: as samples, up to --cap, or where the loss pulls."""
     sh_degree: Annotated[int, arg(metavar="0-3")] = 3
     """How much colours may change with the direction of view."""
     pipeline: Literal["raster", "trace"] = "raster"
-    """What draws the Gaussians while they are learnt: splats, or rays, which are several times slower, and see through
-    fisheyes and lenses that distort as they are."""
+    """Train by splats, or by rays, slower and exact for any lens."""
     projection: Literal["ewa", "unscented"] = "ewa"
-    """How --pipeline raster sees Gaussians: as ellipses, or along the rays of fisheyes and lenses that distort, which
-    then stay as they are."""
+    """Rasterise by ellipses, or along the rays of any lens."""
     kernel_degree: Annotated[int, arg(metavar="0..5")] = 2
-    """How steeply Gaussians end: 2 is that of a Gaussian, others are of --pipeline trace and of .ply alone."""
+    """Train Gaussians of this kernel; others than 2 need --pipeline trace."""
     antialiased: Flag = False
     """Compensate opacities for the width of pixels (Mip-Splatting)."""
     exposures: Flag = False
@@ -75,19 +70,17 @@ class Train(DeviceCommand):
     refine_poses: Flag = False
     """Learn the poses, too: for those that are a little off."""
     relightable: Flag = False
-    """Then find albedo, roughness and normals of the Gaussians, and the sky, which is written as
-    NAME.environment.exr (docs/guide/relightable.md). Unless one of them is given, --flatness is 0.3,
-    --normals 0.05 and --depth-spread 0.3; with --flatness 0 alone, none of them counts."""
+    """Find albedo, roughness, normals and the environment after training."""
     material_steps: Annotated[int, arg(metavar="N")] = 300
     """Steps of --relightable that refine materials by a photograph each."""
     flatness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """For relighting: how much it counts that Gaussians are flat; try 0.3."""
     normals: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """For relighting: how much it counts that Gaussians lie on surfaces; try 0.05. A step takes twice as long."""
+    """Weight normals, so that Gaussians lie on surfaces; try 0.05."""
     depth_spread: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """For relighting: how much it counts that surfaces are thin; try 0.3."""
     prune_below: Annotated[float, arg(metavar="WEIGHT")] = 0.01
-    """At the end, remove Gaussians that never show with so much weight in a pixel of a photograph, 0..1."""
+    """Remove Gaussians of less weight in every pixel at the end."""
     seed: Annotated[int, arg(metavar="N")] = 0
     """Of everything that is random: the same seed gives the same capture."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None

@@ -1,7 +1,8 @@
-"""Options of a camera of one's own: where it stands, what it looks at, and which way is up."""
+"""Options of a camera: where it stands, what it looks at, which way is up, and its lens."""
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,11 +11,16 @@ from typing import Annotated, Any
 from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.numbers import vector
+from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.settings import given_options, setting
-from lumisplat.cli.options.up import UpOption, parse_up, upright
+from lumisplat.cli.output.console import spoken_up
+
+_log = logging.getLogger("lumisplat")
 
 _WIDTH, _HEIGHT = 1280, 720
+
+UpOption = Annotated[str, arg(metavar="AXIS|X,Y,Z", help_behavior_hint="(default: auto)")]
+"""An axis such as ``y-down``, a direction, or ``auto``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,22 +28,19 @@ class ViewpointOptions:
     """Arguments of `lumisplat.Camera.look_at` and `lumisplat.frame_camera`."""
 
     eye: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
-    """Look from here, in place of the cameras of files."""
-    target: Annotated[
-        str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: what the first view sees, or the middle)")
-    ] = None
+    """Look from this point, in place of the cameras of files."""
+    target: Annotated[str | None, setting("X,Y,Z", "what the first view sees, or the middle")] = None
     """Look at this point."""
     azimuth: Annotated[float | None, setting("DEGREES", "0")] = None
-    """Look from this side instead: 0 is the first view of a capture, else the front, 90 the right, 180 the back."""
+    """Look from this side: 0 front or first view, 90 right, 180 back."""
     elevation: Annotated[float | None, setting("DEGREES", "first view's or 11.5")] = None
-    """From this far above the horizon, -90 to 90; 90 looks straight down."""
+    """Look from this angle above the horizon, -90 to 90."""
     distance: Annotated[float | None, setting("UNITS", "first view's or all is seen")] = None
-    """From this far away from the target."""
+    """Look from this distance to the target, in scene units."""
     fov: Annotated[float | None, setting("DEGREES", "first view's or 45.8")] = None
-    """Vertical field of view; less is a longer lens."""
+    """Set the vertical field of view, 0 to 180."""
     up: UpOption = "auto"
-    """Which way is up: y-down, y-up, z-up, z-down, x-up, x-down or a direction. auto: as the scene.toml or
-    the capture says, else y down with a capture, y up for meshes alone. Also for --environment."""
+    """Set the up direction: y-down, y-up, z-up and so on, or a vector."""
 
     @property
     def is_given(self) -> bool:
@@ -143,5 +146,72 @@ class ViewpointOptions:
         return x, y, z
 
 
-ViewpointGroup = Annotated[ViewpointOptions, arg(name="viewpoint"), OmitArgPrefixes]
+ViewpointGroup = Annotated[ViewpointOptions, arg(name="camera"), OmitArgPrefixes]
 """A field of a command that shows its options in a group of their own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions(ViewpointOptions):
+    """A viewpoint, with the aperture of `lumisplat.Camera` and the pixel of `lumisplat.focused`."""
+
+    aperture: Annotated[float | None, setting("UNITS", "the camera's or 0")] = None
+    """Set the radius of the lens: what is not in focus is blurred."""
+    focus: Annotated[str | None, setting("X,Y", "on the target")] = None
+    """Focus on what this pixel shows, counted from the upper left, 0,0."""
+
+    def pixel(self) -> tuple[int, int] | None:
+        """The pixel of --focus; None: none was given.
+
+        Raises:
+            ConfigError: It is not two whole numbers.
+        """
+        if self.focus is None:
+            return None
+        x, y = numbers("--focus", self.focus, 2, "320,180")
+        if x != int(x) or y != int(y):
+            raise ls.ConfigError(f"--focus is '{self.focus}', expected the column and the row of a pixel")
+        return int(x), int(y)
+
+    def _given(self) -> list[str]:
+        return [option for option in super()._given() if option not in ("--aperture", "--focus")]
+
+
+CameraGroup = Annotated[CameraOptions, arg(name="camera"), OmitArgPrefixes]
+"""The same, with the lens."""
+
+
+def upright(scene: ls.Scene, up: str) -> ls.Scene:
+    """The scene, with up as the option says.
+
+    Raises:
+        ConfigError: The option is no direction.
+    """
+    direction = parse_up(up)
+    return scene if direction is None else replace(scene, up=direction)
+
+
+def say_guessed_up(scene: ls.Scene) -> None:
+    """Logs a line if which way is up in a scene with captures is a guess, for those who use it."""
+    if scene.splats and scene.up_source == "guess":
+        said = "which way is up, no file says: %s is a guess; --up says it, lumisplat convert --level finds it"
+        _log.warning(said, spoken_up(scene.up_direction))
+
+
+def parse_up(text: str) -> str | tuple[float, float, float] | None:
+    """Up as `lumisplat.Scene` takes it; None: the scene's own.
+
+    Raises:
+        ConfigError: It is no direction.
+    """
+    if text == "auto":
+        return None
+    if text in ls.Scene.UP_NAMES:
+        return text
+    try:
+        direction = vector("--up", text)
+    except ls.ConfigError:
+        axes = ", ".join(ls.Scene.UP_NAMES)
+        raise ls.ConfigError(f"--up is '{text}', expected auto, {axes}, or a direction such as 0,-1,0.2") from None
+    if not any(direction):
+        raise ls.ConfigError(f"--up is '{text}', expected a direction")
+    return direction

@@ -1,0 +1,136 @@
+"""Laws of the options: how many there are, how long their help is, and that --set reaches every setting."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields, is_dataclass
+from typing import Any, get_args
+
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli import _Command, main
+from lumisplat.cli.commands.animate import Animate
+from lumisplat.cli.commands.render import Render
+from lumisplat.cli.input.positionals import options_of
+from lumisplat.cli.options import moved
+from lumisplat.cli.options.settings import LIGHTING
+from lumisplat.io import change_config
+
+COMMANDS = {named.name: kind for kind, named in map(get_args, get_args(_Command))}
+HELP_WORDS = 15
+"""The most words that the help of an option has, without its default."""
+
+
+def settings(config: Any, prefix: str = "") -> list[tuple[str, Any]]:
+    """The names of all settings, with their values."""
+    found: list[tuple[str, Any]] = []
+    for field in fields(config):
+        value = getattr(config, field.name)
+        found += settings(value, f"{prefix}{field.name}.") if is_dataclass(value) else [(prefix + field.name, value)]
+    return found
+
+
+def option_helps(command: str, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
+    """The help of each option of a command, from what --help prints."""
+    assert main([*command.split(), "--help"]) == 0
+    found: dict[str, str] = {}
+    name = ""
+    for shown in re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).splitlines():
+        row = shown.strip("│").removeprefix(" ").rstrip()
+        if match := re.match(r" ?(-\w \S+, )?(--[\w-]+)( \S+)?(.*)", row):
+            name = match[2]
+            found[name] = match[4]
+        elif row.startswith("    ") and name:
+            found[name] += " " + row
+        else:
+            name = ""
+    return found
+
+
+def test_render_has_at_most_40_options() -> None:
+    """Beside --help; what else a frame can be is a setting."""
+    assert len(options_of(Render)) <= 40
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "farm"])
+def test_help_of_an_option_is_short(command: str, capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
+    """At most 15 words beside the default: what needs more belongs in the guide."""
+    monkeypatch.setenv("COLUMNS", "100")
+    helps = option_helps(command, capsys)
+    assert {*options_of(COMMANDS[command])} <= helps.keys()
+    for option, text in helps.items():
+        words = re.sub(r"\((default: .*|repeatable)\)", "", text).split()
+        assert len(words) <= HELP_WORDS, (option, text)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), settings(ls.RenderConfig()), ids=lambda one: one if isinstance(one, str) else ""
+)
+def test_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
+    """Each may be named, by its key in a scene file, and has the value that was given."""
+    text = {"samples": "3", "time_limit": "2.5", "noise": "0.5", "background": "white", "aovs": "albedo"}.get(name)
+    text = text or ("auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower())
+    config = Render(changes=(f"{name}={text}",)).pipeline_config(ls.RenderConfig())
+    assert config == change_config(ls.RenderConfig(), name, text)
+    if name in ("samples", "time_limit", "noise", "background", "aovs"):
+        assert config != ls.RenderConfig()
+    else:
+        assert config == ls.RenderConfig()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), settings(ls.AvatarLightingConfig()), ids=lambda one: one if isinstance(one, str) else ""
+)
+def test_set_reaches_every_setting_of_the_light_of_actors(name: str, value: Any) -> None:
+    """By its key in the scene file, behind those of its tables."""
+    text = "auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower()
+    command = Animate(scene="a.toml", changes=(f"{LIGHTING}{name}={text}",))  # pyright: ignore[reportArgumentType]
+    assert command.changed(ls.AvatarLightingConfig(), LIGHTING) == ls.AvatarLightingConfig()
+    assert not command.set_values()
+
+
+def test_set_changes_one_setting_and_no_other() -> None:
+    """Those of its group stay as the scene file has them."""
+    base = ls.RenderConfig(trace=ls.TraceConfig(sh_degree=1))
+    config = Render(changes=("trace.hits_per_pass=8", "render.seed=3")).pipeline_config(base)
+    assert config == ls.RenderConfig(seed=3, trace=ls.TraceConfig(sh_degree=1, hits_per_pass=8))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("hits_per_pass=8", "did you mean trace.hits_per_pass?"),
+        ("trace.hits_per_pas=8", "did you mean trace.hits_per_pass?"),
+        ("trace.hits_per_pass=9", "hits_per_pass is 9, expected 4, 8, 16 or 32"),
+        ("trace.hit_distance=peek", "hit_distance is 'peek', did you mean 'peak'?"),
+        ("trace=8", "there is no setting 'trace'"),
+        ("samples", "expected NAME=VALUE, such as trace.hits_per_pass=8"),
+        ("jitter=maybe", "jitter is 'maybe', expected true or false"),
+    ],
+)
+def test_mistakes_of_set_are_one_line(text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """It names what was typed, and what is meant."""
+    assert main(["render", "a.ply", "--set", text]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: --set {text}: ") and message in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("option", [*moved._SETTINGS, *moved._OPTIONS])
+def test_an_option_that_moved_is_answered_by_what_is_typed_now(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """In one line, which render or animate takes."""
+    assert main(["animate" if option in ("--direct", "--gamma") else "render", "a.toml", option, "8"]) == 2
+    error = capsys.readouterr().err
+    assert re.match(rf"error: {option} is (a setting|now)[: ]", error) and error.count("\n") == 1
+    known = {name for name, _ in settings(ls.RenderConfig())} | {"meshes.crease_angle_degrees"}
+    known |= {LIGHTING + name for name, _ in settings(ls.AvatarLightingConfig())}
+    for name in re.findall(r"--set ([\w.]+)=", error):
+        assert name in known
+    for typed in re.findall(r"(--[a-z-]+)", error.partition(" is ")[2]):
+        assert typed in options_of(Render)
+
+
+def test_options_of_other_commands_stay(capsys: pytest.CaptureFixture[str]) -> None:
+    """An option of the same name is not taken for one that moved."""
+    assert main(["convert", "missing.ply", "out.ply", "--sh-degree", "2"]) == 2
+    assert "is a setting" not in capsys.readouterr().err
