@@ -213,9 +213,8 @@ def test_other_settings_do_not_mix(work, option):
     before = frames(work, "frames")
     refused = animate(work, "frames", option)
     assert refused.status == 2 and refused.err.count("\n") == 1
-    name = option.strip("-").partition("=")[0]
-    of_actors = ("no-shadows", "no-relight", "no-sun-on-actors", "direct")
-    changed = "actors." + name.removeprefix("no-").replace("-", "_") if name in of_actors else name
+    name = option.removeprefix("--set=").strip("-").partition("=")[0]
+    changed = name.replace("animation.lighting.", "actors.")
     assert f"holds frames of other settings or files ({changed}): give --overwrite" in refused.err
     assert frames(work, "frames") == before
     assert animate(work, "frames", option, "--frames", "1:2", "--overwrite").status == 0

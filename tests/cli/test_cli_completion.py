@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import pytest
 
-import lumisplat as ls
 from lumisplat import cli
-from lumisplat.cli.commands.machine.completion_scripts import SCRIPTS, command_words, script_for
+from lumisplat.cli.commands.machine.completion import FILES
 from lumisplat.cli.input.positionals import gathered_positionals
 
 _CASES = (
     (("re",), ["relight", "render"]),
-    (("render", "--shadow-me"), ["--shadow-method"]),
+    (("render", "--camera-p"), ["--camera-path"]),
     (("render", "a.ply", "--pipeline", "tr"), ["trace"]),
     (("completion", "--de"), ["--debug"]),
     (("farm", "a"), ["animate"]),
     (("farm", "animate", "--workers"), ["--workers"]),
     (("farm", "render", "a.ply", "--pipeline", "tr"), ["trace"]),
     (("animate", "--workers"), []),
-    (("completion", "z"), ["zsh"]),
-    (("completion", ""), ["bash", "fish", "zsh"]),
-    (("render", "a.ply", "--aov", "gau"), ["gaussian_index"]),
-    (("farm", "render", "a.ply", "--aov", "depth,gau"), ["depth,gaussian_index"]),
-    (("metrics", "a.png", "b.png", "--metrics", "ms"), ["ms-ssim"]),
 )
 """What has been typed, and what it is completed to."""
+
+
+@pytest.fixture(scope="module")
+def scripts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The script of each shell, as the command prints it."""
+    folder = tmp_path_factory.mktemp("scripts")
+    for shell in FILES:
+        command = [sys.executable, "-m", "lumisplat", "completion", shell]
+        (folder / shell).write_bytes(subprocess.run(command, check=True, capture_output=True).stdout)
+    return {shell: folder / shell for shell in FILES}
 
 
 def needs(shell: str) -> None:
@@ -40,11 +46,13 @@ def needs(shell: str) -> None:
 
 
 def completed_by_bash(words: tuple[str, ...], script: Path) -> list[str]:
-    """What bash completes the last word to."""
+    """What bash completes the last word to; nothing: it completes file names."""
     quoted = " ".join(f"'{word}'" for word in ("lumisplat", *words))
     line = f"source {script}; COMP_WORDS=({quoted}); COMP_CWORD={len(words)}; _lumisplat; "
-    line += 'printf "%s\\n" "${COMPREPLY[@]}"'
-    return subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=True).stdout.split()
+    line += 'printf "%s\\n" "${COMPREPLY[@]}"; complete -p lumisplat >&2'
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=True)
+    assert "-o default" in done.stderr
+    return done.stdout.split()
 
 
 def completed_by_fish(words: tuple[str, ...], script: Path) -> list[str]:
@@ -55,59 +63,57 @@ def completed_by_fish(words: tuple[str, ...], script: Path) -> list[str]:
 
 
 @pytest.mark.parametrize(("shell", "completed"), [("bash", completed_by_bash), ("fish", completed_by_fish)])
-def test_commands_options_and_values(tmp_path: Path, shell: str, completed) -> None:
-    """Of each command its own; file names stay the shell's."""
+def test_commands_options_and_values(scripts: dict[str, Path], shell: str, completed) -> None:
+    """Of each command its own."""
     needs(shell)
-    script = tmp_path / "script"
-    script.write_text(script_for(shell))
     for words, expected in _CASES:
-        assert completed(words, script) == expected
-    assert completed(("render", str(tmp_path / "scr")), script) in ([], [str(script)])
+        assert sorted(completed(words, scripts[shell])) == expected
 
 
-def test_zsh_reads_it() -> None:
-    """Without a word, and knows the command then."""
+@pytest.mark.parametrize("before", [("render",), ("render", "--cameras"), ("info", "a.ply"), ("animate",)])
+def test_files_complete_as_the_shell_does(scripts: dict[str, Path], before: tuple[str, ...]) -> None:
+    """Where a file is meant, also at an empty word: bash has the names of tyro, or none and its own then."""
+    needs("bash")
+    start = str(scripts["bash"])[:-2]
+    assert completed_by_bash((*before, start), scripts["bash"]) in ([], [str(scripts["bash"])])
+    assert not [one for one in completed_by_bash((*before, ""), scripts["bash"]) if one.startswith("-")]
+
+
+def test_zsh_reads_it(scripts: dict[str, Path]) -> None:
+    """Without a mistake of grammar."""
     needs("zsh")
-    line = f"{script_for('zsh')}\nprint $_comps[lumisplat]"
-    done = subprocess.run(["zsh", "-f", "-c", line], capture_output=True, text=True, check=True)
-    assert "_lumisplat" in done.stdout and not done.stderr
+    done = subprocess.run(["zsh", "-n", scripts["zsh"]], capture_output=True, text=True, check=True)
+    assert not done.stderr
 
 
-def test_all_commands_are_there(capsys: pytest.CaptureFixture[str]) -> None:
-    """In the script of every shell; the command prints it."""
-    from lumisplat.cli import main
-
-    for shell in SCRIPTS:
-        assert main(["completion", shell]) == 0
-        script = capsys.readouterr().out
-        assert all(name in script for name in ("render", "doctor", "shadow-method", "hybrid"))
+def test_all_commands_are_there(scripts: dict[str, Path]) -> None:
+    """In the script of every shell."""
+    for script in scripts.values():
+        text = script.read_text()
+        assert all(name in text for name in ("render", "doctor", "camera-path", "hybrid"))
 
 
-def test_files_may_stand_between_options() -> None:
+def options_with_values(command: dict[str, Any], name: str) -> Iterator[tuple[str, str, bool]]:
+    """Command, option, and whether a value follows it, as tyro knows them."""
+    for option in command["options"]:
+        yield from ((name, flag, option["type"] != "flag") for flag in option["flags"])
+    for inner, found in command["subcommands"].items():
+        yield from options_with_values(found, f"{name} {inner}".strip())
+
+
+def test_files_may_stand_between_options(scripts: dict[str, Path]) -> None:
     """In every command: what follows a flag is a file, what follows another option is its value."""
-    table = command_words(
-        subprocess.run(
-            [sys.executable, "-m", "lumisplat", "--tyro-print-completion", "bash"],
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout
-    )
     kinds = cli._commands(cli._Command)
     farmed = cli._commands(get_args(get_type_hints(kinds.pop("farm"), include_extras=True)["what"])[0])
-    for name, kind in (kinds | {f"farm {name}": kind for name, kind in farmed.items()}).items():
-        words = table[name]
-        for option in words.options:
-            given = gathered_positionals(["a", option, "b", "c"], kind)
-            values = 1 if option in words.choices else 0
-            expected = ["a", *("b", "c")[values:], option, *("b",)[:values]]
+    kinds |= {f"farm {name}": kind for name, kind in farmed.items()}
+    line = next(line for line in scripts["bash"].read_text().splitlines() if line.startswith("COMPLETION_SPEC = "))
+    listed = list(options_with_values(ast.literal_eval(line.partition(" = ")[2]), ""))
+    assert len(listed) > 400
+    for name, option, has_value in listed:
+        if name in kinds:
+            given = gathered_positionals(["a", option, "b", "c"], kinds[name])
+            expected = ["a", *("b", "c")[has_value:], option, *("b",)[:has_value]]
             assert given == expected or option == "--objects", (name, option)
     typed = ["render", "a.ply", "--lod", "3", "b.obj", "--stats", "c.obj", "-o", "x.png"]
     assert cli._arguments(typed) == ["render", "a.ply", "b.obj", "c.obj", "--lod", "3", "--stats", "-o", "x.png"]
     assert cli._arguments(["dataset", "a", "--objects", "b", "c"]) == ["dataset", "a", "--objects", "b", "c"]
-
-
-def test_another_tyro_is_told() -> None:
-    """Whose scripts have no table of options."""
-    with pytest.raises(ls.ConfigError, match="this version of tyro"):
-        command_words("complete -F _tyro lumisplat")

@@ -107,7 +107,7 @@ def test_cameras_and_environments_of_options(work) -> None:
         (("--objects", "@lost.glb"), "lost.glb: no such file"),
         (("--settings", "@lost.toml"), "lost.toml: no such file"),
         (("--eye", "1,2,3"), "--eye is of one camera, and views are random"),
-        (("--path", "@cameras.json"), "--path is of one camera"),
+        (("--camera-path", "@cameras.json"), "--camera-path is of one camera"),
         (("--pipeline", "realtime"), "--pipeline realtime is of frames that follow from each other"),
         (("--frames", "100"), "'100' is not among them"),
         (("-o", "-"), "frames are many: give a folder"),

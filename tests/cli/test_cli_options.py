@@ -134,3 +134,13 @@ def test_options_of_other_commands_stay(capsys: pytest.CaptureFixture[str]) -> N
     """An option of the same name is not taken for one that moved."""
     assert main(["convert", "missing.ply", "out.ply", "--sh-degree", "2"]) == 2
     assert "is a setting" not in capsys.readouterr().err
+
+
+def test_the_help_shows_all_commands_on_a_screen(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each once, in a group, with the first line of its docstring."""
+    assert main(["--help"]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) <= 45 and [row for row in rows if row in ("look", "light", "make", "convert", "farm", "about")]
+    for name, kind in COMMANDS.items():
+        (row,) = (row for row in rows if row.split()[:1] == [name] and row.startswith("  "))
+        assert row.split(maxsplit=1)[1] == (kind.__doc__ or "").splitlines()[0] and len(row) <= 120

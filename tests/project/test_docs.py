@@ -11,6 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli import main
+from lumisplat.io import change_config
 from support.files.photograph_files import ring_cameras, write_transforms_photographs
 from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import streamed
@@ -165,3 +166,8 @@ def test_options_of_the_docs_exist(command, capsys):
     listed = capsys.readouterr().out
     for option in re.findall(r"(?<=\s)--?[a-z][a-z-]*", command):
         assert option in listed
+    for name, value in re.findall(r"--set ([a-z][\w.]*)=(\S+)", command):
+        if name.startswith("animation.lighting."):
+            change_config(ls.AvatarLightingConfig(), name.removeprefix("animation.lighting."), value)
+        elif not name.startswith("meshes."):
+            change_config(ls.RenderConfig(), name, value)

@@ -1,15 +1,17 @@
-"""The command line: ``lumisplat render | view | orbit | animate | info | convert | demo | bench | metrics`` and more.
+"""The command line: ``lumisplat COMMAND``, whose commands ``lumisplat --help`` shows in groups.
 
 It uses public names of the package only. A user's mistake ends as one line on standard error and exit status 2.
 """
 
 from __future__ import annotations
 
+import contextlib
+import inspect
 import io
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, Union, get_args, get_type_hints
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, subcommand
@@ -49,73 +51,25 @@ from lumisplat.cli.words import logging_in_shell_words, shell_words
 
 join_lines_of_docstrings()
 
-_DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.
+_DESCRIPTION = "Lights 3D Gaussian captures and meshes, on the CPU or a CUDA GPU."
 
-A scene to look at, nothing to download: lumisplat demo -o out
+_EXAMPLES = """  lumisplat demo -o out                        a scene to look at, nothing to download
+  lumisplat view garden.ply                    in a browser, to fly through, edit and light
+  lumisplat render scene.toml --pipeline path --samples 64 -o lit.png"""
 
-A first look at a capture: lumisplat render garden.ply -o garden.png
+_GROUPS: dict[str, tuple[type[Any], ...]] = {
+    "look": (Render, View, Orbit, Animate, Info),
+    "light": (Fit, Relight, Delight, Bake, ShadowMap),
+    "make": (Frames, Train, Dataset, Demo),
+    "convert": (Convert, Export, Blocks),
+    "farm": (Farm,),
+    "about": (Bench, Metrics, Evaluate, Doctor, Completion),
+}
+"""The commands, whose names are those of their classes, in the groups of ``lumisplat --help``."""
 
-In a browser, to fly through, edit and light: lumisplat view garden.ply
-
-Once round it, as a video: lumisplat orbit garden.ply --video orbit.mp4
-
-A picture for each camera: lumisplat render garden.ply --cameras transforms.json -o out
-
-A capture of photographs with poses: lumisplat train fox/ -o fox.ply
-
-Photographs of a film, for this: lumisplat frames walk.mp4 -o walk
-
-Rays, with mirrors and glass: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png
-
-Lights, soft shadows: lumisplat render scene.toml --pipeline hybrid --shadows soft --samples 32 -o view.png
-
-Avatars that walk through a capture: lumisplat animate scene.toml -o frames --video walk.mp4
-
-The same by several processes, or on a cluster: lumisplat farm animate scene.toml --workers 4 -o frames
-
-Training data: views from random places, with layers: lumisplat dataset scene.toml --views 1000 -o set
-
-An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o relit.ply
-
-A capture without its own light, to be lit anew: lumisplat delight garden.ply -o garden.relit.ply
-
-A lit scene as a capture for every viewer: lumisplat bake scene.toml -o baked.ply
-
-The lights of a room from a photograph: lumisplat fit room.toml photo.jpg --camera door -o fitted.toml
-
-A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 5 --decimate 25% -o middle.spz
-
-A capture larger than memory, for views that load what they see: lumisplat blocks city.ply -o city
-
-A whole scene for other programs: lumisplat export scene.toml -o scene.glb
-
-What this machine has, and what is missing: lumisplat doctor"""
-
-_Command = (
-    Annotated[Render, subcommand("render")]
-    | Annotated[View, subcommand("view")]
-    | Annotated[Orbit, subcommand("orbit")]
-    | Annotated[Frames, subcommand("frames")]
-    | Annotated[Train, subcommand("train")]
-    | Annotated[Animate, subcommand("animate")]
-    | Annotated[Farm, subcommand("farm")]
-    | Annotated[Dataset, subcommand("dataset")]
-    | Annotated[Info, subcommand("info")]
-    | Annotated[Convert, subcommand("convert")]
-    | Annotated[Blocks, subcommand("blocks")]
-    | Annotated[Export, subcommand("export")]
-    | Annotated[Demo, subcommand("demo")]
-    | Annotated[Bench, subcommand("bench")]
-    | Annotated[Metrics, subcommand("metrics")]
-    | Annotated[Evaluate, subcommand("evaluate")]
-    | Annotated[Fit, subcommand("fit")]
-    | Annotated[Relight, subcommand("relight")]
-    | Annotated[Delight, subcommand("delight")]
-    | Annotated[Bake, subcommand("bake")]
-    | Annotated[ShadowMap, subcommand("shadowmap")]
-    | Annotated[Doctor, subcommand("doctor")]
-    | Annotated[Completion, subcommand("completion")]
-)
+_Command: Any = Union[  # noqa: UP007, as its members are computed
+    tuple(Annotated[kind, subcommand(kind.__name__.lower())] for kinds in _GROUPS.values() for kind in kinds)
+]
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -138,21 +92,35 @@ def main(args: Sequence[str] | None = None) -> int:
     if args == ["--version"]:
         print(f"lumisplat {ls.__version__}")
         return 0
+    if args in ([], ["-h"], ["--help"]):
+        print(_help())
+        return 0
     try:
         with panels_as_errors():
-            command = tyro.cli(
-                _Command,  # pyright: ignore[reportArgumentType]
-                args=_arguments(args) or ["--help"],
-                prog="lumisplat",
-                description=_DESCRIPTION,
-                config=(FlagCreatePairsOff,),
-            )
+            command = _parsed(_arguments(args))
     except ArgumentsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except SystemExit:  # after the help
         return 0
+    if isinstance(command, Completion):
+        with contextlib.suppress(SystemExit):
+            _parsed(["--tyro-print-completion", command.shell])
     return _run(command.what if isinstance(command, Farm) else command)
+
+
+def _parsed(args: Sequence[str]) -> Any:
+    """The command that arguments ask for; leaves the process by SystemExit after a help or a mistake."""
+    return tyro.cli(_Command, args=args, prog="lumisplat", description=_DESCRIPTION, config=(FlagCreatePairsOff,))
+
+
+def _help() -> str:
+    """The screen that shows all commands in groups, each with the first line of its docstring."""
+    rows = [f"usage: lumisplat COMMAND ...\n\n{_DESCRIPTION}\n"]
+    for group, kinds in _GROUPS.items():
+        lines = (f"  {kind.__name__.lower():<12}{(inspect.getdoc(kind) or '').splitlines()[0]}" for kind in kinds)
+        rows.append("\n".join([group, *lines]))
+    return "\n".join([*rows, f"\nexamples\n{_EXAMPLES}", "\nlumisplat COMMAND --help explains a command."])
 
 
 def _arguments(args: Sequence[str]) -> list[str]:

@@ -207,5 +207,6 @@ def test_every_option_of_pictures_is_in_their_manifest(work) -> None:
     assert render(work, "out", "--resume", "--format", "exr").status == 0
     stamp = json.loads(work.path("out/render.json").read_text())
     options = {field.name for field in fields(Render) if not is_dataclass(field.default_factory)}
-    missing = options - stamp.keys() - {"viewpoint", "lens", "rays", "light"}
-    assert missing == {"output", "resume", "frames", "tiles", "debug", "stats"}
+    missing = options - stamp.keys() - {"viewpoint", "light"}
+    assert missing == {"output", "resume", "frames", "tiles", "debug", "stats", "changes"}
+    assert {"trace.hits_per_pass", "seed", "crease_angle"} <= stamp.keys()  # which --set changes

@@ -29,8 +29,9 @@ from lumisplat.cli.output.standard_output import refuse_standard_output
 
 @dataclass(frozen=True, kw_only=True)
 class Animate(FrameCommand):
-    """Render an animated scene, frame by frame: actors cast shadows onto captures, and take on their light.
+    """Render the frames of an animated scene, and a video of them.
 
+    Actors cast shadows onto captures, and take on their light.
     After an interruption, the same command continues: frames that are there stay.
     """
 

@@ -39,7 +39,7 @@ class _SteadyFrames:
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(PlacingCommand, DeviceCommand, PipelineCommand):
-    """Time loading, the first frame and steady frames of your scene, or of the demo.
+    """Time loading, the first frame and steady frames of a scene.
 
     Every frame is of the same camera: the first of the file, or the one that render takes when it is given none. Times
     are medians. The benchmarks against other renderers are `make bench` in the repository.

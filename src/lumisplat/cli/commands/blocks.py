@@ -23,7 +23,7 @@ _LEVEL_SHARE = 1.34
 
 @dataclass(frozen=True, kw_only=True)
 class Blocks(LoadingCommand):
-    """Write captures in blocks of space, so that views load what they see: for captures larger than memory.
+    """Write a capture larger than memory in blocks of space.
 
     A city, a file a district: lumisplat blocks north.ply south.ply -o city
 

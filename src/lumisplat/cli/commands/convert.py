@@ -24,7 +24,9 @@ _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(LevelsCommand):
-    """Write captures anew: .ply, .glb, .usdz (exact), .compressed.ply, .spz, .sog (small). Several are joined.
+    """Convert, cut, clean, thin and join captures.
+
+    Formats: .ply, .glb, .usdz (exact), .compressed.ply, .spz, .sog (small). Several captures are joined.
 
     Smaller: lumisplat convert garden.ply garden.spz
 

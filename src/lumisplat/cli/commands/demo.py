@@ -16,7 +16,7 @@ from lumisplat.cli.output.pictures import check_writable, make_folder, plan_shot
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(DeviceCommand):
-    """Build the demo scene and render it, as captured and lit anew. Nothing is downloaded."""
+    """Render the demo scene; nothing is downloaded."""
 
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("out")
     """Write the images into this folder."""

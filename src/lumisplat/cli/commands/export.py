@@ -20,7 +20,7 @@ from lumisplat.cli.output.pictures import check_folder
 
 @dataclass(frozen=True, kw_only=True)
 class Export(PlacingCommand):
-    """Write a scene for other programs: captures, meshes with their materials, lights and cameras in one file.
+    """Write a scene for other programs, as glTF or OpenUSD.
 
     For viewers on the web, Blender, engines: lumisplat export scene.toml -o scene.glb
 

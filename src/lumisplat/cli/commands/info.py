@@ -28,7 +28,7 @@ _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
 @dataclass(frozen=True, kw_only=True)
 class Info(LevelsCommand):
-    """Show what is in captures, meshes, scenes, camera files and environment images."""
+    """Show what is in captures, meshes, scenes, cameras and images."""
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]] = ()
     """Read captures, meshes, scenes, camera files or environment images."""

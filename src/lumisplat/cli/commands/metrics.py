@@ -37,7 +37,7 @@ _OF_LIGHT = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
 
 @dataclass(frozen=True, kw_only=True)
 class Metrics(LoadingCommand):
-    """Compare pictures with references, or an avatar's light with a scene's.
+    """Compare images with references, or the light of captures.
 
     What can be compared is; for the rest, a line says what is missing.
     """

@@ -55,7 +55,7 @@ class _Pictures:
 
 @dataclass(frozen=True, kw_only=True)
 class Render(ViewsCommand, FrameCommand):
-    """Render a scene to pictures."""
+    """Render a scene to images."""
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """Captures, meshes, glTF and OpenUSD scenes, or a scene.toml; several make one scene."""

@@ -24,7 +24,7 @@ _CAPTURES = (".ply", ".spz")
 
 @dataclass(frozen=True, kw_only=True)
 class ShadowMap(PlacingCommand, DeviceCommand):
-    """Cast shadows of avatars and objects onto a capture, and save it with them."""
+    """Bake the shadows of avatars and objects into a capture."""
 
     casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
     """Read what casts shadows: captures, meshes, or a scene.toml."""

@@ -21,7 +21,9 @@ from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_outpu
 
 @dataclass(frozen=True, kw_only=True)
 class Bake(PlacingCommand, DeviceCommand, SetCommand):
-    """Write the splat sets of a scene as a capture of how they look in its light, shadows and bounces included.
+    """Write a lit scene as a capture that every viewer shows.
+
+    The result has the splat sets as they look in its light, shadows and bounces included.
 
     Every viewer of captures shows it. Meshes and lights do their part, and are not in it.
     First try: lumisplat bake scene.toml -o baked.ply

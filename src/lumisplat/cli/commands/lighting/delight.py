@@ -21,10 +21,11 @@ _INSIDE = {"auto": None, "yes": True, "no": False}
 
 @dataclass(frozen=True, kw_only=True)
 class Delight(LevelsCommand, DeviceCommand):
-    """Find what a capture is made of without the light in which it was taken. No photographs are needed.
+    """Find the materials of a capture, without its captured light.
 
-    The result has an albedo, a normal and a roughness for each Gaussian beside its captured colours: lights of a scene
-    then shine on it as on a mesh. First try: lumisplat delight garden.ply -o garden.relit.ply
+    No images are needed. The result has an albedo, a normal and a roughness for each Gaussian beside its captured
+    colours: lights of a scene then shine on it as on a mesh.
+    First try: lumisplat delight garden.ply -o garden.relit.ply
 
     Minutes for 100,000 Gaussians, more the fuzzier they are; --cells 8 takes half of it. Captures with harmonics (info
     tells their degree) also give their roughness by highlights; it is 0.8 where nothing tells.

@@ -27,7 +27,7 @@ _PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
 
 @dataclass(frozen=True, kw_only=True)
 class Fit(LoadingCommand, DeviceCommand, SetCommand):
-    """Find the lights of a scene from photographs of it.
+    """Find the lights of a scene from images of it.
 
     What is put into the scene then has the photograph's light: lumisplat fit room.toml photo.jpg --camera door
     -o fitted.toml

@@ -26,7 +26,7 @@ _GAMMA_MAX = 1000.0
 
 @dataclass(frozen=True, kw_only=True)
 class Relight(PlacingCommand, DeviceCommand, SetCommand):
-    """Relight a captured avatar or object by the light of a scene, and write it as a capture again.
+    """Relight an avatar or object by the light of a scene.
 
     The scene is rendered all around the place where the avatar stands; how bright it is towards each Gaussian's normal
     is the factor of its colour. First try: lumisplat relight avatar.ply room.ply -o relit.ply

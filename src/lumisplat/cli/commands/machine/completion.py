@@ -2,30 +2,50 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lumisplat.cli.commands.machine.completion_scripts import script_for
 from lumisplat.cli.options.command import Command
+
+FILES = {
+    "bash": """
+_lumisplat() {
+  local cur="${COMP_WORDS[COMP_CWORD]}" one
+  local -a found=()
+  _tyro_lumisplat
+  for one in "${COMPREPLY[@]}"; do
+    if [[ -n "$one" && ( "$one" != -* || "$cur" == -* ) ]]; then found+=("$one"); fi
+  done
+  COMPREPLY=("${found[@]}")
+}
+complete -o bashdefault -o default -F _lumisplat lumisplat
+""",
+    "zsh": """
+(( compstate[nmatches] )) || _files
+""",
+    "fish": """
+complete --command lumisplat --force-files
+""",
+}
+"""What is added to the script of each shell, so that it completes files where no word is known."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Completion(Command):
-    """Print what lets a shell complete commands, options and their values.
+    """Print a script by which a shell completes commands, options and files.
 
     bash, a line of ~/.bashrc: eval "$(lumisplat completion bash)"
 
-    zsh, a line of ~/.zshrc: eval "$(lumisplat completion zsh)"
+    zsh, a file in a folder of $fpath: lumisplat completion zsh > ~/.zfunc/_lumisplat
 
     fish, once: lumisplat completion fish > ~/.config/fish/completions/lumisplat.fish
     """
 
     shell: Positional[Annotated[Literal["bash", "zsh", "fish"], arg(metavar="bash|zsh|fish")]]
-    """The shell."""
+    """Write for this shell."""
 
     def run(self) -> None:
-        """Prints the script."""
-        sys.stdout.write(script_for(self.shell))
+        """Prints what is added to the script of tyro, which `lumisplat.cli.main` prints before it."""
+        print(FILES[self.shell], end="")

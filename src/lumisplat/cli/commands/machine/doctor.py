@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Command):
-    """Show what this machine has for Lumisplat, what is missing, and how to get it.
+    """Show what this machine has and lacks for Lumisplat.
 
     Runs a small kernel on each device: some seconds on a new machine. Nothing is installed. The exit status is 2 if
     something has to be mended. What it prints is what a report of a bug needs.

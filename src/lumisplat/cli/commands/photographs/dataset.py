@@ -35,7 +35,7 @@ _NOT_OF_VIEWS = ("views", "shard_views")
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset(FrameCommand, PlacingCommand):
-    """Make training data: views of a scene from random places, in random light, with objects put into it.
+    """Render training data: random views, light and objects.
 
     With layers such as depth, normals and ids, cameras for nerfstudio, and shards for WebDataset. A view follows from
     --seed and its number: more --views add to those that are there. After an interruption, the same command continues.

@@ -31,7 +31,7 @@ _WORST = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(LoadingCommand, DeviceCommand):
-    """Compare a capture with photographs that it has not learnt from.
+    """Compare a capture with held-out images.
 
     How near a trained capture is: lumisplat evaluate fox.ply fox -o report
 

@@ -18,7 +18,7 @@ _FIRST_SIZE = 320
 
 @dataclass(frozen=True, kw_only=True)
 class Frames(Command):
-    """Take photographs from a film, to make a capture of them.
+    """Extract sharp frames from a video, as training images.
 
     Of each stretch of time it is the sharpest frame, upright (pip install 'lumisplat[video]').
     First try: lumisplat frames walk.mp4 -o walk

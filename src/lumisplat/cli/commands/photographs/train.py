@@ -28,7 +28,7 @@ _TOO_LIGHT = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Train(DeviceCommand):
-    """Make a capture of photographs whose poses are known.
+    """Train a capture from images with poses.
 
     Beside the capture, a folder of its name with .training has a checkpoint each minute, the settings, the curve, and
     what was held out beside what the capture shows. After an interruption, the same command continues.
