@@ -20,7 +20,7 @@ import numpy as np
 
 import lumisplat as ls
 from bench.timing import parser
-from lumisplat.io.blocks.index import Block, BlockLevel
+from lumisplat.io.blocks.storage import Block, BlockLevel
 
 SIDE = 2000.0
 """Of the city, metres."""

@@ -17,8 +17,7 @@ import numpy as np
 from PIL import Image
 
 from bench.timing import parser
-from lumisplat.io.images.texture import read_texture
-from lumisplat.io.images.undamaged import check_undamaged
+from lumisplat.io.images.texture import check_undamaged, read_texture
 
 SIZE = 1080, 1920
 MADE, COUNT = 30, 300

@@ -22,7 +22,7 @@ from bench.known_room import OUT, lamps, lit_by
 from bench.timing import parser, quiet_warp
 from lumisplat.constants import SH_C0
 from lumisplat.constants.delight import PAIRS, RADIANCE_LEAST
-from lumisplat.io.photographs.loading import load_photographs
+from lumisplat.io.training_images.loading import load_photographs
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.color import albedo_in_range, decode_srgb
 from lumisplat.relighting.albedo.outgoing import median_outgoing

@@ -88,18 +88,23 @@ if TYPE_CHECKING:
         save_cameras,
         save_config,
     )
-    from lumisplat.io.blocks.index import BlockIndex, open_blocks
-    from lumisplat.io.blocks.plan import WorkerPlan, plan_views
+    from lumisplat.io.blocks.storage import BlockIndex, open_blocks, write_blocks
     from lumisplat.io.blocks.stream import PlyStream, can_stream, stream_ply
-    from lumisplat.io.blocks.views import BlockPart, all_blocks, load_blocks, thin_blocks, visible_blocks
-    from lumisplat.io.blocks.writing import write_blocks
+    from lumisplat.io.blocks.views import (
+        BlockPart,
+        WorkerPlan,
+        all_blocks,
+        load_blocks,
+        plan_views,
+        thin_blocks,
+        visible_blocks,
+    )
     from lumisplat.io.document.entries import SceneEntry
     from lumisplat.io.document.scene_document import SceneDocument
-    from lumisplat.io.images.rows.joined import join_windows
-    from lumisplat.io.photographs.film import extract_frames
-    from lumisplat.io.photographs.loading import load_photographs
-    from lumisplat.io.photographs.photographs import Photograph, Photographs
-    from lumisplat.io.photographs.poses import find_poses
+    from lumisplat.io.images.joined_windows import join_windows
+    from lumisplat.io.training_images.loading import Photograph, Photographs, load_photographs
+    from lumisplat.io.training_images.poses import find_poses
+    from lumisplat.io.training_images.video_frames import extract_frames
     from lumisplat.machine.diagnosis import Diagnosis, diagnose
     from lumisplat.metrics.images import flip, ms_ssim, ms_ssim_scales, psnr, ssim
     from lumisplat.metrics.lighting import LitPoints, apf_y, ncm_ab, paa_y
@@ -189,7 +194,7 @@ _MODULE_OF = {
     "AtlasLayout": "config",
     "AvatarLighter": "relighting.avatar_lighter",
     "AvatarLightingConfig": "config",
-    "BlockIndex": "io.blocks.index",
+    "BlockIndex": "io.blocks.storage",
     "BlockPart": "io.blocks.views",
     "Camera": "scene.camera",
     "CameraModel": "scene.camera",
@@ -253,8 +258,8 @@ _MODULE_OF = {
     "NormalMethod": "config",
     "PathConfig": "config",
     "PathPrimary": "config",
-    "Photograph": "io.photographs.photographs",
-    "Photographs": "io.photographs.photographs",
+    "Photograph": "io.training_images.loading",
+    "Photographs": "io.training_images.loading",
     "Pipeline": "config",
     "PlyStream": "io.blocks.stream",
     "PosePlaces": "config",
@@ -298,7 +303,7 @@ _MODULE_OF = {
     "TrainResult": "training.train",
     "UpEstimate": "scene.editing.levelling",
     "Viewer": "viewer.viewer",
-    "WorkerPlan": "io.blocks.plan",
+    "WorkerPlan": "io.blocks.views",
     "all_blocks": "io.blocks.views",
     "apf_y": "metrics.lighting",
     "bake": "baking.bake",
@@ -321,9 +326,9 @@ _MODULE_OF = {
     "estimate_normals": "scene.ops.estimate_normals",
     "estimate_sun": "relighting.sun_estimation",
     "evaluate_materials": "relighting.evaluation.evaluate",
-    "extract_frames": "io.photographs.film",
+    "extract_frames": "io.training_images.video_frames",
     "find_materials": "training.materials.find_materials",
-    "find_poses": "io.photographs.poses",
+    "find_poses": "io.training_images.poses",
     "find_up": "scene.editing.levelling",
     "finish_dataset": "dataset.finish",
     "fit_lights": "relighting.fitting.fit_lights",
@@ -333,7 +338,7 @@ _MODULE_OF = {
     "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "insert": "scene.ops.insertion",
-    "join_windows": "io.images.rows.joined",
+    "join_windows": "io.images.joined_windows",
     "level": "scene.editing.levelling",
     "limit_sh_degree": "scene.editing.sh_degree",
     "load": "io",
@@ -344,7 +349,7 @@ _MODULE_OF = {
     "load_config": "io",
     "load_dataset_config": "dataset.settings_file",
     "load_image": "io",
-    "load_photographs": "io.photographs.loading",
+    "load_photographs": "io.training_images.loading",
     "load_radiance": "io",
     "load_rig": "io",
     "load_sequence": "io",
@@ -353,10 +358,10 @@ _MODULE_OF = {
     "ms_ssim": "metrics.images",
     "ms_ssim_scales": "metrics.images",
     "ncm_ab": "metrics.lighting",
-    "open_blocks": "io.blocks.index",
+    "open_blocks": "io.blocks.storage",
     "orbit_cameras": "scene.ops.orbit",
     "paa_y": "metrics.lighting",
-    "plan_views": "io.blocks.plan",
+    "plan_views": "io.blocks.views",
     "plane": "scene.primitives",
     "psnr": "metrics.images",
     "ray_gradients": "renderer.ray_gradients",
@@ -392,7 +397,7 @@ _MODULE_OF = {
     "transmittance": "renderer.one_shot",
     "view": "viewer.view",
     "visible_blocks": "io.blocks.views",
-    "write_blocks": "io.blocks.writing",
+    "write_blocks": "io.blocks.storage",
 }
 
 __all__ = [

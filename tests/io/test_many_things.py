@@ -19,7 +19,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli.output.pictures import file_stems
 from lumisplat.frame.aovs import light_labels
-from lumisplat.io.cameras.names import unique_names
+from lumisplat.io.cameras.common import unique_names
 from lumisplat.scene.camera import Camera
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.photographs.surroundings import count_places, count_poses
+from lumisplat.io.training_images.loading import count_places, count_poses
 from lumisplat.training.initial import enough_points
 from support.files.photograph_files import write_transforms_photographs
 from support.scenes.training_scenes import cameras, folder_of

@@ -17,7 +17,7 @@ from lumisplat.dataset.files import LAYER_FILES, view_file
 from lumisplat.dataset.shards import remove_shards, write_shards
 from lumisplat.dataset.sheet import write_sheet
 from lumisplat.errors import FormatError
-from lumisplat.io.cameras.transforms_json import OPENGL_FROM_OPENCV
+from lumisplat.io.cameras.json_cameras import OPENGL_FROM_OPENCV
 from lumisplat.io.files.atomic import atomic_write
 
 _AXES = "cameras: x right, y down, z forward (OpenCV); camera_from_world takes column vectors; lengths in scene units"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError
-from lumisplat.io.images.deep_exr import write_deep_exr
+from lumisplat.io.images.exr import write_deep_exr
 from lumisplat.math.arrays import FloatArray, Rows
 
 

@@ -21,8 +21,8 @@ from lumisplat.frame.frame_data import FrameData, unpremultiplied
 from lumisplat.frame.mattes import Mattes
 from lumisplat.frame.notebook import MimeBundle, encoded, mime_bundle, mime_type
 from lumisplat.frame.views import VIEWS, layer_pictures, view_limits, view_picture
+from lumisplat.io.files.arrays import write_npz
 from lumisplat.io.images.exr import write_exr
-from lumisplat.io.images.npz import write_npz
 from lumisplat.io.images.png import to_bytes, write_png
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import decode_srgb

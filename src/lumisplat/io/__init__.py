@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 from lumisplat.errors import FormatError
 from lumisplat.io import formats
-from lumisplat.io.files.references import references_outside
-from lumisplat.io.files.source import PathLike
+from lumisplat.io.files.source import PathLike, references_outside
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -196,7 +195,7 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
             names the frame.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
-    from lumisplat.io.camera_files import read_cameras
+    from lumisplat.io.formats import read_cameras
 
     return read_cameras(path, width, height)
 
@@ -215,7 +214,7 @@ def load_camera_path(path: PathLike, *, width: int | None = None, height: int | 
         FormatError: The file cannot be read, has no cameras, or has cameras of different sizes or models.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
-    from lumisplat.io.camera_files import read_camera_way
+    from lumisplat.io.formats import read_camera_way
 
     return read_camera_way(path, width, height)
 
@@ -282,7 +281,7 @@ def load_image(path: PathLike) -> FloatArray:
         FormatError: The file is damaged, or not a picture.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
-    from lumisplat.io.images.picture import read_picture
+    from lumisplat.io.images.radiance import read_picture
 
     return read_picture(path)
 
@@ -385,7 +384,7 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
             format cannot store.
         FormatError: The file cannot be written.
     """
-    from lumisplat.io.cameras.transforms_json import write_transforms
+    from lumisplat.io.cameras.json_cameras import write_transforms
 
     write_transforms(path, cameras)
 
@@ -409,6 +408,6 @@ def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float =
         FormatError: The extension is unknown, or the file cannot be written.
         MissingExtraError: A video needs PyAV.
     """
-    from lumisplat.io.images.animation import write_animation
+    from lumisplat.io.images.video import write_animation
 
     write_animation(path, frames, fps)

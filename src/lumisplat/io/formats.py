@@ -1,6 +1,7 @@
-"""The tables of formats: what reads and writes files, by extension.
+"""Reads and writes files by their formats: tables of what reads and writes each extension.
 
-Functions are named, ``splats.spz.read_spz``, and their modules imported when a format is first used.
+Functions are named, ``splats.spz.read_spz``, and their modules imported when a format is first used. Headers tell
+whether a PLY is a capture, compressed or not, or a mesh.
 """
 
 from __future__ import annotations
@@ -11,15 +12,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from lumisplat.errors import ConfigError, FormatError
-from lumisplat.io.files.format import BLOCKS, STREAMED_SOG, format_of
-from lumisplat.io.files.source import PathLike
+from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.io.files.source import BLOCKS, STREAMED_SOG, PathLike, format_of
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from lumisplat.io.ply import PlyHeader
     from lumisplat.io.splats.columns import SplatColumns
     from lumisplat.scene.animation.actors import Animation
+    from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.camera import Camera
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.mesh import Mesh
@@ -54,7 +56,7 @@ _READERS = {
     ".spz": "splats.spz.read_spz",
     ".splat": "splats.splat.read_splat",
     ".ksplat": "splats.ksplat.read_ksplat",
-    ".sog": "splats.sog.reader.read_sog",
+    ".sog": "splats.sog.read_sog",
     ".obj": "meshes.obj.read_obj",
     ".stl": "meshes.stl.read_stl",
     ".glb": "gltf.scene.read_gltf",
@@ -63,33 +65,34 @@ _READERS = {
 }
 """Besides these, .ply is read by its header, .toml by what it names, and streamed SOGs and blocks at a level."""
 
-_LEVELED = {STREAMED_SOG: "splats.sog.streamed.read_streamed_sog", BLOCKS: "blocks.views.read_blocks"}
+_LEVELED = {STREAMED_SOG: "splats.streamed_sog.read_streamed_sog", BLOCKS: "blocks.views.read_blocks"}
 """Readers of captures in levels of detail."""
 
 _MOVING = {
-    **dict.fromkeys((".glb", ".gltf"), "gltf.moving.read_gltf_animation"),
+    **dict.fromkeys((".glb", ".gltf"), "gltf.animation.read_gltf_animation"),
     **dict.fromkeys(USD, "usd.animation.read_usd_animation"),
 }
 """Readers of animations, besides those of scene files."""
 
 _OURS = "lumisplat"
-_PLY_WRITERS = {_OURS: "splats.splat_ply.write_splat_ply", "r3dg": "splats.r3dg_ply.write_r3dg_ply"}
+
+_PLY_WRITERS = {_OURS: "splats.splat_ply.write_splat_ply", "r3dg": "splats.splat_ply.write_r3dg_ply"}
 """By whose columns they write."""
 
 _WRITERS = {
     ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
     ".ply": _PLY_WRITERS[_OURS],
     ".spz": "splats.spz.write_spz",
-    ".sog": "splats.sog.writer.write_sog",
-    "/meta.json": "splats.sog.writer.write_sog",
-    f"/{STREAMED_SOG}": "splats.sog.streaming.write_streamed_sog",
+    ".sog": "splats.sog.write_sog",
+    "/meta.json": "splats.sog.write_sog",
+    f"/{STREAMED_SOG}": "splats.streamed_sog.write_streamed_sog",
 }
 """Writers of captures; the first one that a path ends with is used."""
 
 _SCENE_WRITERS = {
-    ".glb": "gltf.writing.scene.write_gltf",
-    ".gltf": "gltf.writing.scene.write_gltf",
-    **dict.fromkeys(USD, "usd.writing.scene.write_usd"),
+    ".glb": "gltf.scene.write_gltf",
+    ".gltf": "gltf.scene.write_gltf",
+    **dict.fromkeys(USD, "usd.writing.write_usd"),
 }
 """Writers of scenes with their cameras, to which captures and meshes are scenes, too."""
 
@@ -97,6 +100,7 @@ READABLE = (
     ".ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder or its meta.json or lod-meta.json, a folder of "
     "blocks, .obj, .stl, .glb, .gltf, .usda, .usdc, .usdz, .usd, .toml"
 )
+
 WRITABLE = (
     ".ply, .compressed.ply, .spz, .sog, .glb, .gltf, .usda, .usdc, .usdz, .usd, or, in a "
     "folder, meta.json (SOG) or lod-meta.json (SOG in levels of detail)"
@@ -116,7 +120,7 @@ def read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: Loa
     """
     extension = format_of(path)
     if extension == ".ply":
-        return _import("ply_files.read_ply")(path, options.progress, incident=options.incident)
+        return _read_ply(path, options.progress, incident=options.incident)
     if extension == ".toml":
         return _import("scene_toml.scene_file.read_scene_file")(path, load, options.up)
     if extension in _LEVELED:
@@ -216,3 +220,118 @@ def _import(function: str) -> Any:
     """A function of this package, imported on first use."""
     module, _, name = function.rpartition(".")
     return getattr(import_module(f"{__package__}.{module}"), name)
+
+
+def _read_ply(path: Path, progress: Callable[[float], None] | None, *, incident: bool) -> SplatColumns | Mesh:
+    """Reads a capture or a mesh.
+
+    Args:
+        path: The file.
+        progress: As of `lumisplat.io.load`.
+        incident: As of `lumisplat.io.load`.
+
+    Raises:
+        FormatError: It is neither, or damaged.
+        OSError: It cannot be read.
+    """
+    from lumisplat.io.ply import read_ply_header
+    from lumisplat.io.splats.compressed_ply import is_compressed_header, read_compressed_ply
+    from lumisplat.io.splats.splat_ply import read_splat_ply
+
+    header = read_ply_header(path)
+    if is_compressed_header(header):
+        return read_compressed_ply(header)
+    if _has_faces(header):
+        from lumisplat.io.meshes.mesh_ply import read_ply_mesh
+
+        return read_ply_mesh(header)
+    return read_splat_ply(header, progress, incident=incident)
+
+
+def holds_mesh(path: Path) -> bool:
+    """Whether a file is a mesh, not a capture; False if it cannot be read.
+
+    Args:
+        path: A ``.ply`` file.
+    """
+    from lumisplat.io.ply import read_ply_header
+    from lumisplat.io.splats.compressed_ply import is_compressed_header
+
+    try:
+        header = read_ply_header(path)
+    except (OSError, FormatError):
+        return False
+    return not is_compressed_header(header) and _has_faces(header)
+
+
+def _has_faces(header: PlyHeader) -> bool:
+    """Whether there are faces or triangle strips, and no Gaussians."""
+    from lumisplat.io.splats.splat_ply import is_gaussian_element
+
+    vertex, surfaces = header.element("vertex"), map(header.element, ("face", "tristrips"))
+    return any(one and one.count for one in surfaces) and not (vertex and is_gaussian_element(vertex))
+
+
+def read_cameras(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
+    """As `lumisplat.io.load_cameras`."""
+    from lumisplat.io.cameras.colmap import is_colmap, read_colmap
+    from lumisplat.io.cameras.common import unique_names
+    from lumisplat.io.cameras.json_cameras import read_camera_json
+
+    path = _in_folder(Path(path))
+    suffix = path.suffix.lower()
+    if suffix in (".glb", ".gltf"):
+        from lumisplat.io.gltf.cameras import read_gltf_cameras
+
+        return unique_names(read_gltf_cameras(path, width, height))
+    if suffix in USD:
+        from lumisplat.io.usd.cameras import read_usd_cameras
+
+        return unique_names(read_usd_cameras(path, width, height))
+    if suffix == ".toml":
+        from lumisplat.io.scene_toml.cameras import read_scene_cameras
+        from lumisplat.io.scene_toml.scene_file import read_document
+
+        return read_scene_cameras(read_document(path), _read_listed, width, height)
+    if is_colmap(path):
+        return unique_names(read_colmap(path))
+    return read_camera_json(path, width, height)
+
+
+def _in_folder(path: Path) -> Path:
+    """Returns the camera file that a folder of images holds; the path itself if it is a file, or holds none."""
+    if not os.path.isdir(path):  # False, also of names that are too long
+        return path
+    from lumisplat.io.training_images.loading import find_model
+
+    file = next((file for file in (path / "transforms.json", path / "cameras.json") if file.is_file()), None)
+    return file or find_model(path) or path
+
+
+def _read_listed(path: Path, /, *, width: int | None, height: int | None) -> list[Camera]:
+    """The cameras of a file that a scene file lists."""
+    return read_cameras(path, width, height)
+
+
+def read_camera_way(path: PathLike, width: int | None = None, height: int | None = None) -> CameraPath:
+    """As `lumisplat.io.load_camera_path`."""
+    from lumisplat.io.cameras.json_cameras import read_path_rate
+    from lumisplat.scene.animation.camera_path import CameraPath
+
+    suffix, rate = Path(path).suffix.lower(), None
+    if suffix == ".toml":
+        from lumisplat.io.scene_toml.cameras import read_camera_path
+        from lumisplat.io.scene_toml.scene_file import read_document
+
+        moving = read_camera_path(read_document(path))
+        if moving is not None:
+            return moving
+    elif suffix == ".json":
+        rate = read_path_rate(path)
+    cameras = read_cameras(path, width, height)
+    if not cameras:
+        raise FormatError(path, "has no cameras")
+    try:
+        return CameraPath(cameras, None if rate is None else [k / rate for k in range(len(cameras))])
+    except SceneError as error:
+        raise FormatError(path, str(error)) from None

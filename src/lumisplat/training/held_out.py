@@ -11,7 +11,7 @@ from PIL import Image
 
 from lumisplat.config import RasterConfig, RenderConfig, TrainConfig
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.photographs.photographs import Photograph
+from lumisplat.io.training_images.loading import Photograph
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.gaussians import Gaussians

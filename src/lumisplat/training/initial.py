@@ -21,8 +21,8 @@ from lumisplat.constants.training import (
     INITIAL_SCALE_MIN,
     POINTS_SHARE_MIN,
 )
-from lumisplat.io.photographs.lens import is_bent
-from lumisplat.io.photographs.surroundings import camera_target, count_places, count_poses
+from lumisplat.io.training_images.loading import camera_target, count_places, count_poses
+from lumisplat.io.training_images.pixels import is_bent
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.local_frame import camera_extent

@@ -14,8 +14,8 @@ from lumisplat.errors import FormatError
 from lumisplat.io import save_cameras
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.photographs.photographs import ReadFrom
 from lumisplat.io.scene_toml.toml_text import toml_text
+from lumisplat.io.training_images.loading import ReadFrom
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians

@@ -18,8 +18,7 @@ from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.constants.training import TRAINING_EXTENT
 from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io import save
-from lumisplat.io.photographs.loading import load_photographs
-from lumisplat.io.photographs.photographs import Photographs
+from lumisplat.io.training_images.loading import Photographs, load_photographs
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Progress, say_nothing
 from lumisplat.runtime.interrupts import interrupts_held

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from lumisplat.io.photographs.photographs import Photograph
+from lumisplat.io.training_images.loading import Photograph
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.camera import Camera
 

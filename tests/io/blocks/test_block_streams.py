@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.blocks import stream, writing
+from lumisplat.io.blocks import storage, stream
 from support.files.splat_files import FLAT_NAMES, ply_header
 from support.scenes.raster_scenes import random_gaussians
 
@@ -116,7 +116,7 @@ def test_cells_suit_the_capture(tmp_path: Path) -> None:
 
 def test_too_many_cubes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A wrong edge would make a file of each Gaussian; what was written is gone."""
-    monkeypatch.setattr(writing, "BLOCK_CELLS_MAX", 50)
+    monkeypatch.setattr(storage, "BLOCK_CELLS_MAX", 50)
     with pytest.raises(
         ls.ConfigError, match=r"cell is 0\.01, of which the capture would fill more than 50 cubes: give a larger"
     ):
@@ -174,8 +174,8 @@ def test_loaded_whole_and_in_part(tmp_path: Path, caplog: pytest.LogCaptureFixtu
 
 _MEMORY = """
 import sys, resource, lumisplat as ls
-from lumisplat.io.blocks import stream, writing, rows
-stream.BLOCK_PIECE = rows.BLOCK_PIECE = 2**14
+from lumisplat.io.blocks import stream, storage
+stream.BLOCK_PIECE = storage.BLOCK_PIECE = 2**14
 opened = ls.stream_ply(sys.argv[1])
 next(iter(opened))
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

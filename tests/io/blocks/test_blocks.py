@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.blocks.rows import packed
+from lumisplat.io.blocks.storage import packed
 from support.scenes.raster_scenes import random_gaussians
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli import main
-from lumisplat.io.gltf.gaussians.attributes import CAPTURE_FROM_FILE
+from lumisplat.io.gltf.gaussians import CAPTURE_FROM_FILE
 from support.files.gltf_writer import Gltf
 from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import capture

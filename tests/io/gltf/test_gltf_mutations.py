@@ -209,8 +209,8 @@ def test_files_that_move(tmp_path: Path, whole: bytes, count: int, kind: str) ->
 
 def test_shared_accessors_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Primitives may have one accessor together, but not so many of them that their copies fill the memory."""
-    monkeypatch.setattr("lumisplat.io.files.limits.DECODED_BYTES_FREE", 1000)
-    monkeypatch.setattr("lumisplat.io.files.limits.EXPANSION_MAX", 2)
+    monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
+    monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 2)
     for asset in (capture(300), ls.sphere(1.0)):
         ls.save(tmp_path / "a.glb", asset)
         assert survives(tmp_path / "mutated.glb", (tmp_path / "a.glb").read_bytes())
@@ -223,8 +223,8 @@ def test_shared_accessors_are_bounded(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_buffers_beside_the_file_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A small .gltf may name a large buffer: what is stored there is stored."""
-    monkeypatch.setattr("lumisplat.io.files.limits.DECODED_BYTES_FREE", 1000)
-    monkeypatch.setattr("lumisplat.io.files.limits.EXPANSION_MAX", 2)
+    monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
+    monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 2)
     ls.save(tmp_path / "a.glb", capture(2000))
     document, rest = chunks((tmp_path / "a.glb").read_bytes())
     (tmp_path / "a.bin").write_bytes(rest[8:])

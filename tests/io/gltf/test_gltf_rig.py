@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.gltf.vertex_colors import usable_colors
+from lumisplat.io.gltf.meshes import usable_colors
 from support.files.gltf_writer import Gltf
 from support.files.rig_files import BEND, CARRY, VANISH, TubeRig, quaternion_xyzw
 from support.kinds import expect_kind, present

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.io.images.hdr import decode_hdr
+from lumisplat.io.images.radiance import decode_hdr
 from support.files.hdr_files import HEADER, hdr_bytes, radiance, write_exr
 from support.files.mesh_files import TEXELS, png_bytes
 

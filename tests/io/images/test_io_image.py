@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.images.deep_exr import write_deep_exr
-from lumisplat.io.images.exr import Channel, read_exr, write_exr
-from lumisplat.io.images.npz import write_npz
+from lumisplat.io.files.arrays import write_npz
+from lumisplat.io.images.exr import Channel, read_exr, write_deep_exr, write_exr
 from lumisplat.io.images.png import write_png
 from lumisplat.io.images.texture import decode_texture, read_texture
 from support.files.image_files import read_image

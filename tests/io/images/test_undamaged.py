@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.io.images import undamaged
-from lumisplat.io.images.undamaged import check_undamaged
+from lumisplat.io.images import texture
+from lumisplat.io.images.texture import check_undamaged
 
 KINDS: dict[str, dict[str, Any]] = {
     "png": {"format": "PNG"},
@@ -88,7 +88,7 @@ def test_a_png_with_other_bytes_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["png", "baseline", "progressive"])
 def test_what_is_whole_is_not_decoded(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """That would take twenty times as long."""
-    monkeypatch.setattr(undamaged, "decode_texture", lambda *_: pytest.fail("decoded"))
+    monkeypatch.setattr(texture, "decode_texture", lambda *_: pytest.fail("decoded"))
     assert is_whole(tmp_path / "a.img", encoded(kind))
     if kind != "png":
         assert is_whole(tmp_path / "a.img", with_thumbnail(encoded(kind)))

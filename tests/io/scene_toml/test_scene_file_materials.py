@@ -147,10 +147,10 @@ def test_wrong_materials_are_refused(tmp_path: Path, text: str, problem: str) ->
 
 def test_textures_are_bounded_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of many small images may be allowed, their sum is not; those of two materials count together."""
-    monkeypatch.setattr("lumisplat.io.files.limits.TEXTURE_BYTES_FREE", 3 * 3 * 64 * 64)
+    monkeypatch.setattr("lumisplat.io.files.source.TEXTURE_BYTES_FREE", 3 * 3 * 64 * 64)
     write_obj(tmp_path)
     (tmp_path / "white.png").write_bytes(png_bytes(np.full((64, 64, 3), 255, np.uint8)))
-    monkeypatch.setattr("lumisplat.io.files.limits.EXPANSION_MAX", 1)
+    monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 1)
     entries = "".join(f'[materials.m{k}]\nbase_color_texture = "white.png"\n' for k in range(3))
     mesh = '[[meshes]]\npath = "quad.obj"\n'
     load_scene(tmp_path, mesh + entries)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.splats.material_columns import R3DG
+from lumisplat.io.splats.columns import R3DG
 from lumisplat.math.sh import sh_basis
 from support.files.splat_files import capture, load_gaussians, parse_ply
 from support.kinds import present

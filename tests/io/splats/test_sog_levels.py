@@ -15,7 +15,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
-from lumisplat.io.splats.sog import streaming
+from lumisplat.io.splats import streamed_sog
 from support.files.splat_files import capture, load_gaussians
 from support.kinds import expect_kind
 
@@ -25,7 +25,7 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves of some dozens of Gaussians, and captures of two or three leaves."""
     sizes = {"SOG_CHUNK_COUNT": 100, "SOG_CHUNK_EXTENT": 3.0, "SOG_LEAF_LEAST": 40, "SOG_LEVEL_LEAST": 70}
     for name, value in sizes.items():
-        monkeypatch.setattr(streaming, name, value)
+        monkeypatch.setattr(streamed_sog, name, value)
 
 
 def leaves_of(node: dict[str, Any]) -> list[dict[str, Any]]:
@@ -60,7 +60,7 @@ def test_levels_halve_and_cover_the_same(tmp_path: Path) -> None:
     path = tmp_path / "lod-meta.json"
     ls.save(path, given)
     said = json.loads(path.read_text())
-    assert said["lodLevels"] == 4 == streaming.level_count(600)
+    assert said["lodLevels"] == 4 == streamed_sog.level_count(600)
     levels = [expect_kind(ls.Gaussians, ls.load(path, lod=level)) for level in range(4)]
     assert [one.count for one in levels] == said["counts"] and said["count"] == sum(said["counts"])
     for fine, coarse in pairwise(levels):

@@ -17,8 +17,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
-from lumisplat.io.splats.sog.codebook import encode, fit_codebook
-from lumisplat.io.splats.sog.writer import palette_size
+from lumisplat.io.splats.sog import encode, fit_codebook, palette_size
 from lumisplat.scene.editing.morton import morton_order
 from support.files.splat_files import capture, load_gaussians
 

@@ -7,8 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from lumisplat.io.splats.axes import mirror_axes
-from lumisplat.io.splats.columns import columns_from_gaussians
+from lumisplat.io.splats.columns import columns_from_gaussians, mirror_axes
 from support.files.splat_files import capture
 from support.oracles.raster_oracle import rotation_from_quaternion, sh_basis
 

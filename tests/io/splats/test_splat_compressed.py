@@ -12,8 +12,8 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
+from lumisplat.io.splats.columns import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splats.compressed_ply import morton_order
-from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_smallest_three
 from support.files.splat_files import load_gaussians
 
 RANGES = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]

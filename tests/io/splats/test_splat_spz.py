@@ -14,8 +14,7 @@ import zstandard
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
-from lumisplat.io.splats.axes import mirror_axes
-from lumisplat.io.splats.columns import columns_from_gaussians
+from lumisplat.io.splats.columns import columns_from_gaussians, mirror_axes
 from lumisplat.io.splats.spz import position_bits
 from support.files.splat_files import capture, legacy_spz, load_gaussians
 

@@ -13,7 +13,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
-from lumisplat.io.usd.writing import package
+from lumisplat.io.usd import writing
 from lumisplat.math.transforms import matrices_from_quaternions
 from support.files.splat_files import capture, load_gaussians
 from support.files.usd_files import EXTENSIONS, field, usd_core, validation_messages, write_usda
@@ -306,7 +306,7 @@ def test_packages_that_the_disk_has_no_room_for(tmp_path: Path, monkeypatch: pyt
     usd_core()
     path = tmp_path / "a.usdz"
     ls.save(path, capture(3))
-    before, true = path.read_bytes(), package.pxr()
+    before, true = path.read_bytes(), writing.pxr()
 
     class FullDisk:
         def __init__(self, text: str) -> None:
@@ -321,7 +321,7 @@ def test_packages_that_the_disk_has_no_room_for(tmp_path: Path, monkeypatch: pyt
             return saved
 
     full = SimpleNamespace(Sdf=SimpleNamespace(ZipFileWriter=SimpleNamespace(CreateNew=FullDisk)))
-    monkeypatch.setattr(package, "pxr", lambda: full)
+    monkeypatch.setattr(writing, "pxr", lambda: full)
     with pytest.raises(FormatError, match=r"a\.usdz: cannot be written: is the disk full\?"):
         ls.save(path, capture(40))
     assert path.read_bytes() == before

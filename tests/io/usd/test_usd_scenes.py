@@ -199,7 +199,7 @@ def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     path = tmp_path / "a.usdz"
     ls.save(path, capture(5))
     before = path.read_bytes()
-    monkeypatch.setattr("lumisplat.io.usd.writing.package.USD_PACKAGE_BYTES_MAX", 10)
+    monkeypatch.setattr("lumisplat.io.usd.writing.USD_PACKAGE_BYTES_MAX", 10)
     with pytest.raises(FormatError, match=r"more than a package can hold: write a \.usdc"):
         ls.save(path, full_scene("y-up"))
     assert path.read_bytes() == before and [file.name for file in tmp_path.iterdir()] == ["a.usdz"]

@@ -14,17 +14,17 @@ import numpy as np
 from lumisplat.constants.blocks import BLOCK_CELLS, BLOCK_GAUSSIANS_MAX, BLOCK_PIECE, BLOCK_SAMPLE
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.source import PathLike, check_regular, parsing
-from lumisplat.io.ply.header import PlyElement, PlyHeader, read_ply_header
-from lumisplat.io.ply.rows import PlyRows, read_ply_rows
+from lumisplat.io.ply import PlyElement, PlyHeader, PlyRows, read_ply_header, read_ply_rows
 from lumisplat.io.splats.columns import (
+    FIELDS,
     REQUIRED,
     SplatColumns,
     gaussians_from_columns,
     invalid_rows,
+    material_columns_of,
     recognise_activated,
 )
 from lumisplat.io.splats.compressed_ply import is_compressed_header
-from lumisplat.io.splats.material_columns import FIELDS, material_columns_of
 from lumisplat.io.splats.splat_ply import columns_of_rows, scale_columns, splat_element
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import needed_origin

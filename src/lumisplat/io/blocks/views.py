@@ -1,27 +1,26 @@
-"""Which blocks of a capture a view shows, and their Gaussians.
-
-A block is left out only if the rasteriser would show none of its Gaussians: their ellipses reach, in pixels, as far as
-bounds of the projection's derivative say (docs/adr/0073-captures-in-blocks.md).
-"""
+"""Loads the blocks of a capture that a view shows, and divides views among workers by the index alone."""
 
 from __future__ import annotations
 
 import logging
 import math
 import os
+from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import is_whole
 from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP, NEAR_PLANE
 from lumisplat.constants.blocks import BLOCK_MEMORY, BLOCK_PREVIEW
-from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.blocks.index import Block, BlockIndex, open_blocks
-from lumisplat.io.blocks.rows import joined, read_rows, unpacked
-from lumisplat.io.files.limits import check_memory
-from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.constants.parts import WINDOW_STEP
+from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.io.blocks.storage import Block, BlockIndex, joined, open_blocks, read_rows, unpacked
+from lumisplat.io.files.source import PathLike, check_memory, parsing
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
@@ -29,10 +28,13 @@ from lumisplat.scene.local_frame import default_near, note_box
 
 _log = logging.getLogger("lumisplat")
 
-REACH = math.sqrt(-2.0 * math.log(ALPHA_MIN))
+_REACH = math.sqrt(-2.0 * math.log(ALPHA_MIN))
 """Standard deviations at which a Gaussian of opacity 1 ends."""
-_DILATION_PX = REACH * math.sqrt(0.3) + 1.0
+_DILATION_PX = _REACH * math.sqrt(0.3) + 1.0
 """How far the filter of the rasteriser widens a splat, and a pixel for rounding, pixels."""
+
+_CUTS_MAX = 8
+"""Columns, and rows, of windows that a view is cut in at most."""
 
 
 class BlockPart(NamedTuple):
@@ -73,7 +75,7 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     """
     if not parts:
         raise SceneError("no block is visible: there is nothing to render")
-    needed = BLOCK_MEMORY * bytes_of(index, parts)
+    needed = BLOCK_MEMORY * _bytes_of(index, parts)
     remedy = "show a part of the picture at a time, or coarser levels of what is far"
     check_memory(index.folder, f"{needed // BLOCK_MEMORY // index.row_bytes:,} Gaussians", needed, remedy)
     levels = [index.blocks[part.block].levels[part.level] for part in parts]
@@ -116,10 +118,10 @@ def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = Non
     chosen = all_blocks(index, lod or 0)
     if lod is None and budget is not None:
         tried = (all_blocks(index, level) for level in range(levels))
-        chosen = next((one for one in tried if bytes_of(index, one) <= budget * index.row_bytes), None)
+        chosen = next((one for one in tried if _bytes_of(index, one) <= budget * index.row_bytes), None)
         if chosen is None:
             chosen = all_blocks(index, levels - 1)
-            count = bytes_of(index, chosen) // index.row_bytes
+            count = _bytes_of(index, chosen) // index.row_bytes
             _log.warning("%s: its coarsest level has %s Gaussians, more than asked for", os.fspath(path), f"{count:,}")
     return load_blocks(index, chosen)
 
@@ -145,7 +147,7 @@ def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
         return unpacked(np.concatenate(rows), **index.settings)
 
 
-def bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:
+def _bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:
     """Bytes of some blocks on disk."""
     return index.row_bytes * sum(index.blocks[part.block].levels[part.level].count for part in parts)
 
@@ -173,10 +175,85 @@ def _seen(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Dou
     for across, center, focal, size, first, count in sides:
         margin = (JACOBIAN_CLAMP - 1.0) * 0.5 * size / focal
         steepest = max(abs(center + 0.5), abs(size + 0.5 - center)) / focal + margin
-        reach = REACH * scale * math.sqrt(1.0 + steepest * steepest)
+        reach = _REACH * scale * math.sqrt(1.0 + steepest * steepest)
         ends = (first - center - _DILATION_PX) / focal, (first + count - center + _DILATION_PX) / focal
         # Of what is before the eye; a block that is partly behind it is cut by the near plane, which is linear, too.
         outside |= (across - ends[1] * z > reach[:, None]).all(axis=1)
         outside |= (ends[0] * z - across > reach[:, None]).all(axis=1)
     nearest: Doubles = np.maximum(z.min(axis=1), near)
     return np.logical_not(outside), nearest
+
+
+@dataclass(frozen=True)
+class WorkerPlan:
+    """What a worker does."""
+
+    views: range
+    """Numbers of its views."""
+    tiles: int
+    """Windows that it renders: more than views, where the blocks of one do not fit into its memory at once."""
+    held_bytes: int
+    """Most that it holds at once."""
+    moved_bytes: int
+    """All that it loads."""
+    too_large: int
+    """Windows whose blocks do not fit, though their view is cut in 8 x 8."""
+
+
+def plan_views(
+    index: BlockIndex, cameras: Sequence[Camera], workers: int, memory_bytes: int, *, pixels: float = 0.0
+) -> list[WorkerPlan]:
+    """What each worker holds and loads, where each takes a run of views that follow each other.
+
+    A worker keeps the blocks that it has seen last, as many as its memory holds. A view whose blocks do not fit at once
+    is cut into 2 x 2, 4 x 4 or 8 x 8 windows (`Camera.windows`), whose pixels are those of the whole view.
+
+    Args:
+        index: Of the capture; its files need not be there.
+        cameras: The views in their order, as of `BlockIndex`'s ``visible``.
+        workers: How many there are.
+        memory_bytes: For the Gaussians that each holds, as they are on disk.
+        pixels: As of `lumisplat.visible_blocks`.
+
+    Raises:
+        ConfigError: There is no worker, or no memory.
+        SceneError: As of `lumisplat.visible_blocks`.
+    """
+    for name, value in (("workers", workers), ("memory_bytes", memory_bytes)):
+        if not is_whole(value) or value < 1:
+            raise ConfigError(f"{name} is {value}, expected a whole number from 1 on")
+    cuts = [worker * len(cameras) // workers for worker in range(workers + 1)]
+    return [_worker(index, cameras, range(begin, end), memory_bytes, pixels) for begin, end in pairwise(cuts)]
+
+
+def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_bytes: int, pixels: float) -> WorkerPlan:
+    """The plan of one worker."""
+    kept: OrderedDict[BlockPart, int] = OrderedDict()
+    held = most = moved = tiles = too_large = 0
+    for view in views:
+        for parts in _windows(index, cameras[view], memory_bytes, pixels):
+            tiles += 1
+            too_large += _bytes_of(index, parts) > memory_bytes
+            for part in parts:
+                size = _bytes_of(index, [part])
+                if part not in kept:
+                    moved, held = moved + size, held + size
+                kept[part] = size
+                kept.move_to_end(part)
+            wanted = set(parts)
+            while held > memory_bytes and (oldest := next(iter(kept))) not in wanted:
+                held -= kept.pop(oldest)
+            most = max(most, held)
+    return WorkerPlan(views, tiles, most, moved, too_large)
+
+
+def _windows(index: BlockIndex, camera: Camera, memory_bytes: int, pixels: float) -> list[list[BlockPart]]:
+    """The blocks of a view, or those of each of its windows, of which there are as few as will do."""
+    cuts = 1
+    while True:
+        cameras = [camera] if cuts == 1 else camera.windows(cuts, cuts)
+        found = [visible_blocks(index, one, pixels=pixels) for one in cameras]
+        fits = all(_bytes_of(index, parts) <= memory_bytes for parts in found)
+        if fits or cuts >= _CUTS_MAX or 2 * cuts * WINDOW_STEP > min(camera.width, camera.height):
+            return found
+        cuts *= 2

@@ -1,6 +1,6 @@
-"""Cameras of COLMAP's sparse models: ``cameras`` and ``images``, .bin or .txt, with OpenCV's axes.
+"""Reads COLMAP's sparse models: ``cameras``, ``images`` and ``points3D``, .bin or .txt, with OpenCV's axes.
 
-The layouts are those of COLMAP's documentation, "Output format"; numbers of models are those of its CameraModelId.
+The tracks of points are left out.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.cameras.names import name_from_image
+from lumisplat.io.cameras.common import name_from_image
 from lumisplat.io.files.source import PathLike, parsing, read_bytes, read_text
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.camera import Camera, CameraModel
 
-FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
+_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
 """Files of a model, any of which stands for it."""
 
 _NAMES: tuple[str, ...] = (
@@ -50,17 +51,22 @@ _POINT_BYTES = 24
 _Lens = tuple[str, int, int, list[float]]
 """Name of the model, width, height and parameters."""
 
+_POINT = np.dtype([("number", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")])
+"""A point of a .bin file, before its track."""
+_TRACK_BYTES = 8
+_TRACK_AT = _POINT.itemsize - 8
+
 
 def is_colmap(path: Path) -> bool:
     """Whether a path is a file of a model, or a folder that holds one."""
-    return path.name in FILES or (path.is_dir() and any((path / name).is_file() for name in FILES))
+    return path.name in _FILES or (path.is_dir() and any((path / name).is_file() for name in _FILES))
 
 
 def read_colmap(path: PathLike) -> list[Camera]:
     """The cameras of a model, in the order of its images; images without a pose are not in it.
 
     Args:
-        path: The folder of the model, or one of `FILES`.
+        path: The folder of the model, or one of `_FILES`.
 
     Raises:
         FormatError: A file is missing or damaged, or has a camera of another model.
@@ -144,7 +150,7 @@ def _camera(path: Path, lenses: dict[int, _Lens], entry: tuple[int, list[float],
 def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
     """Number and lens of each camera."""
     if path.suffix == ".txt":
-        for line in text_lines(path):
+        for line in _text_lines(path):
             number, model, width, height, *values = line.split()
             yield int(number), (model, int(width), int(height), [float(value) for value in values])
         return
@@ -165,7 +171,7 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
     """Number, pose, camera's number and name of each image."""
     if path.suffix == ".txt":
         follows = False  # whether the points of an image may come next; some programs leave them out
-        for line in text_lines(path):
+        for line in _text_lines(path):
             if follows and not _is_image(line):
                 follows = False
                 continue
@@ -203,8 +209,63 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def text_lines(path: Path) -> Iterator[str]:
+def _text_lines(path: Path) -> Iterator[str]:
     """Yields the lines of a text file without its comments and empty lines."""
     for line in read_text(path, errors="surrogateescape").splitlines():
         if line.strip() and not line.startswith("#"):
             yield line
+
+
+def read_colmap_points(folder: Path) -> tuple[Doubles, FloatArray] | None:
+    """The points of a model.
+
+    Args:
+        folder: The folder of the model; .bin is read before .txt, as COLMAP does.
+
+    Returns:
+        Positions in world space, shape (N, 3), and display-referred colours, 0..1, shape (N, 3); None: it has none.
+
+    Raises:
+        FormatError: The file is damaged or truncated, or has a position that is not finite.
+    """
+    path = next((path for name in ("points3D.bin", "points3D.txt") if (path := folder / name).is_file()), None)
+    if path is None:
+        return None
+    with parsing(path, "the points of a sparse model of COLMAP"):
+        positions, colors = _read_binary(path) if path.suffix == ".bin" else _read_text(path)
+        if not len(positions):
+            return None
+        finite = np.asarray(np.isfinite(positions).all(axis=1))
+        if not finite.all():
+            first, count = finite.argmin(), np.count_nonzero(~finite)
+            raise FormatError(
+                path, f"has {count:,} of {finite.size:,} points without a finite position, the first is {first:,}"
+            )
+        return positions, colors / np.float32(255.0)
+
+
+def _read_binary(path: Path) -> tuple[Doubles, FloatArray]:
+    data = read_bytes(path)
+    (count,) = struct.unpack_from("<Q", data)
+    length, at, starts = struct.Struct("<Q"), 8, list[int]()
+    if count * _POINT.itemsize > len(data):
+        raise FormatError(path, f"is to hold {count:,} points, and has {len(data):,} bytes: it is cut off")
+    for _ in range(count):
+        starts.append(at)
+        at += _POINT.itemsize + _TRACK_BYTES * length.unpack_from(data, at + _TRACK_AT)[0]
+    if at > len(data):
+        raise FormatError(path, f"is cut off in the last of {count:,} points")
+    rows = np.asarray(starts, np.int64)[:, None] + np.arange(_POINT.itemsize)
+    points = np.frombuffer(data, np.uint8)[rows].view(_POINT)[:, 0]
+    return points["xyz"].astype(np.float64), points["rgb"].astype(np.float32)
+
+
+def _read_text(path: Path) -> tuple[Doubles, FloatArray]:
+    rows = [line.split(maxsplit=7)[1:7] for line in _text_lines(path)]
+    short = next((index for index, row in enumerate(rows) if len(row) < 6), None)
+    if short is not None:
+        raise FormatError(path, f"point {short:,} has too few values, expected a number, X Y Z, R G B and an error")
+    values = np.array(rows, np.float64).reshape(-1, 6)
+    if (values[:, 3:] < 0.0).any() or (values[:, 3:] > 255.0).any():
+        raise FormatError(path, "has a colour outside of 0..255")
+    return values[:, :3], values[:, 3:].astype(np.float32)

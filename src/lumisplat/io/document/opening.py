@@ -12,9 +12,8 @@ from lumisplat.errors import ConfigError, FormatError, MissingExtraError, SceneE
 from lumisplat.io.document.entries import KINDS, EntryKind, EntryReader, SceneEntry, shown_scene
 from lumisplat.io.document.saving import relative_path
 from lumisplat.io.files.source import parsing
-from lumisplat.io.formats import USD
+from lumisplat.io.formats import USD, holds_mesh
 from lumisplat.io.gltf.scene import shows_one_capture
-from lumisplat.io.ply_files import holds_mesh
 from lumisplat.io.scene_toml.placement import is_placed, say_unturned
 from lumisplat.io.scene_toml.scene_file import read_document
 from lumisplat.io.scene_toml.toml_table import TomlTable

@@ -1,4 +1,4 @@
-"""NumPy archives (``.npz``) of unknown origin: names, types and sizes are checked before anything is allocated."""
+"""Reads and writes NumPy archives (``.npz``); names, types and sizes are checked before anything is allocated."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import math
 import os
 import zipfile
 import zlib
+from collections.abc import Mapping
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
-from lumisplat.io.files.limits import check_expansion, check_memory
-from lumisplat.io.files.source import PathLike, opened
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import PathLike, check_expansion, check_memory, opened
+from lumisplat.math.arrays import host_array
 
 _UNREADABLE = (ValueError, LookupError, TypeError, ArithmeticError, RuntimeError, EOFError, SyntaxError)
 """Raised by zipfile and NumPy for bytes that are no archive of arrays, besides errors of their own."""
@@ -104,3 +107,14 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], int]:
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
     with archive.open(member) as stream:
         return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+def write_npz(path: PathLike, arrays: Mapping[str, npt.ArrayLike]) -> None:
+    """Writes named arrays unchanged. The file appears complete or not at all.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    with atomic_write(path) as temporary, Path(temporary).open("wb") as stream:
+        named = {name: np.asarray(host_array(array)) for name, array in arrays.items()}
+        np.savez_compressed(stream, **named)  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,8 @@
-"""Reading files that the user names: every failure becomes one `FormatError`."""
+"""Reads files that users name: every failure becomes one `FormatError`, and memory is limited before it is allocated.
+
+Files that other files name (buffers of a glTF, materials of an OBJ) are resolved here, and the format of a file by its
+extension or what a folder holds.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,29 @@ import stat
 import struct
 from collections.abc import Generator
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from lumisplat.constants import FILE_BYTES_MAX
+from lumisplat.constants import DECODED_BYTES_FREE, EXPANSION_MAX, FILE_BYTES_MAX, TEXTURE_BYTES_FREE
 from lumisplat.errors import FormatError, LumisplatError, MissingFileError, SceneError
+from lumisplat.memory import usable_memory
 
 PathLike = str | os.PathLike[str]
+
+_may_leave_folder: ContextVar[bool] = ContextVar("_may_leave_folder", default=False)
+
+STREAMED_SOG = "lod-meta.json"
+"""The file of a streamed SOG that lists its levels and chunks."""
+BLOCKS = "blocks.json"
+"""The file of a capture in blocks that lists them."""
+_IMAGES = ("transforms.json", "transforms_train.json", "images", "sparse")
+"""What folders of images hold that captures are trained from."""
+_INNER_LISTED = 8
+"""How many captures of a folder a message lists."""
 
 
 def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
@@ -159,6 +178,182 @@ def _reason(error: Exception) -> str:
             return ": holds an integer of thousands of digits" if is_long else f": {text}"[:200]
         case _:
             return ""
+
+
+def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes: int) -> None:
+    """Refuses a file that claims far more content than its size can hold.
+
+    Args:
+        path: The file.
+        what: Name of the content, for the message.
+        decoded_bytes: Memory that reading it would take.
+        stored_bytes: Size of the compressed content.
+
+    Raises:
+        FormatError: The content would be large, and more than any compression can store in that size.
+    """
+    if decoded_bytes > max(DECODED_BYTES_FREE, EXPANSION_MAX * stored_bytes):
+        raise FormatError(
+            path,
+            f"{what} would take {decoded_bytes:,} bytes of memory, but only {stored_bytes:,} bytes are stored: "
+            "the file is damaged, or made to exhaust memory",
+        )
+
+
+@dataclass(slots=True)
+class TextureBytes:
+    """The bytes of all textures of a file: many small images may hold as much as a large one."""
+
+    path: PathLike
+    decoded: int = 0
+    stored: int = 0
+
+    def add(self, what: str, decoded: int, stored: int) -> None:
+        """Counts a texture before it is decoded.
+
+        Args:
+            what: The texture, for the message.
+            decoded: Bytes of its texels.
+            stored: Bytes of the encoded image.
+
+        Raises:
+            FormatError: The textures so far are large, and more than images of their size hold.
+        """
+        self.decoded += decoded
+        self.stored += stored
+        if self.decoded > max(TEXTURE_BYTES_FREE, EXPANSION_MAX * self.stored):
+            raise FormatError(
+                self.path,
+                f"textures up to {what} would take {self.decoded:,} bytes of memory, but only {self.stored:,} bytes "
+                "are stored: the file is damaged, or made to exhaust memory",
+            )
+
+
+def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, stored_bytes: int) -> None:
+    """Refuses a compressed capture whose header claims no Gaussians, or absurdly many.
+
+    Args:
+        path: The file.
+        count: Number of Gaussians that the header claims.
+        sh_coefficients: SH coefficients per channel.
+        stored_bytes: Size of the compressed content.
+
+    Raises:
+        FormatError: There are zero Gaussians, or far more than the file can hold.
+    """
+    if count <= 0:
+        raise FormatError(path, "holds zero Gaussians: there is nothing to render")
+    floats = 3 + 4 + 3 + 1 + 3 * sh_coefficients
+    check_expansion(path, f"{count:,} Gaussians", count * floats * 4, stored_bytes)
+
+
+def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> None:
+    """Refuses what is larger than the memory there is, where that is known.
+
+    Args:
+        path: The file.
+        what: Name of the content, for the message.
+        needed_bytes: Memory that it takes.
+        remedy: What to do.
+
+    Raises:
+        FormatError: It does not fit.
+    """
+    there = usable_memory()
+    if there is not None and needed_bytes > there:
+        raise FormatError(
+            path, f"{what} would take {needed_bytes / 1e9:.1f} GB of memory, of {there / 1e9:.1f} GB: {remedy}"
+        )
+
+
+@contextmanager
+def references_outside(allowed: bool) -> Generator[None]:
+    """Inside the block, files may name files outside of their own folders, if ``allowed``."""
+    token = _may_leave_folder.set(allowed or _may_leave_folder.get())
+    try:
+        yield
+    finally:
+        _may_leave_folder.reset(token)
+
+
+def may_leave_folder() -> bool:
+    """Returns whether files may name files outside of their own folders here."""
+    return _may_leave_folder.get()
+
+
+def leaves_folder(path: PathLike, file: Path, folder: Path | None = None) -> bool:
+    """Returns whether a file is outside of a folder, which is not allowed; arguments as of `referenced_file`."""
+    home = os.path.abspath(Path(path).parent if folder is None else folder)
+    return not _may_leave_folder.get() and not Path(os.path.abspath(file)).is_relative_to(home)
+
+
+def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Path:
+    """The path of a file that another one names; it need not exist.
+
+    Symbolic links are followed wherever they lead: the names are those of the file, the links are the user's.
+    Windows' backslashes are read as slashes where no file has the name as it is.
+
+    Args:
+        path: The file that names it.
+        name: Its name, from the folder of ``path``.
+        folder: The folder that it must not leave; None: that of ``path``.
+
+    Raises:
+        FormatError: It leaves the folder, which is not allowed.
+    """
+    found = named_path(Path(path).parent, name)
+    if leaves_folder(path, found, folder):
+        raise FormatError(
+            path,
+            f"names {name[:200]!r}, which is not in its folder: move it there, or trust the file by --allow-outside "
+            "(allow_outside=True)",
+        )
+    return found
+
+
+def named_path(folder: Path, name: str) -> Path:
+    """Joins a folder and a name, whose backslashes are slashes if no file has that name."""
+    found = folder / name
+    return folder / name.replace("\\", "/") if "\\" in name and not os.path.exists(found) else found
+
+
+def read_reference(path: PathLike, name: str, folder: Path | None = None) -> bytes:
+    """The contents of a file that another one names; see `referenced_file`.
+
+    Raises:
+        FormatError: It leaves the folder, is missing, no regular file, too large or empty.
+    """
+    return read_bytes(referenced_file(path, name, folder), wanted_by=path)
+
+
+def format_of(path: Path) -> str:
+    """The extension of a file that exists; ``.sog`` for a SOG folder or its meta.json, `STREAMED_SOG` or `BLOCKS`."""
+    if path.is_dir():
+        if (path / "meta.json").is_file():
+            return ".sog"
+        if (path / STREAMED_SOG).is_file():
+            return STREAMED_SOG
+        if (path / BLOCKS).is_file():
+            return BLOCKS
+        if any((path / name).exists() for name in _IMAGES):
+            raise FormatError(path, "is a folder of images, not a capture: lumisplat train makes a capture of them")
+        given = f": give one of the captures in it, {inner}" if (inner := _inner_sog(path)) else ""
+        raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{given}")
+    if not path.exists():
+        raise MissingFileError(path, "no such file")
+    check_regular(path, path.stat())
+    if path.stat().st_size == 0:
+        raise FormatError(path, "is empty: zero bytes")
+    if path.name in (STREAMED_SOG, BLOCKS):
+        return path.name
+    return ".sog" if path.name == "meta.json" else path.suffix.lower()
+
+
+def _inner_sog(folder: Path) -> str:
+    """The SOG captures in a folder, by their paths from there: the first few, and how many more there are."""
+    inner = sorted(str(meta.relative_to(folder)) for meta in (*folder.glob("*/meta.json"), *folder.glob("*.sog")))
+    more = f" and {len(inner) - _INNER_LISTED} more" if len(inner) > _INNER_LISTED else ""
+    return ", ".join(inner[:_INNER_LISTED]) + more
 
 
 _PRESENT_KEYS = {"shadow_only": "shadow_catcher"}

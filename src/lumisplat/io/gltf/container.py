@@ -1,26 +1,25 @@
-"""The glTF 2.0 container: GLB chunks, JSON, buffers and accessors, as bytes and numbers.
+"""Reads and writes the glTF 2.0 container: GLB chunks, JSON, buffers and accessors, as bytes and numbers.
 
-pygltflib turns the JSON into objects without checks. Every index, offset and size is checked here before anything is
-allocated.
+`GltfFile` is a file that is read, `GltfPrimitive` a primitive of its meshes, `GltfDocument` a file in the making.
 """
 
 from __future__ import annotations
 
 import base64
 import json
+import struct
 import warnings
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeGuard, cast
 from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
-from lumisplat.io.files.limits import check_expansion
-from lumisplat.io.files.references import read_reference
-from lumisplat.io.files.source import decode_text, read_bytes
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import PathLike, check_expansion, decode_text, read_bytes, read_reference
 
 if TYPE_CHECKING:
     import pygltflib
@@ -34,6 +33,14 @@ _GLB_HEADER_BYTES = 12
 _CHUNK_HEADER_BYTES = 8
 _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+VERTICES, TRIANGLES = 34962, 34963
+"""What a buffer view is for, by the numbers of OpenGL: attributes of vertices, indices."""
+
+_COMPONENT_CODES = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
+_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_GLB_MAX = 2**32 - 1
+"""Largest size of a GLB file, whose header has 32 bits for it."""
 
 
 class GltfFile:
@@ -263,3 +270,141 @@ def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
     if b"JSON" not in chunks:
         raise FormatError(path, "a GLB file without its JSON chunk")
     return chunks[b"JSON"], chunks.get(b"BIN\0")
+
+
+@dataclass(frozen=True, slots=True)
+class GltfPrimitive:
+    """A primitive in its file."""
+
+    file: GltfFile
+    item: pygltflib.Primitive
+    where: str
+    """Its name in errors: ``meshes[2].primitives[0]``."""
+
+    def floats(self, name: str, kind: str) -> npt.NDArray[np.float32] | None:
+        """An attribute by name, shape (V, components); None if the primitive has none."""
+        accessor = self._accessor(name)
+        return None if accessor is None else self.file.floats(accessor, kind, f"{self.where} {name}")
+
+    def integers(self, name: str, kind: str) -> npt.NDArray[np.int64] | None:
+        """An attribute of integers by name, shape (V, components); None if the primitive has none."""
+        accessor = self._accessor(name)
+        return None if accessor is None else self.file.integers(accessor, kind, f"{self.where} {name}")
+
+    def error(self, problem: str) -> FormatError:
+        """An error about the primitive."""
+        return FormatError(self.file.path, f"{self.where} {problem}")
+
+    def _accessor(self, name: str) -> int | None:
+        return getattr(self.item.attributes, name, None)
+
+
+class GltfDocument:
+    """Collects items; the buffer is written from the arrays themselves, without a copy of it in memory."""
+
+    def __init__(self) -> None:
+        self._json: dict[str, Any] = {"asset": {"version": "2.0", "generator": "lumisplat"}}
+        self._parts: list[memoryview | bytes] = []
+        self._size = 0
+
+    def add(self, collection: str, item: dict[str, Any]) -> int:
+        """Appends an item to ``"nodes"``, ``"meshes"``, ...; returns its index."""
+        items: list[dict[str, Any]] = self._json.setdefault(collection, [])
+        items.append(item)
+        return len(items) - 1
+
+    def count(self, collection: str) -> int:
+        """How many items of a collection there are."""
+        return len(self._json.get(collection, ()))
+
+    def use(self, extension: str, **values: Any) -> dict[str, Any]:
+        """The value of ``extensions`` of an item that has one extension, which the file then says that it uses."""
+        used: list[str] = self._json.setdefault("extensionsUsed", [])
+        if extension not in used:
+            used.append(extension)
+        return {extension: values}
+
+    def add_light(self, light: dict[str, Any]) -> int:
+        """Appends a light of KHR_lights_punctual; returns its index."""
+        self.use("KHR_lights_punctual")
+        lights = self._json.setdefault("extensions", {}).setdefault("KHR_lights_punctual", {"lights": []})["lights"]
+        lights.append(light)
+        return len(lights) - 1
+
+    def accessor(
+        self, values: npt.NDArray[Any], target: int = VERTICES, *, normalized: bool = False, bounds: bool = False
+    ) -> int:
+        """Appends an array, shape (N,) or (N, 1..4), of float32 or unsigned integers; returns the accessor's index.
+
+        Args:
+            values: Rows of a multiple of four bytes; those of indices may be shorter.
+            target: What it is for.
+            normalized: Whether integers stand for 0..1.
+            bounds: Whether the file says the smallest and largest values, as it must of positions.
+        """
+        stored = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("<"), copy=False)
+        rows = stored.reshape(len(stored), -1)
+        item: dict[str, Any] = {
+            "bufferView": self.view(rows.view(np.uint8).reshape(-1).data, target),
+            "componentType": _COMPONENT_CODES[stored.dtype.str[1:]],
+            "count": len(rows),
+            "type": _KINDS[rows.shape[1]],
+        }
+        if normalized:
+            item["normalized"] = True
+        if bounds:
+            item |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        return self.add("accessors", item)
+
+    def view(self, data: memoryview | bytes, target: int | None = None) -> int:
+        """Appends bytes to the buffer; returns the index of their view."""
+        item = {"buffer": 0, "byteOffset": self._size, "byteLength": len(data)}
+        padding = bytes(-len(data) % 4)
+        self._parts += [data, padding]
+        self._size += len(data) + len(padding)
+        return self.add("bufferViews", item | ({} if target is None else {"target": target}))
+
+    def save(self, path: PathLike, nodes: list[int]) -> None:
+        """Writes the file: a GLB, or, if its name ends with ``.gltf``, JSON that holds the buffer as text.
+
+        Args:
+            path: The file. It appears complete or not at all.
+            nodes: Indices of the nodes at the top of its scene.
+
+        Raises:
+            FormatError: It would be too large, or cannot be written.
+        """
+        document = self._json | {"scene": 0, "scenes": [{"nodes": nodes}]}
+        is_text = Path(path).suffix.lower() == ".gltf"
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
+            if is_text:
+                self._write_text(file, document)
+            else:
+                self._write_glb(path, file, document)
+
+    def _write_text(self, file: BinaryIO, document: dict[str, Any]) -> None:
+        if self._parts:
+            data = base64.b64encode(b"".join(map(bytes, self._parts))).decode()
+            uri = f"data:application/octet-stream;base64,{data}"
+            document |= {"buffers": [{"byteLength": self._size, "uri": uri}]}
+        file.write(_encoded(document))
+
+    def _write_glb(self, path: PathLike, file: BinaryIO, document: dict[str, Any]) -> None:
+        if self._parts:
+            document |= {"buffers": [{"byteLength": self._size}]}
+        text = _encoded(document)
+        text += b" " * (-len(text) % 4)
+        length = 12 + 8 + len(text) + (8 + self._size if self._parts else 0)
+        if length > _GLB_MAX:
+            raise FormatError(path, f"would have {length:,} bytes, but GLB ends at {_GLB_MAX:,}: save it in parts")
+        file.write(struct.pack("<4sII", b"glTF", 2, length))
+        file.write(struct.pack("<I4s", len(text), b"JSON") + text)
+        if self._parts:
+            file.write(struct.pack("<I4s", self._size, b"BIN\0"))
+            for part in self._parts:
+                file.write(part)
+
+
+def _encoded(document: dict[str, Any]) -> bytes:
+    """The JSON as UTF-8. What is no text in the name of a file becomes a question mark."""
+    return json.dumps(document, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode("utf-8", "replace")

@@ -15,10 +15,9 @@ import numpy as np
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.container import GltfDocument, GltfFile
 from lumisplat.io.gltf.extras import light_extras, light_settings, own_extras, with_extras
-from lumisplat.io.gltf.nodes import Matrix
-from lumisplat.io.gltf.writing.document import GltfDocument
+from lumisplat.io.gltf.nodes import Matrix, node_item
 from lumisplat.scene.lights import Light, LightDirectional, LightPoint, LightSphere, LightSpot
 
 _log = logging.getLogger("lumisplat")
@@ -102,11 +101,6 @@ def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> P
     raise SceneError(f"type is {kind!r}, expected point, spot or directional")
 
 
-def can_hold_light(light: Light) -> bool:
-    """Whether glTF has such a light; one that is off it has not."""
-    return light.enabled and isinstance(light, PunctualLight | LightSphere)
-
-
 def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> int | None:
     """Appends a light and its node; returns the node's index, None if glTF has no such light.
 
@@ -139,14 +133,6 @@ def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> 
     number = document.add_light(with_extras(item, light_extras(light)))
     node = node_item(file_from_world @ matrix, light.name) | {"extensions": document.use(EXTENSION, light=number)}
     return document.add("nodes", node)
-
-
-def node_item(matrix: Matrix, name: str) -> dict[str, Any]:
-    """A node with a transform, shape (4, 4), and a name, if it has any."""
-    item: dict[str, Any] = {"name": name} if name else {}
-    if not np.array_equal(matrix, np.eye(4)):
-        item["matrix"] = (matrix.T + 0.0).reshape(-1).tolist()  # by columns; without negative zeros
-    return item
 
 
 def _shining_along(direction: tuple[float, float, float]) -> Matrix:

@@ -1,18 +1,21 @@
-"""Meshes of glTF files: their primitives as stored, or as meshes in their rest pose."""
+"""Reads and writes meshes of glTF: primitives as stored or in their rest pose, skins, vertex colours."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.io.gltf.container import GltfFile
-from lumisplat.io.gltf.materials import GltfMaterials, texture_uvs
-from lumisplat.io.gltf.primitive import GltfPrimitive
-from lumisplat.io.gltf.skins import Influences, read_influences
-from lumisplat.io.gltf.vertex_colors import usable_colors
+from lumisplat.constants import RIG_BLACK_COLOR, RIG_BLACK_SHARE
+from lumisplat.errors import FormatError
+from lumisplat.io.files.source import PathLike
+from lumisplat.io.gltf.container import TRIANGLES, GltfDocument, GltfFile, GltfPrimitive
+from lumisplat.io.gltf.materials import GltfMaterials, MaterialWriter, texture_uvs
+from lumisplat.io.gltf.nodes import Matrix
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, unit_normals
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
@@ -20,9 +23,14 @@ from lumisplat.scene.animation.skinning import blend_matrices
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 
+_log = logging.getLogger("lumisplat")
+
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 TRIANGLE_MODES = (None, _TRIANGLES, _STRIP, _FAN)
 """Modes of the primitives that are read as meshes."""
+
+_SHORT_MAX = 65534
+"""Largest index of 16 bits: the one above restarts strips."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +149,7 @@ def _raw(
     for attribute, array in (("NORMAL", normals), ("COLOR_0", colors), ("TEXCOORD", uvs)):
         if array is not None and len(array) != len(positions):
             raise primitive.error(f"has {len(array):,} {attribute} for {len(positions):,} POSITION")
-    influences = None if joint_count is None else read_influences(primitive, len(positions), joint_count)
+    influences = None if joint_count is None else _read_influences(primitive, len(positions), joint_count)
     return RawPrimitive(
         positions,
         normals,
@@ -186,3 +194,138 @@ def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, wanted: set[i
                 raise primitive.error(f"has a target of {len(offsets):,} {name} for {len(base):,} vertices")
             found[number] = offsets
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class Skin:
+    """The J joints of a skin."""
+
+    joints: tuple[int, ...]
+    """Nodes that are the joints."""
+    joint_from_bind: Matrix
+    """Inverse bind matrices, shape (J, 4, 4)."""
+
+    def world_from_bind(self, world_from_node: Sequence[Matrix]) -> Matrix:
+        """The transforms of the joints from the bind pose to world space, shape (J, 4, 4)."""
+        return np.stack([world_from_node[joint] for joint in self.joints]) @ self.joint_from_bind
+
+
+@dataclass(frozen=True, slots=True)
+class Influences:
+    """The joints that move the vertices of a primitive."""
+
+    joints: npt.NDArray[np.int32]
+    """Indices of joints, shape (V, K)."""
+    weights: npt.NDArray[np.float32]
+    """Finite and at least 0, with a positive sum per vertex, shape (V, K)."""
+
+
+def read_skin(file: GltfFile, index: int) -> Skin:
+    """A skin by index.
+
+    Raises:
+        FormatError: The skin has no joints, names nodes that do not exist, or has too few or non-finite matrices.
+    """
+    skin = file.item("skins", index, "a node")
+    where = f"skins[{index}]"
+    for joint in skin.joints or ():
+        file.item("nodes", joint, where)
+    if not skin.joints:
+        raise FormatError(file.path, f"{where} has no joints")
+    joints = tuple(skin.joints)
+    if skin.inverseBindMatrices is None:
+        return Skin(joints, np.tile(np.eye(4), (len(joints), 1, 1)))
+    stored = file.floats(skin.inverseBindMatrices, "MAT4", where).astype(np.float64)
+    if len(stored) < len(joints):
+        raise FormatError(file.path, f"{where} has {len(stored)} matrices for {len(joints)} joints")
+    matrices = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)  # stored by columns
+    broken = np.count_nonzero(~np.isfinite(matrices).all(axis=(1, 2)))
+    if broken:
+        raise FormatError(file.path, f"{where}: {broken} of {len(joints)} inverse bind matrices are not finite")
+    return Skin(joints, matrices)
+
+
+def _read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: int) -> Influences:
+    """All sets of joints and weights of a primitive whose node has a skin.
+
+    Args:
+        primitive: The primitive.
+        vertex_count: Its number of vertices, V.
+        joint_count: Number of joints of the skin.
+
+    Raises:
+        FormatError: There is no set, a set is incomplete, a joint is not in the skin, or the weights of a vertex are
+            negative, not finite or all 0.
+    """
+    sets: list[Influences] = []
+    while (one := _read_set(primitive, len(sets), vertex_count)) is not None:
+        if one.joints.max() >= joint_count:
+            raise primitive.error(f"uses joint {one.joints.max()}, but its skin has {joint_count}")
+        sets.append(one)
+    if not sets:
+        raise primitive.error("is skinned, but has no skin weights: expected JOINTS_0 and WEIGHTS_0 for each vertex")
+    joints = np.concatenate([one.joints for one in sets], axis=1)
+    weights = np.concatenate([one.weights for one in sets], axis=1)
+    _check_weights(primitive, weights)
+    used = weights.any(axis=0)
+    return Influences(np.ascontiguousarray(joints[:, used]), np.ascontiguousarray(weights[:, used]))
+
+
+def _read_set(primitive: GltfPrimitive, number: int, vertex_count: int) -> Influences | None:
+    """The joints and weights of one set, unchecked; None if there is no set of that number."""
+    joints = primitive.integers(f"JOINTS_{number}", "VEC4")
+    if joints is None:
+        return None
+    weights = primitive.floats(f"WEIGHTS_{number}", "VEC4")
+    if weights is None or not len(joints) == len(weights) == vertex_count:
+        raise primitive.error(f"needs JOINTS_{number} and WEIGHTS_{number} for each vertex")
+    return Influences(joints.astype(np.int32), weights)
+
+
+def _check_weights(primitive: GltfPrimitive, weights: npt.NDArray[np.float32]) -> None:
+    invalid = np.count_nonzero(~(np.isfinite(weights) & (weights >= 0.0)).all(axis=1))
+    if invalid:
+        raise FormatError(
+            primitive.file.path,
+            f"{primitive.where}: {invalid:,} vertices have skin weights that are negative or not finite",
+        )
+    unweighted = np.count_nonzero(weights.sum(axis=1) == 0.0)
+    if unweighted:
+        raise primitive.error(f"is skinned, but {unweighted:,} vertices have no weight")
+
+
+def usable_colors(path: PathLike, colors: FloatArray, material: Material, name: str, advice: str) -> FloatArray | None:
+    """Returns vertex colours, unless they make most of a textured mesh black: these are masks, and a line says so.
+
+    Without a texture they are all the colour that there is: they are used, and the line says what to do.
+
+    Args:
+        path: The file.
+        colors: Linear, shape (V, 3).
+        material: Of the mesh.
+        name: Of the mesh.
+        advice: What to do if they are no colours.
+    """
+    black = float((colors.max(axis=1) < RIG_BLACK_COLOR).mean())
+    if black <= RIG_BLACK_SHARE:
+        return colors
+    share, is_textured = round(100.0 * black), material.base_color_texture is not None
+    line = "%s: COLOR_0 makes %d %% of the vertices of %r black: "
+    line += "the mesh has a texture, and COLOR_0 is left out" if is_textured else f"if it is no colour, {advice}"
+    _log.warning(line, path, share, name)
+    return None if is_textured else colors
+
+
+def add_mesh(document: GltfDocument, mesh: Mesh, materials: MaterialWriter) -> int:
+    """Appends a mesh; returns its index. Without normals its faces are flat, in glTF as here."""
+    attributes = {"POSITION": document.accessor(mesh.positions, bounds=True)}
+    for name, values in (("NORMAL", mesh.normals), ("TEXCOORD_0", mesh.uvs), ("COLOR_0", mesh.colors)):
+        if values is not None:
+            attributes[name] = document.accessor(values)
+    indices = mesh.indices.reshape(-1).astype(np.uint16 if mesh.vertex_count - 1 <= _SHORT_MAX else np.uint32)
+    primitive: dict[str, Any] = {
+        "attributes": attributes,
+        "indices": document.accessor(indices, TRIANGLES),
+        "material": materials.index(mesh.material, textured=mesh.uvs is not None),
+    }
+    return document.add("meshes", {"primitives": [primitive]} | ({"name": mesh.name} if mesh.name else {}))

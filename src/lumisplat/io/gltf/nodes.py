@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError
-from lumisplat.io.cameras.json_values import is_list
-from lumisplat.io.files.limits import check_expansion
+from lumisplat.io.cameras.json_cameras import is_list
+from lumisplat.io.files.source import check_expansion
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.math.arrays import finite_numbers
 from lumisplat.math.transforms import matrices_from_quaternions, rotation_matrix
@@ -163,6 +163,14 @@ def instance_places(file: GltfFile, index: int) -> list[Matrix]:
     if "TRANSLATION" in values:
         places[:, :3, 3] = values["TRANSLATION"]
     return [place for place in places if place[:3, :3].any()]
+
+
+def node_item(matrix: Matrix, name: str) -> dict[str, Any]:
+    """A node with a transform, shape (4, 4), and a name, if it has any."""
+    item: dict[str, Any] = {"name": name} if name else {}
+    if not np.array_equal(matrix, np.eye(4)):
+        item["matrix"] = (matrix.T + 0.0).reshape(-1).tolist()  # by columns; without negative zeros
+    return item
 
 
 def _local_transform(file: GltfFile, index: int) -> Matrix:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
-from lumisplat.io.files.limits import TextureBytes
+from lumisplat.io.files.source import TextureBytes
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.scene.textures import TextureWrap, WrapPair

@@ -1,4 +1,4 @@
-"""Textures: PNG, JPEG, WebP and some more formats, as sRGB texels."""
+"""Decodes textures (PNG, JPEG, WebP and some more) as sRGB texels, and finds damaged image files."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
-from lumisplat.io.files.limits import TextureBytes
-from lumisplat.io.files.source import PathLike, opened, read_bytes
+from lumisplat.io.files.source import PathLike, TextureBytes, opened, read_bytes
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TGA", "TIFF")
 """Formats that Pillow decodes by itself: for others it starts programs, such as Ghostscript for EPS."""
+
+_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+_SCAN, _END = 0xDA, b"\xff\xd9"
+"""Markers of a JPEG: its pixels begin, and they have ended (ITU-T T.81, table B.1)."""
 
 
 def read_texture(path: PathLike, total: TextureBytes | None = None) -> npt.NDArray[np.uint8]:
@@ -83,3 +86,50 @@ def decode_texture(
         raise FormatError(path, f"{where}is too large to decode: {error}") from None
     except Exception as error:  # Pillow's decoders raise many kinds of errors
         raise FormatError(path, f"{where}is corrupt, or no image: expected PNG, JPEG or WebP") from error
+
+
+def check_undamaged(path: PathLike) -> None:
+    """Refuses an image file that is cut off, and a PNG that is damaged anywhere.
+
+    What a PNG's checksums or the end of a JPEG's picture do not show to be whole is decoded.
+
+    Raises:
+        FormatError: It cannot be decoded to its end.
+    """
+    data = read_bytes(path)
+    if _is_whole_png(data) or _is_ended_jpeg(data):
+        return
+    try:
+        decode_texture(data, path)
+    except FormatError:
+        if not data.startswith((_PNG, _JPEG)):
+            raise
+        raise FormatError(
+            path, "is cut off or damaged: copy it anew, or remove it, and the photograph is left out"
+        ) from None
+
+
+def _is_whole_png(data: bytes) -> bool:
+    """Whether all of its parts are there, with the checksums that they should have."""
+    from PIL import Image
+
+    if not data.startswith(_PNG):
+        return False
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            image.verify()
+    except Exception:  # Pillow's decoders raise many kinds of errors
+        return False
+    return True
+
+
+def _is_ended_jpeg(data: bytes) -> bool:
+    """Whether its picture has an end: not that of a thumbnail before it, nor of what some cameras append."""
+    if not data.startswith(_JPEG):
+        return False
+    at = len(_JPEG)
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        if data[at + 1] == _SCAN:
+            return data.find(_END, at) >= 0
+        at += 2 + int.from_bytes(data[at + 2 : at + 4])
+    return False

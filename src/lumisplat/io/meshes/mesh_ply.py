@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.references import read_reference
-from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.files.source import PathLike, parsing, read_reference
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import (
     TriangleSieve,
@@ -25,9 +24,7 @@ from lumisplat.io.meshes.mesh_arrays import (
     flip_v,
     unit_normals,
 )
-from lumisplat.io.ply.header import PlyHeader
-from lumisplat.io.ply.lists import PlyList, read_ply_lists
-from lumisplat.io.ply.rows import PlyRows, read_ply_element
+from lumisplat.io.ply import PlyHeader, PlyList, PlyRows, read_ply_element, read_ply_lists
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.scene.materials import MaterialPbr

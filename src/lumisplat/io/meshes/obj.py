@@ -11,9 +11,7 @@ import numpy as np
 
 from lumisplat.constants import CREASE_ANGLE
 from lumisplat.errors import FormatError
-from lumisplat.io.files.limits import TextureBytes
-from lumisplat.io.files.references import read_reference, referenced_file
-from lumisplat.io.files.source import parsing, read_text
+from lumisplat.io.files.source import TextureBytes, parsing, read_reference, read_text, referenced_file
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import (
     TriangleSieve,

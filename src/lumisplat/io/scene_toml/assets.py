@@ -22,7 +22,7 @@ import numpy as np
 
 from lumisplat.config.checks import suggestion
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.files.format import STREAMED_SOG, format_of
+from lumisplat.io.files.source import STREAMED_SOG, format_of
 from lumisplat.io.meshes.mesh_arrays import drop_unplaced_textures
 from lumisplat.io.scene_toml.actors import Load
 from lumisplat.io.scene_toml.materials import MaterialTable, entry_material

@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.cameras.names import unique_names
+from lumisplat.io.cameras.common import unique_names
 from lumisplat.io.scene_toml.fields import with_radians
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
 from lumisplat.io.scene_toml.toml_table import COEFFICIENTS, NUMBER, TABLES, TEXT, VECTOR, WHOLE, TomlTable, Values

@@ -12,14 +12,13 @@ from functools import lru_cache
 from pathlib import Path
 
 from lumisplat.errors import LumisplatError
-from lumisplat.io.files.format import BLOCKS, STREAMED_SOG, format_of
-from lumisplat.io.files.source import parsing, read_bytes
+from lumisplat.io.files.source import BLOCKS, STREAMED_SOG, format_of, parsing, read_bytes
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.extras import own_extras
 from lumisplat.io.gltf.scene import read_gltf
-from lumisplat.io.ply.header import read_ply_header
+from lumisplat.io.ply import read_ply_header
 from lumisplat.io.splats.orientation import orientation_of, orientation_of_comments
-from lumisplat.io.splats.sog.reader import OURS, read_meta
+from lumisplat.io.splats.sog import OURS, read_meta
 from lumisplat.io.splats.spz import read_spz_orientation
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene

@@ -13,9 +13,7 @@ from typing import Any, NamedTuple, TypeGuard
 from lumisplat.config.checks import suggestion
 from lumisplat.constants import TOML_KEY_PARTS_MAX
 from lumisplat.errors import FormatError, LumisplatError
-from lumisplat.io.files.limits import TextureBytes
-from lumisplat.io.files.references import named_path
-from lumisplat.io.files.source import PathLike, read_text
+from lumisplat.io.files.source import PathLike, TextureBytes, named_path, read_text
 from lumisplat.io.scene_toml.toml_lines import KeyPath, line_numbers
 
 Values = dict[str, Any]

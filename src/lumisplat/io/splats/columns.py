@@ -1,12 +1,17 @@
-"""Conversion between `Gaussians` and the values that splat files store: logarithms of scales, logits of opacities."""
+"""Converts between `Gaussians` and the values that splat files store: logarithms of scales, logits of opacities.
+
+Columns of normals and materials differ by who wrote them. Mirrored axes and quaternions packed as their three smallest
+components are decoded here too.
+"""
 
 from __future__ import annotations
 
 import logging
 import math
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +19,6 @@ import numpy.typing as npt
 from lumisplat.constants import KERNEL_DEGREE, LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.splats.material_columns import FIELDS, LINEAR, MaterialColumns
 from lumisplat.io.splats.orientation import (
     UNSTATED,
     Orientation,
@@ -29,6 +33,110 @@ from lumisplat.scene.up import Vector
 _log = logging.getLogger("lumisplat")
 
 Floats = npt.NDArray[np.floating]
+
+FIELDS = ("normals", "albedo", "roughness", "metallic")
+"""Fields of a capture that only some files have."""
+
+LINEAR_COMMENT = "lumisplat materials linear"
+"""Our comment in the header: albedo is linear Rec.709, and all materials are within 0..1."""
+
+_LINEAR = re.compile(r"\s*lumisplat\s+materials\s+linear\s*", re.I)
+
+_NORMALS = ("nx", "ny", "nz")
+
+
+_SH_ODD_AXES = ("", "y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x")
+"""Axes in which each SH basis function up to degree 3 is odd, from its polynomial: degree 3, m = -3 is y (3x^2 - y^2),
+which is odd in y alone. Mirroring an odd axis changes the sign of the coefficient."""
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialColumns:
+    """How one trainer stores normals and materials."""
+
+    properties: Mapping[str, tuple[str, ...]]
+    """PLY properties of each field, in order."""
+    sigmoids: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    """Factor and offset: the value is factor * sigmoid(stored) + offset. Fields that are not listed are stored as they
+    are."""
+
+    def activated(self, name: str, stored: Floats) -> Floats:
+        """The values of a field; those that are not finite stay so."""
+        if name not in self.sigmoids:
+            return stored
+        factor, offset = self.sigmoids[name]
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = factor / (1.0 + np.exp(-stored.astype(np.float64))) + offset
+        return np.where(np.isfinite(stored), values, np.nan).astype(np.float32)
+
+    def stored(self, name: str, values: Floats) -> Floats:
+        """What is read as these values of a field, or as the nearest that it can have, float32."""
+        if name not in self.sigmoids:
+            return values
+        factor, offset = self.sigmoids[name]
+        with np.errstate(divide="ignore"):  # of the limits
+            share = np.clip((values.astype(np.float64) - offset) / factor, 0.0, 1.0)
+            logits = np.log(share) - np.log1p(-share)
+        return np.clip(logits, -LOGIT_MAX, LOGIT_MAX).astype(np.float32)
+
+    def limits(self, name: str) -> tuple[np.float32, np.float32]:
+        """The least and the largest value that a field of logits can have."""
+        factor, offset = self.sigmoids[name]
+        return np.float32(offset), np.float32(offset + factor)
+
+
+LINEAR = MaterialColumns(
+    {
+        "normals": _NORMALS,
+        "albedo": ("albedo_0", "albedo_1", "albedo_2"),
+        "roughness": ("roughness",),
+        "metallic": ("metallic",),
+    }
+)
+"""Our own."""
+
+R3DG = MaterialColumns(
+    {
+        "normals": _NORMALS,
+        "albedo": ("base_color_0", "base_color_1", "base_color_2"),
+        "roughness": ("roughness",),
+    },
+    {"albedo": (0.77, 0.03), "roughness": (0.9, 0.09)},
+)
+
+_R3DG_FIRST = MaterialColumns(
+    {**R3DG.properties, "metallic": ("metallic",)},
+    {"albedo": (1.0, 0.0), "roughness": (1.0, 0.0), "metallic": (1.0, 0.0)},
+)
+
+_GS_IR = MaterialColumns(
+    {**LINEAR.properties, "normals": ("normal_0", "normal_1", "normal_2")},
+    _R3DG_FIRST.sigmoids,
+)
+
+
+def says_linear(comments: tuple[str, ...]) -> bool:
+    """Whether header comments say that the materials are ours."""
+    return any(map(_LINEAR.fullmatch, comments))
+
+
+def material_columns_of(names: tuple[str, ...], comments: tuple[str, ...]) -> MaterialColumns:
+    """Who wrote the materials of a file.
+
+    Args:
+        names: The properties of its Gaussians.
+        comments: The comments of its header.
+
+    Returns:
+        One of the four above; `LINEAR` also if nobody is recognised.
+    """
+    if says_linear(comments):
+        return LINEAR
+    if {"base_color_0", "incidents_dc_0"} <= set(names):
+        return _R3DG_FIRST if "metallic" in names else R3DG
+    if {"albedo_0", "normal_0"} <= set(names) and "nx" not in names:
+        return _GS_IR
+    return LINEAR
 
 
 @dataclass(slots=True, eq=False)
@@ -100,7 +208,7 @@ _ACTIVATED_MIN = 32
 LOGITS_COMMENT = "lumisplat logits"
 """Our comment in the header of a PLY: scales are logarithms and opacities logits, even if they look otherwise."""
 
-PROBLEMS_LISTED = 6
+_PROBLEMS_LISTED = 6
 """Largest number of properties that an error about invalid values lists, before "and more"."""
 
 
@@ -263,25 +371,25 @@ def invalid_rows(columns: SplatColumns) -> tuple[npt.NDArray[np.bool_], str]:
 
 
 def _listed(problems: list[str]) -> str:
-    return ", ".join(problems[:PROBLEMS_LISTED]) + (", and more" if len(problems) > PROBLEMS_LISTED else "")
+    return ", ".join(problems[:_PROBLEMS_LISTED]) + (", and more" if len(problems) > _PROBLEMS_LISTED else "")
 
 
 def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np.bool_], list[str]]:
     """Mask of the Gaussians that cannot be used, shape (N,), and one phrase per property that is invalid."""
     invalid = np.zeros(columns.count, dtype=bool)
     problems: list[str] = []
-    for field in (*REQUIRED, *OPTIONAL):
-        values: Floats | None = getattr(columns, field)
+    for attribute in (*REQUIRED, *OPTIONAL):
+        values: Floats | None = getattr(columns, attribute)
         if values is None:
             continue
         what = "NaN or infinite values"
         valid = np.isfinite(values)
-        if field == "log_scales":
+        if attribute == "log_scales":
             valid = np.isfinite(scales)  # the exponential may overflow; that of -inf is the least scale
-        elif field == "opacities" and columns.opacities_are_logits:
+        elif attribute == "opacities" and columns.opacities_are_logits:
             what, valid = "NaN values", ~np.isnan(values)  # infinite logits are of opacities 0 and 1
         if not valid.all():
-            names = columns.property_names(field)
+            names = columns.property_names(attribute)
             bad = ~valid.reshape(columns.count, -1)
             invalid |= bad.any(axis=1)
             counts = np.count_nonzero(bad, axis=0)
@@ -368,3 +476,62 @@ def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None
             kind,
             origin_text(gaussians.origin),
         )
+
+
+def mirror_axes(columns: SplatColumns, signs: tuple[int, int, int]) -> SplatColumns:
+    """The same Gaussians in a frame whose axes are multiplied by ``signs``.
+
+    With S = diag(signs), a rotation R becomes S R S, whose quaternion is (w, sy sz x, sx sz y, sx sy z), because the
+    axis of a rotation is a pseudovector.
+
+    Args:
+        columns: Any Gaussians.
+        signs: +1 or -1 for x, y and z.
+    """
+    sx, sy, sz = signs
+    axes = np.array(signs, dtype=np.float32)
+    sign_of = dict(zip("xyz", signs, strict=True))
+    odd = [int(np.prod([sign_of[axis] for axis in odd_axes])) for odd_axes in _SH_ODD_AXES]
+    sh_signs = np.array(odd[: columns.sh.shape[1]], dtype=np.float32)
+    return replace(
+        columns,
+        means=columns.means * axes,
+        rotations_wxyz=columns.rotations_wxyz * np.array([1, sy * sz, sx * sz, sx * sy], dtype=np.float32),
+        sh=columns.sh * sh_signs[:, None],
+        normals=None if columns.normals is None else columns.normals * axes,
+    )
+
+
+def unpack_smallest_three(largest: npt.NDArray[np.integer], smallest: Floats) -> FloatArray:
+    """Restores unit quaternions with a positive largest component.
+
+    Args:
+        largest: Index of the component that is not stored, 0..3, shape (N,).
+        smallest: The other three components, in order, shape (N, 3).
+
+    Returns:
+        Quaternions in the component order of the file, shape (N, 4), float32.
+    """
+    missing = np.sqrt(np.maximum(0.0, 1.0 - np.einsum("ij,ij->i", smallest, smallest)))
+    quaternions = np.empty((len(smallest), 4), dtype=np.float32)
+    for i in range(4):
+        stored = np.where(i < largest, smallest[:, min(i, 2)], smallest[:, max(i - 1, 0)])
+        quaternions[:, i] = np.where(i == largest, missing, stored)
+    return quaternions
+
+
+def pack_smallest_three(quaternions: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
+    """The inverse of `unpack_smallest_three`.
+
+    Args:
+        quaternions: Unit quaternions, shape (N, 4).
+
+    Returns:
+        Index of the largest component, shape (N,), and the other three after the sign is changed to make the largest
+        positive, shape (N, 3), each within +-sqrt(1/2).
+    """
+    largest = np.abs(quaternions).argmax(axis=1)
+    rows = np.arange(len(quaternions))
+    positive = np.where(quaternions[rows, largest, None] < 0.0, -quaternions, quaternions)
+    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    return largest, np.take_along_axis(positive, others, axis=1)

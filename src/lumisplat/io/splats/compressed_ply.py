@@ -19,29 +19,34 @@ from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.ply.header import PlyHeader, ply_header_bytes
-from lumisplat.io.ply.rows import PlyRows, read_ply_element, read_ply_rows
-from lumisplat.io.splats.columns import Floats, SplatColumns, harmonic_names, warn_lost_materials
+from lumisplat.io.ply import PlyHeader, PlyRows, ply_header_bytes, read_ply_element, read_ply_rows
+from lumisplat.io.splats.columns import (
+    Floats,
+    SplatColumns,
+    harmonic_names,
+    pack_smallest_three,
+    unpack_smallest_three,
+    warn_lost_materials,
+)
 from lumisplat.io.splats.orientation import orientation_of_comments, without_orientation
-from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splats.splat_ply import antialiased_from_comments, comments_with_settings, kernel_degree_from_comments
 from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
 
-CHUNK = 256
-LOG_SCALE_MAX = 20.0
+_CHUNK = 256
+_LOG_SCALE_MAX = 20.0
 """Log scales are clamped to this magnitude when written, as PlayCanvas does: an outlier would coarsen its chunk."""
 
-POSITION_RANGE = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
-SCALE_RANGE = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
-COLOR_RANGE = ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b")
-PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_POSITION_RANGE = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
+_SCALE_RANGE = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
+_COLOR_RANGE = ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b")
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
-BITS_POSITION = (11, 10, 11)
-BITS_ROTATION = (2, 10, 10, 10)
-BITS_COLOR = (8, 8, 8, 8)
+_BITS_POSITION = (11, 10, 11)
+_BITS_ROTATION = (2, 10, 10, 10)
+_BITS_COLOR = (8, 8, 8, 8)
 
 Packed = npt.NDArray[np.uint32]
 
@@ -61,24 +66,24 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
     Raises:
         FormatError: A property is missing, element counts do not fit, or the file is truncated.
     """
-    _require(header, "chunk", "f4", POSITION_RANGE + SCALE_RANGE)
-    _require(header, "vertex", "u4", PACKED)
+    _require(header, "chunk", "f4", _POSITION_RANGE + _SCALE_RANGE)
+    _require(header, "vertex", "u4", _PACKED)
     chunk, vertex = (read_ply_element(header, header.required(name)) for name in ("chunk", "vertex"))
     count = len(vertex)
-    if len(chunk) != -(-count // CHUNK):
-        expected = -(-count // CHUNK)
+    if len(chunk) != -(-count // _CHUNK):
+        expected = -(-count // _CHUNK)
         raise FormatError(header.path, f"has {len(chunk):,} chunks for {count:,} Gaussians, expected {expected:,}")
-    position, rotation, scale, color = (vertex[name].astype(np.uint32, copy=False) for name in PACKED)
-    colors = unpack_bits(color, BITS_COLOR)
-    smallest = (unpack_bits(rotation, BITS_ROTATION)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2.0))
+    position, rotation, scale, color = (vertex[name].astype(np.uint32, copy=False) for name in _PACKED)
+    colors = _unpack_bits(color, _BITS_COLOR)
+    smallest = (_unpack_bits(rotation, _BITS_ROTATION)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2.0))
     rgb = colors[:, :3]
     if "min_r" in header.required("chunk").names:
-        _require(header, "chunk", "f4", COLOR_RANGE)
-        rgb = _scale_to_chunks(rgb, chunk, COLOR_RANGE)
+        _require(header, "chunk", "f4", _COLOR_RANGE)
+        rgb = _scale_to_chunks(rgb, chunk, _COLOR_RANGE)
     return SplatColumns(
-        means=_scale_to_chunks(unpack_bits(position, BITS_POSITION), chunk, POSITION_RANGE),
+        means=_scale_to_chunks(_unpack_bits(position, _BITS_POSITION), chunk, _POSITION_RANGE),
         rotations_wxyz=unpack_smallest_three(rotation >> np.uint32(30), smallest),
-        log_scales=_scale_to_chunks(unpack_bits(scale, BITS_POSITION), chunk, SCALE_RANGE),
+        log_scales=_scale_to_chunks(_unpack_bits(scale, _BITS_POSITION), chunk, _SCALE_RANGE),
         opacities=colors[:, 3],
         sh=_with_higher_degrees(header, (rgb - np.float32(0.5)) / np.float32(SH_C0)),
         opacities_are_logits=False,
@@ -97,7 +102,7 @@ def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str])
         raise FormatError(header.path, f"is not a compressed capture: {name} has no {', '.join(wrong)} of type {code}")
 
 
-def unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
+def _unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
     """Fields of 32-bit words, the first field in the highest bits, each scaled to 0..1, shape (N, fields)."""
     values = np.empty((len(packed), len(bits)), dtype=np.float32)
     shift = 32
@@ -109,8 +114,8 @@ def unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
     return values
 
 
-def pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
-    """The inverse of `unpack_bits`: clips fields to 0..1 and rounds them."""
+def _pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
+    """The inverse of `_unpack_bits`: clips fields to 0..1 and rounds them."""
     packed = np.zeros(len(values), dtype=np.uint32)
     for i, width in enumerate(bits):
         limit = (1 << width) - 1
@@ -123,7 +128,7 @@ def _scale_to_chunks(unit: Floats, chunk: PlyRows, names: tuple[str, ...]) -> Fl
     """Values of 0..1 scaled to the ranges of their chunks, shape (N, 3)."""
     low, high = (np.stack([chunk[name] for name in part], axis=1) for part in (names[:3], names[3:]))
     with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges are refused later, as non-finite values
-        low, size = (np.repeat(values, CHUNK, axis=0)[: len(unit)] for values in (low, high - low))
+        low, size = (np.repeat(values, _CHUNK, axis=0)[: len(unit)] for values in (low, high - low))
         return (low + unit * size).astype(np.float32, copy=False)
 
 
@@ -161,21 +166,21 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
     """
     warn_lost_materials(path, "compressed PLY", gaussians)
     ordered = gaussians.subset(morton_order(gaussians.means))
-    log_scales = np.clip(np.log(ordered.scales), -LOG_SCALE_MAX, LOG_SCALE_MAX)
+    log_scales = np.clip(np.log(ordered.scales), -_LOG_SCALE_MAX, _LOG_SCALE_MAX)
     rgb = ordered.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
     _warn_coarse_positions(path, ordered)
     ranges, (position, scale, color) = zip(*map(_chunk_ranges, (ordered.means, log_scales, rgb)), strict=True)
     largest, smallest = pack_smallest_three(ordered.rotations_wxyz)
     words = [
-        pack_bits(position, BITS_POSITION),
-        pack_bits(np.column_stack([largest / 3.0, smallest * np.sqrt(0.5) + 0.5]), BITS_ROTATION),
-        pack_bits(scale, BITS_POSITION),
-        pack_bits(np.column_stack([color, ordered.opacities]), BITS_COLOR),
+        _pack_bits(position, _BITS_POSITION),
+        _pack_bits(np.column_stack([largest / 3.0, smallest * np.sqrt(0.5) + 0.5]), _BITS_ROTATION),
+        _pack_bits(scale, _BITS_POSITION),
+        _pack_bits(np.column_stack([color, ordered.opacities]), _BITS_COLOR),
     ]
     rest = ordered.sh[:, 1:].transpose(0, 2, 1).reshape(ordered.count, -1)
     elements: list[tuple[str, int, str, list[str]]] = [
-        ("chunk", len(ranges[0]), "float", [*POSITION_RANGE, *SCALE_RANGE, *COLOR_RANGE]),
-        ("vertex", ordered.count, "uint", list(PACKED)),
+        ("chunk", len(ranges[0]), "float", [*_POSITION_RANGE, *_SCALE_RANGE, *_COLOR_RANGE]),
+        ("vertex", ordered.count, "uint", list(_PACKED)),
     ]
     if rest.shape[1]:
         elements.append(("sh", ordered.count, "uchar", [f"f_rest_{i}" for i in range(rest.shape[1])]))
@@ -191,10 +196,10 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
 
     A chunk is coarse if the step of its positions is larger than the median of the largest scales of its Gaussians.
     """
-    starts = np.arange(0, ordered.count, CHUNK)
+    starts = np.arange(0, ordered.count, _CHUNK)
     means = ordered.means
     extent = np.maximum.reduceat(means, starts) - np.minimum.reduceat(means, starts)
-    step = (extent / (2 ** np.array(BITS_POSITION) - 1)).max(axis=1)
+    step = (extent / (2 ** np.array(_BITS_POSITION) - 1)).max(axis=1)
     sizes = np.split(ordered.scales.max(axis=1), starts[1:])
     coarse = sum(len(size) for size, width in zip(sizes, step, strict=True) if width > np.median(size))
     if coarse:
@@ -208,8 +213,8 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
 
 def _chunk_ranges(values: Floats) -> tuple[Floats, Floats]:
     """Ranges of the chunks, shape (C, 6), and the values relative to them, 0..1, shape (N, 3)."""
-    starts = np.arange(0, len(values), CHUNK)
+    starts = np.arange(0, len(values), _CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     size = np.where(high > low, high - low, 1.0)
-    unit = (values - np.repeat(low, CHUNK, axis=0)[: len(values)]) / np.repeat(size, CHUNK, axis=0)[: len(values)]
+    unit = (values - np.repeat(low, _CHUNK, axis=0)[: len(values)]) / np.repeat(size, _CHUNK, axis=0)[: len(values)]
     return np.concatenate([low, high], axis=1), unit

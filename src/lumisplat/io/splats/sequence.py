@@ -27,12 +27,12 @@ def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians
             raise FormatError(path, f"is a {type(frame).__name__.lower()}, expected a frame of Gaussians")
         return frame
 
-    sequence = GaussianSequence(frame_paths(folder), fps, load_frame)
+    sequence = GaussianSequence(_frame_paths(folder), fps, load_frame)
     sequence.at(0.0)  # errors that all frames have are raised now
     return sequence
 
 
-def frame_paths(folder: Path) -> list[Path]:
+def _frame_paths(folder: Path) -> list[Path]:
     """The frames in a folder, in the natural order of their names, in which numbers are compared as numbers.
 
     Raises:

@@ -1,10 +1,6 @@
-"""Gaussian PLY as INRIA's trainer writes it, with or without further properties.
+"""Reads and writes Gaussian PLY as INRIA's trainer does, with or without further properties.
 
-Properties may have any order and any number type: x y z, f_dc_0..2, f_rest_* (0, 9, 24 or 45 of them, channel-major),
-opacity (logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz, any length). Without f_dc, colours are red, green and
-blue, as nerfstudio writes them with --ply-color-mode rgb. Relightable captures also have materials
-(`lumisplat.io.splats.material_columns`), and use nx, ny, nz, which INRIA fills with zeros. 2D Gaussians (Huang et al.
-2024) have no scale_2: they become flat 3D ones. Axes are not changed.
+Also writes the columns of Relightable 3D Gaussians (Gao et al. 2024), which their programs read.
 """
 
 from __future__ import annotations
@@ -24,25 +20,23 @@ from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, SH_C0, SH_DEGREE_
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.ply.header import PlyElement, PlyHeader, ply_header_bytes
-from lumisplat.io.ply.rows import PlyRows, read_ply_rows
+from lumisplat.io.ply import PlyElement, PlyHeader, PlyRows, ply_header_bytes, read_ply_rows
 from lumisplat.io.splats.columns import (
+    FIELDS,
+    LINEAR,
+    LINEAR_COMMENT,
     LOGITS_COMMENT,
     OPTIONAL,
     PROPERTY_NAMES,
+    R3DG,
     Floats,
     SplatColumns,
     columns_from_gaussians,
     harmonic_names,
-    recognise_activated,
-    stored_activated,
-)
-from lumisplat.io.splats.material_columns import (
-    FIELDS,
-    LINEAR,
-    LINEAR_COMMENT,
     material_columns_of,
+    recognise_activated,
     says_linear,
+    stored_activated,
 )
 from lumisplat.io.splats.orientation import (
     comments_with_orientation,
@@ -57,12 +51,12 @@ from lumisplat.scene.local_frame import needed_origin
 
 _log = logging.getLogger("lumisplat")
 
-REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
+_REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
 
-ANTIALIASED_COMMENT = "SplatRenderMode: mip"
+_ANTIALIASED_COMMENT = "SplatRenderMode: mip"
 """The comment of Brush, which PlayCanvas's tools also write."""
 
-KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
+_KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
 """Our own comment: no trainer writes the degree to its files."""
 
 _COLOR_OF_DC = {"f_dc_0": "red", "f_dc_1": "green", "f_dc_2": "blue"}
@@ -73,6 +67,9 @@ _CACHED_ROWS = 4096
 
 _ANTIALIASED = re.compile(r"\s*(?:antialiased\s+(?P<postshot>[01])|SplatRenderMode:\s*(?P<brush>\w+))\s*", re.I)
 _KERNEL_DEGREE = re.compile(r"\s*lumisplat\s+kernel_degree\s+(-?\d{1,9})\s*", re.I)
+
+_COEFFICIENTS = (SH_DEGREE_MAX + 1) ** 2
+"""Of each channel; their programs refuse files of another degree."""
 
 
 def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
@@ -99,15 +96,15 @@ def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
     if antialiased_from_comments(comments) != gaussians.antialiased:
         comments = tuple(comment for comment in comments if not _ANTIALIASED.fullmatch(comment))
         if gaussians.antialiased:
-            comments += (ANTIALIASED_COMMENT,)
+            comments += (_ANTIALIASED_COMMENT,)
     if kernel_degree_from_comments(comments) != gaussians.kernel_degree:
         comments = tuple(comment for comment in comments if not _KERNEL_DEGREE.fullmatch(comment))
         if gaussians.kernel_degree != KERNEL_DEGREE:
-            comments += (KERNEL_DEGREE_COMMENT.format(gaussians.kernel_degree),)
+            comments += (_KERNEL_DEGREE_COMMENT.format(gaussians.kernel_degree),)
     return comments_with_orientation(gaussians, comments)
 
 
-def comments_as_stored(gaussians: Gaussians, columns: SplatColumns) -> tuple[str, ...]:
+def _comments_as_stored(gaussians: Gaussians, columns: SplatColumns) -> tuple[str, ...]:
     """Returns `comments_with_settings`, and that of logits where readers would take the columns for other values."""
     unsure = any(stored_activated(columns))
     return (*comments_with_settings(gaussians), *([LOGITS_COMMENT] if unsure else []))
@@ -191,7 +188,7 @@ def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
     """Stores rows in columns, from row ``start`` of these on."""
     assert rows.dtype.names is not None
     with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 are refused later, as infinite
-        for name, target in column_views(columns):
+        for name, target in _column_views(columns):
             if name in rows.dtype.names:  # but for the third scale of 2D Gaussians
                 target[start : start + len(rows)] = rows[name]
             elif name in _COLOR_OF_DC:
@@ -246,7 +243,7 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
     if degree > SH_DEGREE_MAX:
         raise FormatError(path, f"has SH degree {degree}, at most {SH_DEGREE_MAX} is supported")
     coefficients = (degree + 1) ** 2
-    required = [name for field in REQUIRED for name in PROPERTY_NAMES[field]] + harmonic_names("f", coefficients)
+    required = [name for field in _REQUIRED for name in PROPERTY_NAMES[field]] + harmonic_names("f", coefficients)
     missing = [name for name in required if name not in vertex.names and _COLOR_OF_DC.get(name) not in vertex.names]
     if missing and missing != ["scale_2"]:
         raise FormatError(path, f"is not a complete Gaussian capture: no {', '.join(missing[:6])}")
@@ -286,10 +283,10 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
     )
 
 
-def column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
+def _column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
     """Name and column, a view of shape (N,), of every property that ``columns`` has."""
     targets: list[tuple[str, Floats]] = []
-    for field in (*REQUIRED, "sh", *OPTIONAL):
+    for field in (*_REQUIRED, "sh", *OPTIONAL):
         values = getattr(columns, field)
         if values is not None:
             targets += zip(columns.property_names(field), values.reshape(columns.count, -1).T, strict=True)
@@ -313,7 +310,7 @@ def _leave_out_unknown_materials(header: PlyHeader, vertex: PlyElement, columns:
     fields = [field for field in FIELDS[1:] if getattr(columns, field) is not None]
     if columns.material_columns is not LINEAR or not fields or says_linear(header.comments):
         return
-    ours = {name for name, _ in column_views(replace(columns, incident=None))} | {"nx", "ny", "nz"}
+    ours = {name for name, _ in _column_views(replace(columns, incident=None))} | {"nx", "ny", "nz"}
     foreign = [name for name in vertex.names if name not in ours]
     reasons = [f"{', '.join(foreign[:3])} {'are' if foreign[1:] else 'is'} none of our columns"] if foreign else []
     for field in fields:
@@ -342,28 +339,28 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
         FormatError: The file cannot be written.
     """
     columns = columns_from_gaussians(gaussians)
-    values = dict(column_views(columns))
-    comments = comments_as_stored(gaussians, columns)
+    values = dict(_column_views(columns))
+    comments = _comments_as_stored(gaussians, columns)
     materials = [name for field in FIELDS[1:] for name in LINEAR.properties[field] if name in values]
     if materials and not says_linear(comments):
         comments += (LINEAR_COMMENT,)
-    light = [] if columns.incident is None else harmonics_in_order("incidents", columns.incident.shape[1])
-    write_columns(path, comments, [*inria_names(columns.sh.shape[1]), *materials, *light], values, columns.count)
+    light = [] if columns.incident is None else _harmonics_in_order("incidents", columns.incident.shape[1])
+    _write_columns(path, comments, [*_inria_names(columns.sh.shape[1]), *materials, *light], values, columns.count)
 
 
-def inria_names(coefficients: int) -> list[str]:
+def _inria_names(coefficients: int) -> list[str]:
     """The properties of INRIA's files, in their order."""
-    names = ["x", "y", "z", "nx", "ny", "nz", *harmonics_in_order("f", coefficients), "opacity"]
+    names = ["x", "y", "z", "nx", "ny", "nz", *_harmonics_in_order("f", coefficients), "opacity"]
     return [*names, *PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
 
 
-def harmonics_in_order(prefix: str, coefficients: int, channels: int = 3) -> list[str]:
+def _harmonics_in_order(prefix: str, coefficients: int, channels: int = 3) -> list[str]:
     """The names of `harmonic_names` in the order of files."""
     rest = [f"{prefix}_rest_{i}" for i in range(channels * (coefficients - 1))]
     return [*(f"{prefix}_dc_{channel}" for channel in range(channels)), *rest]
 
 
-def write_columns(
+def _write_columns(
     path: PathLike, comments: tuple[str, ...], names: list[str], values: Mapping[str, Floats], count: int
 ) -> None:
     """Writes a PLY of these properties; those that have no values are zeros.
@@ -381,3 +378,65 @@ def write_columns(
                 if name in values:
                     rows[:, i] = values[name][start : start + step]
             file.write(rows.tobytes())
+
+
+def write_r3dg_ply(path: PathLike, gaussians: Gaussians) -> None:
+    """Writes a capture with materials as R3DG's second stage does.
+
+    Base colours outside 0.03..0.8 and roughness outside 0.09..0.99 become the nearest value that their columns can
+    hold, which is logged, as is metalness, for which there is no column. Incident light is 0 where there is none, and
+    visibility always: their programs trace it.
+
+    Raises:
+        FormatError: The capture lacks albedo, roughness or normals, or the file cannot be written.
+    """
+    missing = [name for name in ("albedo", "roughness", "normals") if getattr(gaussians, name) is None]
+    if missing:
+        raise FormatError(
+            path,
+            f"R3DG's columns hold albedo, roughness and normals, and the capture has no {' and no '.join(missing)}: "
+            "lumisplat delight, or lumisplat train --relightable, finds them",
+        )
+    light = gaussians.incident
+    whole = replace(
+        gaussians,
+        sh=_padded(gaussians.sh),
+        incident=np.zeros((gaussians.count, _COEFFICIENTS, 3), np.float32) if light is None else _padded(light),
+    )
+    columns = columns_from_gaussians(whole)
+    columns.material_columns = R3DG
+    for name in R3DG.sigmoids:
+        values = getattr(columns, name)
+        _say_if_outside(path, name, values)
+        setattr(columns, name, R3DG.stored(name, values))
+    if columns.metallic is not None and columns.metallic.any():
+        _log.warning("%s: R3DG's columns cannot store metallic: left out, metals become dielectrics", os.fspath(path))
+    columns.metallic = None
+    names = [*_inria_names(_COEFFICIENTS), *R3DG.properties["albedo"], *R3DG.properties["roughness"]]
+    names += [*_harmonics_in_order("incidents", _COEFFICIENTS), *_harmonics_in_order("visibility", _COEFFICIENTS, 1)]
+    comments = tuple(comment for comment in _comments_as_stored(gaussians, columns) if not says_linear((comment,)))
+    _write_columns(path, comments, names, dict(_column_views(columns)), columns.count)
+
+
+def _padded(sh: Floats) -> Floats:
+    """Harmonics up to the degree of their files."""
+    return np.pad(sh, ((0, 0), (0, _COEFFICIENTS - sh.shape[1]), (0, 0)))
+
+
+def _say_if_outside(path: PathLike, name: str, values: Floats) -> None:
+    """Logs how many values their columns cannot hold."""
+    low, high = R3DG.limits(name)
+    beyond = np.maximum(low - values, values - high)
+    count = np.count_nonzero(beyond > 0.0)
+    if count:
+        _log.warning(
+            "%s: R3DG's columns hold %s from %.2f to %.2f: %s of %s values are outside, by up to %.2g, and become the "
+            "nearest of these",
+            os.fspath(path),
+            name,
+            low,
+            high,
+            f"{count:,}",
+            f"{values.size:,}",
+            beyond.max(),
+        )

@@ -1,9 +1,7 @@
-"""Niantic SPZ, versions 1 to 4.
+"""Reads and writes Niantic SPZ, versions 1 to 4. Layout: https://github.com/nianticlabs/spz.
 
-Versions 1 to 3 are one gzip stream, decoded by `spz_legacy`. Version 4 is a plain header, a table of contents and one
-zstd stream per attribute. SPZ has RUB axes (x right, y up, z back) unless an extension names others; ours are those of
-the usual PLY (x right, y down, z forward), so that y and z are mirrored on load and on save.
-Layout: https://github.com/nianticlabs/spz.
+Versions 1 to 3 are a gzip stream of a 16-byte header and six packed sections (positions, alphas, colours, scales,
+rotations, SH), then extension records; version 4 compresses each section by Zstandard.
 """
 
 from __future__ import annotations
@@ -14,59 +12,247 @@ import logging
 import math
 import os
 import struct
-from collections.abc import Iterator
-from dataclasses import replace
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from lumisplat.constants import KERNEL_DEGREE
+from lumisplat.constants import KERNEL_DEGREE, SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.source import PathLike, read_bytes
-from lumisplat.io.splats.axes import mirror_axes
-from lumisplat.io.splats.columns import SplatColumns, columns_from_gaussians, warn_lost_materials
+from lumisplat.io.files.source import PathLike, check_gaussian_count, read_bytes
+from lumisplat.io.splats.columns import (
+    Floats,
+    SplatColumns,
+    columns_from_gaussians,
+    mirror_axes,
+    pack_smallest_three,
+    unpack_smallest_three,
+    warn_lost_materials,
+)
 from lumisplat.io.splats.orientation import UNSTATED, Orientation, orientation_of_text, orientation_values
-from lumisplat.io.splats.spz_header import (
-    FLAG_ANTIALIASED,
-    FLAG_EXTENSIONS,
-    FRACTIONAL_BITS_MAX,
-    MAGIC,
-    SpzHeader,
-    parse_spz_header,
-)
-from lumisplat.io.splats.spz_legacy import read_legacy
-from lumisplat.io.splats.spz_sections import (
-    DC_MAX,
-    LOG_SCALE_MAX,
-    LOG_SCALE_MIN,
-    SECTIONS,
-    decode_sections,
-    encode_sections,
-)
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
 
-HEADER_V4 = struct.Struct("<IIIBBBBI12x")
+_MAGIC = 0x5053474E  # "NGSP"
+_FLAG_ANTIALIASED = 0x1
+_FLAG_EXTENSIONS = 0x2
+_FRACTIONAL_BITS_MAX = 24
+_HEADER = struct.Struct("<IIIBBBB")
+
+_COLOR_SCALE = 0.15
+"""A colour byte is 255 (0.5 + 0.15 DC): a range wider than 0..1, so that hardly a coefficient is clipped."""
+_DC_MAX = 0.5 / _COLOR_SCALE
+"""Largest DC, of either sign."""
+
+_LOG_SCALE_MIN = -10.0
+"""Smallest logarithm of a scale that SPZ can store; a byte is 16 (log scale - this)."""
+_LOG_SCALE_MAX = _LOG_SCALE_MIN + 255.0 / 16.0
+"""Largest."""
+
+_SECTIONS = ("positions", "alphas", "colours", "scales", "rotations", "SH")
+
+Bytes = npt.NDArray[np.uint8]
+
+_EXTENSION_BYTES_MAX = 2**16
+_GZIP_WINDOW = 16 + zlib.MAX_WBITS
+
+_HEADER_V4 = struct.Struct("<IIIBBBBI12x")
 """The fields of all versions, the last of which is the number of streams, then the offset of the table of contents."""
 
-ZSTD_LEVEL = 12
+_ZSTD_LEVEL = 12
 """Level of the zstd streams, see docs/adr/0064-spz-by-numpy-and-zstandard.md."""
 
 _SIZE_UNKNOWN = -1
 """What zstandard says of streams whose writer did not know their size when it began."""
 
-EXTENSION_COORDINATES = 0xADBE0003
+_EXTENSION_COORDINATES = 0xADBE0003
 """Extension SPZ_ADOBE_coordinate_system: one u32 that names the axes."""
 
-EXTENSION_ORIENTATION = 0x4C530001
+_EXTENSION_ORIENTATION = 0x4C530001
 """Our own extension: up and first view as JSON (`lumisplat.io.splats.orientation`), in our axes. Others skip it."""
 
-COORDINATES = ("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
+_COORDINATES = ("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
 """Axes by that number: right or left, up or down, back or front; 0 is unspecified. Numbers 9 to 16 exchange y and z and
 are not supported."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpzHeader:
+    """The fields that all versions have."""
+
+    version: int
+    count: int
+    sh_degree: int
+    fractional_bits: int
+    """Fractional bits of the fixed-point positions; version 1 has floating-point positions."""
+    flags: int
+
+    @property
+    def sh_coefficients(self) -> int:
+        """Number of SH coefficients per channel, including DC."""
+        return (self.sh_degree + 1) ** 2
+
+    @property
+    def section_sizes(self) -> tuple[int, int, int, int, int, int]:
+        """Bytes of positions, alphas, colours, scales, rotations and SH."""
+        n = self.count
+        position, rotation = (6 if self.version == 1 else 9), (4 if self.version >= 3 else 3)
+        return position * n, n, 3 * n, 3 * n, rotation * n, 3 * (self.sh_coefficients - 1) * n
+
+
+def _parse_spz_header(path: PathLike, data: bytes, versions: range, stored_bytes: int) -> SpzHeader:
+    """The header at the start of ``data``, with its count checked against the size of the file.
+
+    Args:
+        path: Named in errors.
+        data: Bytes that begin with the header.
+        versions: Versions that this container may have.
+        stored_bytes: Size of the file.
+
+    Raises:
+        FormatError: The header is incomplete, or a field is out of range.
+    """
+    if len(data) < _HEADER.size:
+        raise FormatError(path, "truncated: the SPZ header is incomplete")
+    magic, version, count, degree, fractional_bits, flags, _ = _HEADER.unpack_from(data)
+    if magic != _MAGIC:
+        raise FormatError(path, "is not an SPZ file: no NGSP header")
+    if version not in versions:
+        raise FormatError(path, f"is SPZ version {version}, expected {versions[0]} to {versions[-1]} in this container")
+    if degree > SH_DEGREE_MAX:
+        raise FormatError(path, f"has SH degree {degree}, at most {SH_DEGREE_MAX} is supported")
+    if version > 1 and not 1 <= fractional_bits <= _FRACTIONAL_BITS_MAX:
+        raise FormatError(path, f"has {fractional_bits} fractional bits, expected 1 to {_FRACTIONAL_BITS_MAX}")
+    header = SpzHeader(version, count, degree, fractional_bits, flags)
+    check_gaussian_count(path, count, header.sh_coefficients, stored_bytes)
+    return header
+
+
+def _decode_sections(header: SpzHeader, sections: Sequence[Bytes]) -> SplatColumns:
+    """Gaussians in the axes of the file.
+
+    Args:
+        header: What the file says about them.
+        sections: One array of bytes for each of `_SECTIONS`, of the sizes that the header calls for.
+    """
+    positions, alphas, colors, scales, rotations, sh = sections
+    n = header.count
+    coefficients = np.empty((n, header.sh_coefficients, 3), dtype=np.float32)
+    coefficients[:, 0] = (colors.reshape(n, 3) / np.float32(255.0) - np.float32(0.5)) / np.float32(_COLOR_SCALE)
+    coefficients[:, 1:] = (sh.reshape(n, -1, 3) - np.float32(128.0)) / np.float32(128.0)
+    half = header.version == 1
+    return SplatColumns(
+        means=_half_positions(positions) if half else _fixed_positions(positions, header.fractional_bits),
+        rotations_wxyz=_packed_rotations(rotations) if header.version >= 3 else _byte_rotations(rotations),
+        log_scales=scales.reshape(n, 3) / np.float32(16.0) + np.float32(_LOG_SCALE_MIN),
+        opacities=alphas / np.float32(255.0),
+        sh=coefficients,
+        opacities_are_logits=False,
+    )
+
+
+def _half_positions(section: Bytes) -> Floats:
+    return section.view("<f2").astype(np.float32).reshape(-1, 3)
+
+
+def _fixed_positions(section: Bytes, fractional_bits: int) -> Floats:
+    """24-bit two's complement, shape (N, 3)."""
+    parts = section.reshape(-1, 3, 3).astype(np.int32)
+    # Shifted to the high bytes of an int32 first, so that shifting back down extends the sign.
+    fixed = (parts[..., 0] << 8 | parts[..., 1] << 16 | parts[..., 2] << 24) >> 8
+    return fixed * np.float32(2.0**-fractional_bits)
+
+
+def _byte_rotations(section: Bytes) -> Floats:
+    """x, y and z as bytes; w is positive and follows from the unit length. Shape (N, 4), wxyz."""
+    xyz = section.reshape(-1, 3) / np.float32(127.5) - np.float32(1.0)
+    return unpack_smallest_three(np.zeros(len(xyz), dtype=np.int64), xyz)
+
+
+def _packed_rotations(section: Bytes) -> Floats:
+    """Smallest three of xyzw: a 2-bit index, then three times a sign and 9 bits of magnitude. Shape (N, 4), wxyz."""
+    packed = section.view("<u4")
+    fields = np.stack([packed >> np.uint32(shift) & np.uint32(0x3FF) for shift in (20, 10, 0)], axis=1)
+    magnitude = (fields & np.uint32(0x1FF)) * np.float32(np.sqrt(0.5) / 511.0)
+    smallest = np.where(fields >> np.uint32(9), -magnitude, magnitude).astype(np.float32)
+    return np.roll(unpack_smallest_three(packed >> np.uint32(30), smallest), 1, axis=1)
+
+
+def _encode_sections(columns: SplatColumns, fractional_bits: int) -> list[bytes]:
+    """The sections of versions 3 and 4, each value rounded to the nearest that can be stored.
+
+    Args:
+        columns: Gaussians in the axes of the file, with unit rotations, and opacities in 0..1.
+        fractional_bits: Fractional bits of the positions, with which all of them fit into 24 bits.
+
+    Returns:
+        The bytes of each of `_SECTIONS`; those of SH are none at degree 0.
+    """
+    # Clamped, as the largest coordinate that fits may round to the first that does not.
+    fixed = np.clip(np.floor(columns.means * np.float64(2.0**fractional_bits) + 0.5), -(2**23), 2**23 - 1).astype("<i4")
+    return [
+        np.ascontiguousarray(fixed[..., None].view(np.uint8)[..., :3]).tobytes(),
+        _rounded(255.0 * columns.opacities),
+        _rounded(255.0 * (0.5 + _COLOR_SCALE * columns.sh[:, 0].astype(np.float64))),
+        _rounded(16.0 * (columns.log_scales.astype(np.float64) - _LOG_SCALE_MIN)),
+        _pack_rotations(columns.rotations_wxyz).tobytes(),
+        _rounded(128.0 * columns.sh[:, 1:] + 128.0),
+    ]
+
+
+def _rounded(values: Floats) -> bytes:
+    """Bytes, rounded and clamped."""
+    return np.clip(np.floor(values + 0.5), 0, 255).astype(np.uint8).tobytes()
+
+
+def _pack_rotations(wxyz: Floats) -> npt.NDArray[np.uint32]:
+    """The inverse of `_packed_rotations`."""
+    largest, smallest = pack_smallest_three(np.roll(wxyz, -1, axis=1))
+    packed = largest.astype("<u4")
+    for component in smallest.T:
+        magnitude = np.minimum(np.floor(np.abs(component) * (511.0 * np.sqrt(2.0)) + 0.5), 511.0).astype("<u4")
+        packed = packed << np.uint32(10) | (component < 0.0).astype("<u4") << np.uint32(9) | magnitude
+    return packed
+
+
+def _read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
+    """Decodes a gzip container.
+
+    Args:
+        path: Named in errors.
+        data: The whole file.
+
+    Returns:
+        Header, Gaussians in the axes of the file, and the bytes of extension records.
+
+    Raises:
+        FormatError: The file is damaged or truncated.
+    """
+    header = _parse_spz_header(path, _inflate(path, data, _HEADER.size), range(1, 4), len(data))
+    size = sum(header.section_sizes)
+    # Inflates at most what the header announces, however long the stream is.
+    content = _inflate(path, data, _HEADER.size + size + _EXTENSION_BYTES_MAX)
+    if len(content) < _HEADER.size + size:
+        raise FormatError(
+            path,
+            f"truncated: {header.count:,} Gaussians take {size:,} bytes, {len(content) - _HEADER.size:,} are there",
+        )
+    ends = np.cumsum((_HEADER.size, *header.section_sizes))
+    sections = [np.frombuffer(content, np.uint8)[a:b] for a, b in itertools.pairwise(ends)]
+    return header, _decode_sections(header, sections), content[ends[-1] :]
+
+
+def _inflate(path: PathLike, data: bytes, size: int) -> bytes:
+    """The first ``size`` bytes of a gzip stream, or all of them if it is shorter."""
+    try:
+        return zlib.decompressobj(_GZIP_WINDOW).decompress(data, size)
+    except zlib.error as error:
+        raise FormatError(path, f"damaged: {error}") from None
 
 
 @np.errstate(all="ignore")  # NaN that signals, of version 1, is refused later
@@ -78,14 +264,14 @@ def read_spz(path: PathLike) -> SplatColumns:
     """
     data = read_bytes(path)
     if data[:2] == b"\x1f\x8b":
-        header, columns, extensions = read_legacy(path, data)
+        header, columns, extensions = _read_legacy(path, data)
     elif data[:4] == b"NGSP":
         header, columns, extensions = _read_v4(path, data)
     else:
         raise FormatError(path, "is not an SPZ file: neither gzip nor NGSP at its start")
-    records = dict(_records(extensions)) if header.flags & FLAG_EXTENSIONS else {}
-    columns = mirror_axes(columns, rdf_signs(_stored_axes(path, records)))
-    columns.antialiased = bool(header.flags & FLAG_ANTIALIASED)
+    records = dict(_records(extensions)) if header.flags & _FLAG_EXTENSIONS else {}
+    columns = mirror_axes(columns, _rdf_signs(_stored_axes(path, records)))
+    columns.antialiased = bool(header.flags & _FLAG_ANTIALIASED)
     columns.orientation = _stored_orientation(path, records)
     return columns
 
@@ -97,22 +283,22 @@ def read_spz_orientation(path: PathLike) -> Orientation:
         FormatError: The file is damaged.
     """
     data = read_bytes(path)
-    if data[:4] != b"NGSP" or len(data) < HEADER_V4.size:
+    if data[:4] != b"NGSP" or len(data) < _HEADER_V4.size:
         return UNSTATED
-    header = parse_spz_header(path, data, range(4, 5), len(data))
-    records = _records(data[HEADER_V4.size : HEADER_V4.unpack_from(data)[-1]])
-    return _stored_orientation(path, dict(records) if header.flags & FLAG_EXTENSIONS else {})
+    header = _parse_spz_header(path, data, range(4, 5), len(data))
+    records = _records(data[_HEADER_V4.size : _HEADER_V4.unpack_from(data)[-1]])
+    return _stored_orientation(path, dict(records) if header.flags & _FLAG_EXTENSIONS else {})
 
 
 def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
     """Header, Gaussians in the axes of the file, and the bytes of extension records."""
-    header = parse_spz_header(path, data, range(4, 5), len(data))
-    if len(data) < HEADER_V4.size:
+    header = _parse_spz_header(path, data, range(4, 5), len(data))
+    if len(data) < _HEADER_V4.size:
         raise FormatError(path, "truncated: the SPZ header is incomplete")
-    *_, stream_count, toc_offset = HEADER_V4.unpack_from(data)
+    *_, stream_count, toc_offset = _HEADER_V4.unpack_from(data)
     sizes = [size for size in header.section_sizes if size]
     toc_end = toc_offset + 16 * len(sizes)
-    if stream_count != len(sizes) or toc_offset < HEADER_V4.size:
+    if stream_count != len(sizes) or toc_offset < _HEADER_V4.size:
         raise FormatError(path, f"damaged: {stream_count} streams at byte {toc_offset}, expected {len(sizes)}")
     if toc_end > len(data):
         raise FormatError(path, "truncated: the table of contents is incomplete")
@@ -123,9 +309,9 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
     if ends[-1] > len(data):
         raise FormatError(path, f"truncated: {len(data):,} bytes are fewer than its table of contents promises")
     streams = [data[start:end] for start, end in itertools.pairwise(ends)]
-    sections = [_unpacked(path, *stream) for stream in zip(SECTIONS, streams, sizes, strict=False)]
-    sections += [np.empty(0, np.uint8)] * (len(SECTIONS) - len(sections))  # there is no stream of SH at degree 0
-    return header, decode_sections(header, sections), data[HEADER_V4.size : toc_offset]
+    sections = [_unpacked(path, *stream) for stream in zip(_SECTIONS, streams, sizes, strict=False)]
+    sections += [np.empty(0, np.uint8)] * (len(_SECTIONS) - len(sections))  # there is no stream of SH at degree 0
+    return header, _decode_sections(header, sections), data[_HEADER_V4.size : toc_offset]
 
 
 def _unpacked(path: PathLike, name: str, stream: bytes, size: int) -> npt.NDArray[np.uint8]:
@@ -142,7 +328,7 @@ def _unpacked(path: PathLike, name: str, stream: bytes, size: int) -> npt.NDArra
     return np.frombuffer(content, np.uint8)
 
 
-def rdf_signs(axes: str) -> tuple[int, int, int]:
+def _rdf_signs(axes: str) -> tuple[int, int, int]:
     """Signs of x, y and z that convert right/left, up/down, back/front axes, such as ``"RUB"``, to ours."""
     x, y, z = axes
     return (1 if x == "R" else -1, 1 if y == "D" else -1, 1 if z == "F" else -1)
@@ -159,18 +345,18 @@ def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _stored_axes(path: PathLike, records: dict[int, bytes]) -> str:
     """The axes that an extension record names, RUB if none does."""
-    stored = records.get(EXTENSION_COORDINATES, b"")
+    stored = records.get(_EXTENSION_COORDINATES, b"")
     if len(stored) != 4:
         return "RUB"
     (coordinates,) = struct.unpack("<I", stored)
-    if coordinates >= len(COORDINATES):
+    if coordinates >= len(_COORDINATES):
         raise FormatError(path, f"its axes (SPZ_ADOBE_coordinate_system {coordinates}) are not supported")
-    return COORDINATES[coordinates]
+    return _COORDINATES[coordinates]
 
 
 def _stored_orientation(path: PathLike, records: dict[int, bytes]) -> Orientation:
     """Up and first view, of our own extension record."""
-    return orientation_of_text(path, records.get(EXTENSION_ORIENTATION, b"{}"))
+    return orientation_of_text(path, records.get(_EXTENSION_ORIENTATION, b"{}"))
 
 
 def write_spz(path: PathLike, gaussians: Gaussians) -> None:
@@ -191,34 +377,34 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
             gaussians.kernel_degree,
         )
     columns = replace(columns_from_gaussians(gaussians), opacities=gaussians.opacities, opacities_are_logits=False)
-    columns = mirror_axes(columns, rdf_signs("RUB"))
+    columns = mirror_axes(columns, _rdf_signs("RUB"))
     _warn_clamped(path, columns)
     bits = position_bits(path, float(np.abs(columns.means).max()))
-    sections = [section for section in encode_sections(columns, bits) if section]
-    pack = zstandard.ZstdCompressor(level=ZSTD_LEVEL, write_checksum=True).compress
+    sections = [section for section in _encode_sections(columns, bits) if section]
+    pack = zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_checksum=True).compress
     streams = [pack(section) for section in sections]
     toc = [(len(stream), len(section)) for stream, section in zip(streams, sections, strict=True)]
-    flags = FLAG_ANTIALIASED if gaussians.antialiased else 0
+    flags = _FLAG_ANTIALIASED if gaussians.antialiased else 0
     degree = gaussians.sh_degree
     record = b""
     if stated := orientation_values(gaussians.up, gaussians.first_view):
         text = json.dumps(stated).encode()
-        record = struct.pack("<II", EXTENSION_ORIENTATION, len(text)) + text
-        flags |= FLAG_EXTENSIONS
-    table = HEADER_V4.size + len(record)
-    header = HEADER_V4.pack(MAGIC, 4, columns.count, degree, bits, flags, len(streams), table)
+        record = struct.pack("<II", _EXTENSION_ORIENTATION, len(text)) + text
+        flags |= _FLAG_EXTENSIONS
+    table = _HEADER_V4.size + len(record)
+    header = _HEADER_V4.pack(_MAGIC, 4, columns.count, degree, bits, flags, len(streams), table)
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join([header, record, np.array(toc, "<u8").tobytes(), *streams]))
 
 
 def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
     """Says of how many Gaussians a file keeps less than they have."""
-    least, most = f"{math.exp(LOG_SCALE_MIN):.2g}", f"{math.exp(LOG_SCALE_MAX):.3g}"
+    least, most = f"{math.exp(_LOG_SCALE_MIN):.2g}", f"{math.exp(_LOG_SCALE_MAX):.3g}"
     kept = "clipped, save as .ply to keep them"
     clamped = (
-        (columns.log_scales < LOG_SCALE_MIN, f"are thinner than {least}, where SPZ ends: widened"),
-        (columns.log_scales > LOG_SCALE_MAX, f"are wider than {most}, where SPZ ends: narrowed"),
-        (np.abs(columns.sh[:, :1]) > DC_MAX, f"have a colour too bright or too dark for SPZ: {kept}"),
+        (columns.log_scales < _LOG_SCALE_MIN, f"are thinner than {least}, where SPZ ends: widened"),
+        (columns.log_scales > _LOG_SCALE_MAX, f"are wider than {most}, where SPZ ends: narrowed"),
+        (np.abs(columns.sh[:, :1]) > _DC_MAX, f"have a colour too bright or too dark for SPZ: {kept}"),
         (np.abs(columns.sh[:, 1:]) > 1.0, f"have SH coefficients beyond -1..1, where SPZ ends: {kept}"),
     )
     for beyond, what in clamped:
@@ -236,7 +422,7 @@ def position_bits(path: PathLike, largest: float) -> int:
     Raises:
         FormatError: The largest coordinate does not fit with any number of bits.
     """
-    fitting = 22 - math.floor(math.log2(largest)) if largest > 0.0 else FRACTIONAL_BITS_MAX
+    fitting = 22 - math.floor(math.log2(largest)) if largest > 0.0 else _FRACTIONAL_BITS_MAX
     if fitting < 1:
         raise FormatError(path, f"a position of {largest:g} does not fit SPZ, which ends at {2**22:,}: scale the scene")
-    return min(fitting, max(12, fitting - 5), FRACTIONAL_BITS_MAX)
+    return min(fitting, max(12, fitting - 5), _FRACTIONAL_BITS_MAX)

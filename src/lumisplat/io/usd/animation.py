@@ -43,10 +43,10 @@ def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
         FormatError: The file cannot be read, or its times are no times.
         MissingExtraError: usd-core is not installed.
     """
-    return read_apart(path, animation_of, drop_invalid)
+    return read_apart(path, _animation_of, drop_invalid)
 
 
-def animation_of(path: Path, drop_invalid: bool) -> Animation:
+def _animation_of(path: Path, drop_invalid: bool) -> Animation:
     """Reads an animation in this process, which goes on to read what deforms; as of `read_usd_animation`."""
     with reading_usd(path):
         file = open_usd(path)

@@ -1,32 +1,38 @@
-"""Cameras of OpenUSD files: y up and -z forward, a film in tenths of a unit, and a size where a picture is ordered.
+"""Reads and writes cameras of OpenUSD: y up and -z forward, apertures in tenths of a unit.
 
-The film's aperture and its offset give focal lengths and principal point in pixels; a RenderProduct or RenderSettings
-that names the camera gives the size of its pictures.
+Cameras have no size in pixels: render products do.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
+from lumisplat.constants.usd import USD_FILM_WIDTH
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.cameras.node_pose import pose_of_node
-from lumisplat.io.cameras.sizes import size_of_aspect
+from lumisplat.io.cameras.common import pose_of_node, size_of_aspect
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.layers import check_loaded
 from lumisplat.io.usd.library import pxr, reading_usd
 from lumisplat.io.usd.process import read_apart
-from lumisplat.io.usd.stage import UsdFile, open_usd
-from lumisplat.io.usd.values import number, shortest, value
+from lumisplat.io.usd.stage import StageWriter, UsdFile, number, open_usd, shortest, value
 from lumisplat.io.usd.walk import Placed, placed_prims
+from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 
-FILM_UNIT = 0.1
+_FILM_UNIT = 0.1
 """Unit of films and focal lengths, in those of the stage."""
+
+_Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Ours have y down and z forward."""
+_FAR = 1e6
+"""Where what is far away ends, metres."""
+_RENDER = "/Render"
 
 
 class _Size(NamedTuple):
@@ -49,10 +55,10 @@ def read_usd_cameras(path: PathLike, width: int | None = None, height: int | Non
         FormatError: The file cannot be read, or a camera is invalid; names it.
         MissingExtraError: usd-core is not installed.
     """
-    return read_apart(path, cameras_in, width, height)
+    return read_apart(path, _cameras_in, width, height)
 
 
-def cameras_in(path: Path, width: int | None, height: int | None) -> list[Camera]:
+def _cameras_in(path: Path, width: int | None, height: int | None) -> list[Camera]:
     """Reads cameras in this process; as of `read_usd_cameras`."""
     with reading_usd(path):
         found = cameras_of(open_usd(path), width, height)
@@ -93,7 +99,7 @@ def _camera(file: UsdFile, placed: Placed, ordered: _Size | None, width: int | N
         return number(file, prim, name, default) * unit
 
     film_width, film_height = (
-        _positive(name, length(name, default) * FILM_UNIT)
+        _positive(name, length(name, default) * _FILM_UNIT)
         for name, default in (("horizontalAperture", 20.955), ("verticalAperture", 15.2908))
     )
     size = (
@@ -104,7 +110,7 @@ def _camera(file: UsdFile, placed: Placed, ordered: _Size | None, width: int | N
     stretch = (size.width / film_width) / (size.height / film_height)
     if width is not None or height is not None:
         size = _Size(*size_of_aspect(size.width / size.height, width, height))
-    focal = _positive("focalLength", length("focalLength", 50.0) * FILM_UNIT)
+    focal = _positive("focalLength", length("focalLength", 50.0) * _FILM_UNIT)
     kind = str(value(file, prim, "projection", "perspective"))
     if kind not in ("perspective", "orthographic"):
         raise SceneError(f"projection is {kind!r}, expected perspective or orthographic")
@@ -119,8 +125,8 @@ def _camera(file: UsdFile, placed: Placed, ordered: _Size | None, width: int | N
         height=size.height,
         fx=fy * stretch,
         fy=fy,
-        cx=0.5 * size.width - length("horizontalApertureOffset", 0.0) * FILM_UNIT * pixels_x,
-        cy=0.5 * size.height + length("verticalApertureOffset", 0.0) * FILM_UNIT * pixels_y,
+        cx=0.5 * size.width - length("horizontalApertureOffset", 0.0) * _FILM_UNIT * pixels_x,
+        cy=0.5 * size.height + length("verticalApertureOffset", 0.0) * _FILM_UNIT * pixels_y,
         camera_from_world=pose_of_node(placed.world_from_prim),
         near=near if 0.0 < near < math.inf else NEAR_PLANE,
         name=placed.name,
@@ -147,3 +153,65 @@ def _positive(name: str, length: float) -> float:
     if not 0.0 < length < math.inf:
         raise SceneError(f"{name} is {length:g}, expected a length above 0")
     return length
+
+
+def write_cameras(writer: StageWriter, cameras: Sequence[Camera]) -> None:
+    """Writes cameras, and the sizes of their pictures. Fisheyes are left out, with a remark."""
+    for camera in cameras:
+        if camera.model is CameraModel.FISHEYE:
+            writer.remarks.add("fisheye cameras", camera.name)
+            continue
+        writer.place(define_camera(writer, camera), camera_place(camera))
+
+
+def camera_place(camera: Camera) -> Doubles:
+    """``world_from_prim`` of a camera, shape (4, 4)."""
+    return camera.world_from_camera @ _Y_UP
+
+
+def define_camera(writer: StageWriter, camera: Camera) -> Any:
+    """Writes a camera, without its place; its prim."""
+    prim = pxr().UsdGeom.Camera.Define(writer.stage, writer.path_of(camera.name or "camera")).GetPrim()
+    writer.name(prim, camera.name)
+    if camera.is_distorted:
+        writer.remarks.add("lens distortion", camera.name)
+    if camera.camera_from_world_end is not None:
+        writer.remarks.add("rolling shutters", camera.name)
+    for name, setting in camera_values(camera).items():
+        prim.GetAttribute(name).Set(setting)
+    _order(writer, camera, prim)
+    return prim
+
+
+def camera_values(camera: Camera) -> dict[str, Any]:
+    """The attributes of a camera: its film has a known width, or, of parallel rays, that of what it sees."""
+    parallel = camera.model is CameraModel.ORTHOGRAPHIC
+    film = camera.width / camera.fx if parallel else USD_FILM_WIDTH
+    focal = USD_FILM_WIDTH if parallel else film * camera.fx / camera.width
+    pixel_x, pixel_y = film / camera.width, film * camera.fx / camera.fy / camera.width
+    return {
+        "projection": "orthographic" if parallel else "perspective",
+        "focalLength": focal / _FILM_UNIT,
+        "horizontalAperture": film / _FILM_UNIT,
+        "verticalAperture": pixel_y * camera.height / _FILM_UNIT,
+        "horizontalApertureOffset": (0.5 * camera.width - camera.cx) * pixel_x / _FILM_UNIT,
+        "verticalApertureOffset": (camera.cy - 0.5 * camera.height) * pixel_y / _FILM_UNIT,
+        "clippingRange": pxr().Gf.Vec2f(camera.near, max(_FAR, 2.0 * camera.near)),
+        "focusDistance": camera.focus_distance,
+        "fStop": 0.5 * focal / camera.aperture if camera.aperture > 0.0 else 0.0,
+        "exposure": camera.exposure,
+    }
+
+
+def _order(writer: StageWriter, camera: Camera, prim: Any) -> None:
+    """Orders a picture of a camera, which says its size."""
+    px, stage = pxr(), writer.stage
+    if not stage.GetPrimAtPath(_RENDER):
+        px.UsdGeom.Scope.Define(stage, _RENDER)
+    path = writer.path_of(f"{prim.GetName()}_picture", _RENDER)
+    product = px.UsdRender.Product.Define(stage, path)
+    product.CreateResolutionAttr(px.Gf.Vec2i(camera.width, camera.height))
+    product.CreateCameraRel().SetTargets([prim.GetPath()])
+    ratio = camera.fx / camera.fy
+    if not math.isclose(ratio, 1.0, rel_tol=1e-9):
+        product.CreatePixelAspectRatioAttr(1.0 / ratio)

@@ -10,8 +10,7 @@ from typing import Any
 
 from lumisplat.constants.usd import USD_LAYERS_MAX
 from lumisplat.errors import FormatError
-from lumisplat.io.files.references import leaves_folder, referenced_file
-from lumisplat.io.files.source import check_regular, parsing, read_text
+from lumisplat.io.files.source import check_regular, leaves_folder, parsing, read_text, referenced_file
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.process import grant
 

@@ -27,12 +27,9 @@ from lumisplat.constants.usd import USD_POINT_RADIUS
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.images.radiance import read_radiance, write_radiance
 from lumisplat.io.images.texture import decode_texture
-from lumisplat.io.usd.assets import asset_bytes, asset_name
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.stage import UsdFile
-from lumisplat.io.usd.values import hints_of, number, shortest, value
+from lumisplat.io.usd.stage import StageWriter, UsdFile, asset_bytes, asset_name, hints_of, number, shortest, value
 from lumisplat.io.usd.walk import Placed
-from lumisplat.io.usd.writing.stage import StageWriter
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.transforms import quaternions_from_matrices, rotation_matrix

@@ -39,8 +39,7 @@ from lumisplat.constants.usd import (
     USD_WALL_FACTOR,
 )
 from lumisplat.errors import FormatError, LumisplatError, MissingExtraError
-from lumisplat.io.files.references import leaves_folder, may_leave_folder, references_outside
-from lumisplat.io.files.source import PathLike, check_regular
+from lumisplat.io.files.source import PathLike, check_regular, leaves_folder, may_leave_folder, references_outside
 
 _log = logging.getLogger("lumisplat")
 

@@ -11,7 +11,7 @@ import numpy as np
 from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, with_present_keys
-from lumisplat.io.gltf.gaussians.placed import alone
+from lumisplat.io.gltf.gaussians import alone
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.io.splats.columns import gaussians_from_columns
 from lumisplat.io.usd.layers import check_loaded
@@ -21,8 +21,7 @@ from lumisplat.io.usd.materials import UsdMaterials
 from lumisplat.io.usd.meshes import UsdMeshes
 from lumisplat.io.usd.particles import is_field, read_particles
 from lumisplat.io.usd.process import read_apart
-from lumisplat.io.usd.stage import UsdFile, open_usd
-from lumisplat.io.usd.values import hints_of
+from lumisplat.io.usd.stage import UsdFile, hints_of, open_usd
 from lumisplat.io.usd.walk import Placed, placed_prims
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.editing.affine import under_affine
@@ -69,10 +68,10 @@ def shows_one_capture(path: PathLike) -> bool:
         FormatError: The file cannot be read.
         MissingExtraError: usd-core is not installed.
     """
-    return read_apart(path, is_one_capture)
+    return read_apart(path, _is_one_capture)
 
 
-def is_one_capture(path: Path) -> bool:
+def _is_one_capture(path: Path) -> bool:
     """Looks for one field of particles in this process; as of `shows_one_capture`."""
     with reading_usd(path):
         file = open_usd(path)

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.stage import UsdFile
-from lumisplat.io.usd.values import shortest
+from lumisplat.io.usd.stage import UsdFile, shortest
 from lumisplat.math.arrays import Doubles, FloatArray, finite_numbers
 from lumisplat.scene.textures import TextureWrap, WrapPair
 

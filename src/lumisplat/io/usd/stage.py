@@ -1,27 +1,85 @@
-"""A USD file that is open: its stage, the time that is shown, and its axes and units against ours."""
+"""Opens stages of OpenUSD and reads their values and assets; `StageWriter` makes a stage.
+
+An open stage has the time that is shown, and its axes and units against ours. What is not read of a file, or not
+written of a scene, is collected as `Remarks` and reported in one log line.
+"""
 
 from __future__ import annotations
 
+import io
+import logging
 import math
 import os
-from dataclasses import dataclass
+import re
+import zipfile
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from lumisplat.constants import FILE_BYTES_MAX
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.native import utf8_path
+from lumisplat.io.files.source import PathLike, check_regular, read_reference, referenced_file
 from lumisplat.io.usd.layers import check_layers
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.remarks import Remarks
+from lumisplat.io.usd.process import allow_asset
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import axis_rotation
+from lumisplat.scene.textures import Texture
+from lumisplat.scene.up import Vector, up_vector, y_up_from
 
-HINT = "lumisplat"
+_log = logging.getLogger("lumisplat")
+
+_NAMES_LISTED = 3
+"""Names of things that a remark lists."""
+_REMARKS_LISTED = 12
+"""Remarks in one line."""
+
+_HINT = "lumisplat"
 """Dictionary in the custom data of a prim in which we note what the format has no place for."""
-UNIT_ERROR = 1e-9
+_UNIT_ERROR = 1e-9
 """Error of a unit of length that is none, relative."""
+
+_ROOT = "/World"
+"""Path of the prim that holds everything."""
+
+
+@dataclass(slots=True)
+class Remarks:
+    """Remarks about a file: each once, with the names of the things that it is about."""
+
+    path: PathLike
+    head: str
+    """Beginning of the line, after the file."""
+    names: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
+
+    def add(self, remark: str, name: str = "") -> None:
+        """Notes what a thing has that is left out, or how it is understood.
+
+        Args:
+            remark: Such as ``"the range of lights"``.
+            name: The thing.
+        """
+        names = self.names.setdefault(remark, [])
+        if name and name not in names:
+            names.append(name)
+
+    def report(self) -> None:
+        """Logs the line, if there is anything to say."""
+        if not self.names:
+            return
+        said = [remark + _listed(names) for remark, names in self.names.items()]
+        more = f"; and {len(said) - _REMARKS_LISTED} more" if len(said) > _REMARKS_LISTED else ""
+        _log.warning("%s: %s: %s%s", os.fspath(self.path), self.head, "; ".join(said[:_REMARKS_LISTED]), more)
+
+
+def _listed(names: list[str]) -> str:
+    """The first few names, in brackets."""
+    more = f" and {len(names) - _NAMES_LISTED} more" if len(names) > _NAMES_LISTED else ""
+    return f" ({', '.join(names[:_NAMES_LISTED])}{more})" if names else ""
 
 
 @dataclass(slots=True)
@@ -88,7 +146,7 @@ def _world_from_stage(path: Path, stage: Any, remarks: Remarks) -> Doubles:
         unit = float(geom.GetStageMetersPerUnit(stage))
         if not 0.0 < unit < math.inf:
             raise FormatError(path, f"has metersPerUnit {unit:g}, expected a length above 0")
-        if abs(unit - 1.0) > UNIT_ERROR:
+        if abs(unit - 1.0) > _UNIT_ERROR:
             matrix[:3, :3] *= unit
             remarks.add(f"its unit is {unit:g} m: scaled to metres")
     return matrix
@@ -97,3 +155,216 @@ def _world_from_stage(path: Path, stage: Any, remarks: Remarks) -> Doubles:
 def _first_line(text: str, path: Path) -> str:
     said = " ".join(text.replace(os.fspath(path), "it").split())
     return said[:120]
+
+
+def value(file: UsdFile, prim: Any, name: str, default: Any = None) -> Any:
+    """The value of an attribute at the time that is shown; the default if there is none."""
+    attribute = prim.GetAttribute(name)
+    found = attribute.Get(file.time) if attribute else None
+    return default if found is None else found
+
+
+def shortest(found: float) -> float:
+    """A number; of one that has 32 bits, the shortest decimal that it stands for: 0.4, not 0.4000000059604645."""
+    single = np.float32(found)
+    return float(str(single)) if float(single) == found else float(found)
+
+
+def hints_of(prim: Any) -> dict[str, Any]:
+    """What we have noted at a prim, in files of ours."""
+    found = prim.GetCustomDataByKey(_HINT)
+    return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+
+
+def number(file: UsdFile, prim: Any, name: str, default: float) -> float:
+    """A number.
+
+    Raises:
+        FormatError: It is none.
+    """
+    found = value(file, prim, name, default)
+    try:
+        return shortest(float(found))
+    except (TypeError, ValueError):
+        raise FormatError(file.path, f"{prim.GetPath()}.{name} is {str(found)[:40]!r}, expected a number") from None
+
+
+def array(file: UsdFile, prim: Any, name: str, columns: int) -> npt.NDArray[np.float32] | None:
+    """An array of rows, shape (N, columns), or (N,) for one column; None if it has no rows.
+
+    Raises:
+        FormatError: It has other rows.
+    """
+    found = value(file, prim, name)
+    return None if found is None else rows(file, f"{prim.GetPath()}.{name}", found, columns)
+
+
+def rows(file: UsdFile, label: str, found: Any, columns: int) -> npt.NDArray[np.float32] | None:
+    """As `array`, of a value that is there."""
+    try:
+        held = np.array(found, dtype=np.float32)
+    except (TypeError, ValueError):
+        raise FormatError(file.path, f"{label} is no array of numbers") from None
+    if held.size == 0:
+        return None
+    if held.shape[1:] != ((columns,) if columns > 1 else ()):
+        raise FormatError(file.path, f"{label} has rows of shape {held.shape[1:]}, expected {columns} numbers")
+    return held
+
+
+def whole_numbers(file: UsdFile, prim: Any, name: str) -> npt.NDArray[np.int64]:
+    """An array of whole numbers, shape (N,); empty if there is none.
+
+    Raises:
+        FormatError: They are none.
+    """
+    found = np.array(value(file, prim, name, ()))
+    if found.size == 0:
+        return np.zeros(0, np.int64)
+    if found.dtype.kind not in "iu" or found.ndim != 1:
+        raise FormatError(file.path, f"{prim.GetPath()}.{name} is no array of whole numbers")
+    return found.astype(np.int64)
+
+
+def asset_name(asset: Any) -> str:
+    """The path of an asset, as the layer has it."""
+    return str(getattr(asset, "path", asset))
+
+
+def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
+    """The contents of a file that a value names, to be decoded.
+
+    Args:
+        file: The open file.
+        asset: A path of the library, which knows what it was resolved to.
+        label: What names it, for messages.
+
+    Raises:
+        FormatError: There is no such file, it leaves the folder of the stage, or it cannot be read.
+    """
+    data = _stored_bytes(file, asset, label)
+    allow_asset(len(data))
+    return data
+
+
+def _stored_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
+    """As `asset_bytes`."""
+    ar, name = pxr().Ar, asset_name(asset)
+    found = str(getattr(asset, "resolvedPath", "")) or name
+    if found == name and file.path.suffix.lower() == ".usdz":  # not found by the library: perhaps it is there
+        found = ar.JoinPackageRelativePath([os.fspath(file.path), os.path.normpath(name)])
+    if not ar.IsPackageRelativePath(found):
+        return read_reference(file.path, found)
+    package, inner = ar.SplitPackageRelativePathOuter(found)
+    place = referenced_file(file.path, package)
+    try:
+        check_regular(place, place.stat())
+        # A package in a package is not unpacked: USD advises against them.
+        with zipfile.ZipFile(place) as held:
+            entry = held.getinfo(inner)
+            if entry.file_size > FILE_BYTES_MAX or entry.compress_type != zipfile.ZIP_STORED:
+                raise FormatError(file.path, f"{label} names {name[:200]!r}, which is packed or too large")
+            return held.read(entry)
+    except FormatError:
+        raise
+    except (KeyError, OSError, zipfile.BadZipFile):
+        raise FormatError(file.path, f"{label} names {name[:200]!r}, which {Path(package).name} lacks") from None
+
+
+@dataclass(slots=True)
+class StageWriter:
+    """A stage in memory.
+
+    It has y up, or z up if that is how the scene stands, and metres. The root turns scenes that stand otherwise.
+    """
+
+    path: Path
+    up: Vector
+    """Up of the scene."""
+    stage: Any = field(init=False)
+    remarks: Remarks = field(init=False)
+    files: dict[str, bytes] = field(default_factory=dict[str, bytes])
+    """What lies beside the layer, by the names that it has there."""
+    _textures: dict[int, tuple[Texture, str]] = field(default_factory=dict[int, "tuple[Texture, str]"])
+    """Textures that are written, by the identity of their texels: the texels, so that they live, and their name."""
+    _paths: set[str] = field(default_factory=set[str])
+
+    def __post_init__(self) -> None:
+        px = pxr()
+        self.remarks = Remarks(self.path, "OpenUSD has no place for all of it, left out or simplified")
+        self.stage = px.Usd.Stage.CreateInMemory(".usdc")
+        is_z_up = self.up == up_vector("z-up")
+        px.UsdGeom.SetStageUpAxis(self.stage, "Z" if is_z_up else "Y")
+        px.UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
+        self._paths.add(f"{_ROOT}/Materials")
+        root = px.UsdGeom.Xform.Define(self.stage, _ROOT)
+        self.stage.SetDefaultPrim(root.GetPrim())
+        turn = np.eye(4)
+        turn[:3, :3] = np.eye(3) if is_z_up else y_up_from(self.up)
+        self.place(root.GetPrim(), turn)
+
+    def path_of(self, name: str, parent: str = _ROOT) -> str:
+        """A path of its own below ``parent`` for something that is called so, as far as paths can be."""
+        stem = re.sub(r"[^A-Za-z0-9_]", "_", name) or "unnamed"
+        stem = f"_{stem}" if stem[0].isdigit() else stem
+        path, count = f"{parent}/{stem}", 1
+        while path in self._paths:
+            count += 1
+            path = f"{parent}/{stem}_{count}"
+        self._paths.add(path)
+        return path
+
+    @property
+    def materials(self) -> str:
+        """Path of the prim above all materials, which is made when it is first asked for."""
+        path = f"{_ROOT}/Materials"
+        if not self.stage.GetPrimAtPath(path):
+            pxr().UsdGeom.Scope.Define(self.stage, path)
+        return path
+
+    def hint(self, prim: Any, **noted: Any) -> None:
+        """Notes at a prim what only we read."""
+        for key, held in noted.items():
+            prim.SetCustomDataByKey(f"{_HINT}:{key}", held)
+
+    def name(self, prim: Any, name: str) -> None:
+        """Keeps the name of a prim whose path cannot be it."""
+        if name and prim.GetName() != name:
+            prim.SetDisplayName(name)
+
+    def place(self, prim: Any, world_from_object: Doubles) -> None:
+        """Places a prim below the root."""
+        if not np.array_equal(world_from_object, np.eye(4)):
+            pxr().UsdGeom.Xformable(prim).AddTransformOp().Set(matrix(world_from_object))
+
+    def texture(self, texels: Texture, name: str) -> str:
+        """The path at which a texture lies beside the layer."""
+        if id(texels) not in self._textures:
+            self._textures[id(texels)] = texels, self.add_file(name, ".png", _png_bytes(texels))
+        return self._textures[id(texels)][1]
+
+    def add_file(self, name: str, suffix: str, data: bytes) -> str:
+        """Keeps a file that lies beside the layer; the path by which the layer names it."""
+        stem = self.path_of(name, "").removeprefix("/")
+        self.files[f"{stem}{suffix}"] = data
+        return f"./{folder_of(self.path)}/{stem}{suffix}"
+
+
+def folder_of(path: PathLike) -> str:
+    """The folder of the files beside a layer: in a package, that of its own; else one that is named after the layer."""
+    stem = Path(path).stem.encode(errors="replace").decode()  # layers hold UTF-8
+    return "textures" if Path(path).suffix.lower() == ".usdz" else f"{stem}_textures"
+
+
+def matrix(target_from_source: Doubles) -> Any:
+    """A matrix of the library, which is for row vectors."""
+    return pxr().Gf.Matrix4d(*np.asarray(target_from_source, np.float64).T.ravel().tolist())
+
+
+def _png_bytes(texels: Texture) -> bytes:
+    """A texture as PNG."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(texels).save(buffer, format="PNG")
+    return buffer.getvalue()

@@ -13,11 +13,9 @@ from lumisplat.constants.materials_measured import INSIDE
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.images.exr import read_exr
-from lumisplat.io.images.picture import read_picture
-from lumisplat.io.images.radiance import read_radiance
-from lumisplat.io.photographs.loading import load_photographs
-from lumisplat.io.photographs.photographs import Photograph
+from lumisplat.io.images.radiance import read_picture, read_radiance
 from lumisplat.io.scene_toml.scene_file import read_scene_file
+from lumisplat.io.training_images.loading import Photograph, load_photographs
 from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.scene.lights import Light, LightEnvironment
 

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from lumisplat.config import ToneMap
 from lumisplat.constants.light_fit import CLIPPED_ABOVE
 from lumisplat.errors import SceneError, check_instance
-from lumisplat.io.images.picture import LINEAR, read_picture
-from lumisplat.io.images.radiance import read_radiance
+from lumisplat.io.images.radiance import LINEAR, read_picture, read_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.resampling import area_mean
 from lumisplat.math.tone_map import remove_tone_map

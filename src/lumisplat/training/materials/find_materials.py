@@ -19,9 +19,8 @@ from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io import save
 from lumisplat.io.files.atomic import atomic_write, check_can_be_written
 from lumisplat.io.images.radiance import write_radiance
-from lumisplat.io.photographs.lens import is_bent
-from lumisplat.io.photographs.loading import load_photographs
-from lumisplat.io.photographs.photographs import Photographs
+from lumisplat.io.training_images.loading import Photographs, load_photographs
+from lumisplat.io.training_images.pixels import is_bent
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import albedo_in_range
 from lumisplat.math.sh import even_directions

@@ -1,0 +1,463 @@
+"""Writes and opens captures larger than memory: an index, and blocks of space as rows of 32-bit floats.
+
+The index has the place, number of Gaussians and file of each block. A stream of Gaussians is cut into blocks in memory
+for a piece of the stream and one block.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config.checks import is_number
+from lumisplat.constants import KERNEL_DEGREE
+from lumisplat.constants.blocks import (
+    BLOCK_CELLS_MAX,
+    BLOCK_DEPTH_MAX,
+    BLOCK_GAUSSIANS_MAX,
+    BLOCK_LEVEL_SHARE,
+    BLOCK_PIECE,
+)
+from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.io.files.atomic import atomic_write, writers_of
+from lumisplat.io.files.source import BLOCKS, PathLike, parsing, read_bytes
+from lumisplat.io.splats.columns import warn_lost_materials
+from lumisplat.io.splats.orientation import UNSTATED, Orientation, orientation_of, orientation_values, origin_text
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.scene.editing.decimate import decimate
+from lumisplat.scene.gaussians import Gaussians
+
+_INDEX = BLOCKS
+"""The index in the folder of a capture; it is written last: without it, there is no capture."""
+_VERSION = 1
+_GAUSSIAN_FLOATS = 11
+"""Numbers of a Gaussian beside its harmonics: mean, quaternion (wxyz), scales, opacity."""
+
+_COLUMNS = (slice(3), slice(3, 7), slice(7, 10), 10, slice(_GAUSSIAN_FLOATS, None))
+"""Where a row has its mean, quaternion, scales, opacity and harmonics."""
+
+_OURS = re.compile(r"cell[0-9_-]+\.part|\d{6,}(_\d+)?\.bin|\..*\.lumisplat(\.json)?")
+"""Files of a capture that is not finished."""
+
+
+@dataclass(frozen=True)
+class BlockLevel:
+    """The Gaussians of a block at one level of detail."""
+
+    file: str
+    """In the folder of the capture: rows of 32-bit floats."""
+    count: int
+    scale_max: float
+    """Largest standard deviation, scene units."""
+    scale_mean: float
+    """Mean over Gaussians of their largest standard deviation, scene units."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A part of space."""
+
+    low: tuple[float, float, float]
+    """Least coordinates of the means of all levels."""
+    high: tuple[float, float, float]
+    levels: tuple[BlockLevel, ...]
+    """From the finest to the coarsest."""
+
+
+@dataclass(frozen=True)
+class BlockIndex:
+    """A capture in blocks."""
+
+    folder: Path
+    sh_count: int
+    """Coefficients of harmonics: 1, 4, 9 or 16."""
+    antialiased: bool
+    blocks: tuple[Block, ...]
+    orientation: Orientation = UNSTATED
+    """Up and first view."""
+
+    @property
+    def count(self) -> int:
+        """Gaussians of the finest level."""
+        return sum(block.levels[0].count for block in self.blocks)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What its `Gaussians` have beside their arrays."""
+        return {"antialiased": self.antialiased, **self.orientation._asdict()}
+
+    @property
+    def row_bytes(self) -> int:
+        """Of a Gaussian on disk."""
+        return 4 * (_GAUSSIAN_FLOATS + 3 * self.sh_count)
+
+    @cached_property
+    def scale_max(self) -> Doubles:
+        """Largest standard deviation of each block's Gaussians, scene units, (B,)."""
+        return np.array([max(level.scale_max for level in block.levels) for block in self.blocks])
+
+    @cached_property
+    def bounds(self) -> tuple[Doubles, Doubles]:
+        """Least and largest coordinates of all blocks, shapes (B, 3)."""
+        return np.array([block.low for block in self.blocks]), np.array([block.high for block in self.blocks])
+
+    def text(self) -> str:
+        """The index as it is stored."""
+        blocks = [
+            {
+                "low": block.low,
+                "high": block.high,
+                "levels": [[one.file, one.count, one.scale_max, one.scale_mean] for one in block.levels],
+            }
+            for block in self.blocks
+        ]
+        head = {"version": _VERSION, "count": self.count, "sh_count": self.sh_count, "antialiased": self.antialiased}
+        return json.dumps(head | orientation_values(*self.orientation) | {"blocks": blocks}) + "\n"
+
+
+def open_blocks(folder: PathLike) -> BlockIndex:
+    """The index of a capture in blocks.
+
+    Args:
+        folder: As of `lumisplat.write_blocks`, or its ``blocks.json``.
+
+    Raises:
+        FormatError: There is no index, it is damaged, or a file is missing or has another size than it says.
+    """
+    folder = Path(folder).parent if Path(folder).name == _INDEX else Path(folder)
+    path = folder / _INDEX
+    with parsing(path, "an index of blocks"):
+        stored: Any = json.loads(read_bytes(path))
+        if stored["version"] != _VERSION:
+            raise FormatError(path, f"has version {stored['version']}, expected {_VERSION}")
+        index = BlockIndex(
+            folder,
+            _one_of(stored["sh_count"], (1, 4, 9, 16)),
+            bool(stored["antialiased"]),
+            tuple(_block(one) for one in stored["blocks"]),
+            orientation_of(path, stored),
+        )
+        if not index.blocks:
+            raise ValueError("it has no blocks")
+        for block in index.blocks:
+            for level in block.levels:
+                _check_file(folder / level.file, level.count * index.row_bytes)
+    return index
+
+
+def _one_of(value: object, choices: tuple[int, ...]) -> int:
+    if value not in choices:
+        raise ValueError(f"{value} is none of {choices}")
+    return cast(int, value)
+
+
+def _block(stored: Any) -> Block:
+    levels = tuple(
+        BlockLevel(_file_name(file), _count(count), float(largest), float(mean))
+        for file, count, largest, mean in stored["levels"]
+    )
+    low, high = ([float(value) for value in stored[name]] for name in ("low", "high"))
+    if not levels or len(low) != 3 or len(high) != 3 or not all(map(math.isfinite, (*low, *high))):
+        raise ValueError("a block without levels or bounds")
+    if not all(0.0 <= scale < math.inf for level in levels for scale in (level.scale_max, level.scale_mean)):
+        raise ValueError("a block whose scales are no lengths")
+    return Block((low[0], low[1], low[2]), (high[0], high[1], high[2]), levels)
+
+
+def _file_name(value: object) -> str:
+    if not isinstance(value, str) or not value or not value.isprintable() or Path(value).name != value:
+        raise ValueError(f"{value!r} is no name of a file in the folder")
+    return value
+
+
+def _count(value: object) -> int:
+    if not isinstance(value, int) or value < 1:
+        raise ValueError(f"{value} is no number of Gaussians")
+    return value
+
+
+def _check_file(path: Path, size: int) -> None:
+    try:
+        found = path.stat().st_size
+    except OSError as error:
+        raise FormatError(path, f"a block of the capture cannot be read: {error.strerror}") from None
+    if found != size:
+        raise FormatError(path, f"has {found:,} bytes, expected {size:,}: the capture is not whole")
+
+
+def packed(gaussians: Gaussians) -> FloatArray:
+    """Mean, quaternion, scales, opacity and harmonics of each Gaussian, shape (N, 11 + 3 K)."""
+    count = gaussians.count
+    columns = (
+        gaussians.means,
+        gaussians.rotations_wxyz,
+        gaussians.scales,
+        gaussians.opacities[:, None],
+        gaussians.sh.reshape(count, -1),
+    )
+    return np.concatenate(columns, axis=1, dtype=np.float32)
+
+
+def unpacked(rows: FloatArray, **settings: Any) -> Gaussians:
+    """The Gaussians of rows; ``settings`` as of `joined`."""
+    return joined([rows], len(rows), rows.shape[1], **settings)
+
+
+def joined(pieces: Iterable[FloatArray], count: int, width: int, **settings: Any) -> Gaussians:
+    """The Gaussians of rows in pieces, in memory once and a piece beside.
+
+    Args:
+        pieces: Rows, shape (n, width) each.
+        count: How many there are of all pieces.
+        width: Of a row.
+        **settings: ``antialiased``, ``up`` and ``first_view`` of `Gaussians`.
+    """
+    columns = [np.empty((count, *shape), np.float32) for shape in ((3,), (4,), (3,), (), ((width - _GAUSSIAN_FLOATS),))]
+    first = 0
+    for rows in pieces:
+        here = slice(first, first + len(rows))
+        for column, part in zip(columns, _COLUMNS, strict=True):
+            column[here] = rows[:, part]
+        first += len(rows)
+    for column in columns:
+        column.flags.writeable = False  # so that none is copied
+    means, rotations, scales, opacities, sh = columns
+    return Gaussians(means, rotations, scales, opacities, sh.reshape(count, -1, 3), **settings)
+
+
+def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -> FloatArray:
+    """The rows of a block, or some of them.
+
+    Raises:
+        FormatError: The file cannot be read, or is shorter.
+    """
+    try:
+        if chosen == slice(None):
+            rows = np.fromfile(path, np.dtype("<f4"), count * width)
+        else:
+            return np.array(np.memmap(path, "<f4", "r", shape=(count, width))[chosen], np.float32)
+    except ValueError:
+        raise FormatError(path, "is shorter than the index says") from None
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+    if len(rows) != count * width:
+        raise FormatError(path, "is shorter than the index says")
+    return rows.reshape(count, width).astype(np.float32, copy=False)
+
+
+def _pieces(path: Path, width: int) -> Iterator[FloatArray]:
+    """The rows of a file, some at a time."""
+    with open(path, "rb") as file:
+        while content := file.read(4 * width * BLOCK_PIECE):
+            yield np.frombuffer(content, "<f4").reshape(-1, width)
+
+
+def write_blocks(
+    folder: PathLike,
+    chunks: Iterable[Gaussians],
+    cell: float,
+    *,
+    levels: int = 0,
+    block_max: int = BLOCK_GAUSSIANS_MAX,
+    progress: Callable[[float], None] | None = None,
+) -> BlockIndex:
+    """Writes a capture in blocks of space: cubes, those with many Gaussians cut in eight, and so on.
+
+    Args:
+        folder: A new or empty folder. Its index, ``blocks.json``, is written last: a folder without it is no capture.
+            If something goes wrong, what was written is removed; what a run that was killed has left, the next one
+            removes.
+        chunks: The capture in any order, a part at a time; means, rotations, scales, opacities and harmonics are kept,
+            all of one degree; normals and materials are left out, with a log line.
+        cell: Edge of the largest cubes, scene units.
+        levels: Coarser levels of detail beside the finest, each with a quarter of the Gaussians of the one before, see
+            `lumisplat.decimate`.
+        block_max: Gaussians of a block at most; more that are in one place stay together.
+        progress: Called with the fraction of all Gaussians whose blocks are made, 0..1, once all have been read.
+
+    Raises:
+        ConfigError: The cell's edge is not positive, or a number is out of range.
+        SceneError: There are no Gaussians, they differ in degree or antialiasing, or have another kernel or an origin.
+        FormatError: The folder holds a capture or anything else already, or cannot be written.
+    """
+    if not is_number(cell) or not 0.0 < cell < math.inf:
+        raise ConfigError(f"cell is {cell}, expected the edge of a cube in scene units")
+    if levels < 0 or block_max < 1:
+        raise ConfigError(f"levels is {levels} and block_max {block_max}, expected 0 or more, and 1 or more")
+    place = Path(folder)
+    try:
+        is_new = _made(place)
+        try:
+            with atomic_write(place / _INDEX) as temporary:  # locked: another run sees that one is at work
+                index = _Writer(place, cell, levels, block_max).write(chunks, progress or (lambda _: None))
+                temporary.write_text(index.text())
+            return index
+        except BaseException:
+            _remove_leftovers(place)
+            if is_new:
+                place.rmdir()
+            raise
+    except FormatError:
+        raise
+    except OSError as error:
+        raise FormatError(folder, f"cannot be written: {error.strerror or error}") from None
+
+
+def _made(place: Path) -> bool:
+    """Makes the folder, and removes what a run that was killed has left in it; whether there was none.
+
+    Raises:
+        FormatError: There is something else in it.
+        OSError: It cannot be made.
+    """
+    if (place / _INDEX).exists():
+        raise FormatError(place, "holds a complete capture in blocks: give another folder, or delete this one")
+    if place.is_dir() and writers_of(place / _INDEX):
+        raise FormatError(place, "another process is writing blocks there: give a new folder")
+    if place.exists() and not place.is_dir():
+        raise FormatError(place, "is a file, expected a folder for the blocks")
+    is_new = not place.exists()
+    place.mkdir(parents=True, exist_ok=True)
+    other = next((file.name for file in place.iterdir() if not _OURS.fullmatch(file.name)), None)
+    if other is not None:
+        raise FormatError(place, f"holds other files ({other}): give a new folder")
+    _remove_leftovers(place)
+    return is_new
+
+
+def _remove_leftovers(place: Path) -> None:
+    for file in place.iterdir():
+        if _OURS.fullmatch(file.name):
+            file.unlink()
+
+
+class _Writer:
+    """Sorts Gaussians into files of cells, then makes blocks of these.
+
+    Args:
+        folder: The capture's.
+        cell: Edge of a cube.
+        levels: Coarser levels.
+        block_max: Gaussians of a block.
+    """
+
+    def __init__(self, folder: Path, cell: float, levels: int, block_max: int) -> None:
+        self._folder, self._cell, self._levels, self._block_max = folder, cell, levels, block_max
+        self._kind: tuple[int, bool] | None = None
+        self._orientation = UNSTATED
+        self._count = 0
+
+    def write(self, chunks: Iterable[Gaussians], progress: Callable[[float], None]) -> BlockIndex:
+        """Writes all blocks."""
+        cells: dict[tuple[int, ...], Path] = {}
+        for chunk in chunks:
+            self._check(chunk)
+            self._sort(packed(chunk), self._cell, "cell", cells)
+        if self._kind is None:
+            raise SceneError("zero Gaussians: there is nothing to write")
+        sh_count, antialiased = self._kind
+        total, blocks = sum(path.stat().st_size for path in cells.values()), list[Block]()
+        done = 0
+        for key in sorted(cells):
+            for block in self._blocks(cells[key], 0):
+                blocks.append(block)
+                done += 4 * self._width * block.levels[0].count
+                progress(done / total)
+        return BlockIndex(self._folder, sh_count, antialiased, tuple(blocks), self._orientation)
+
+    def _check(self, chunk: Gaussians) -> None:
+        kind = chunk.sh.shape[1], chunk.antialiased
+        if chunk.kernel_degree != KERNEL_DEGREE:
+            raise SceneError(f"a capture of kernel degree {chunk.kernel_degree}: blocks are rasterised, as Gaussians")
+        if any(chunk.origin):
+            back = ",".join(f"{-value:.12g}" for value in chunk.origin)
+            raise SceneError(
+                f"positions are about an origin, {origin_text(chunk.origin)}, which blocks do not have: "
+                f"convert --translate={back} moves the capture to zero first"
+            )
+        if self._kind is None:
+            self._orientation = Orientation(chunk.up, chunk.first_view)
+            warn_lost_materials(self._folder, "a capture in blocks", chunk)
+        if self._kind not in (None, kind):
+            raise SceneError("the parts of a capture differ in the degree of their harmonics, or in antialiasing")
+        self._kind = kind
+
+    @property
+    def _width(self) -> int:
+        assert self._kind is not None
+        return _GAUSSIAN_FLOATS + 3 * self._kind[0]
+
+    def _sort(self, rows: FloatArray, edge: float, name: str, cells: dict[tuple[int, ...], Path]) -> None:
+        """Appends rows to the files of the cubes that they are in."""
+        keys: npt.NDArray[np.int64] = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
+        low = keys.min(axis=0)
+        size = keys.max(axis=0) - low + 1
+        if math.prod(size.tolist()) <= 2**16:  # so few that numbers of 16 bits are sorted, ten times faster
+            place = keys - low
+            codes = ((place[:, 0] * size[1] + place[:, 1]) * size[2] + place[:, 2]).astype(np.uint16)
+            order = np.argsort(codes, kind="stable")
+            counts = np.bincount(codes)
+            numbers = np.flatnonzero(counts)
+            found = np.stack(np.unravel_index(numbers, size.tolist()), axis=1) + low
+            ends = np.cumsum(counts[numbers])
+        else:
+            found, cell_of = np.unique(keys, axis=0, return_inverse=True)
+            order = np.argsort(cell_of.ravel(), kind="stable")
+            ends = np.cumsum(np.bincount(cell_of.ravel()))
+        touched: list[tuple[int, ...]] = [(x, y, z) for x, y, z in found.tolist()]
+        if len(cells.keys() | set(touched)) > BLOCK_CELLS_MAX:
+            more = f"more than {BLOCK_CELLS_MAX:,} cubes"
+            raise ConfigError(f"cell is {self._cell:g}, of which the capture would fill {more}: give a larger one")
+        ordered = rows[order]
+        for key, end, count in zip(found.tolist(), ends.tolist(), np.diff(ends, prepend=0).tolist(), strict=True):
+            path = cells.setdefault(tuple(key), self._folder / f"{name}{'_'.join(map(str, key))}.part")
+            with open(path, "ab") as file:
+                file.write(ordered[end - count : end].astype("<f4", copy=False).tobytes())
+
+    def _blocks(self, path: Path, depth: int) -> Iterator[Block]:
+        """The blocks of a cube's file, which is used up."""
+        count = path.stat().st_size // (4 * self._width)
+        if count <= self._block_max or depth >= BLOCK_DEPTH_MAX:
+            yield self._block(path, count)
+            return
+        edge = self._cell / 2**depth
+        parts: dict[tuple[int, ...], Path] = {}
+        for rows in _pieces(path, self._width):
+            self._sort(rows, 0.5 * edge, f"cell{depth + 1}_", parts)
+        path.unlink()
+        for part in sorted(parts):
+            yield from self._blocks(parts[part], depth + 1)
+
+    def _block(self, path: Path, count: int) -> Block:
+        """A block of a file, and its coarser levels."""
+        name = f"{self._count:06d}"
+        self._count += 1
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        total = largest = 0.0
+        for rows in _pieces(path, self._width):
+            low, high = np.minimum(low, rows[:, :3].min(axis=0)), np.maximum(high, rows[:, :3].max(axis=0))
+            scales = rows[:, 7:10].max(axis=1)
+            largest = max(largest, float(scales.max()))
+            total += float(scales.sum(dtype=np.float64))
+        path.rename(self._folder / f"{name}.bin")
+        levels = [BlockLevel(f"{name}.bin", count, largest, total / count)]
+        for number in range(1, self._levels + 1):
+            fewer = max(1, levels[-1].count // BLOCK_LEVEL_SHARE)
+            before = read_rows(self._folder / levels[-1].file, self._width, levels[-1].count)
+            coarser = decimate(unpacked(before, antialiased=False), fewer)
+            file = f"{name}_{number}.bin"
+            (self._folder / file).write_bytes(packed(coarser).astype("<f4", copy=False).tobytes())
+            scales = coarser.scales.max(axis=1)
+            levels.append(BlockLevel(file, coarser.count, float(scales.max()), float(scales.mean())))
+            low, high = np.minimum(low, coarser.means.min(axis=0)), np.maximum(high, coarser.means.max(axis=0))
+        (x0, y0, z0), (x1, y1, z1) = low.tolist(), high.tolist()
+        return Block((x0, y0, z0), (x1, y1, z1), tuple(levels))

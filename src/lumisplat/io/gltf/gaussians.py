@@ -1,0 +1,438 @@
+"""Reads and writes Gaussians of glTF (KHR_gaussian_splatting), and places them by the transforms of their nodes."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from lumisplat.constants import KERNEL_DEGREE, SH_C0, SH_DEGREE_MAX
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.files.source import PathLike, check_expansion
+from lumisplat.io.gltf.container import GltfDocument, GltfFile, GltfPrimitive
+from lumisplat.io.gltf.extras import OURS, instance_settings, own_extras
+from lumisplat.io.gltf.nodes import Matrix, instance_places, node_label
+from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns, look_like_logits, mirror_axes
+from lumisplat.io.splats.orientation import orientation_of, orientation_values
+from lumisplat.math.arrays import FloatArray
+from lumisplat.math.color import decode_srgb
+from lumisplat.scene.editing.affine import under_affine
+from lumisplat.scene.editing.transform import transform
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.display_sh import display_sh
+from lumisplat.scene.scene import SplatInstance, check_similarity
+from lumisplat.scene.up import y_up_from
+
+_log = logging.getLogger("lumisplat")
+
+_EXTENSION = "KHR_gaussian_splatting"
+
+_CAPTURE_SIGNS = (1, -1, -1)
+"""Signs of x, y and z from files to captures and back: half a turn about x."""
+CAPTURE_FROM_FILE = np.diag([1.0, -1.0, -1.0, 1.0])
+"""The same, shape (4, 4)."""
+
+_MATERIALS = {
+    "normals": ("_NORMAL", "VEC3"),
+    "albedo": ("_ALBEDO", "VEC3"),
+    "roughness": ("_ROUGHNESS", "SCALAR"),
+    "metallic": ("_METALLIC", "SCALAR"),
+}
+"""Attributes and types of normals and materials in our files. Those of others may mean something else."""
+
+_DISPLAY = ("srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb", "BT.709")
+_LINEAR = ("lin_rec709_display", "BT.709-linear")
+"""Colour spaces, by their names and those of drafts."""
+
+_Numbers = dict[tuple[int, bool], str]
+"""Numbers that an attribute may have: their component type and whether they are normalised, and their name."""
+
+_SAME_PLACE = 1e-6
+"""Error of the matrix of a node that is written as a quaternion."""
+
+_DEGENERATE = 1e-9
+"""Determinant, with columns of unit length, below which a node has flattened its Gaussians."""
+
+
+class _Layout(NamedTuple):
+    """How an attribute of the extension is stored."""
+
+    name: str
+    kind: str
+    """Type of its accessor."""
+    numbers: _Numbers = {(5126, False): "float32"}  # noqa: RUF012
+    drafts: tuple[tuple[int, bool], ...] = ()
+    """Numbers that only drafts of the extension had."""
+
+
+_FLOAT = _Layout("", "").numbers
+
+_ROTATION = _Layout("ROTATION", "VEC4", _FLOAT | {(5120, True): "normalised int8", (5122, True): "normalised int16"})
+
+_SHARES: _Numbers = {(5121, True): "normalised uint8", (5123, True): "normalised uint16"}
+
+_SCALE = _Layout(
+    "SCALE",
+    "VEC3",
+    _FLOAT | {(5121, False): "uint8", (5123, False): "uint16"} | _SHARES,
+    ((5120, False), (5120, True), (5122, False), (5122, True)),
+)
+
+_OPACITY = _Layout("OPACITY", "SCALAR", _FLOAT | _SHARES)
+
+_COEFFICIENT = re.compile(rf"{_EXTENSION}:SH_DEGREE_(\d{{1,9}})_COEF_(\d{{1,9}})")
+
+
+def holds_gaussians(primitive: Any) -> bool:
+    """Whether a primitive of a file is one of Gaussians."""
+    return _EXTENSION in (primitive.extensions or {})
+
+
+def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> Gaussians:
+    """The Gaussians of a primitive, in the axes of captures; its material and COLOR_0 are ignored.
+
+    Colours in linear light are encoded as sRGB, which captures have: exactly without view dependence, else as near as
+    harmonics of the same degree get. Where such Gaussians overlap they are blended in another space than they were
+    trained for, which a log line says.
+
+    Args:
+        primitive: One for which `holds_gaussians` is true.
+        drop_invalid: As of `lumisplat.io.load`.
+
+    Raises:
+        FormatError: The kernel or the colour space is unknown, Gaussians are compressed, an attribute is missing or
+            malformed, or values are invalid.
+    """
+    is_linear = _check_extension(primitive)
+    means = primitive.floats("POSITION", "VEC3")
+    if means is None:
+        raise primitive.error("has no POSITION")
+    count = len(means)
+    scales, are_logarithms = _scales(primitive, count)
+    opacities, are_logits = _opacities(primitive, count, are_logarithms)
+    sh = _harmonics(primitive, count)
+    own = own_extras(primitive.item)
+    columns = SplatColumns(
+        means,
+        _attribute(primitive, _ROTATION, count)[:, [3, 0, 1, 2]],  # the file has the scalar last
+        scales,
+        opacities,
+        sh,
+        scales_are_logarithms=are_logarithms,
+        opacities_are_logits=are_logits,
+        **_materials(primitive, count, own),
+        **_settings(primitive.file.path, own),
+    )
+    if is_linear:
+        _log.warning(
+            "%s: %s has colours in linear light, which are encoded as sRGB: where Gaussians overlap, blends differ",
+            primitive.file.path,
+            primitive.where,
+        )
+        with np.errstate(all="ignore"):  # what is not finite is refused or dropped below
+            columns.sh = display_sh(sh)
+    return gaussians_from_columns(primitive.file.path, mirror_axes(columns, _CAPTURE_SIGNS), drop_invalid=drop_invalid)
+
+
+def _check_extension(primitive: GltfPrimitive) -> bool:
+    """Checks what the extension says of a primitive; whether its colours are linear.
+
+    Raises:
+        FormatError: It is not drawn as points, compressed, or of an unknown kernel or colour space.
+    """
+    item: Any = primitive.item
+    extension: dict[str, Any] = item.extensions[_EXTENSION]
+    if primitive.item.mode != 0:
+        raise primitive.error(f"has Gaussians and mode {primitive.item.mode}, expected 0, points")
+    for name in cast("dict[str, object]", extension.get("extensions") or {}):
+        if "compression" in str(name):
+            raise primitive.error(f"has Gaussians compressed by {name}, which is not supported: export it without")
+    kernel = extension.get("kernel", "ellipse")
+    if kernel != "ellipse":
+        raise primitive.error(f"has Gaussians of kernel {kernel!r}, expected 'ellipse': others are not supported")
+    space = extension.get("colorSpace", _DISPLAY[0])
+    if space not in _DISPLAY + _LINEAR:
+        raise primitive.error(f"has colorSpace {space!r}, expected {_DISPLAY[0]} or {_LINEAR[0]}")
+    projection = extension.get("projection", "perspective")
+    if projection != "perspective":
+        _log.warning(
+            "%s: %s asks for projection %.60r, and is shown in perspective",
+            primitive.file.path,
+            primitive.where,
+            projection,
+        )
+    return space in _LINEAR
+
+
+def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
+    """The scales of a primitive as stored, shape (N, 3), and whether they are logarithms."""
+    scales = _attribute(primitive, _SCALE, count)
+    negative = int(np.count_nonzero(scales < 0.0))
+    if negative:
+        _log.warning(
+            "%s: %s has %s negative values of SCALE: they are read as logarithms, as in the draft of January 2026",
+            primitive.file.path,
+            primitive.where,
+            f"{negative:,}",
+        )
+    return scales, negative > 0
+
+
+def _opacities(primitive: GltfPrimitive, count: int, with_logarithms: bool) -> tuple[FloatArray, bool]:
+    """Returns the opacities of a primitive as stored, shape (N,), and whether they are logits."""
+    opacities = _attribute(primitive, _OPACITY, count)[:, 0]
+    are_logits = look_like_logits(opacities, with_logarithms=with_logarithms)
+    if are_logits:
+        _log.warning(
+            "%s: %s has values of OPACITY outside 0..1: they are read as logits", primitive.file.path, primitive.where
+        )
+    return opacities, are_logits
+
+
+def _harmonics(primitive: GltfPrimitive, count: int) -> FloatArray:
+    """The spherical harmonics of a primitive, shape (N, K, 3).
+
+    Raises:
+        FormatError: A degree is incomplete or too high, or a coefficient is malformed.
+    """
+    matches = [match for name in vars(primitive.item.attributes) if (match := _COEFFICIENT.fullmatch(name))]
+    degree = max((int(match[1]) for match in matches), default=0)
+    if degree > SH_DEGREE_MAX:
+        raise primitive.error(f"has SH degree {degree}, at most {SH_DEGREE_MAX} is supported")
+    names = [f"SH_DEGREE_{level}_COEF_{n}" for level in range(degree + 1) for n in range(2 * level + 1)]
+    given = {match[0].partition(":")[2] for match in matches}
+    missing = [name for name in names if name not in given]
+    if missing:
+        more = f" and {len(missing) - 1} more" if missing[1:] else ""
+        raise primitive.error(f"has no {missing[0]}{more}: expected all coefficients up to SH degree {degree}")
+    return np.stack([_attribute(primitive, _Layout(name, "VEC3"), count) for name in names], axis=1)
+
+
+def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatArray:
+    """An attribute of the extension, shape (N, components).
+
+    Raises:
+        FormatError: It is missing, or has other numbers or another count than it must have.
+    """
+    full = f"{_EXTENSION}:{layout.name}"
+    values = primitive.floats(full, layout.kind)
+    if values is None:
+        raise primitive.error(f"has no {full}")
+    accessor = primitive.file.item("accessors", getattr(primitive.item.attributes, full), primitive.where)
+    stored = (accessor.componentType, bool(accessor.normalized))
+    if stored not in layout.numbers and stored not in layout.drafts:
+        names = list(layout.numbers.values())
+        expected = f"{', '.join(names[:-1])} or {names[-1]}" if names[1:] else names[0]
+        found = f"{'normalised' if stored[1] else 'plain'} numbers of type {stored[0]}"
+        raise primitive.error(f"has {full} in {found}, expected {expected}")
+    return _counted(primitive, full, values, count)
+
+
+def _counted(primitive: GltfPrimitive, name: str, values: FloatArray, count: int) -> FloatArray:
+    if len(values) != count:
+        raise primitive.error(f"has {len(values):,} {name} for {count:,} POSITION")
+    return values
+
+
+def _materials(primitive: GltfPrimitive, count: int, own: dict[str, Any] | None) -> dict[str, FloatArray]:
+    """Normals and materials of our own files, shape (N, 3) or (N,) each."""
+    found: dict[str, FloatArray] = {}
+    for column, (name, kind) in _MATERIALS.items():
+        values = None if own is None else primitive.floats(name, kind)
+        if values is not None:
+            found[column] = _counted(primitive, name, values if kind == "VEC3" else values[:, 0], count)
+    return found
+
+
+def _settings(path: PathLike, own: dict[str, Any] | None) -> dict[str, Any]:
+    """Settings of a capture that the extension does not have."""
+    own = own or {}
+    return {
+        "antialiased": own.get("antialiased") is True,
+        "kernel_degree": own.get("kernel_degree", KERNEL_DEGREE),
+        "comments": tuple(comment for comment in own.get("comments", ()) if isinstance(comment, str)),
+        "orientation": orientation_of(path, own),
+    }
+
+
+@dataclass(slots=True)
+class GltfCaptures:
+    """The captures of a file, each read once."""
+
+    file: GltfFile
+    drop_invalid: bool
+    _read: dict[int, list[Gaussians]] = field(default_factory=dict[int, list[Gaussians]])
+    """By mesh."""
+    _stretched: dict[tuple[int, bytes], Gaussians] = field(default_factory=dict[tuple[int, bytes], Gaussians])
+    """By capture and stretch."""
+    _stretched_bytes: int = 0
+
+    def placed(self, nodes: Iterable[int], world_from_node: list[Matrix]) -> Iterator[SplatInstance]:
+        """The captures of nodes as instances in the world of the file, named after the node, else after the mesh.
+
+        A node that scales its axes differently has Gaussians of its own (`under_affine`); others share them. Harmonics
+        are evaluated in the space of an instance, so that they turn with the rotation of its node.
+
+        Raises:
+            FormatError: Gaussians are malformed or invalid, or a node mirrors or flattens them.
+        """
+        for index in nodes:
+            node = self.file.model.nodes[index]
+            if node.mesh is None or not world_from_node[index][:3, :3].any():
+                continue  # scaled to nothing, which hides the node
+            name = node.name or self.file.item("meshes", node.mesh, f"nodes[{index}]").name or ""
+            captures = self._captures(node.mesh)
+            for place, gaussians in itertools.product(instance_places(self.file, index) if captures else (), captures):
+                try:
+                    yield self._instance(gaussians, index, world_from_node[index] @ place, name)
+                except FormatError:
+                    raise
+                except SceneError as error:
+                    raise FormatError(self.file.path, f"{node_label(self.file, index)}: {error}") from None
+
+    def is_in(self, index: int) -> bool:
+        """Whether a node has captures."""
+        mesh = self.file.model.nodes[index].mesh
+        return mesh is not None and bool(self._captures(mesh))
+
+    def _captures(self, mesh_index: int) -> list[Gaussians]:
+        """The captures of a mesh, one for each of its primitives that has Gaussians."""
+        if mesh_index not in self._read:
+            items: list[Any] = self.file.item("meshes", mesh_index, "a node").primitives
+            primitives = (
+                GltfPrimitive(self.file, item, f"meshes[{mesh_index}].primitives[{k}]")
+                for k, item in enumerate(items)
+                if holds_gaussians(item)
+            )
+            self._read[mesh_index] = [_read_gaussians(one, drop_invalid=self.drop_invalid) for one in primitives]
+        return self._read[mesh_index]
+
+    def _instance(self, gaussians: Gaussians, index: int, world_from_node: Matrix, name: str) -> SplatInstance:
+        """A capture where a node has it.
+
+        Raises:
+            SceneError: The node moves or scales it beyond all measure.
+        """
+        linear = world_from_node[:3, :3]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            volume = np.linalg.det(linear / np.linalg.norm(linear, axis=0))
+        if not volume > _DEGENERATE:
+            done = "mirrors" if volume < -_DEGENERATE else "flattens"
+            raise FormatError(
+                self.file.path,
+                f"{node_label(self.file, index)} {done} its Gaussians: expected a positive scale along each axis",
+            )
+        try:
+            check_similarity(linear)
+        except SceneError:
+            # M = R P with a rotation R and a stretch P; without shear, P is diagonal, the scale of the node.
+            u, factors, v = np.linalg.svd(linear)
+            stretch = np.eye(4)
+            stretch[:3, :3] = (v.T * factors) @ v
+            world_from_node = world_from_node.copy()
+            world_from_node[:3, :3] = u @ v
+            stretch = np.round(stretch, 9) + 0.0  # the same however the node is turned
+            gaussians = self._stretched_by(gaussians, CAPTURE_FROM_FILE @ stretch @ CAPTURE_FROM_FILE)
+        settings = instance_settings(own_extras(self.file.model.nodes[index]))
+        return SplatInstance(gaussians, world_from_node @ CAPTURE_FROM_FILE, name=name, **settings)
+
+    def _stretched_by(self, gaussians: Gaussians, stretch: Matrix) -> Gaussians:
+        """A stretched capture, which is made once."""
+        key = (id(gaussians), stretch.tobytes())
+        if key not in self._stretched:
+            self._stretched_bytes += sum(values.nbytes for values in gaussians.arrays().values())
+            check_expansion(self.file.path, "its stretched captures", self._stretched_bytes, self.file.stored_bytes)
+            self._stretched[key] = under_affine(gaussians, stretch)
+        return self._stretched[key]
+
+
+def alone(instance: SplatInstance) -> Gaussians:
+    """The Gaussians of a file that has nothing else, where its node has them, in the axes of captures.
+
+    One that says its up, and that stands upright in the file, comes back as it was before it was stood upright.
+
+    Raises:
+        SceneError: They are too far away or too large.
+    """
+    gaussians, place = instance.gaussians, instance.transform
+    if gaussians.up is not None:
+        upright = np.eye(4)
+        upright[:3, :3] = y_up_from(gaussians.up)
+        if np.allclose(place, upright, rtol=0.0, atol=_SAME_PLACE):
+            return gaussians
+    moved = CAPTURE_FROM_FILE @ place
+    gaussians = replace(gaussians, up=np.linalg.inv(place[:3, :3])[:, 1])  # files have y up
+    return gaussians if np.array_equal(moved, np.eye(4)) else transform(gaussians, moved)
+
+
+def add_gaussians(document: GltfDocument, gaussians: Gaussians, name: str) -> int:
+    """Appends a capture as a mesh of points, turned to y up; returns its index.
+
+    Values are those of the capture, as float32. COLOR_0 is for programs that know no Gaussians: linear, with the
+    opacity, in 8 bits. Normals and materials are attributes of our own (`_MATERIALS`).
+    """
+    columns = mirror_axes(
+        SplatColumns(
+            gaussians.means,
+            gaussians.rotations_wxyz,
+            gaussians.scales,
+            gaussians.opacities,
+            gaussians.sh,
+            normals=gaussians.normals,
+            albedo=gaussians.albedo,
+            roughness=gaussians.roughness,
+            metallic=gaussians.metallic,
+            scales_are_logarithms=False,
+            opacities_are_logits=False,
+        ),
+        _CAPTURE_SIGNS,
+    )
+    attributes = {
+        "POSITION": document.accessor(columns.means, bounds=True),
+        "COLOR_0": document.accessor(_fallback_colors(gaussians), normalized=True),
+        f"{_EXTENSION}:ROTATION": document.accessor(columns.rotations_wxyz[:, [1, 2, 3, 0]]),
+        f"{_EXTENSION}:SCALE": document.accessor(columns.log_scales),
+        f"{_EXTENSION}:OPACITY": document.accessor(columns.opacities),
+    }
+    for degree in range(gaussians.sh_degree + 1):
+        for n in range(2 * degree + 1):
+            accessor = document.accessor(columns.sh[:, degree**2 + n])
+            attributes[f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"] = accessor
+    for column, (attribute, _) in _MATERIALS.items():
+        values = getattr(columns, column)
+        if values is not None:
+            attributes[attribute] = document.accessor(values)
+    primitive = {
+        "attributes": attributes,
+        "mode": 0,
+        "extensions": document.use(
+            _EXTENSION,
+            kernel="ellipse",
+            colorSpace="srgb_rec709_display",
+            sortingMethod="cameraDistance",
+            projection="perspective",
+        ),
+        "extras": {OURS: _settings_of(gaussians)},
+    }
+    return document.add("meshes", {"primitives": [primitive]} | ({"name": name} if name else {}))
+
+
+def _fallback_colors(gaussians: Gaussians) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Mean colours in linear light, and opacities, shape (N, 4)."""
+    display = np.clip(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0, 1.0)
+    values = np.column_stack([decode_srgb(display), gaussians.opacities])
+    return (values * 255.0 + 0.5).astype(np.uint8)
+
+
+def _settings_of(gaussians: Gaussians) -> dict[str, Any]:
+    """Settings of a capture that the extension does not have."""
+    settings: dict[str, Any] = {"antialiased": True} if gaussians.antialiased else {}
+    if gaussians.kernel_degree != KERNEL_DEGREE:
+        settings["kernel_degree"] = gaussians.kernel_degree
+    settings |= orientation_values(gaussians.up, gaussians.first_view)
+    return settings | ({"comments": list(gaussians.comments)} if gaussians.comments else {})

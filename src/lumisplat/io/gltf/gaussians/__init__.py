@@ -1,1 +1,0 @@
-"""Gaussians in glTF files (KHR_gaussian_splatting): their attributes, and where nodes place them."""

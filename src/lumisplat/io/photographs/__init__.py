@@ -1,1 +1,0 @@
-"""Photographs with poses: which a folder holds, their pixels as pinholes see them, and poses from photographs alone."""

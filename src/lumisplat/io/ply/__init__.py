@@ -1,1 +1,0 @@
-"""The PLY container: headers, rows of numbers, rows of lists."""

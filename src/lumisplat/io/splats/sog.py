@@ -1,0 +1,532 @@
+"""Reads and writes PlayCanvas SOG (spatially ordered Gaussians): lossless WebP images and a meta.json.
+
+A capture is a folder or a zip. Pixel i of each image, counted row by row, belongs to Gaussian i. Version 2 stores
+scales and SH as indices into codebooks of 256 values with little squared error (Max 1960, Lloyd 1982); version 1, which
+has no version number, maps bytes linearly to a range. Axes are those of the PLY that it was made from. Version 2 is
+written; its Gaussians are sorted along a Morton curve, by which images compress better, so that the order of the input
+is lost.
+Specification: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/
+"""
+
+from __future__ import annotations
+
+import heapq
+import io
+import json
+import logging
+import lzma
+import math
+import os
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from lumisplat.constants import KERNEL_DEGREE
+from lumisplat.errors import FormatError
+from lumisplat.io.files.atomic import atomic_write, written_together
+from lumisplat.io.files.source import PathLike, check_expansion, check_gaussian_count, parsing, read_bytes
+from lumisplat.io.splats.columns import (
+    Floats,
+    SplatColumns,
+    pack_smallest_three,
+    unpack_smallest_three,
+    warn_lost_materials,
+)
+from lumisplat.io.splats.orientation import orientation_of, orientation_values
+from lumisplat.scene.editing.morton import morton_order
+from lumisplat.scene.gaussians import Gaussians
+
+_log = logging.getLogger("lumisplat")
+
+_ENTRIES = 256
+"""Numbers of a codebook, as many as a byte has values."""
+
+_LLOYD_STEPS = 50
+
+Doubles = npt.NDArray[np.float64]
+
+Bytes = npt.NDArray[np.uint8]
+Meta = dict[str, Any]
+
+OURS = "lumisplat"
+"""Key of what only we read: up and first view."""
+
+_PALETTE_COLUMNS = 64
+"""SH palette entries in a row of the centroids image; an entry has one pixel per coefficient."""
+
+_QUATERNION_TAG = 252
+"""The alpha of a rotation pixel minus this is the index of its largest component."""
+
+_DECODER_THREADS = 4
+Contents = dict[str, bytes]
+
+_PALETTE_ENTRIES_MAX = 2**16
+"""SH palette entries: labels have 16 bits."""
+
+_COMPRESSION = 1
+"""Effort of Pillow's lossless WebP, 0 to 6, see docs/adr/0065-sog-written.md."""
+
+_IMAGE_SIDE_MAX = 16_380
+"""Largest width and height of a WebP that is a multiple of 4."""
+
+_FILE_TIME = (1980, 1, 1, 0, 0, 0)
+"""Time of all files in a bundle, the earliest that zip has: the same capture makes the same bytes."""
+
+_THREADS = 4
+
+
+def fit_codebook(values: Floats) -> npt.NDArray[np.float32]:
+    """256 numbers in ascending order that stand for ``values``; if these are fewer different ones, the last repeats.
+
+    The range is divided 255 times where that lowers the squared error most, so that a number far from all others gets
+    an entry of its own; then entries and the borders between them are moved in turn.
+
+    Args:
+        values: Finite numbers of any shape, at least one.
+    """
+    ordered = np.sort(values, axis=None).astype(np.float64)
+    sums = _Sums(ordered)
+    borders = _divided(sums, len(ordered))
+    for _ in range(_LLOYD_STEPS):
+        entries = sums.means(borders)
+        moved = np.searchsorted(ordered, 0.5 * (entries[:-1] + entries[1:]), side="right")
+        moved = np.concatenate([[0], moved, [len(ordered)]])
+        if np.array_equal(moved, borders) or not (np.diff(moved) > 0).all():
+            break
+        borders = moved
+    entries = sums.means(borders).astype(np.float32)
+    return np.append(entries, np.full(_ENTRIES - len(entries), entries[-1]))
+
+
+def encode(values: Floats, codebook: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    """The nearest entry of a codebook to each number."""
+    borders = 0.5 * (codebook[:-1].astype(np.float64) + codebook[1:])
+    return np.searchsorted(borders, values, side="left").astype(np.uint8)
+
+
+class _Sums:
+    """Sums and squared errors of runs of ascending numbers."""
+
+    def __init__(self, ordered: Doubles) -> None:
+        self._center = ordered.mean()
+        around = ordered - self._center
+        self._sum = np.concatenate([[0.0], np.cumsum(around)])
+        self._squares = np.concatenate([[0.0], np.cumsum(around * around)])
+
+    def means(self, borders: npt.NDArray[np.intp]) -> Doubles:
+        """Means of the runs between borders."""
+        return np.diff(self._sum[borders]) / np.diff(borders) + self._center
+
+    def best_cut(self, start: int, end: int) -> tuple[float, int]:
+        """By how much one cut of a run lowers its squared error at most, and where."""
+        if end - start < 2:
+            return 0.0, start
+        cuts = np.arange(start + 1, end)
+        total = self._sum[end] - self._sum[start]
+        below = self._sum[cuts] - self._sum[start]
+        gains = below**2 / (cuts - start) + (total - below) ** 2 / (end - cuts) - total**2 / (end - start)
+        best = int(gains.argmax())
+        return float(gains[best]), start + 1 + best
+
+    def least_gain(self) -> float:
+        """What is rounding, and no gain."""
+        return 1e-12 * float(self._squares[-1])
+
+
+def _divided(sums: _Sums, count: int) -> npt.NDArray[np.intp]:
+    """Borders of at most 256 runs of so many numbers, first and last included."""
+
+    def entry(start: int, end: int) -> tuple[float, int, int, int]:
+        gain, cut = sums.best_cut(start, end)
+        return -gain, start, end, cut
+
+    runs = [entry(0, count)]
+    borders = [0, count]
+    while len(borders) <= _ENTRIES and -runs[0][0] > sums.least_gain():
+        _, start, end, cut = heapq.heappop(runs)
+        borders.append(cut)
+        heapq.heappush(runs, entry(start, cut))
+        heapq.heappush(runs, entry(cut, end))
+    return np.sort(np.array(borders, dtype=np.intp))
+
+
+def read_sog(path: PathLike) -> SplatColumns:
+    """Reads a SOG capture.
+
+    Args:
+        path: A bundled ``.sog``, a folder that holds ``meta.json``, or that ``meta.json``.
+
+    Raises:
+        FormatError: A file is missing or damaged, the version is unknown, or images are too small for the count.
+    """
+    with _open_source(path) as read_file, parsing(path, "a SOG capture"):
+        meta = json.loads(read_file("meta.json"))
+        version = meta.get("version", 1)
+        if version not in (1, 2):
+            raise FormatError(path, f"is SOG version {version}, expected 1 or 2")
+        count = int(meta["count"] if version == 2 else meta["means"]["shape"][0])
+        fields = [field for field in ("means", "quats", "scales", "sh0", "shN") if meta.get(field)]
+        names = [_plain_name(path, name) for field in fields for name in meta[field]["files"]]
+        stored = {name: read_file(name) for name in names}
+        check_gaussian_count(path, count, 1, sum(map(len, stored.values())))
+        images = _decode_images(path, stored)
+        return _columns(path, meta, images, count, logits=version == 1)
+
+
+def read_meta(path: PathLike) -> Meta:
+    """Reads the ``meta.json`` of a SOG capture alone.
+
+    Raises:
+        FormatError: It is missing or damaged.
+    """
+    with _open_source(path) as read_file, parsing(path, "a SOG capture"):
+        return json.loads(read_file("meta.json"))
+
+
+@contextmanager
+def _open_source(path: PathLike) -> Generator[Callable[[str], bytes]]:
+    """Yields a function that reads a file of the capture by its name."""
+    if Path(path).is_dir() or Path(path).name == "meta.json":
+        folder = Path(path) if Path(path).is_dir() else Path(path).parent
+        yield lambda name: read_bytes(folder / name, wanted_by=path)
+        return
+    archive = io.BytesIO(read_bytes(path))
+    try:
+        with zipfile.ZipFile(archive) as bundle:
+            yield lambda name: _read_member(path, bundle, name)
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, OSError, UnicodeError, struct.error) as error:
+        raise FormatError(path, f"damaged or truncated, expected a zip archive: {error}") from None
+
+
+def _read_member(path: PathLike, bundle: zipfile.ZipFile, name: str) -> bytes:
+    try:
+        info = bundle.getinfo(name)
+    except KeyError:
+        raise FormatError(path, f"the bundle has no {name}") from None
+    check_expansion(path, name, info.file_size, info.compress_size)
+    return bundle.read(info)
+
+
+def _plain_name(path: PathLike, name: str) -> str:
+    """The name of a file, refused if it has a folder."""
+    if Path(name).name != name:
+        raise FormatError(path, f"refers to {name!r}, expected the name of a file beside its meta.json")
+    return name
+
+
+def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]:
+    """RGBA pixels of each image, shape (height, width, 4).
+
+    Raises:
+        FormatError: An image is damaged, or it, or all of them together, are larger than files of their size can be.
+    """
+
+    def decoded(name: str) -> Bytes:
+        with _decoding(path, name):
+            return np.asarray(images[name].convert("RGBA"))
+
+    with warnings.catch_warnings(), ThreadPoolExecutor(_DECODER_THREADS) as threads:
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        images: dict[str, Image.Image] = {}
+        total = 0
+        for name, data in stored.items():
+            with _decoding(path, name):
+                image = images[name] = Image.open(io.BytesIO(data), formats=("WEBP", "PNG"))
+            size = 4 * image.width * image.height
+            check_expansion(path, name, size, len(data))
+            total += size
+        check_expansion(path, "all its images", total, sum(map(len, stored.values())))
+        return dict(zip(stored, threads.map(decoded, stored), strict=True))
+
+
+@contextmanager
+def _decoding(path: PathLike, name: str) -> Generator[None]:
+    """What an image raises inside of the block becomes a `FormatError` that names it."""
+    try:
+        yield
+    except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+        raise FormatError(path, f"{name} is too large to decode: {error}") from None
+    except (OSError, SyntaxError, EOFError) as error:
+        raise FormatError(path, f"{name} is damaged, or no image: expected WebP") from error
+
+
+def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, logits: bool) -> SplatColumns:
+    def rows(name: str) -> Bytes:
+        pixels = images[name].reshape(-1, 4)
+        if len(pixels) < count:
+            raise FormatError(path, f"{name} has {len(pixels):,} pixels, fewer than its {count:,} Gaussians")
+        return pixels[:count]
+
+    low, high = (rows(name)[:, :3] for name in meta["means"]["files"])
+    least, most = (np.asarray(meta["means"][name], np.float64) for name in ("mins", "maxs"))
+    # In double precision: far from the origin, the exponential enlarges what float32 rounds.
+    log_means = least + (low | high.astype(np.uint16) << 8) / 65535.0 * (most - least)
+    sh0 = rows(meta["sh0"]["files"][0])
+    dc = _values(sh0 if logits else sh0[:, :3], meta["sh0"])
+    sh = dc[:, None, :3]
+    if meta.get("shN"):
+        sh = np.concatenate([sh, _palette_sh(path, meta["shN"], images, rows)], axis=1)
+    generator = meta.get("asset", {}).get("generator")
+    with np.errstate(over="ignore"):  # damaged ranges are refused later, as infinite values
+        means = (np.sign(log_means) * np.expm1(np.abs(log_means))).astype(np.float32)
+    return SplatColumns(
+        means=means,
+        rotations_wxyz=_rotations(rows(meta["quats"]["files"][0])),
+        log_scales=_values(rows(meta["scales"]["files"][0])[:, :3], meta["scales"]),
+        opacities=dc[:, 3] if logits else sh0[:, 3] / np.float32(255.0),
+        sh=sh,
+        opacities_are_logits=logits,
+        antialiased=meta.get("antialias") is True or meta.get("model") == "antialiased",
+        comments=(f"Generated by {generator}",) if generator else (),
+        orientation=orientation_of(path, meta.get(OURS)),
+    )
+
+
+def _values(stored: Bytes, field: Meta) -> Floats:
+    """Converts bytes to numbers, by the codebook of a field or, in version 1, by its range."""
+    if "codebook" not in field:
+        return _scale_to_range(stored / np.float32(255.0), field)
+    codebook = np.array(field["codebook"], dtype=np.float32)
+    if field["codebook"][0] is None:  # some writers lost the first entry; PlayCanvas's engine extrapolates it too
+        codebook[0] = codebook[1] + (codebook[1] - codebook[-1]) / 255.0
+    return codebook[stored]
+
+
+def _scale_to_range(unit: Floats, field: Meta) -> Floats:
+    """Values of 0..1 scaled to the range of a field."""
+    low, high = (np.asarray(field[name], dtype=np.float32) for name in ("mins", "maxs"))
+    return low + unit * (high - low)
+
+
+def _rotations(pixels: Bytes) -> Floats:
+    """Quaternions wxyz, shape (N, 4), from their smallest three components, one byte each.
+
+    Where the tag is invalid the quaternion is zero, which is refused later.
+    """
+    smallest = (pixels[:, :3] / np.float32(255.0) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
+    largest = pixels[:, 3].astype(np.int64) - _QUATERNION_TAG
+    return unpack_smallest_three(largest, smallest) * (largest >= 0)[:, None]
+
+
+def _palette_sh(path: PathLike, field: Meta, images: dict[str, Bytes], rows: Callable[[str], Bytes]) -> Floats:
+    """SH coefficients from degree 1, looked up in a palette of at most 65,536 entries, shape (N, K - 1, 3)."""
+    # Writers list the centroids first, the specification lists the labels first: only the names are reliable.
+    centroids_name, labels_name = sorted(field["files"][:2], key=lambda name: "label" in name)
+    centroids = images[centroids_name][..., :3]
+    coefficients, remainder = divmod(centroids.shape[1], _PALETTE_COLUMNS)
+    if remainder or coefficients not in (3, 8, 15):
+        raise FormatError(path, f"{centroids_name} is {centroids.shape[1]} pixels wide, expected 192, 512 or 960")
+    palette = _values(centroids.reshape(-1, coefficients, 3), field)
+    labels = rows(labels_name)
+    return palette[labels[:, 0] | labels[:, 1].astype(np.uint16) << 8]
+
+
+def write_sog(path: PathLike, gaussians: Gaussians) -> None:
+    """Writes a SOG bundle, or a folder with its files if ``path`` is its ``meta.json``.
+
+    Values are quantised: positions to 16 bits of sign(x) log(1 + abs(x)) between their least and largest, rotations to
+    8 bits a component, log scales and DC to 256 values that suit them best, opacities to 8 bits. Other SH become one of
+    up to 65,536 sets, whose coefficients are of 256 values.
+
+    Raises:
+        FormatError: There are too many Gaussians for an image, or a file cannot be written.
+    """
+    warn_losses(path, gaussians)
+    if gaussians.count > _IMAGE_SIDE_MAX**2:
+        raise FormatError(path, f"{gaussians.count:,} Gaussians are more than a SOG holds, {_IMAGE_SIDE_MAX**2:,}")
+    steps = coarse_steps(gaussians)
+    warn_coarse_positions(path, len(steps), float(steps.max(initial=0.0)))
+    contents = sog_contents(gaussians.subset(morton_order(gaussians.means)))
+    if Path(path).name.lower() == "meta.json":
+        with written_together(Path(path).parent) as written:
+            write_folder(Path(path), contents, written)
+        return
+    with atomic_write(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as bundle:
+        for name, data in contents.items():
+            bundle.writestr(zipfile.ZipInfo(name, _FILE_TIME), data)
+
+
+def warn_losses(path: PathLike, gaussians: Gaussians) -> None:
+    """Logs what of a capture SOG cannot store."""
+    warn_lost_materials(path, "SOG", gaussians)
+    if gaussians.kernel_degree != KERNEL_DEGREE:
+        _log.warning(
+            "%s: SOG cannot store the kernel degree, %s: left out, save as .ply to keep it",
+            os.fspath(path),
+            gaussians.kernel_degree,
+        )
+
+
+def remove_file(path: Path) -> None:
+    """Removes a file, if it is there.
+
+    Raises:
+        FormatError: It cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
+
+
+def write_folder(meta: Path, contents: Contents, written: list[Path]) -> None:
+    """Writes the files of a capture into a folder.
+
+    The old ``meta.json`` goes first and the new one comes last: a folder without one is no capture, so that none is
+    half old and half new.
+
+    Args:
+        meta: Path of the ``meta.json``.
+        contents: What the files hold, by their names.
+        written: Receives the files.
+
+    Raises:
+        FormatError: A file cannot be written.
+    """
+    remove_file(meta)
+    for name in sorted(contents, key=lambda name: name == meta.name):
+        with atomic_write(meta.with_name(name)) as temporary:
+            temporary.write_bytes(contents[name])
+        written.append(meta.with_name(name))
+
+
+def sog_contents(gaussians: Gaussians) -> Contents:
+    """The files of a capture by their names, ``meta.json`` first."""
+    side = 4 * math.ceil(math.sqrt(gaussians.count) / 4)
+    images: dict[str, Bytes] = {}
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": "Lumisplat"},
+        "count": gaussians.count,
+        "antialias": gaussians.antialiased,
+    }
+    if stated := orientation_values(gaussians.up, gaussians.first_view):
+        meta[OURS] = stated
+
+    def add(name: str, pixels: Bytes, width: int = side) -> str:
+        images[f"{name}.webp"] = _image(pixels, width)
+        return f"{name}.webp"
+
+    meta["means"] = _mean_images(gaussians.means, add)
+    log_scales = np.log(gaussians.scales)
+    codebook = fit_codebook(log_scales)
+    meta["scales"] = {"codebook": codebook.tolist(), "files": [add("scales", encode(log_scales, codebook))]}
+    meta["quats"] = {"files": [add("quats", _rotation_image(gaussians.rotations_wxyz))]}
+    dc = gaussians.sh[:, 0]
+    codebook = fit_codebook(dc)
+    opacities = np.floor(255.0 * gaussians.opacities + 0.5).astype(np.uint8)
+    sh0 = np.column_stack([encode(dc, codebook), opacities])
+    meta["sh0"] = {"codebook": codebook.tolist(), "files": [add("sh0", sh0)]}
+    if gaussians.sh_degree:
+        meta["shN"] = _palette(gaussians, add)
+    with ThreadPoolExecutor(_THREADS) as threads:
+        packed = dict(zip(images, threads.map(_webp, images.values()), strict=True))
+    return {"meta.json": json.dumps(meta, separators=(",", ":")).encode()} | packed
+
+
+def coarse_steps(gaussians: Gaussians) -> Floats:
+    """Returns the steps in which positions are stored, scene units, of the Gaussians that are smaller than them.
+
+    A step is 1 / 65535 of the range of the logarithms, or the rounding of these in single precision, in which engines
+    decode them, whichever is larger, times the derivative 1 + abs(x).
+    """
+    means = gaussians.means.astype(np.float64)
+    logs = np.log1p(np.abs(means))
+    extent = np.ptp(np.sign(means) * logs, axis=0)
+    steps = (1.0 + np.abs(means)) * np.maximum(extent / 65535.0, np.spacing(logs.astype(np.float32)))
+    largest = steps.max(axis=1)
+    return largest[largest > gaussians.scales.max(axis=1)]
+
+
+def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
+    """Logs that some Gaussians are smaller than the steps of their positions, if any are.
+
+    Args:
+        path: The file.
+        count: Number of these.
+        step: The largest step, scene units.
+    """
+    if count:
+        _log.warning(
+            "%s: the positions of %s are stored in steps larger than they are, up to %.2g, because they lie "
+            "far from the origin, or others do: move the capture there (--translate), remove strays (--floaters), or "
+            "save as .ply",
+            os.fspath(path),
+            f"{count:,} Gaussian{'s' * (count > 1)}",
+            step,
+        )
+
+
+def _mean_images(means: Floats, add: Callable[[str, Bytes], str]) -> dict[str, Any]:
+    """The entry of the positions, and their images of low and high bytes."""
+    logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
+    low, high = logs.min(axis=0), logs.max(axis=0)
+    size = np.where(high > low, high - low, 1.0)
+    stored = np.floor((logs - low) / size * 65535.0 + 0.5).astype(np.uint16)
+    files = [add("means_l", (stored & 0xFF).astype(np.uint8)), add("means_u", (stored >> 8).astype(np.uint8))]
+    return {"mins": low.tolist(), "maxs": high.tolist(), "files": files}
+
+
+def _rotation_image(wxyz: Floats) -> Bytes:
+    """The smallest three components as bytes, and which one is left out."""
+    largest, smallest = pack_smallest_three(wxyz)
+    unit = np.clip(smallest * np.sqrt(0.5) + 0.5, 0.0, 1.0)
+    return np.column_stack([np.floor(255.0 * unit + 0.5), largest + _QUATERNION_TAG]).astype(np.uint8)
+
+
+def palette_size(count: int) -> int:
+    """Entries of the SH palette for so many Gaussians: a power of two, which PlayCanvas's tools choose so, too."""
+    return min(_PALETTE_ENTRIES_MAX, 2 ** int(math.log2(max(count, 1))))
+
+
+def _palette(gaussians: Gaussians, add: Callable[..., str]) -> dict[str, Any]:
+    """The entry of the SH above degree 0, and their images."""
+    # Imported here: nothing else in files needs kernels.
+    from lumisplat.palettes.palette import fit_palette
+
+    rest = gaussians.sh.shape[1] - 1
+    palette = fit_palette(gaussians.sh[:, 1:].reshape(gaussians.count, -1), palette_size(gaussians.count))
+    # Neighbours in the image are alike if entries stand in the order in which Gaussians use them.
+    used, first = np.unique(palette.labels, return_index=True)
+    order = used[np.argsort(first, kind="stable")]
+    place = np.empty(len(palette.entries), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    labels = place[palette.labels].astype("<u2")
+    codebook = fit_codebook(palette.entries)
+    centroids = encode(palette.entries[order].reshape(-1, 3), codebook)
+    files = [
+        add("shN_centroids", centroids, _PALETTE_COLUMNS * rest),
+        add("shN_labels", labels[:, None].view(np.uint8)),
+    ]
+    return {"count": len(order), "bands": gaussians.sh_degree, "codebook": codebook.tolist(), "files": files}
+
+
+def _image(values: Bytes, width: int) -> Bytes:
+    """Values, shape (N, 1 to 4), as rows of opaque pixels, shape (height, width, 4); the rest is 0.
+
+    Its height is a multiple of 4, as the width is.
+    """
+    height = 4 * -(-len(values) // (4 * width))
+    pixels = np.zeros((height * width, 4), dtype=np.uint8)
+    pixels[:, 3] = 255
+    pixels[: len(values), : values.shape[1]] = values
+    return pixels.reshape(height, width, 4)
+
+
+def _webp(pixels: Bytes) -> bytes:
+    """A lossless WebP of exactly these pixels; without ``exact``, those of alpha 0 would lose their colours."""
+    buffer = io.BytesIO()
+    opaque = bool((pixels[..., 3] == 255).all())
+    image = Image.fromarray(np.ascontiguousarray(pixels[..., :3]) if opaque else pixels)
+    image.save(buffer, "WEBP", lossless=True, exact=True, quality=100, method=_COMPRESSION)
+    return buffer.getvalue()

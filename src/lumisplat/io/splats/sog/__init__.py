@@ -1,1 +1,0 @@
-"""PlayCanvas SOG: read, written, and read in levels of detail."""

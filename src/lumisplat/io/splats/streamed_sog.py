@@ -1,0 +1,302 @@
+"""Reads and writes streamed SOG: a ``lod-meta.json`` divides space among leaves with levels of detail in SOG captures.
+
+Written, each leaf is decimated to half again and again.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lumisplat.constants.sog import SOG_CHUNK_COUNT, SOG_CHUNK_EXTENT, SOG_LEAF_LEAST, SOG_LEVEL_LEAST
+from lumisplat.errors import FormatError
+from lumisplat.io.files.atomic import atomic_write, written_together
+from lumisplat.io.files.source import STREAMED_SOG, PathLike, parsing, read_bytes, referenced_file
+from lumisplat.io.splats.columns import REQUIRED, SplatColumns, joined_columns
+from lumisplat.io.splats.orientation import orientation_of, orientation_values
+from lumisplat.io.splats.sog import (
+    OURS,
+    coarse_steps,
+    read_sog,
+    remove_file,
+    sog_contents,
+    warn_coarse_positions,
+    warn_losses,
+    write_folder,
+)
+from lumisplat.math.arrays import Doubles, Flags, FloatArray
+from lumisplat.math.transforms import matrices_from_quaternions
+from lumisplat.scene.editing.decimate import decimate
+from lumisplat.scene.editing.morton import sort_morton
+from lumisplat.scene.gaussians import Gaussians, merge_gaussians
+
+_log = logging.getLogger("lumisplat")
+
+_LEVELS_MAX = 64
+"""Levels of a file; writers halve the Gaussians from one to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Rows of a capture."""
+
+    file: int
+    offset: int
+    count: int
+
+
+Leaf = dict[int, _Rows]
+"""The rows of a leaf, by level."""
+
+
+def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None = None) -> SplatColumns:
+    """Reads one level of a streamed SOG, the same for all leaves.
+
+    Args:
+        path: A ``lod-meta.json``, or the folder that holds it.
+        lod: The level, 0 the finest; a leaf that lacks it shows the nearest coarser level that it has, else its
+            coarsest. None: 0, or what ``budget`` says.
+        budget: The finest level of no more Gaussians than this is read; if all have more, the coarsest, which is
+            logged. None: no limit.
+
+    Raises:
+        FormatError: A file is missing or damaged, there is no such level, or rows are not in their capture.
+    """
+    path = Path(path) / STREAMED_SOG if Path(path).is_dir() else Path(path)
+    with parsing(path, "a streamed SOG"):
+        meta = json.loads(read_bytes(path))
+        levels = int(meta["lodLevels"])
+        if not 0 < levels <= _LEVELS_MAX:
+            raise FormatError(path, f"has {levels} levels, expected 1 to {_LEVELS_MAX}")
+        leaves = [_leaf(path, lods, len(meta["filenames"]), levels) for lods in _leaves(meta["tree"])]
+        level = _level(path, leaves, levels, lod, budget)
+        # By their paths: one capture under many names would be read many times.
+        captures = [os.path.normpath(referenced_file(path, str(name))) for name in meta["filenames"]]
+        by_file: dict[str, list[_Rows]] = defaultdict(list)
+        for rows in sorted((_at_level(leaf, level) for leaf in leaves), key=lambda rows: rows.file):
+            if rows.count:
+                by_file[captures[rows.file]].append(rows)
+        parts = [part for file, rows in by_file.items() for part in _parts(path, Path(file), rows)]
+        if meta.get("environment"):
+            parts.append(read_sog(referenced_file(path, str(meta["environment"]))))
+        if not parts:
+            raise FormatError(path, f"holds zero Gaussians at level {level}: there is nothing to render")
+        if any(part.opacities_are_logits != parts[0].opacities_are_logits for part in parts):
+            raise FormatError(path, "names captures of SOG version 1 and of version 2, expected one version")
+        joined = joined_columns(parts)
+        return replace(joined, orientation=orientation_of(path, meta[OURS])) if OURS in meta else joined
+
+
+def _leaves(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The levels of all leaves, in the order of the file."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        if "lods" in node:
+            yield node["lods"]
+        waiting += reversed(node.get("children") or [])
+
+
+def _leaf(path: Path, lods: dict[str, Any], files: int, levels: int) -> Leaf:
+    """The rows of a leaf."""
+    leaf: Leaf = {}
+    for name, entry in lods.items():
+        rows = _Rows(*(int(entry[key]) for key in ("file", "offset", "count")))
+        if not (0 <= int(name) < levels and 0 <= rows.file < files and rows.offset >= 0 and rows.count >= 0):
+            raise FormatError(path, f"damaged: level {name} of a leaf is {entry}, of {levels} levels and {files} files")
+        leaf[int(name)] = rows
+    if not leaf:
+        raise FormatError(path, "damaged: a leaf has no level")
+    return leaf
+
+
+def _level(path: Path, leaves: list[Leaf], levels: int, lod: int | None, budget: int | None) -> int:
+    """The level to read."""
+    if lod is not None and not 0 <= lod < levels:
+        raise FormatError(path, f"has no level {lod}: its levels are 0 (finest) to {levels - 1}")
+    if budget is None:
+        return lod or 0
+    counts = [sum(_at_level(leaf, level).count for leaf in leaves) for level in range(levels)]
+    fitting = [level for level in range(lod or 0, levels) if 0 < counts[level] <= budget]
+    if fitting:
+        return fitting[0]
+    coarsest = levels - 1
+    _log.warning(
+        "%s: no level has %s Gaussians or fewer: level %s is loaded, with %s",
+        os.fspath(path),
+        f"{budget:,}",
+        coarsest,
+        f"{counts[coarsest]:,}",
+    )
+    return coarsest
+
+
+def _at_level(leaf: Leaf, level: int) -> _Rows:
+    """The rows of the nearest level that is no finer, or of the coarsest."""
+    return leaf[min((held for held in leaf if held >= level), default=max(leaf))]
+
+
+def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumns]:
+    """Rows of a capture; no row is read twice."""
+    columns = read_sog(capture)
+    end = 0
+    for row in sorted(rows, key=lambda row: row.offset):
+        if row.offset < end or row.offset + row.count > columns.count:
+            raise FormatError(
+                path,
+                f"damaged: rows {row.offset:,} to {row.offset + row.count:,} of {capture.parent.name}/{capture.name}, "
+                f"which holds {columns.count:,} Gaussians, or another leaf has some of them",
+            )
+        end = row.offset + row.count
+        yield replace(columns, **{name: getattr(columns, name)[row.offset : end] for name in REQUIRED})
+
+
+@dataclass(slots=True)
+class _Unit:
+    """A capture that is being filled with rows of leaves."""
+
+    name: str
+    parts: list[Gaussians] = field(default_factory=list[Gaussians])
+    count: int = 0
+
+
+class _Units:
+    """The captures of all levels, written when they are full; ``written`` receives the files."""
+
+    def __init__(self, folder: Path, levels: int, written: list[Path]) -> None:
+        self._folder, self._written = folder, written
+        self._open = [_Unit(f"{level}_0") for level in range(levels)]
+        self._number = [0] * levels
+        self.names: list[str] = []
+        """As leaves refer to them."""
+        self.counts = [0] * levels
+        """Gaussians of each level."""
+        self.coarse: tuple[int, float] = (0, 0.0)
+        """As of `warn_coarse_positions`, of the finest level."""
+
+    def add(self, level: int, part: Gaussians) -> dict[str, int]:
+        """Rows for a level of a leaf; where they are, as the tree says it."""
+        unit = self._open[level]
+        name = f"{unit.name}/meta.json"
+        if not unit.parts:
+            self.names.append(name)
+        place = {"file": self.names.index(name), "offset": unit.count, "count": part.count}
+        unit.parts.append(part)
+        unit.count += part.count
+        self.counts[level] += part.count
+        if unit.count >= SOG_CHUNK_COUNT:
+            self._write(level)
+        return place
+
+    def close(self) -> None:
+        """Writes those that are not full."""
+        for level, unit in enumerate(self._open):
+            if unit.parts:
+                self._write(level)
+
+    def _write(self, level: int) -> None:
+        unit = self._open[level]
+        meta = self._folder / unit.name / "meta.json"
+        capture = merge_gaussians(unit.parts)
+        if level == 0:
+            steps = coarse_steps(capture)
+            self.coarse = (self.coarse[0] + len(steps), max(self.coarse[1], float(steps.max(initial=0.0))))
+        write_folder(meta, sog_contents(capture), self._written)
+        self._number[level] += 1
+        self._open[level] = _Unit(f"{level}_{self._number[level]}")
+
+
+def write_streamed_sog(path: PathLike, gaussians: Gaussians) -> None:
+    """Writes a streamed SOG into the folder of its ``lod-meta.json``, which goes first if it is there, and comes last.
+
+    Each level has half the Gaussians of the one before; the coarsest has some `SOG_LEVEL_LEAST`. Values are quantised
+    as by `write_sog`.
+
+    Raises:
+        FormatError: A file cannot be written.
+    """
+    path = Path(path)
+    warn_losses(path, gaussians)
+    remove_file(path)
+    with written_together(path.parent) as written:
+        _write_all(path, gaussians, written)
+
+
+def _write_all(path: Path, gaussians: Gaussians, written: list[Path]) -> None:
+    levels = level_count(gaussians.count)
+    units = _Units(path.parent, levels, written)
+    tree = _node(units, gaussians, levels)
+    units.close()
+    warn_coarse_positions(path, *units.coarse)
+    meta: dict[str, Any] = {
+        "version": 1,
+        "asset": {"generator": "Lumisplat"},
+        "count": sum(units.counts),
+        "counts": units.counts,
+        "lodLevels": levels,
+        "filenames": units.names,
+        "tree": tree,
+    }
+    if stated := orientation_values(gaussians.up, gaussians.first_view):
+        meta[OURS] = stated
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(meta, separators=(",", ":")))
+
+
+def level_count(count: int) -> int:
+    """Levels of detail of so many Gaussians, the finest included."""
+    return 1 + max(0, int(math.log2(max(count, 1) / SOG_LEVEL_LEAST)))
+
+
+def _node(units: _Units, gaussians: Gaussians, levels: int) -> dict[str, Any]:
+    """A node of the tree, whose rows are added to the captures."""
+    low, high = gaussians.bounds()
+    axis = int((high - low).argmax())
+    most = SOG_LEAF_LEAST if high[axis] - low[axis] > SOG_CHUNK_EXTENT else SOG_CHUNK_COUNT
+    if gaussians.count > most and high[axis] > low[axis]:
+        below = _lower_half(gaussians.means[:, axis])
+        children = [_node(units, gaussians.subset(rows), levels) for rows in (below, ~below)]
+        bounds = [np.array([child["bound"][end] for child in children]) for end in ("min", "max")]
+        return {"bound": _bound(bounds[0].min(axis=0), bounds[1].max(axis=0)), "children": children}
+    lods: dict[str, dict[str, int]] = {}
+    corners: list[tuple[Doubles, Doubles]] = []
+    for level, part in enumerate(_levels(gaussians, levels)):
+        lods[f"{level}"] = units.add(level, sort_morton(part))
+        corners.append(_extent(part))
+    lows, highs = zip(*corners, strict=True)
+    return {"bound": _bound(np.min(lows, axis=0), np.max(highs, axis=0)), "lods": lods}
+
+
+def _lower_half(values: FloatArray) -> Flags:
+    """Which numbers are below their median, neither none nor all of them."""
+    median = np.median(values)
+    below = values < median
+    return below if below.any() else values <= median
+
+
+def _levels(gaussians: Gaussians, levels: int) -> Iterator[Gaussians]:
+    """A leaf at each level, at least one Gaussian."""
+    yield gaussians
+    for _ in range(levels - 1):
+        gaussians = decimate(gaussians, max(1, gaussians.count // 2))
+        yield gaussians
+
+
+def _extent(gaussians: Gaussians) -> tuple[Doubles, Doubles]:
+    """Corners of a box around the ellipsoids of one standard deviation, by which PlayCanvas's engine chooses levels."""
+    axes = np.abs(matrices_from_quaternions(gaussians.rotations_wxyz))
+    reach = np.einsum("nij,nj->ni", axes, gaussians.scales)
+    return (gaussians.means - reach).min(axis=0), (gaussians.means + reach).max(axis=0)
+
+
+def _bound(low: Doubles, high: Doubles) -> dict[str, list[float]]:
+    return {"min": [round(float(v), 6) for v in low], "max": [round(float(v), 6) for v in high]}

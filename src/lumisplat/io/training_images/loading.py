@@ -1,0 +1,411 @@
+"""Loads folders of training images with poses: what they hold, which are held out, and the extent of the scene."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.config.checks import Color, check_flag, check_range, check_whole, display_color, is_number, quoted
+from lumisplat.constants.photographs import HOLD_OUT, ONE_PLACE, PHOTOGRAPH_CACHE_BYTES, SAME_PLACE, SAME_TURN
+from lumisplat.errors import ConfigError, FormatError, MissingFileError
+from lumisplat.io.cameras.colmap import count_colmap_images, is_colmap, read_colmap_points
+from lumisplat.io.cameras.common import unique_names
+from lumisplat.io.files.source import PathLike, references_outside
+from lumisplat.io.images.texture import check_undamaged, image_size
+from lumisplat.io.training_images.listing import (
+    Listed,
+    Splits,
+    colmap_photographs,
+    nerfstudio_points,
+    report_without_pose,
+    some_names,
+    transforms_photographs,
+)
+from lumisplat.io.training_images.pixels import (
+    PixelCache,
+    Pixels,
+    Plane,
+    Source,
+    decode,
+    is_bent,
+    pinhole_of,
+    read_mask,
+)
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.local_frame import camera_extent
+
+_log = logging.getLogger("lumisplat")
+
+_EXPECTED = "transforms.json (nerfstudio), transforms_train.json (Blender) or a sparse model of COLMAP"
+
+
+def camera_target(cameras: Sequence[Camera]) -> Doubles:
+    """The point nearest to the optical axes in the sense of least squares, shape (3,).
+
+    Of several, as where all axes are parallel, it is the one nearest to the mean of the positions.
+    """
+    eyes = np.stack([camera.eye for camera in cameras])
+    axes = np.stack([camera.camera_from_world[2, :3] for camera in cameras])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    middle = eyes.mean(axis=0)
+    inverse = np.asarray(np.linalg.pinv(across.sum(axis=0), rcond=1e-9), dtype=np.float64)
+    return middle + inverse @ np.einsum("nij,nj->i", across, eyes - middle)
+
+
+def count_places(cameras: Sequence[Camera]) -> int:
+    """From how many places cameras see, those that are as good as the same counted once."""
+    return len(_different(cameras, turned=False))
+
+
+def count_poses(cameras: Sequence[Camera]) -> int:
+    """How many poses cameras have, those that are as good as the same counted once."""
+    return len(_different(cameras, turned=True))
+
+
+def _different(cameras: Sequence[Camera], *, turned: bool) -> list[int]:
+    """Numbers of cameras that are in another place than all of these before them, or if ``turned`` otherwise turned."""
+    eyes = np.stack([camera.eye for camera in cameras])
+    turns = np.stack([camera.camera_from_world[:3, :3] for camera in cameras])
+    near = SAME_PLACE * max(camera_extent(cameras), ONE_PLACE / SAME_PLACE * float(np.abs(eyes).max()))
+    found: list[int] = []
+    for number, (eye, turn) in enumerate(zip(eyes, turns, strict=True)):
+        same = np.linalg.norm(eyes[found] - eye, axis=1) <= near
+        if turned:
+            # The Frobenius norm of the difference of two rotations is 2 sqrt(2) times the sine of half their angle.
+            same &= np.linalg.norm(turns[found] - turn, axis=(1, 2)) <= np.sqrt(2.0) * SAME_TURN
+        if not same.any():
+            found.append(number)
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photograph:
+    """A photograph as its camera sees it. Its pixels are decoded when they are asked for, and kept for a while.
+
+    Every method reads the files if their contents are no longer kept, and raises `FormatError` if that fails.
+    """
+
+    name: str
+    """That of the image without its extension; each of a set has its own."""
+    camera: Camera
+    """Of the size of the pixels: a pinhole without distortion, unless lenses were to stay as they are."""
+    path: Path
+    """The image."""
+    background: Color | None
+    """Display-referred sRGB, 0..1, behind the transparent pixels; None: they stay premultiplied, as over black."""
+    _source: Source = field(repr=False)
+    _cache: PixelCache = field(repr=False)
+
+    def pixels(self) -> FloatArray:
+        """Display-referred sRGB, 0..1, over the background, shape (H, W, 3)."""
+        kept = self._kept()
+        color = _share(kept.color)
+        if kept.alpha is None or self.background is None:
+            return color
+        behind = (1.0 - _share(kept.alpha))[..., None] * np.array(self.background)
+        return (color + behind).astype(np.float32)
+
+    def alpha(self) -> FloatArray | None:
+        """How much of each pixel shows something, 0..1, shape (H, W); None: the image has no transparency."""
+        alpha = self._kept().alpha
+        return None if alpha is None else _share(alpha)
+
+    def mask(self) -> FloatArray | None:
+        """How much of each pixel counts, 0..1, shape (H, W); None: all of it.
+
+        It is 0 where the mask of the photograph is black, and where its lens does not show what the pinhole sees; of
+        lenses that stay as they are, where there is no ray.
+        """
+        mask = self._kept().mask
+        return None if mask is None else _share(mask)
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells it from others without decoding it: its camera and lens, and the bytes of its image and mask."""
+        told = hashlib.sha256(f"{self.name} {self.background}".encode())
+        try:
+            for file in (self.path, self._source.mask):
+                told.update(b"none" if file is None else hashlib.sha256(file.read_bytes()).digest())
+        except OSError as error:
+            raise FormatError(error.filename or self.path, f"cannot be read: {error.strerror or error}") from None
+        told.update(_told(self.camera))
+        told.update(_told(self._source.camera))
+        return told.hexdigest()
+
+    def _kept(self) -> Pixels:
+        return self._cache.get(self.path, partial(decode, self._source))
+
+
+@dataclass(frozen=True, slots=True)
+class ReadFrom:
+    """From where photographs were read, and how: the arguments of `load_photographs` that make the same ones again."""
+
+    folder: Path
+    """Its absolute path."""
+    scale: float
+    hold_out: int
+    background: Color | None
+    straighten: bool
+    allow_outside: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photographs:
+    """Photographs of a scene with poses, as `load_photographs` reads them."""
+
+    training: tuple[Photograph, ...]
+    """Those to learn from, at least one, ordered by name."""
+    held_out: tuple[Photograph, ...]
+    """Those to measure with, ordered by name; there may be none."""
+    points: Doubles | None
+    """Points of the scene that COLMAP has found, world space, shape (N, 3); None: there are none."""
+    point_colors: FloatArray | None
+    """Their display-referred sRGB, 0..1, shape (N, 3)."""
+    extent: float
+    """1.1 times the largest distance of a training camera from the mean of their positions, scene units; 0: all of
+    them stand in one place."""
+    target: Doubles
+    """What the training cameras look at: the point nearest to their optical axes in the sense of least squares, shape
+    (3,). Where all axes are parallel it is the mean of the positions."""
+    read_from: ReadFrom | None = None
+    """From where, and how; None: a program has put them together."""
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells those to learn from, and the points, from others.
+
+        Raises:
+            FormatError: A file is no longer there.
+        """
+        told = hashlib.sha256("".join(photograph.fingerprint for photograph in self.training).encode())
+        for array in (self.points, self.point_colors):
+            told.update(b"none" if array is None else array.tobytes())
+        return told.hexdigest()
+
+
+def _told(camera: Camera) -> bytes:
+    """All that a camera is."""
+    values = (getattr(camera, one.name) for one in fields(camera))
+    return b" ".join(value.tobytes() if isinstance(value, np.ndarray) else str(value).encode() for value in values)
+
+
+def _share(plane: Plane) -> FloatArray:
+    return np.divide(plane, 255.0, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What a folder holds."""
+
+    file: Path
+    """The one that lists the photographs."""
+    photographs: list[Listed]
+    held_out: list[Listed] | None = None
+    """Photographs that have a file of their own; None: there is none."""
+    points: tuple[Doubles, FloatArray] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """How photographs are to be."""
+
+    scale: float
+    background: Color | None
+    straight: bool
+
+
+def load_photographs(
+    folder: PathLike,
+    *,
+    scale: float = 1.0,
+    hold_out: int = HOLD_OUT,
+    background: str | Sequence[float] | None = None,
+    straighten: bool = True,
+    cache_bytes: int = PHOTOGRAPH_CACHE_BYTES,
+    allow_outside: bool = False,
+) -> Photographs:
+    """Finds the photographs of a folder and their poses; pixels are decoded when they are asked for.
+
+    The first that is there counts: ``transforms_train.json`` (Blender, NeRF-synthetic; what is held out are the
+    photographs of ``transforms_test.json``, else of ``transforms_val.json``), ``transforms.json`` (nerfstudio,
+    instant-ngp), or a sparse model of COLMAP in ``sparse`` (of several there, the one with most photographs), or in the
+    folder itself, with its photographs in ``images``. The ``train_filenames`` and ``test_filenames`` (else
+    ``val_filenames``) of a ``transforms.json``, where it has these, say what is held out, and its ``ply_file_path`` has
+    points. Where the file names a mask, or ``masks`` holds one that is named after a photograph, only what is not black
+    there counts. Log lines count what is left out: photographs that are missing or have no pose, models, and masks.
+
+    Lenses that distort, and fisheyes, are straightened, unless they are to stay: the cameras are pinholes of the same
+    focal lengths and size, whose pixels are resampled by Catmull-Rom's cubics; a log line says so. What the pinhole
+    sees beyond the picture of the lens is masked out, what it does not see is left out. Smaller photographs are means
+    over areas, of display-referred values, for captures blend in these; they are made smaller before they are
+    straightened.
+
+    Args:
+        folder: The folder.
+        scale: Size of the photographs, as a share of that of the files, above 0, at most 1.
+        hold_out: The first of the photographs in the order of their names, and each so many after it, are held out, at
+            least 2; 0: none is, also of a test file.
+        background: Behind transparent pixels, as of `RenderConfig`: three numbers in 0..1, a name or ``"#rrggbb"``;
+            None or ``"transparent"``: they stay premultiplied by alpha.
+        straighten: Whether lenses that distort, and fisheyes, become pinholes; else their cameras are what they are,
+            which `Pipeline.TRACE` and `Projection.UNSCENTED` draw, and pixels that they have no ray for are masked out.
+        cache_bytes: Memory for decoded photographs, 8 bits a value, at least 0; what does not fit is decoded again.
+        allow_outside: Whether the file may name photographs outside of its own folder, as files that you trust do.
+
+    Raises:
+        ConfigError: A setting is out of its range.
+        FormatError: The folder holds none of these, or fewer than two photographs; a file is damaged; a pose is not
+            rigid or not finite; a photograph has another size than its camera says, or cannot be read; a mask is black
+            everywhere, or has another size; a camera is orthographic. Names the file.
+        MissingFileError: There is no such folder.
+    """
+    if not is_number(scale) or not 0.0 < scale <= 1.0:
+        raise ConfigError(f"scale is {quoted(scale)}, expected more than 0 and at most 1")
+    check_whole("hold_out", hold_out, 0, 1 << 31)
+    check_flag("straighten", straighten)
+    check_range("cache_bytes", cache_bytes, 0, 1 << 62)
+    if hold_out == 1:
+        raise ConfigError("hold_out is 1, which leaves no photograph to learn from: expected 2 or more, or 0 for none")
+    color = display_color("background", background)
+    with references_outside(allow_outside):
+        found = _find(Path(folder), hold_out > 0)
+    if len(found.photographs) < 2:
+        raise FormatError(
+            found.file, "has a single photograph, expected two or more: depth shows between photographs only"
+        )
+    set_of = partial(_views, found.file, Wanted(scale, color, straighten), PixelCache(cache_bytes))
+    views = set_of(found.photographs)
+    if found.held_out is None:
+        held = [view for index, view in enumerate(views) if hold_out and index % hold_out == 0]
+        views = [view for view in views if view not in held]
+    else:
+        held = set_of(found.held_out)
+    cameras = [view.camera for view in views]
+    points, colors = found.points or (None, None)
+    return Photographs(
+        training=tuple(views),
+        held_out=tuple(held),
+        points=points,
+        point_colors=colors,
+        extent=camera_extent(cameras),
+        target=camera_target(cameras),
+        read_from=ReadFrom(Path(os.path.abspath(folder)), scale, hold_out, color, straighten, allow_outside),
+    )
+
+
+def _find(folder: Path, with_held_out: bool) -> _Found:
+    """What a folder holds, its files read."""
+    if not folder.exists():
+        raise MissingFileError(folder, "no such folder")
+    if not folder.is_dir():
+        raise FormatError(folder, f"is a file, expected the folder that holds {_EXPECTED}")
+    train = folder / "transforms_train.json"
+    if train.is_file():
+        return _Found(train, transforms_photographs(train), _held_out(folder) if with_held_out else None)
+    if (folder / "transforms.json").is_file():
+        file = folder / "transforms.json"
+        listed = transforms_photographs(file)
+        report_without_pose(file, folder, listed)
+        learnt, held_out = Splits.of(file).divide(file, listed, holds_out=with_held_out)
+        return _Found(file, learnt, held_out, nerfstudio_points(file))
+    model = find_model(folder)
+    if model is None:
+        raise FormatError(
+            folder,
+            f"has no photographs with poses: expected {_EXPECTED} in sparse/0; for photographs without poses, "
+            "find_poses (--poses colmap) makes one",
+        )
+    listed = colmap_photographs(model, folder)
+    report_without_pose(model, folder, listed)
+    return _Found(model, listed, points=read_colmap_points(model))
+
+
+def _held_out(folder: Path) -> list[Listed] | None:
+    """Returns the images of ``transforms_test.json``, else of ``transforms_val.json``; None: there are none.
+
+    Some exporters write a test file and leave its images to be rendered: a log line says what is held out then.
+    """
+    files = [path for name in ("test", "val") if (path := folder / f"transforms_{name}.json").is_file()]
+    lists = [transforms_photographs(path, may_lack_all=True) for path in files]
+    found = next((number for number, listed in enumerate(lists) if listed), None)
+    lacking = files[:found]
+    if lacking:
+        instead = "some of those to learn from" if found is None else f"those of {files[found].name}"
+        _log.warning("%s: none of its images is there: %s are held out instead", lacking[0], instead)
+    return None if found is None else lists[found]
+
+
+def find_model(folder: Path) -> Path | None:
+    """Returns the folder of a sparse model; of several in ``sparse``, the one with most images, as a line says."""
+    sparse = folder / "sparse"
+    inside = [path for path in sparse.iterdir() if path.is_dir()] if sparse.is_dir() else []
+    models = sorted((path for path in inside if is_colmap(path)), key=lambda path: (len(path.name), path.name))
+    if len(models) > 1:
+        counts = [count_colmap_images(path) for path in models]
+        best = counts.index(max(counts))
+        others = [f"{path.name} with {count}" for path, count in zip(models, counts, strict=True)]
+        taken = models[best]
+        del others[best]
+        _log.warning(
+            "%s has %d models: %s with %d images is taken, and %s left out, whose poses are in frames of their own",
+            sparse,
+            len(models),
+            taken.name,
+            counts[best],
+            f"{some_names(others)} {'is' if len(others) == 1 else 'are'}",
+        )
+        return taken
+    return next((path for path in (*models, sparse, folder) if is_colmap(path)), None)
+
+
+def _views(file: Path, wanted: Wanted, cache: PixelCache, listed: Sequence[Listed]) -> list[Photograph]:
+    """The photographs of a file, in the order of their names, smaller by a factor."""
+    for photograph in listed:
+        _check(file, photograph)
+    ordered = sorted(listed, key=lambda photograph: photograph.image)
+    cameras = unique_names([photograph.camera for photograph in ordered])
+    bent = sum(is_bent(camera) for camera in cameras)
+    if bent and wanted.straight:
+        _log.warning("%s: %d photographs of distorting lenses are straightened: resampled as of pinholes", file, bent)
+    views: list[Photograph] = []
+    for camera, photograph in zip(cameras, ordered, strict=True):
+        lens = _smaller(camera, wanted.scale)
+        source = Source(lens, photograph.image, photograph.mask, straightens=wanted.straight)
+        seen = pinhole_of(lens) if wanted.straight else lens
+        views.append(Photograph(camera.name, seen, photograph.image, wanted.background, source, cache))
+    return views
+
+
+def _check(file: Path, photograph: Listed) -> None:
+    """Refuses a photograph that is not what its camera says."""
+    camera, size = photograph.camera, image_size(photograph.image)
+    if camera.model is CameraModel.ORTHOGRAPHIC:
+        raise FormatError(file, f"{camera.name} is of an orthographic camera, expected a pinhole or a fisheye")
+    if size != (camera.width, camera.height):
+        raise FormatError(
+            photograph.image,
+            f"has {size[0]} x {size[1]} pixels, its camera in {file} {camera.width} x {camera.height}: expected the "
+            "photographs that the cameras were made for (scale makes them smaller)",
+        )
+    check_undamaged(photograph.image)
+    if photograph.mask is None:
+        return
+    if (mask_size := image_size(photograph.mask)) != size:
+        raise FormatError(
+            photograph.mask,
+            f"has {mask_size[0]} x {mask_size[1]} pixels, expected the {size[0]} x {size[1]} of {photograph.image}",
+        )
+    read_mask(photograph.mask)
+
+
+def _smaller(camera: Camera, scale: float) -> Camera:
+    """The camera at a share of its size, in whole pixels."""
+    return camera.scaled(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))

@@ -1,0 +1,463 @@
+"""Finds poses of images from their contents alone, by COLMAP (Schoenberger and Frahm 2016), with the extra ``poses``.
+
+Features, pairs and poses are kept in a folder and not computed again. A report lists what is missing, and what is
+likely to be wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import shutil
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants.photographs import (
+    ALIKE_FEATURES,
+    ALIKE_MATCHES,
+    ALIKE_RATIO,
+    ALL_PAIRS_UP_TO,
+    COMPARED_FEATURES,
+    COMPARED_PIXELS,
+    DOUBLED_PIXELS,
+    FEW_POINTS,
+    LARGE_ERROR,
+    LENS_MODEL,
+    LOST_SHARE,
+    MOST_ALIKE,
+    NEXT_FRAMES,
+    SMALLEST_PIECE,
+    USUAL_VIEW_DEGREES,
+)
+from lumisplat.errors import FormatError, MissingExtraError, MissingFileError
+from lumisplat.io.files.source import PathLike
+from lumisplat.io.images.texture import image_size
+from lumisplat.io.training_images.listing import IMAGE_SUFFIXES, some_names
+from lumisplat.math.arrays import FloatArray
+from lumisplat.progress import Progress
+
+_log = logging.getLogger("lumisplat")
+
+Pairs = list[tuple[int, int]]
+"""Indices of photographs, the smaller one first, each pair once, in order."""
+
+_BATCH = 4
+"""Photographs whose features are found between two reports of progress."""
+_PAIRS = 32
+"""Pairs that are compared between two reports."""
+_WATCHED_S = 0.2
+"""How often is looked for Ctrl C, seconds."""
+
+_WORK = "poses.unfinished"
+"""Folder of what has been found until poses are."""
+
+
+def compared_pairs(
+    count: int, descriptors: Callable[[], Sequence[FloatArray]], ordered: bool, report: Callable[[float], None]
+) -> Pairs:
+    """The pairs of photographs whose features are matched.
+
+    A few are all compared. Of a film, each frame is compared with the next ones; beside that, each photograph is with
+    those that are most like it: where a walk comes by again, its loop is closed.
+
+    Args:
+        count: How many photographs there are.
+        descriptors: Gives the largest features of each, as of `most_alike`, where they are needed.
+        ordered: The photographs are frames of a film, in their order.
+        report: Called with the fraction done, 0..1.
+    """
+    if count <= (NEXT_FRAMES if ordered else ALL_PAIRS_UP_TO):
+        return [(i, j) for i in range(count) for j in range(i + 1, count)]
+    near = NEXT_FRAMES if ordered else 0
+    pairs = {(i, i + step) for step in range(1, near + 1) for i in range(count - step)}
+    return sorted(pairs.union(most_alike(descriptors(), near, report)))
+
+
+def most_alike(descriptors: Sequence[FloatArray], near: int, report: Callable[[float], None]) -> Pairs:
+    """For each photograph the `MOST_ALIKE` others that share most of their largest features with it.
+
+    Large features are few, and are found again from elsewhere: pairs whose largest ones do not match seldom match at
+    all (Wu 2013, "Towards Linear-Time Incremental Structure from Motion", section 4, preemptive matching).
+
+    Args:
+        descriptors: Of the largest features of each photograph, of length 1, shape (at most `ALIKE_FEATURES`, D).
+        near: Photographs whose indices differ by no more are left out.
+        report: Called with the fraction done, 0..1.
+    """
+    count = len(descriptors)
+    shared = np.zeros((count, count), np.int64)
+    for i in range(count):
+        report(1.0 - (1.0 - i / count) ** 2)
+        for j in range(i + near + 1, count):
+            shared[i, j] = shared[j, i] = _shared(descriptors[i], descriptors[j])
+    pairs: set[tuple[int, int]] = set()
+    for i in range(count):
+        best = np.argsort(-shared[i], kind="stable")[:MOST_ALIKE]
+        pairs.update((min(i, int(j)), max(i, int(j))) for j in best if shared[i, j] >= ALIKE_MATCHES)
+    return sorted(pairs)
+
+
+def _shared(a: FloatArray, b: FloatArray) -> int:
+    """How many features of two photographs are each other's nearest, and much nearer than the second one."""
+    if min(len(a), len(b)) < 2:
+        return 0
+    cosines = a @ b.T
+    rows = np.arange(len(a))
+    nearest = cosines.argmax(axis=1)
+    angle = np.arccos(np.minimum(cosines[rows, nearest], 1.0))
+    mutual = cosines.argmax(axis=0)[nearest] == rows
+    cosines[rows, nearest] = -1.0
+    second = np.arccos(np.minimum(cosines.max(axis=1), 1.0))
+    return int(np.count_nonzero(mutual & (angle < ALIKE_RATIO * second)))
+
+
+def largest_features(keypoints: FloatArray, descriptors: npt.NDArray[np.uint8]) -> FloatArray:
+    """The descriptors of the largest features of a photograph, of length 1, shape (at most `ALIKE_FEATURES`, D).
+
+    Args:
+        keypoints: As COLMAP has them: x, y and an affine shape, shape (N, 6), of which the determinant is the squared
+            size; or x, y, size and direction, shape (N, 4).
+        descriptors: Shape (N, D).
+    """
+    if keypoints.shape[1] == 6:
+        size = np.abs(keypoints[:, 2] * keypoints[:, 5] - keypoints[:, 3] * keypoints[:, 4])
+    else:
+        size = keypoints[:, 2]
+    chosen = descriptors[np.argsort(-size, kind="stable")[:ALIKE_FEATURES]].astype(np.float32)
+    return chosen / np.maximum(np.linalg.norm(chosen, axis=1, keepdims=True), 1e-12)
+
+
+@dataclass(frozen=True, slots=True)
+class Mapping:
+    """Poses of photographs in the making; each step reads what the ones before have written."""
+
+    pycolmap: Any
+    images: Path
+    """The folder of the photographs."""
+    names: Sequence[str]
+    """In their order."""
+    work: Path
+    """The folder of what is found; is made by `prepare`."""
+    report: Progress
+
+    @property
+    def _database(self) -> Path:
+        """The file of features and matches."""
+        return self.work / "database.db"
+
+    @property
+    def _links(self) -> list[str]:
+        """Names without spaces, which divide those in COLMAP's lists of pairs."""
+        return [f"{index:06d}{Path(name).suffix}" for index, name in enumerate(self.names)]
+
+    def prepare(self) -> None:
+        """Makes the folder, unless what an interrupted call has found of the same photographs is in it."""
+        stats = [(self.images / name).stat() for name in self.names]
+        known = {
+            "features": [COMPARED_FEATURES, COMPARED_PIXELS, DOUBLED_PIXELS, LENS_MODEL],
+            "photographs": [
+                [name, stat.st_size, stat.st_mtime_ns] for name, stat in zip(self.names, stats, strict=True)
+            ],
+        }
+        listed = self.work / "photographs.json"
+        if listed.is_file() and self._database.is_file() and listed.read_text() == json.dumps(known):
+            _log.warning("%s: goes on from %s", self.work, self.found())
+            return
+        shutil.rmtree(self.work, ignore_errors=True)
+        (self.work / "images").mkdir(parents=True)
+        for link, name in zip(self._links, self.names, strict=True):
+            (self.work / "images" / link).symlink_to((self.images / name).resolve())
+        listed.write_text(json.dumps(known))
+
+    def found(self) -> str:
+        """What is in the folder, in words."""
+        if not self._database.is_file():
+            return "nothing yet"
+        with self.pycolmap.Database.open(self._database) as database:
+            features, pairs = database.num_images(), database.num_matched_image_pairs()
+        return f"features of {features:,} of {len(self.names):,} photographs, {pairs:,} compared pairs"
+
+    def extract(self) -> None:
+        """Finds features. Photographs of one size are taken for those of one lens."""
+        extraction = self.pycolmap.FeatureExtractionOptions(max_image_size=COMPARED_PIXELS)
+        extraction.sift.max_num_features = COMPARED_FEATURES
+        sizes = {image_size(self.images / name) for name in self.names}
+        one_lens = len(sizes) == 1
+        extraction.sift.first_octave = -1 if max(map(max, sizes)) <= DOUBLED_PIXELS else 0
+        options = self.pycolmap.ImageReaderOptions(camera_model=LENS_MODEL)
+        mode = self.pycolmap.CameraMode.SINGLE if one_lens else self.pycolmap.CameraMode.PER_IMAGE
+        for start in range(0, len(self.names), _BATCH):
+            self.report("finding features", start / len(self.names))
+            if one_lens and start > 0:
+                options.existing_camera_id = 1
+            self._call(
+                self.pycolmap.extract_features,
+                self._database,
+                self.work / "images",
+                image_names=self._links[start : start + _BATCH],
+                camera_mode=mode,
+                reader_options=options,
+                extraction_options=extraction,
+            )
+        self.report("finding features", 1.0)
+
+    def match(self, ordered: bool) -> None:
+        """Compares features of pairs; `compared_pairs` says of which."""
+        pairs = compared_pairs(
+            len(self.names), self._largest_features, ordered, lambda share: self.report("choosing pairs", share)
+        )
+        self.report("choosing pairs", 1.0)
+        listed = self.work / "pairs.txt"
+        for start in range(0, len(pairs), _PAIRS):
+            self.report("comparing photographs", start / len(pairs))
+            listed.write_text("".join(f"{self._links[i]} {self._links[j]}\n" for i, j in pairs[start : start + _PAIRS]))
+            options = self.pycolmap.ImportedPairingOptions(match_list_path=listed)
+            self._call(self.pycolmap.match_image_pairs, self._database, pairing_options=options)
+        self.report("comparing photographs", 1.0)
+
+    def _largest_features(self) -> list[FloatArray]:
+        """Of each photograph, in the order of their names."""
+        with self.pycolmap.Database.open(self._database) as database:
+            number = {image.name: image.image_id for image in database.read_all_images()}
+            return [
+                largest_features(database.read_keypoints(number[link]), database.read_descriptors(number[link]).data)
+                for link in self._links
+            ]
+
+    def place(self) -> list[Any]:
+        """Finds poses: models of COLMAP that do not join, the one of most photographs first; there may be none."""
+        finished, placed = 0, 0
+
+        def first_pair() -> None:
+            nonlocal finished, placed
+            finished, placed = finished + placed * (placed >= SMALLEST_PIECE), 2
+            tell()
+
+        def next_image() -> None:
+            nonlocal placed
+            placed += 1
+            tell()
+
+        def tell() -> None:
+            done = min(finished + placed, len(self.names))
+            step = "all placed, adjusting" if done == len(self.names) else f"{done} of {len(self.names)} placed"
+            self.report(f"finding poses, {step}", min(done / len(self.names), 0.99))
+
+        self.report("finding poses", 0.0)
+        options = self.pycolmap.IncrementalPipelineOptions(random_seed=0, min_model_size=SMALLEST_PIECE)
+        found: dict[int, Any] = self._call(
+            self.pycolmap.incremental_mapping,
+            self._database,
+            self.work / "images",
+            self.work,
+            options,
+            initial_image_pair_callback=first_pair,
+            next_image_callback=next_image,
+        )
+        self.report("finding poses", 1.0)
+        name_of = dict(zip(self._links, self.names, strict=True))
+        for model in found.values():
+            for image in model.images.values():
+                image.name = name_of[image.name]
+        return sorted(found.values(), key=lambda model: -model.num_reg_images())
+
+    def why_none(self) -> str:
+        """What photographs without poses lack."""
+        with self.pycolmap.Database.open(self._database) as database:
+            features = database.num_keypoints() / len(self.names)
+            pairs = sum(shared > 0 for shared in database.read_two_view_geometry_num_inliers()[1])
+        if features < FEW_POINTS:
+            return f"they show too little texture, {features:.0f} features each: more light, or something patterned"
+        if pairs < len(self.names) - 1:
+            return f"only {pairs} pairs show the same things: neighbours must overlap by two thirds, and be sharp"
+        return "they must be taken from different places: walk around things, rather than turn on the spot"
+
+    def _call(self, step: Callable[..., Any], *args: Any, **options: Any) -> Any:
+        """Runs a step of COLMAP so that Ctrl C ends it soon, and what it has found by then stays."""
+        token = self.pycolmap.CancellationToken()
+        with ThreadPoolExecutor(1) as pool:
+            running = pool.submit(step, *args, cancellation_token=token, **options)
+            try:
+                while not running.done():
+                    wait([running], timeout=_WATCHED_S)
+            except KeyboardInterrupt:
+                token.cancel()
+                raise
+            return running.result()
+
+
+@dataclass(frozen=True, slots=True)
+class PoseReport:
+    """A model of COLMAP, in figures."""
+
+    names: Sequence[str]
+    """Of all photographs."""
+    placed: Sequence[str]
+    """Of those that have a pose."""
+    pieces: Sequence[int]
+    """Photographs of the model that is taken, and those that only another one has, if they are more than a pair."""
+    points: int
+    shown: float
+    """Points that a photograph shows, in the mean."""
+    error: float
+    """Mean distance of points from where photographs show them, pixels of the size that was compared."""
+    view_degrees: float
+    """Angle of view along the longer side, the one that is least usual."""
+
+    @classmethod
+    def of(cls, names: Sequence[str], models: Sequence[Any]) -> PoseReport:
+        """The figures of models of COLMAP, of which the first is taken."""
+        best = models[0]
+        names_of = [{model.image(index).name for index in model.reg_image_ids()} for model in models]
+        others = [len(found - names_of[0]) for found in names_of[1:]]
+        cameras = best.cameras.values()
+        views = [
+            2.0 * math.degrees(math.atan2(0.5 * max(camera.width, camera.height), camera.mean_focal_length()))
+            for camera in cameras
+        ]
+        shrink = min(COMPARED_PIXELS / max(max(camera.width, camera.height) for camera in cameras), 1.0)
+        return cls(
+            names=names,
+            placed=sorted(names_of[0]),
+            pieces=[len(names_of[0]), *(count for count in others if count >= SMALLEST_PIECE)],
+            points=best.num_points3D(),
+            shown=best.compute_mean_observations_per_reg_image(),
+            error=best.compute_mean_reprojection_error() * shrink,
+            view_degrees=max(views, key=lambda view: abs(view - sum(USUAL_VIEW_DEGREES) / 2.0)),
+        )
+
+    def remarks(self) -> list[str]:
+        """What a user has to know, a line each; none: all is well."""
+        low, high = USUAL_VIEW_DEGREES
+        found: list[str] = []
+        if len(self.pieces) > 1:
+            *others, last = map(str, self.pieces)
+            found.append(
+                f"poses came out in {len(self.pieces)} pieces that do not join, of {', '.join(others)} and {last} "
+                "photographs: the largest is taken"
+            )
+        if len(self.placed) < len(self.names):
+            found.append(self._lost())
+        if self.shown < FEW_POINTS:
+            found.append(
+                f"a photograph shows {self.shown:.0f} of {self.points:,} points, expected {FEW_POINTS} or more: "
+                "poses are likely wrong; the background must have texture, too"
+            )
+        if self.error > LARGE_ERROR:
+            found.append(
+                f"points are {self.error:.1f} pixels off in the mean, expected below {LARGE_ERROR:g}: poses are likely "
+                "wrong; nothing may move, blur or be zoomed"
+            )
+        if not low <= self.view_degrees <= high:
+            found.append(
+                f"the lens came out with a view of {self.view_degrees:.0f} degrees, expected {low:.0f} to {high:.0f}: "
+                "poses are likely wrong; walk around things, rather than turn on the spot"
+            )
+        return found
+
+    def _lost(self) -> str:
+        lost = sorted({*self.names} - {*self.placed})
+        line = f"no pose was found for {len(lost)} of {len(self.names)} photographs ({some_names(lost)})"
+        if len(lost) > LOST_SHARE * len(self.names):
+            line += ": walk slower, without blur, past more texture, or take more frames (frames --every)"
+        return line
+
+
+def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | None = None) -> Path:
+    """Finds where photographs were taken from, and writes a sparse model of COLMAP beside them.
+
+    Photographs of one size are taken for those of one lens, with one focal length. COLMAP sees large ones at a
+    thousand pixels; the poses are of the files as they are, which `load_photographs` makes smaller itself. What has
+    been found is kept in ``poses.unfinished`` in the folder until all is: after an interruption, the same call goes on.
+
+    Args:
+        folder: Its photographs are in ``images``; without that, in the folder itself.
+        ordered: The photographs are frames of a film in the order of their names: each is compared with the next ones,
+            and with those that look like it. Else those that look alike are compared, of few photographs all.
+        progress: Called with what is being done and the fraction done, 0..1.
+
+    Returns:
+        The folder of the model, ``sparse/0``. Photographs without a pose are not in it. Log lines say how many these
+        are, and what speaks against the poses: pieces that do not join, few points, large errors, an odd lens.
+
+    Raises:
+        FormatError: There are fewer than two photographs, one cannot be read, there is a model already, or no poses
+            were found: photographs must overlap, show texture, and be taken from different places.
+        KeyboardInterrupt: With what has been found, in words.
+        MissingFileError: There is no such folder.
+        MissingExtraError: pycolmap is not installed.
+    """
+    folder = Path(folder)
+    names = _photographs(folder)
+    if (folder / "sparse").exists():
+        raise FormatError(
+            folder / "sparse", "is there already: load_photographs reads it; remove it to find poses anew"
+        )
+    try:
+        pycolmap: Any = import_module("pycolmap")
+    except ImportError:
+        raise MissingExtraError("find_poses", "poses") from None
+    mapping = Mapping(pycolmap, _images(folder), names, folder / _WORK, progress or (lambda _, share: None))
+    with _quiet(pycolmap, mapping, folder):
+        mapping.prepare()
+        mapping.extract()
+        mapping.match(ordered)
+        models = mapping.place()
+        if not models:
+            raise FormatError(folder, f"no poses were found for its {len(names)} photographs: {mapping.why_none()}")
+        model = mapping.work / "model"
+        model.mkdir(exist_ok=True)
+        models[0].write(model)
+        (folder / "sparse").mkdir()
+        os.replace(model, folder / "sparse" / "0")
+        shutil.rmtree(mapping.work)
+    for remark in PoseReport.of(names, models).remarks():
+        _log.warning("%s: %s", folder, remark)
+    return folder / "sparse" / "0"
+
+
+def _images(folder: Path) -> Path:
+    return folder / "images" if (folder / "images").is_dir() else folder
+
+
+def _photographs(folder: Path) -> Sequence[str]:
+    """The names of the photographs of a folder, in order."""
+    if not folder.is_dir():
+        raise MissingFileError(folder, "no such folder")
+    images = _images(folder)
+    names = sorted(path.name for path in images.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
+    if len(names) < 2:
+        found = "one photograph" if names else "no photographs"
+        raise FormatError(images, f"has {found}, expected two or more ({', '.join(IMAGE_SUFFIXES)})")
+    return names
+
+
+@contextmanager
+def _quiet(pycolmap: Any, mapping: Mapping, folder: Path) -> Generator[None]:
+    """COLMAP's own lines stay off the terminal, and its errors become ours, after which nothing is left."""
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = 3
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"{mapping.work} holds {mapping.found()}; the same command continues") from None
+    except FormatError:
+        shutil.rmtree(mapping.work, ignore_errors=True)
+        raise
+    except OSError as error:
+        raise FormatError(mapping.work, f"cannot be written: {error.strerror or error}") from None
+    except (RuntimeError, ValueError) as error:
+        shutil.rmtree(mapping.work, ignore_errors=True)
+        raise FormatError(folder, f"COLMAP cannot find poses: {' '.join(str(error).split())[:200]}") from error
+    finally:
+        pycolmap.logging.minloglevel = level

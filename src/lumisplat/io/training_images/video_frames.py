@@ -1,0 +1,199 @@
+"""Extracts frames of a video as training images: the sharpest one of each stretch of time, by PyAV."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import tempfile
+from collections.abc import Generator
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lumisplat.config.checks import check_positive, check_whole
+from lumisplat.errors import FormatError, MissingExtraError, MissingFileError
+from lumisplat.io.files.source import PathLike
+from lumisplat.progress import Progress
+
+_log = logging.getLogger("lumisplat")
+
+_JPEG_QUALITY = 95
+_COMPARED_SIZE = 480
+"""Longer side of the pictures whose sharpness is compared, pixels: noise of single pixels is no detail."""
+_HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
+"""Transfer functions whose values are not display-referred sRGB (ITU-T H.273), and what they are called."""
+_TURNS = (None, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180, Image.Transpose.ROTATE_270)
+"""By quarters of a turn to the left."""
+
+_STILL_SIZE = 16
+"""Longer side of the pictures by which is seen whether anything moves: noise is averaged away."""
+_STILL = 0.5
+"""Mean difference of grey values, 0..255, below which two of them show the same from the same place."""
+_BLACK = 16
+"""Grey values that show nothing, 0..255: as dark as the black of a film is, and its noise."""
+
+
+def extract_frames(
+    film: PathLike, folder: PathLike, *, every: float = 0.5, size: int = 1600, progress: Progress | None = None
+) -> list[Path]:
+    """Takes photographs from a film: of each stretch of time its sharpest frame, upright.
+
+    They are in ``images`` of the folder, as `find_poses` and COLMAP expect them, or none is.
+
+    Args:
+        film: A video that FFmpeg reads: .mp4, .mov, .webm, ...
+        folder: Is made if need be; there must be no ``images`` in it.
+        every: Length of a stretch, seconds: neighbours should overlap by two thirds.
+        size: Longer side of photographs, pixels; larger frames are made smaller.
+        progress: Called with what is being done and the fraction done, 0..1.
+
+    Returns:
+        The files, ``0001.jpg`` and so on, in their order in time.
+
+    Raises:
+        ConfigError: ``every`` or ``size`` is out of range.
+        FormatError: The file is no video that can be read, all of it is black, nothing moves in it, or there are images
+            already.
+        MissingExtraError: PyAV is not installed.
+        MissingFileError: There is no such file.
+    """
+    film, images = Path(film), Path(folder) / "images"
+    check_positive("every", every)
+    check_whole("size", size, 16, 2**15)
+    if not film.is_file():
+        raise MissingFileError(film, "no such file")
+    if images.exists():
+        raise FormatError(images, "is there already: remove it, or give another folder")
+    try:
+        av: Any = import_module("av")  # most of its types are unknown
+    except ImportError:
+        raise MissingExtraError("reading films", "video") from None
+    try:
+        images.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".frames-", dir=images.parent) as temporary:
+            made = Path(temporary) / "images"
+            made.mkdir()
+            seen = _Seen()
+            names: list[str] = []
+            for picture in _sharpest(av, film, every, progress):
+                seen.add(picture)
+                names.append(_save(picture, made / f"{len(names) + 1:04}.jpg", size))
+            if problem := seen.problem():
+                raise FormatError(film, problem)
+            os.replace(made, images)
+    except av.error.FFmpegError as error:
+        raise FormatError(film, f"is no film that can be read: {error.strerror or error}") from None
+    except OSError as error:
+        raise FormatError(images, f"cannot be written: {error.strerror or error}") from None
+    return [images / name for name in names]
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """The sharpest frame so far of a stretch."""
+
+    sharpness: float
+    picture: Image.Image
+
+
+def _sharpest(av: Any, film: Path, every: float, progress: Progress | None) -> Generator[Image.Image]:
+    """The sharpest frame of each stretch, upright; stretches without frames have none."""
+    with av.open(str(film)) as container:
+        if not container.streams.video:
+            raise FormatError(film, "has no pictures")
+        stream = container.streams.video[0]
+        stream.thread_type = "AUTO"
+        length = (container.duration or 0) / av.time_base
+        best: _Candidate | None = None
+        stretch = 0
+        for frame in container.decode(stream):
+            if frame.is_corrupt:
+                continue
+            time = frame.time or 0.0
+            if best is None:
+                _say_if_hdr(film, frame)
+            elif int(time / every) > stretch:
+                yield best.picture
+                best = None
+            stretch = int(time / every)
+            picture = _upright(frame)
+            found = sharpness(picture)
+            if best is None or found > best.sharpness:
+                best = _Candidate(found, picture)
+            if progress is not None and length > 0.0:
+                progress("reading the film", min(time / length, 1.0))
+        if best is not None:
+            yield best.picture
+
+
+class _Seen:
+    """What the photographs of a film show, small and grey."""
+
+    def __init__(self) -> None:
+        self._first: NDArray[np.float32] | None = None
+        self._count = 0
+        self._brightest = 0.0
+        self._moved = 0.0
+
+    def add(self, picture: Image.Image) -> None:
+        """Looks at the next one."""
+        small = picture.convert("L")
+        small.thumbnail((_STILL_SIZE, _STILL_SIZE), Image.Resampling.BOX)
+        grey = np.asarray(small, np.float32)
+        if self._first is None:
+            self._first = grey
+        elif grey.shape == self._first.shape:
+            self._moved = max(self._moved, float(np.abs(grey - self._first).mean()))
+        self._count += 1
+        self._brightest = max(self._brightest, float(grey.max()))
+
+    def problem(self) -> str | None:
+        """Why no capture can be made of them."""
+        if self._count == 0:
+            return "has no frames"
+        if self._brightest <= _BLACK:
+            return "is black throughout: was the lens covered?"
+        if self._count > 1 and self._moved < _STILL:
+            return (
+                "shows the same throughout: expected a walk around a thing, as depth shows from different places only"
+            )
+        return None
+
+
+def sharpness(picture: Image.Image) -> float:
+    """Variance of the Laplacian of its grey values (Pech-Pacheco et al. 2000), at a size of some hundred pixels."""
+    small = picture.convert("L")
+    small.thumbnail((_COMPARED_SIZE, _COMPARED_SIZE), Image.Resampling.BOX)
+    grey = np.asarray(small, np.float32)
+    middle = grey[1:-1, 1:-1]
+    laplacian = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:] - 4.0 * middle
+    return float(laplacian.var()) if laplacian.size else 0.0
+
+
+def _upright(frame: Any) -> Image.Image:
+    """A frame as it is meant to be seen: telephones store films on their side, and say so."""
+    picture = Image.fromarray(frame.to_ndarray(format="rgb24"))
+    turn = _TURNS[round(float(frame.rotation) / 90.0) % 4]
+    return picture if turn is None else picture.transpose(turn)
+
+
+def _say_if_hdr(film: Path, frame: Any) -> None:
+    kind = _HDR_TRANSFERS.get(int(frame.color_trc))
+    if kind is not None:
+        _log.warning("%s: is HDR (%s), and its photographs are pale: film with HDR switched off", film, kind)
+
+
+def _save(picture: Image.Image, path: Path, size: int) -> str:
+    """Writes a photograph of at most such a size; its name."""
+    shrink = min(size / max(picture.size), 1.0)
+    if shrink < 1.0:
+        width, height = (max(math.floor(side * shrink + 0.5), 1) for side in picture.size)
+        picture = picture.resize((width, height), Image.Resampling.LANCZOS)
+    picture.save(path, quality=_JPEG_QUALITY, subsampling=0)
+    return path.name

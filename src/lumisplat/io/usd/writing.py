@@ -1,0 +1,370 @@
+"""Writes captures, scenes and animations as OpenUSD files.
+
+What stands at one position is written there, what stands at several as instances of one prototype. Actors and moving
+cameras become time samples, one time code a frame. The stage is made in memory, then written as a layer with a folder
+of assets beside it, or as a package that holds both.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import zipfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lumisplat.constants import SH_DEGREE_MAX
+from lumisplat.constants.usd import USD_PACKAGE_BYTES_MAX
+from lumisplat.errors import FormatError
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.native import utf8_path
+from lumisplat.io.files.source import PathLike
+from lumisplat.io.meshes.mesh_arrays import flip_v
+from lumisplat.io.usd.cameras import camera_place, camera_values, define_camera, write_cameras
+from lumisplat.io.usd.library import pxr, writing_usd
+from lumisplat.io.usd.lights import write_light
+from lumisplat.io.usd.materials import MaterialWriter
+from lumisplat.io.usd.particles import define_field, particle_values
+from lumisplat.io.usd.stage import StageWriter, folder_of, matrix
+from lumisplat.scene.animation.actors import Actor, Animation
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+Instance = SplatInstance | MeshInstance
+_PROTOTYPES = "/Prototypes"
+
+_PLACE = "xformOp:transform"
+
+_Key = tuple[str, int, int]
+
+
+def write_usd(path: PathLike, subject: Gaussians | Mesh | Scene | Animation, cameras: Sequence[Camera] = ()) -> None:
+    """Writes a capture, a mesh, a scene or an animation. One log line lists what OpenUSD has no place for.
+
+    Args:
+        path: ``.usda`` is text, ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package with its textures.
+        subject: What to write.
+        cameras: Cameras, besides those of an animation.
+
+    Raises:
+        FormatError: The file cannot be written.
+        MissingExtraError: usd-core is not installed.
+    """
+    pxr()
+    scene = _as_scene(subject)
+    with writing_usd(path):
+        writer = StageWriter(Path(path), scene.up_direction)
+        assets = AssetWriter(writer, MaterialWriter(writer))
+        assets.write((*scene.splats, *scene.meshes))
+        for light in scene.lights:
+            write_light(writer, light)
+        write_cameras(writer, cameras)
+        if isinstance(subject, Animation):
+            write_cameras(writer, subject.cameras)
+            _write_motion(writer, assets, subject)
+        _write_files(writer)
+    writer.remarks.report()
+
+
+def _as_scene(subject: Gaussians | Mesh | Scene | Animation) -> Scene:
+    """What stands still: a scene as it is, that of an animation; one of a single asset has it at the origin."""
+    match subject:
+        case Gaussians():
+            return Scene(splats=(SplatInstance(subject),))
+        case Mesh():
+            return Scene(meshes=(MeshInstance(subject),))
+        case Animation():
+            return subject.scene
+        case Scene():
+            return subject
+
+
+@dataclass(slots=True)
+class AssetWriter:
+    """Writes instances; an asset that several of them show is written once."""
+
+    writer: StageWriter
+    materials: MaterialWriter
+    _prototypes: dict[tuple[int, int, int], str] = field(default_factory=dict[tuple[int, int, int], str])
+
+    def write(self, instances: Sequence[Instance]) -> None:
+        """Writes instances at their places."""
+        uses = Counter(_key(instance) for instance in instances)
+        for instance in instances:
+            name = instance.name or (instance.mesh.name if isinstance(instance, MeshInstance) else "gaussians")
+            path = self.writer.path_of(name)
+            if uses[_key(instance)] > 1:
+                prim = self._instance(path, instance)
+            else:
+                prim = self.define(path, instance)
+            self.writer.name(prim, instance.name)
+            self.writer.place(prim, instance.transform)
+
+    def define(self, path: str, instance: Instance) -> Any:
+        """Writes what an instance shows, in its own coordinates; its prim."""
+        if isinstance(instance, MeshInstance):
+            prim = _define_mesh(self.writer, path, instance.mesh)
+            self.materials.bind(prim, instance.mesh.material, instance.mesh.colors is not None)
+            if instance.mesh.colors is not None and instance.mesh.material.base_color_texture is not None:
+                self.writer.hint(prim, multipliesColors=True)
+            if instance.shadow_catcher:
+                self.writer.hint(prim, shadow_catcher=True)
+                self.writer.remarks.add(
+                    "that a mesh is a shadow catcher, which only Lumisplat will know", instance.mesh.name
+                )
+            return prim
+        prim = define_field(self.writer, path, instance.gaussians)
+        if instance.material is not None:
+            self.materials.bind(prim, instance.material)
+            self.writer.remarks.add("that a capture is relit, which only Lumisplat will know", instance.name)
+        if instance.shadow_catcher or instance.sh_degree < SH_DEGREE_MAX:
+            self.writer.hint(prim, shadow_catcher=instance.shadow_catcher, sh_degree=instance.sh_degree)
+            self.writer.remarks.add(
+                "shadow_catcher and sh_degree of captures, which only Lumisplat will know", instance.name
+            )
+        return prim
+
+    def _instance(self, path: str, instance: Instance) -> Any:
+        """A prim that shows a prototype."""
+        px, stage = pxr(), self.writer.stage
+        key = _key(instance)
+        if key not in self._prototypes:
+            if not self._prototypes:
+                stage.CreateClassPrim(_PROTOTYPES)
+            held = px.UsdGeom.Xform.Define(stage, self.writer.path_of(_name(instance), _PROTOTYPES))
+            self._prototypes[key] = str(held.GetPath())
+            self.define(f"{held.GetPath()}/asset", instance)
+        prim = px.UsdGeom.Xform.Define(stage, path).GetPrim()
+        prim.GetReferences().AddInternalReference(self._prototypes[key])
+        prim.SetInstanceable(True)
+        return prim
+
+
+def _name(instance: Instance) -> str:
+    return (instance.mesh.name if isinstance(instance, MeshInstance) else instance.name) or "asset"
+
+
+def _key(instance: Instance) -> tuple[int, int, int]:
+    """What an instance shows: asset, material and settings."""
+    if isinstance(instance, MeshInstance):
+        return id(instance.mesh), 0, int(instance.shadow_catcher)
+    return id(instance.gaussians), id(instance.material), instance.sh_degree + 4 * instance.shadow_catcher
+
+
+def _define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:
+    """Writes a mesh in its own coordinates, without its material; its prim."""
+    px = pxr()
+    types, tokens, vt = px.Sdf.ValueTypeNames, px.UsdGeom.Tokens, px.Vt
+    defined = px.UsdGeom.Mesh.Define(writer.stage, path)
+    prim = defined.GetPrim()
+    defined.CreateSubdivisionSchemeAttr("none")
+    defined.CreateDoubleSidedAttr(not isinstance(mesh.material, MaterialPbr) or mesh.material.double_sided)
+    defined.CreateFaceVertexCountsAttr(vt.IntArray.FromNumpy(np.full(mesh.face_count, 3, np.int32)))
+    defined.CreateFaceVertexIndicesAttr(vt.IntArray.FromNumpy(mesh.indices.reshape(-1)))
+    for name, values in _mesh_values(mesh).items():
+        prim.GetAttribute(name).Set(values)
+    if mesh.normals is not None:
+        defined.SetNormalsInterpolation(tokens.vertex)
+    primvars = px.UsdGeom.PrimvarsAPI(prim)
+    if mesh.uvs is not None:
+        primvars.CreatePrimvar("st", types.TexCoord2fArray, tokens.vertex).Set(
+            vt.Vec2fArray.FromNumpy(flip_v(mesh.uvs))
+        )
+    if mesh.colors is not None:
+        primvars.CreatePrimvar("displayColor", types.Color3fArray, tokens.vertex).Set(
+            vt.Vec3fArray.FromNumpy(_colors(mesh))
+        )
+    return prim
+
+
+def _mesh_values(mesh: Mesh) -> dict[str, Any]:
+    """The values of a mesh's attributes that may change with time, by their names."""
+    vt = pxr().Vt
+    values = {
+        "points": vt.Vec3fArray.FromNumpy(mesh.positions),
+        "extent": vt.Vec3fArray.FromNumpy(np.stack(mesh.bounds())),
+    }
+    if mesh.normals is not None:
+        values["normals"] = vt.Vec3fArray.FromNumpy(mesh.normals)
+    return values
+
+
+def _colors(mesh: Mesh) -> Any:
+    """Colours of vertices, times the base colour where no texture has it, as a surface shader cannot multiply."""
+    assert mesh.colors is not None
+    material = mesh.material
+    if material.base_color_texture is not None or material.base_color == (1.0, 1.0, 1.0):
+        return mesh.colors
+    factor = np.array(material.base_color)
+    if not isinstance(material, MaterialPbr):
+        factor = factor * material.diffuse
+    return (mesh.colors * factor).astype(np.float32)
+
+
+def _write_motion(writer: StageWriter, assets: AssetWriter, animation: Animation) -> None:
+    """Writes what moves in an animation, and the times of its frames.
+
+    Transforms, and the shapes of what deforms, have a sample at each frame at which they change; between frames,
+    readers interpolate them.
+    """
+    stage = writer.stage
+    stage.SetTimeCodesPerSecond(animation.fps)
+    stage.SetFramesPerSecond(animation.fps)
+    stage.SetStartTimeCode(0.0)
+    stage.SetEndTimeCode(animation.frame_count - 1.0)
+    for actor in animation.actors:
+        _write_actor(writer, assets, actor, animation)
+    if animation.camera_path is not None:
+        cameras = [animation.camera_path.at(float(time)) for time in animation.times]
+        prim = define_camera(writer, cameras[0])
+        samples = _Samples(prim)
+        for frame, camera in enumerate(cameras):
+            samples.add(frame, _PLACE, matrix(camera_place(camera)), camera.camera_from_world.tobytes())
+            for name, value in camera_values(camera).items():
+                samples.add(frame, name, value, value)
+
+
+@dataclass(slots=True)
+class _Samples:
+    """Samples of the attributes of a prim, written where values change.
+
+    Before a change after frames without one, the old value is written again, so that it holds until there.
+    """
+
+    prim: Any
+    _last: dict[str, tuple[int, Any, Any]] = field(default_factory=dict[str, "tuple[int, Any, Any]"])
+    """By attribute: the frame of the last sample, its value, and what says whether another one is the same."""
+
+    def add(self, frame: int, name: str, value: Any, mark: Any) -> None:
+        """Takes the value of an attribute at a frame; equal marks mean equal values."""
+        attribute = self.prim.GetAttribute(name)
+        if name == _PLACE and not attribute:
+            attribute = pxr().UsdGeom.Xformable(self.prim).AddTransformOp().GetAttr()
+        if name not in self._last:
+            attribute.Set(value)
+        else:
+            at, before, known = self._last[name]
+            if known == mark:
+                return
+            if at == 0:
+                attribute.Set(before, 0.0)
+            if at < frame - 1:
+                attribute.Set(before, frame - 1.0)
+            attribute.Set(value, float(frame))
+        self._last[name] = frame, value, mark
+
+
+def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animation: Animation) -> None:
+    """Writes an actor: each of its instances as a prim, with samples of its place and of its shape."""
+    if not actor.casts_shadow or not actor.relight:
+        writer.remarks.add("how actors are lit (relight, casts_shadow)", actor.name)
+    prims: dict[_Key, _Samples] = {}
+    shown: dict[_Key, Any] = {}
+    for frame, time in enumerate(animation.times):
+        present = dict(_keyed(actor.at(float(time))))
+        for key, instance in present.items():
+            if key not in prims:
+                name = instance.name or actor.name or "actor"
+                path = writer.path_of(name)
+                prim = assets.define(path, instance)
+                writer.name(prim, name)
+                prims[key] = _Samples(prim)
+                if frame > 0:
+                    prims[key].add(0, "visibility", "invisible", "invisible")
+            samples = prims[key]
+            samples.add(frame, _PLACE, matrix(instance.transform), instance.transform.tobytes())
+            asset = instance.mesh if isinstance(instance, MeshInstance) else instance.gaussians
+            if shown.get(key) is not asset:
+                for name, value in _shape(instance).items():
+                    samples.add(frame, name, value, np.asarray(value).tobytes())
+                shown[key] = asset
+        for key, samples in prims.items():
+            seen = "inherited" if key in present else "invisible"
+            samples.add(frame, "visibility", seen, seen)
+
+
+def _keyed(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
+    """Instances by what stays of them from frame to frame: their kind, their material, and the how many-th it is."""
+    counts: Counter[tuple[str, int]] = Counter()
+    for instance in instances:
+        own = ("mesh", id(instance.mesh.material)) if isinstance(instance, MeshInstance) else ("splats", 0)
+        yield (own[0], own[1], counts[own]), instance
+        counts[own] += 1
+
+
+def _shape(instance: Instance) -> dict[str, Any]:
+    """The values of an instance that may change with time, by attribute."""
+    if not isinstance(instance, MeshInstance):
+        return particle_values(instance.gaussians)
+    mesh, vt = instance.mesh, pxr().Vt
+    return {
+        **_mesh_values(mesh),
+        "faceVertexCounts": vt.IntArray.FromNumpy(np.full(mesh.face_count, 3, np.int32)),
+        "faceVertexIndices": vt.IntArray.FromNumpy(mesh.indices.reshape(-1)),
+    }
+
+
+def _write_files(writer: StageWriter) -> None:
+    """Writes a stage; each file appears complete or not at all, the layer last.
+
+    Raises:
+        FormatError: A file cannot be written, or a package would be too large.
+    """
+    path = writer.path
+    if path.suffix.lower() == ".usdz":
+        _write_package(writer)
+        return
+    for name, data in writer.files.items():
+        with atomic_write(path.parent / folder_of(path) / name) as temporary:
+            temporary.write_bytes(data)
+    with atomic_write(path) as temporary:
+        _export(writer, temporary)
+
+
+def _write_package(writer: StageWriter) -> None:
+    path, folder_name = writer.path, folder_of(writer.path)
+    with tempfile.TemporaryDirectory() as folder:
+        layer = Path(folder) / f"{_plain(path.stem)}.usdc"
+        _export(writer, layer)
+        files = {layer: layer.name}
+        for name, data in writer.files.items():
+            file = Path(folder) / name
+            file.write_bytes(data)
+            files[file] = f"{folder_name}/{name}"
+        size = sum(file.stat().st_size for file in files)
+        if size > USD_PACKAGE_BYTES_MAX:
+            raise FormatError(path, f"would have {size:,} bytes, more than a package can hold: write a .usdc")
+        with atomic_write(path) as temporary, utf8_path(temporary) as text:
+            package = pxr().Sdf.ZipFileWriter.CreateNew(text)
+            for file, name in files.items():  # the first one is what a package shows
+                package.AddFile(os.fspath(file), name)
+            if not package.Save() or not _is_whole(temporary, len(files)):
+                raise FormatError(path, "cannot be written: is the disk full?")
+
+
+def _is_whole(package: Path, count: int) -> bool:
+    """Whether all of a package is on the disk: the library says that it saved what a full one did not take."""
+    try:
+        with zipfile.ZipFile(package) as written:
+            return len(written.infolist()) == count and written.testzip() is None
+    except zipfile.BadZipFile:
+        return False
+
+
+def _export(writer: StageWriter, file: Path) -> None:
+    with utf8_path(file) as text:
+        if not writer.stage.GetRootLayer().Export(text):
+            raise FormatError(writer.path, "cannot be written: is the disk full?")
+
+
+def _plain(stem: str) -> str:
+    """The name of a layer inside of a package."""
+    return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)[:64] or "scene"

@@ -1,1 +1,0 @@
-"""OpenUSD files, written."""

@@ -1,0 +1,399 @@
+"""Gaussians of glTF files: attributes of every type, axes, colour spaces, drafts, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SCALE_MIN, SH_C0
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.ops.sh_colors import colors_along
+from support.files.gltf_splats import (
+    EXTENSION,
+    full_name,
+    loaded,
+    loaded_gaussians,
+    loaded_scene,
+    primitive_of,
+    splat_gltf,
+    stored_values,
+)
+from support.files.gltf_writer import Gltf
+from support.files.mesh_files import QUAD, QUAD_TRIANGLES
+
+TURN_SIGNS = np.array([1, -1, -1], np.float32)
+HALF_TURN = np.diag([1.0, -1.0, -1.0])
+"""About x: from glTF, which has y up, to captures and back."""
+DIRECTIONS = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, -0.8, 0.0), (-0.48, 0.6, 0.64)])
+
+
+def matrices(xyzw: np.ndarray) -> np.ndarray:
+    """Rotation matrices of quaternions with the scalar last, as the extension's equation for C has them."""
+    x, y, z, w = xyzw.astype(np.float64).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def covariances(xyzw: np.ndarray, scales: np.ndarray, linear: np.ndarray) -> np.ndarray:
+    """``M C C^T M^T``, with C the rotation times the scales."""
+    axes = linear @ (matrices(xyzw) * scales[:, None, :].astype(np.float64))
+    return axes @ axes.transpose(0, 2, 1)
+
+
+def own_covariances(gaussians: ls.Gaussians, linear: np.ndarray) -> np.ndarray:
+    """Covariances of a capture under a matrix, shape (3, 3)."""
+    return covariances(np.roll(gaussians.rotations_wxyz, -1, axis=1), gaussians.scales, linear)
+
+
+def test_values_are_taken_as_they_are(tmp_path: Path) -> None:
+    """Positions, ellipsoids, opacities and colours are those of the file, after half a turn about x."""
+    values = stored_values(degree=3)
+    read = loaded_gaussians(tmp_path, splat_gltf(values))
+    np.testing.assert_array_equal(read.means, values["POSITION"] * TURN_SIGNS)
+    np.testing.assert_array_equal(read.scales, values["SCALE"])
+    np.testing.assert_array_equal(read.opacities, values["OPACITY"])
+    np.testing.assert_array_equal(read.sh[:, 0], values["SH_DEGREE_0_COEF_0"])
+    expected = covariances(values["ROTATION"], values["SCALE"], HALF_TURN)
+    np.testing.assert_allclose(own_covariances(read, np.eye(3)), expected, rtol=0, atol=1e-8)
+
+
+def test_colours_turn_with_the_axes(tmp_path: Path) -> None:
+    """Seen along a direction that turns with it, a Gaussian has the colour that the extension's polynomials give."""
+    values = stored_values(degree=1)
+    read = loaded_gaussians(tmp_path, splat_gltf(values))
+    for direction in DIRECTIONS:
+        x, y, z = direction
+        color = 0.5 + SH_C0 * values["SH_DEGREE_0_COEF_0"]
+        for n, factor in enumerate((-y, z, -x)):
+            color = color + 0.4886025119029199 * factor * values[f"SH_DEGREE_1_COEF_{n}"]
+        seen = colors_along(read, np.tile(HALF_TURN @ direction, (read.count, 1)))
+        np.testing.assert_allclose(seen, np.maximum(color, 0.0), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype", "top"),
+    [
+        ("ROTATION", np.int8, 127),
+        ("ROTATION", np.int16, 32767),
+        ("SCALE", np.uint8, 255),
+        ("SCALE", np.uint16, 65535),
+        ("OPACITY", np.uint8, 255),
+        ("OPACITY", np.uint16, 65535),
+    ],
+)
+def test_normalised_integers(tmp_path: Path, name: str, dtype: type[np.integer], top: int) -> None:
+    """Normalised integers stand for themselves over the largest one."""
+    values = stored_values()
+    integers = np.round(values[name] * top).astype(dtype)
+    read = loaded_gaussians(tmp_path, splat_gltf(values | {name: integers}))
+    decoded = integers.astype(np.float64) / top
+    match name:
+        case "ROTATION":
+            unit = (decoded / np.linalg.norm(decoded, axis=1, keepdims=True)).astype(np.float32)
+            expected = covariances(unit, values["SCALE"], HALF_TURN)
+            np.testing.assert_allclose(own_covariances(read, np.eye(3)), expected, rtol=0, atol=1e-7)
+        case "SCALE":
+            np.testing.assert_allclose(read.scales, np.maximum(decoded, SCALE_MIN), rtol=1e-6)
+        case _:
+            np.testing.assert_allclose(read.opacities, decoded, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_plain_integers_are_scales(tmp_path: Path, dtype: type[np.integer]) -> None:
+    """Scales may be whole numbers of scene units; 0, which is none, becomes the least that there is."""
+    integers = np.array([[1, 2, 3], [0, 9, 200]], dtype)
+    gltf = splat_gltf(stored_values(2) | {"SCALE": integers})
+    accessor = gltf.json["accessors"][primitive_of(gltf)["attributes"][f"{EXTENSION}:SCALE"]]
+    accessor["normalized"] = False
+    read = loaded_gaussians(tmp_path, gltf)
+    np.testing.assert_array_equal(read.scales, np.maximum(integers, np.float32(SCALE_MIN)))
+
+
+def test_logarithms_of_the_draft(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One negative scale is enough to tell the logarithms of the draft of January 2026, and a line says so."""
+    values = stored_values()
+    logs = np.log(values["SCALE"])
+    logs[1:] = np.abs(logs[1:])
+    read = loaded_gaussians(tmp_path, splat_gltf(values | {"SCALE": logs}))
+    np.testing.assert_allclose(read.scales, np.exp(logs), rtol=1e-6)
+    assert "has 3 negative values of SCALE: they are read as logarithms" in caplog.text
+
+
+def test_opacities_outside_their_range_are_logits(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Where some are negative, or the scales are logarithms; a line says so."""
+    logits = np.array([-3.0, 0.0, 0.5, 2.0, 4.0], np.float32)
+    read = loaded_gaussians(tmp_path, splat_gltf(stored_values() | {"OPACITY": logits}))
+    np.testing.assert_allclose(read.opacities, 1.0 / (1.0 + np.exp(-logits)), rtol=1e-6)
+    assert "has values of OPACITY outside 0..1: they are read as logits" in caplog.text
+    values = stored_values()
+    opaque = {"SCALE": np.log(values["SCALE"]) - 5.0, "OPACITY": np.full(5, 2.0, np.float32)}
+    read = loaded_gaussians(tmp_path, splat_gltf(values | opaque))
+    np.testing.assert_allclose(read.opacities, 0.880797, rtol=1e-6)
+
+
+@pytest.mark.parametrize("space", ["srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb"])
+def test_display_colours_keep_their_coefficients(tmp_path: Path, space: str) -> None:
+    """Colours of a display are ours, under all names that they have had."""
+    values = stored_values()
+    read = loaded_gaussians(tmp_path, splat_gltf(values, colorSpace=space))
+    np.testing.assert_array_equal(read.sh[:, 0], values["SH_DEGREE_0_COEF_0"])
+
+
+@pytest.mark.parametrize("space", ["lin_rec709_display", "BT.709-linear"])
+def test_linear_colours_are_encoded(tmp_path: Path, space: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A colour without view dependence is encoded exactly, black stays black, and a line says what differs."""
+    values = stored_values(degree=0)
+    values["SH_DEGREE_0_COEF_0"][0] = (-3.0, 0.0, 2.0)
+    read = loaded_gaussians(tmp_path, splat_gltf(values, colorSpace=space))
+    linear = np.maximum(SH_C0 * values["SH_DEGREE_0_COEF_0"].astype(np.float64) + 0.5, 0.0)
+    np.testing.assert_allclose(colors_along(read, np.tile([0.0, 0.0, 1.0], (5, 1))), encode_srgb(linear), atol=1e-6)
+    assert "colours in linear light" in caplog.text
+
+
+def test_color_0_and_the_material_are_ignored(tmp_path: Path) -> None:
+    """What is there for programs without Gaussians changes nothing."""
+    plain = loaded_gaussians(tmp_path, splat_gltf())
+    gltf = splat_gltf(stored_values() | {"COLOR_0": np.zeros((5, 4), np.uint8)})
+    gltf.add("materials", pbrMetallicRoughness={"baseColorFactor": [1, 0, 0, 1]})
+    primitive_of(gltf)["material"] = 0
+    read = loaded_gaussians(tmp_path, gltf)
+    for name, array in plain.arrays().items():
+        np.testing.assert_array_equal(array, read.arrays()[name])
+
+
+def test_interleaved_and_sparse_accessors(tmp_path: Path) -> None:
+    """Attributes of one view with a stride, and values that replace a few others, are read as they are."""
+    values = stored_values()
+    gltf = splat_gltf(values)
+    rows = np.concatenate([values["POSITION"], values["SCALE"]], axis=1)
+    view = gltf.view(rows.tobytes(), byteStride=24)
+    for offset, name in ((0, "POSITION"), (12, "SCALE")):
+        accessor = {"bufferView": view, "byteOffset": offset, "componentType": 5126, "count": 5, "type": "VEC3"}
+        primitive_of(gltf)["attributes"][full_name(name)] = gltf.add("accessors", **accessor)
+    opacity = gltf.json["accessors"][primitive_of(gltf)["attributes"][full_name("OPACITY")]]
+    opacity["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": gltf.view(np.array([3], np.uint16).tobytes()), "componentType": 5123},
+        "values": {"bufferView": gltf.view(np.array([0.75], np.float32).tobytes())},
+    }
+    read = loaded_gaussians(tmp_path, gltf)
+    np.testing.assert_array_equal(read.scales, values["SCALE"])
+    np.testing.assert_array_equal(read.means[:, 0], values["POSITION"][:, 0])
+    assert read.opacities[3] == 0.75
+    assert read.opacities[2] == values["OPACITY"][2]
+
+
+# --- Nodes ---
+
+
+def test_a_turned_node_turns_means_shapes_and_colours(tmp_path: Path) -> None:
+    """Rotation, uniform scale and translation of a node, of a file that is one capture: `transform` about all axes."""
+    values = stored_values(degree=3)
+    gltf = splat_gltf(values)
+    q = np.array([0.1, -0.7, 0.3, 0.64])
+    q /= np.linalg.norm(q)
+    gltf.json["nodes"][0] |= {"rotation": q.tolist(), "scale": [2.0] * 3, "translation": [1.0, 2.0, 3.0]}
+    read = loaded_gaussians(tmp_path, gltf)
+    turn = matrices(q[None])[0]
+    world = 2.0 * values["POSITION"] @ turn.T + (1.0, 2.0, 3.0)
+    np.testing.assert_allclose(read.means, world @ HALF_TURN, rtol=0, atol=1e-5)
+    expected = covariances(values["ROTATION"], values["SCALE"], 2.0 * HALF_TURN @ turn)
+    np.testing.assert_allclose(own_covariances(read, np.eye(3)), expected, rtol=1e-5, atol=1e-7)
+    still = loaded_gaussians(tmp_path, splat_gltf(values))
+    for direction in DIRECTIONS:
+        before = colors_along(still, np.tile(HALF_TURN @ direction, (5, 1)))
+        after = colors_along(read, np.tile(HALF_TURN @ turn @ direction, (5, 1)))
+        np.testing.assert_allclose(after, before, rtol=0, atol=1e-5)
+
+
+def with_camera(gltf: Gltf) -> Gltf:
+    """The document with a camera, which makes a scene of it."""
+    gltf.add("cameras", type="perspective", perspective={"yfov": 1.0, "znear": 0.1})
+    gltf.json["scenes"][0]["nodes"].append(gltf.add("nodes", camera=0))
+    return gltf
+
+
+@pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (2.0, 0.5, 1.25)])
+def test_scales_of_nodes_scale_covariances(tmp_path: Path, scale: tuple[float, float, float]) -> None:
+    """Sigma = M C C^T M^T of the world matrix of a node with a parent, also for a different scale along each axis."""
+    values = stored_values()
+    gltf = splat_gltf(values)
+    gltf.json["nodes"][0] |= {"scale": list(scale), "rotation": [0.0, 0.6, 0.0, 0.8]}
+    parent = gltf.add("nodes", children=[0], rotation=[0.48, 0.0, 0.36, 0.8], translation=[0.0, 5.0, 0.0])
+    gltf.json["scenes"][0]["nodes"] = [parent]
+    scene = loaded_scene(tmp_path, with_camera(gltf))
+    (splat,) = scene.splats
+    rotation = matrices(np.array([[0.48, 0.0, 0.36, 0.8]]))[0] @ matrices(np.array([[0.0, 0.6, 0.0, 0.8]]))[0]
+    linear = rotation @ np.diag(scale)
+    expected = covariances(values["ROTATION"], values["SCALE"], linear)
+    np.testing.assert_allclose(
+        own_covariances(splat.gaussians, splat.transform[:3, :3]), expected, rtol=1e-4, atol=1e-7
+    )
+    np.testing.assert_allclose(splat.world_means, values["POSITION"] @ linear.T + (0.0, 5.0, 0.0), atol=1e-5)
+    # What is seen along a turned direction is what is seen along the direction in a file without the node.
+    still = loaded_gaussians(tmp_path, splat_gltf(values))
+    factor = splat.scale
+    for direction in DIRECTIONS:
+        own = (splat.transform[:3, :3] / factor).T @ rotation @ direction
+        before = colors_along(still, np.tile(HALF_TURN @ direction, (5, 1)))
+        np.testing.assert_allclose(colors_along(splat.gaussians, np.tile(own, (5, 1))), before, rtol=0, atol=1e-5)
+
+
+def test_instances_share_their_gaussians(tmp_path: Path) -> None:
+    """Nodes of one mesh are instances of one capture; those that stretch alike share the stretched one."""
+    gltf = splat_gltf()
+    for extra in ({}, {"scale": [1, 2, 1]}, {"scale": [1, 2, 1], "translation": [5, 0, 0]}, {"scale": [0, 0, 0]}):
+        gltf.json["scenes"][0]["nodes"].append(gltf.add("nodes", mesh=0, name="copy", **extra))
+    splats = loaded_scene(tmp_path, gltf).splats
+    assert [splat.name for splat in splats] == ["cloud", "copy", "copy", "copy"]
+    assert splats[0].gaussians is splats[1].gaussians
+    assert splats[2].gaussians is splats[3].gaussians
+    assert splats[2].gaussians is not splats[0].gaussians
+
+
+@pytest.mark.parametrize(("scale", "done"), [((-1.0, 1.0, 1.0), "mirrors"), ((1.0, 0.0, 1.0), "flattens")])
+def test_nodes_that_mirror_or_flatten_are_refused(tmp_path: Path, scale: tuple[float, float, float], done: str) -> None:
+    """Their Gaussians are not defined."""
+    gltf = splat_gltf()
+    gltf.json["nodes"][0] |= {"scale": list(scale), "name": "glass"}
+    with pytest.raises(ls.FormatError, match=rf"nodes\[0\] 'glass' {done} its Gaussians: expected a positive scale"):
+        loaded(tmp_path, gltf)
+
+
+def test_stretched_captures_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small file cannot ask for a copy of its capture for each of many nodes."""
+    monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
+    monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 1)
+    gltf = splat_gltf()
+    for k in range(40):
+        gltf.json["scenes"][0]["nodes"].append(gltf.add("nodes", mesh=0, scale=[1.0, 2.0 + k, 1.0]))
+    with pytest.raises(ls.FormatError, match="stretched captures would take"):
+        loaded(tmp_path, gltf)
+
+
+# --- What a file is loaded as ---
+
+
+def test_beside_meshes_and_lights_it_is_a_scene(tmp_path: Path) -> None:
+    """All of a file is in its scene, in the axes of the file, y up; cameras are loaded as ever."""
+    values = stored_values()
+    gltf = with_camera(splat_gltf(values))
+    gltf.json |= {"extensions": {"KHR_lights_punctual": {"lights": [{"type": "point", "intensity": 7.0}]}}}
+    attributes = {"POSITION": gltf.accessor(QUAD)}
+    gltf.add("meshes", primitives=[{"attributes": attributes, "indices": gltf.accessor(QUAD_TRIANGLES.ravel())}])
+    lamp = {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [0, 3, 0]}
+    gltf.json["scenes"][0]["nodes"] += [gltf.add("nodes", mesh=1), gltf.add("nodes", **lamp)]
+    scene = loaded_scene(tmp_path, gltf)
+    assert (len(scene.splats), len(scene.meshes), len(scene.lights)) == (1, 1, 1)
+    assert scene.up == (0.0, 1.0, 0.0)
+    np.testing.assert_array_equal(scene.splats[0].world_means.astype(np.float32), values["POSITION"])
+    assert len(ls.load_cameras(tmp_path / "splats.glb")) == 1
+
+
+def test_points_without_the_extension_are_no_gaussians(tmp_path: Path) -> None:
+    """A point cloud beside a capture is left out."""
+    gltf = splat_gltf()
+    gltf.json["meshes"][0]["primitives"].append({"attributes": {"POSITION": gltf.accessor(QUAD)}, "mode": 0})
+    assert loaded_gaussians(tmp_path, gltf).count == 5
+
+
+# --- What is refused ---
+
+
+def change_attribute(gltf: Gltf, name: str, array: np.ndarray | None) -> Gltf:
+    """Replaces or removes an attribute."""
+    attributes = primitive_of(gltf)["attributes"]
+    if array is None:
+        del attributes[full_name(name)]
+    else:
+        normalised = {"normalized": True} if array.dtype.kind in "iu" else {}
+        attributes[full_name(name)] = gltf.accessor(array, **normalised)
+    return gltf
+
+
+@pytest.mark.parametrize(
+    ("extension", "problem"),
+    [
+        ({"kernel": "blob"}, r"has Gaussians of kernel 'blob', expected 'ellipse'"),
+        ({"kernel": 3}, r"has Gaussians of kernel 3, expected 'ellipse'"),
+        ({"colorSpace": "BT.2020-hlg"}, r"has colorSpace 'BT.2020-hlg', expected srgb_rec709_display or lin_rec709"),
+        (
+            {"extensions": {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}},
+            r"has Gaussians compressed by KHR_gaussian_splatting_compression_spz_2, which is not supported",
+        ),
+    ],
+)
+def test_unknown_kinds_are_named(tmp_path: Path, extension: dict, problem: str) -> None:
+    """Kernels, colour spaces and compressions that are not known are refused by name, with where they are."""
+    with pytest.raises(ls.FormatError, match=rf"splats\.glb: meshes\[0\]\.primitives\[0\] {problem}"):
+        loaded(tmp_path, splat_gltf(**extension))
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "problem"),
+    [
+        ("SCALE", None, f"has no {EXTENSION}:SCALE"),
+        ("POSITION", None, "has no POSITION"),
+        ("SH_DEGREE_0_COEF_0", None, "has no SH_DEGREE_0_COEF_0: expected all coefficients up to SH degree 1"),
+        ("SH_DEGREE_1_COEF_2", None, "has no SH_DEGREE_1_COEF_2: expected all coefficients up to SH degree 1"),
+        ("SH_DEGREE_2_COEF_1", np.zeros((5, 3), np.float32), "has no SH_DEGREE_2_COEF_0 and 3 more: expected all"),
+        ("SH_DEGREE_4_COEF_0", np.zeros((5, 3), np.float32), "has SH degree 4, at most 3 is supported"),
+        ("OPACITY", np.full(4, 0.5, np.float32), f"has 4 {EXTENSION}:OPACITY for 5 POSITION"),
+        ("ROTATION", np.ones((5, 4), np.uint8), "ROTATION in normalised numbers of type 5121, expected float32, norm"),
+        ("SH_DEGREE_0_COEF_0", np.ones((5, 3), np.uint8), "in normalised numbers of type 5121, expected float32$"),
+        ("OPACITY", np.full(5, 1.5, np.float32), "opacities: 5 of 5 are outside 0..1"),
+        ("ROTATION", np.zeros((5, 4), np.float32), "5 rotations of zero length"),
+        ("SCALE", np.full((5, 3), np.nan, np.float32), "5 NaN or infinite values in scale_0"),
+    ],
+)
+def test_bad_attributes_are_named(tmp_path: Path, name: str, array: np.ndarray | None, problem: str) -> None:
+    """What is missing, of another type, too short or invalid is refused in one line."""
+    with pytest.raises(ls.FormatError, match=problem) as raised:
+        loaded(tmp_path, change_attribute(splat_gltf(), name, array))
+    assert "\n" not in str(raised.value)
+
+
+def test_triangles_of_gaussians_are_refused(tmp_path: Path) -> None:
+    """The extension is of points."""
+    gltf = splat_gltf()
+    primitive_of(gltf)["mode"] = 4
+    with pytest.raises(ls.FormatError, match="has Gaussians and mode 4, expected 0"):
+        loaded(tmp_path, gltf)
+
+
+def test_invalid_gaussians_are_dropped_on_request(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As of every other format."""
+    values = stored_values()
+    values["POSITION"][2, 1] = np.inf
+    gltf = splat_gltf(values)
+    with pytest.raises(ls.FormatError, match="1 NaN or infinite values in y, in 1 of 5"):
+        loaded(tmp_path, gltf)
+    assert loaded_gaussians(tmp_path, gltf, drop_invalid=True).count == 4
+    assert "dropped 1 Gaussians" in caplog.text
+
+
+def test_materials_of_others_are_not_taken(tmp_path: Path) -> None:
+    """Custom attributes have our meaning in our files alone; there, values out of range are refused."""
+    values = stored_values() | {"_ROUGHNESS": np.full(5, 3.0, np.float32)}
+    gltf = splat_gltf(values)
+    assert loaded_gaussians(tmp_path, gltf).roughness is None
+    primitive_of(gltf)["extras"] = {"lumisplat": {}}
+    with pytest.raises(ls.FormatError, match="roughness: 5 of 5 are outside"):
+        loaded(tmp_path, gltf)
+
+
+def test_a_required_extension_is_known(tmp_path: Path) -> None:
+    """Files may require the extension; one that requires a compression is refused."""
+    gltf = splat_gltf()
+    gltf.json["extensionsRequired"] = [EXTENSION]
+    assert loaded_gaussians(tmp_path, gltf).count == 5
+    gltf.json["extensionsRequired"].append("KHR_gaussian_splatting_compression_spz_2")
+    with pytest.raises(ls.FormatError, match="needs KHR_gaussian_splatting_compression_spz_2, which is not supported"):
+        loaded(tmp_path, gltf)

@@ -1,0 +1,449 @@
+"""Scenes written as glTF: captures to the bit, meshes, materials, lights and cameras, and what is said of the rest."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.io.gltf.scene import shows_one_capture
+from lumisplat.math.color import decode_srgb
+from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS
+from support.files.splat_files import capture
+from support.kinds import expect_kind, present
+
+QUAD_MESH = ls.Mesh(QUAD, QUAD_TRIANGLES, uvs=QUAD_UVS, name="quad")
+TURN = np.array([[0.36, 0.48, -0.8, 1.0], [-0.8, 0.6, 0.0, -2.0], [0.48, 0.64, 0.6, 3.0], [0.0, 0.0, 0.0, 1.0]])
+"""A rotation and a translation."""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """The file that is written."""
+    return tmp_path / "scene.glb"
+
+
+def document(path: Path) -> dict[str, Any]:
+    """The JSON of a GLB, after a check of its two chunks."""
+    data = path.read_bytes()
+    magic, version, length, size, kind = struct.unpack_from("<4sIII4s", data)
+    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
+    if 20 + size < len(data):
+        chunk, kind = struct.unpack_from("<I4s", data, 20 + size)
+        assert (20 + size + 8 + chunk, kind) == (len(data), b"BIN\0")
+    assert size % 4 == 0
+    return json.loads(data[20 : 20 + size])
+
+
+def again(path: Path, scene: ls.Scene, cameras: tuple[ls.Camera, ...] = ()) -> ls.Scene:
+    """A scene that has been written and loaded."""
+    ls.save(path, scene, cameras=cameras)
+    return expect_kind(ls.Scene, ls.load(path))
+
+
+def mesh_again(path: Path, material: ls.MaterialPbr | ls.MaterialSimple, **changes: Any) -> ls.Mesh:
+    """A quad of a material, written and loaded."""
+    scene = ls.Scene(meshes=[replace(QUAD_MESH, material=material, **changes)])
+    return again(path, scene).meshes[0].mesh
+
+
+# --- Captures ---
+
+
+@pytest.mark.parametrize("extension", ["glb", "gltf"])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_captures_keep_their_bits(tmp_path: Path, degree: int, extension: str) -> None:
+    """All that a capture has comes back as it was: as an exact format must."""
+    rng = np.random.default_rng(5)
+    extras = {"normals": rng.normal(size=(40, 3)), "albedo": rng.random((40, 3)), "metallic": rng.random(40)}
+    if degree % 2:
+        extras = {"roughness": rng.random(40)}
+    settings = {"antialiased": degree == 2, "comments": ("made by hand",), "kernel_degree": 5 if degree == 3 else 2}
+    given = replace(capture(40, degree), **extras, **settings)
+    ls.save(tmp_path / f"a.{extension}", given)
+    read = expect_kind(ls.Gaussians, ls.load(tmp_path / f"a.{extension}"))
+    assert read.arrays().keys() == given.arrays().keys()
+    for name, values in given.arrays().items():
+        np.testing.assert_array_equal(read.arrays()[name], values, err_msg=name)
+    for name in ("antialiased", "kernel_degree", "comments"):
+        assert getattr(read, name) == getattr(given, name)
+
+
+def test_files_are_y_up(path: Path) -> None:
+    """Half a turn about x is baked, so that no node has a transform; the extension says what it must."""
+    given = capture(3)
+    ls.save(path, given)
+    said = document(path)
+    assert said["nodes"] == [{"mesh": 0}]
+    (primitive,) = said["meshes"][0]["primitives"]
+    bounds = said["accessors"][primitive["attributes"]["POSITION"]]
+    turned = given.means * np.array([1, -1, -1], np.float32)
+    assert (bounds["min"], bounds["max"]) == (turned.min(axis=0).tolist(), turned.max(axis=0).tolist())
+    extension = primitive["extensions"]["KHR_gaussian_splatting"]
+    assert (extension["kernel"], extension["colorSpace"]) == ("ellipse", "srgb_rec709_display")
+    assert (primitive["mode"], said["extensionsUsed"]) == (0, ["KHR_gaussian_splatting"])
+    assert "extensionsRequired" not in said
+
+
+def test_color_0_is_linear(path: Path) -> None:
+    """Programs without Gaussians show points of the mean colour, which glTF has in linear light."""
+    given = capture(6, sh=np.linspace(-3.0, 3.0, 6 * 4 * 3).reshape(6, 4, 3))
+    ls.save(path, given)
+    said, data = document(path), path.read_bytes()
+    accessor = said["accessors"][said["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    view = said["bufferViews"][accessor["bufferView"]]
+    start = 28 + struct.unpack_from("<I", data, 12)[0] + view["byteOffset"]
+    stored = np.frombuffer(data, np.uint8, view["byteLength"], start).reshape(-1, 4) / 255.0
+    display = np.clip(SH_C0 * given.sh[:, 0] + 0.5, 0.0, 1.0)
+    np.testing.assert_allclose(stored[:, :3], decode_srgb(display), rtol=0, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(stored[:, 3], given.opacities, rtol=0, atol=0.5 / 255 + 1e-6)
+
+
+def test_placed_captures_are_instances(path: Path) -> None:
+    """A capture that is placed twice is stored once; what reflects light on it, and what it shows, are kept."""
+    given = capture(20)
+    material = ls.MaterialPbr(roughness=0.25, sheen_color=(0.1, 0.2, 0.3), name="cloth")
+    simple = ls.MaterialSimple(ambient=(0.5, 0.5, 0.5), shininess=9.0)
+    placed = 0.5 * TURN
+    placed[3, 3] = 1.0
+    scene = ls.Scene(
+        splats=[
+            ls.SplatInstance(given, name="a", material=material, sh_degree=1),
+            ls.SplatInstance(given, placed, name="b", material=simple, shadow_catcher=True),
+        ]
+    )
+    read = again(path, scene)
+    assert len(document(path)["meshes"]) == 1
+    first, second = read.splats
+    assert (first.name, second.name) == ("a", "b")
+    assert (first.sh_degree, second.sh_degree, second.shadow_catcher) == (1, 3, True)
+    for field in fields(material):
+        assert getattr(first.material, field.name) == getattr(material, field.name)
+    assert expect_kind(ls.MaterialSimple, second.material).ambient == (0.5, 0.5, 0.5)
+    assert second.material is not None
+    assert expect_kind(ls.MaterialSimple, second.material).shininess == 9.0
+    upright = np.diag([1.0, -1.0, -1.0, 1.0])
+    np.testing.assert_array_equal(second.transform, upright @ placed)
+
+
+def test_a_capture_alone_that_is_relit_stays_a_scene(path: Path) -> None:
+    """What is known of one capture alone is not lost: its material, and that it only casts a shadow."""
+    relit = ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))
+    assert expect_kind(ls.MaterialPbr, again(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
+    assert not shows_one_capture(path)
+    assert again(path, ls.Scene(splats=[ls.SplatInstance(capture(5), shadow_catcher=True)])).splats[0].shadow_catcher
+    ls.save(path, ls.Scene(splats=[ls.SplatInstance(capture(5), name="a")]))
+    assert isinstance(ls.load(path), ls.Gaussians) and shows_one_capture(path)
+
+
+@pytest.mark.parametrize(
+    ("up", "to_file"),
+    [("y-down", (1, -2, -3)), ("y-up", (1, 2, 3)), ("z-up", (1, 3, -2)), ("x-up", None), ((0.0, -1.0, 0.2), None)],
+)
+def test_up_becomes_y(path: Path, up: Any, to_file: tuple[int, ...] | None) -> None:
+    """What stands upright in the scene stands upright in the file, rigidly; the usual axes are exchanged exactly."""
+    given = capture(4)
+    scene = ls.Scene(splats=[given], meshes=[QUAD_MESH], up=up)
+    read = again(path, scene)
+    turn = read.splats[0].transform
+    np.testing.assert_allclose(turn[:3, :3] @ turn[:3, :3].T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(turn[:3, :3] @ scene.up_direction, (0.0, 1.0, 0.0), atol=1e-12)
+    np.testing.assert_array_equal(read.meshes[0].transform, turn)
+    assert read.up == (0.0, 1.0, 0.0)
+    if to_file is not None:
+        np.testing.assert_array_equal(turn[:3, :3] @ (1.0, 2.0, 3.0), to_file)
+
+
+# --- Meshes ---
+
+
+def test_meshes_keep_their_bits(path: Path) -> None:
+    """Vertices, normals, texture coordinates, colours and triangles; instances share them."""
+    rng = np.random.default_rng(2)
+    normals = rng.normal(size=(4, 3))
+    mesh = replace(QUAD_MESH, normals=normals, colors=rng.random((4, 3)))
+    moved = TURN @ np.diag([2.0, -1.0, 3.0, 1.0])
+    read = again(path, ls.Scene(meshes=[mesh, ls.MeshInstance(mesh, moved, name="copy")]))
+    assert len(document(path)["meshes"]) == 1
+    first, second = read.meshes
+    assert first.mesh is second.mesh
+    for name in ("positions", "normals", "uvs", "colors", "indices"):
+        np.testing.assert_array_equal(getattr(first.mesh, name), getattr(mesh, name), err_msg=name)
+    assert (first.name, second.name) == ("quad", "copy")
+    np.testing.assert_array_equal(second.transform, moved)
+
+
+def test_flat_meshes_stay_flat(path: Path) -> None:
+    """Without normals in a file, faces are flat."""
+    assert mesh_again(path, ls.MaterialPbr()).normals is None
+
+
+def test_large_meshes_have_long_indices(path: Path) -> None:
+    """65,535 restarts strips, and is no index of 16 bits."""
+    rng = np.random.default_rng(0)
+    for count, width in ((65535, 5123), (65536, 5125)):
+        mesh = ls.Mesh(rng.random((count, 3)), [[0, 1, count - 1]])
+        np.testing.assert_array_equal(again(path, ls.Scene(meshes=[mesh])).meshes[0].mesh.indices, mesh.indices)
+        said = document(path)
+        assert said["accessors"][said["meshes"][0]["primitives"][0]["indices"]]["componentType"] == width
+
+
+def test_sheared_meshes_are_written_as_they_stand(path: Path) -> None:
+    """No node can shear; vertices, normals and windings are those of the world instead."""
+    shear = np.eye(4)
+    shear[0, 1], shear[2, 2] = 0.5, -1.0
+    mesh = replace(QUAD_MESH, normals=np.tile([0.6, 0.0, 0.8], (4, 1)))
+    (read,) = again(path, ls.Scene(meshes=[ls.MeshInstance(mesh, shear)])).meshes
+    np.testing.assert_array_equal(read.transform, np.eye(4))
+    np.testing.assert_allclose(read.mesh.positions, QUAD @ shear[:3, :3].T, atol=1e-6)
+    np.testing.assert_array_equal(read.mesh.indices, QUAD_TRIANGLES[:, ::-1])
+    normal = np.linalg.inv(shear[:3, :3]).T @ (0.6, 0.0, 0.8)
+    np.testing.assert_allclose(present(read.mesh.normals), np.tile(normal / np.linalg.norm(normal), (4, 1)), atol=1e-6)
+
+
+# --- Materials ---
+
+
+def texels(seed: int, channels: int = 3) -> np.ndarray:
+    """A small texture."""
+    return np.random.default_rng(seed).integers(0, 256, (3, 5, channels)).astype(np.uint8)
+
+
+CLAMP = ls.TextureWrap.CLAMP
+MATERIALS = [
+    ls.MaterialPbr(name="plain"),
+    ls.MaterialPbr(base_color=(0.1, 0.2, 0.3), metallic=1.0, roughness=0.0, specular=0.5, ior=1.33),
+    ls.MaterialPbr(emissive=(0.25, 0.5, 1.0)),
+    ls.MaterialPbr(emissive=(2.0, 4.0, 8.0), emissive_texture=texels(1)),
+    ls.MaterialPbr(emissive=(0.25, 0.5, 1.0), double_sided=False),
+    ls.MaterialPbr(emissive=(0.25, 0.5, 1.0), transmission=1.0),
+    ls.MaterialPbr(transmission=0.75, thin_walled=True),
+    ls.MaterialPbr(transmission=1.0, attenuation_color=(0.5, 0.25, 1.0), attenuation_distance=2.5, ior=1.5),
+    ls.MaterialPbr(transmission=1.0, transmission_texture=texels(2)),
+    ls.MaterialPbr(
+        clearcoat=0.5, clearcoat_roughness=0.25, clearcoat_texture=texels(3), clearcoat_roughness_texture=texels(4)
+    ),
+    ls.MaterialPbr(
+        sheen_color=(0.5, 0.25, 0.125),
+        sheen_roughness=0.5,
+        sheen_color_texture=texels(5),
+        sheen_roughness_texture=texels(6, 4),
+    ),
+    ls.MaterialPbr(
+        base_color_texture=texels(7, 4),
+        alpha_mode=ls.AlphaMode.MASK,
+        alpha=0.5,
+        alpha_cutoff=0.25,
+        wrap_u=CLAMP,
+        wrap_v=ls.TextureWrap.MIRROR,
+    ),
+    ls.MaterialPbr(alpha_mode=ls.AlphaMode.BLEND, alpha=0.125),
+    ls.MaterialPbr(
+        base_color_texture=texels(8),
+        metallic_roughness_texture=texels(9),
+        normal_texture=texels(10),
+        normal_scale=0.5,
+        occlusion_texture=texels(11),
+        occlusion_strength=0.75,
+        texture_wraps={"normal_texture": (CLAMP, CLAMP)},
+    ),
+    ls.MaterialSimple(base_color=(0.5, 0.25, 1.0), base_color_texture=texels(12), name="sign"),
+]
+
+
+@pytest.mark.parametrize("material", MATERIALS, ids=lambda material: material.name or "")
+def test_materials_come_back(path: Path, material: ls.MaterialPbr | ls.MaterialSimple) -> None:
+    """Every field of a material that glTF can say, textures to the bit."""
+    read = mesh_again(path, material).material
+    assert type(read) is type(material)
+    for field in fields(material):
+        given, found = getattr(material, field.name), getattr(read, field.name)
+        if isinstance(given, np.ndarray):
+            np.testing.assert_array_equal(found, given, err_msg=field.name)
+        elif field.name == "texture_wraps" and given:
+            assert found["normal_texture"] == given["normal_texture"]
+        elif isinstance(given, float | tuple):
+            assert found == pytest.approx(given, rel=1e-15), field.name
+        else:
+            assert found == given, field.name
+
+
+def test_textures_without_coordinates_are_left_out(path: Path) -> None:
+    """GlTF does not allow them, and no picture shows them."""
+    mesh = mesh_again(path, ls.MaterialPbr(base_color_texture=texels(1), roughness=0.125), uvs=None)
+    assert expect_kind(ls.MaterialPbr, mesh.material).roughness == 0.125
+    assert "textures" not in document(path)
+
+
+def test_equal_things_are_stored_once(path: Path) -> None:
+    """Materials and textures are shared by meshes that share them."""
+    shared = texels(1)
+    material = ls.MaterialPbr(base_color_texture=shared, emissive=(1.0, 1.0, 1.0))
+    shared = material.base_color_texture
+    other = ls.MaterialPbr(base_color_texture=shared, wrap_u=CLAMP)
+    meshes = [replace(QUAD_MESH, material=one) for one in (material, material, other)]
+    ls.save(path, ls.Scene(meshes=meshes))
+    said = document(path)
+    counts = [len(said[name]) for name in ("meshes", "materials", "images", "textures", "samplers")]
+    assert counts == [3, 2, 1, 2, 2]
+
+
+# --- Lights and cameras ---
+
+
+LIGHTS = [
+    ls.LightPoint((1.0, 2.0, 3.0), (0.5, 0.25, 1.0), 7.0, range=9.0, radius=0.5, name="bulb"),
+    ls.LightSpot((0.0, 1.0, 0.0), (0.0, 0.6, -0.8), intensity=3.0, inner_angle=0.25, outer_angle=0.5, radius=0.125),
+    ls.LightSpot((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), outer_angle=math.pi / 2.0, casts_shadow=False),
+    ls.LightDirectional((0.0, -0.6, 0.8), intensity=2.0, angle=0.125, shadow_distance=4.0),
+]
+
+
+def test_lights_come_back(path: Path) -> None:
+    """Punctual lights, in a scene that is y up, with the sizes that only we know."""
+    read = again(path, ls.Scene(lights=LIGHTS, up="y-up"))
+    for light, found in zip(LIGHTS, read.lights, strict=True):
+        assert type(found) is type(light)
+        for field in fields(light):
+            expected = getattr(light, field.name)
+            if isinstance(expected, float | tuple):
+                expected = pytest.approx(expected, rel=1e-14, abs=1e-15)
+            assert getattr(found, field.name) == expected, field.name
+
+
+def test_colours_above_one_are_intensity(path: Path) -> None:
+    """The extension has colours up to 1."""
+    (light,) = again(path, ls.Scene(lights=[ls.LightPoint((0, 0, 0), (4.0, 2.0, 1.0), 3.0)])).lights
+    assert not isinstance(light, ls.LightEnvironment)
+    assert (light.color, light.intensity) == ((1.0, 0.5, 0.25), 12.0)
+
+
+def test_spheres_become_points(path: Path) -> None:
+    """From outside, a sphere shines as a point of its radiance times its disc; here with its radius, too."""
+    (light,) = again(path, ls.Scene(lights=[ls.LightSphere((1, 2, 3), 0.5, intensity=8.0)], up="y-up")).lights
+    point = expect_kind(ls.LightPoint, light)
+    assert point.intensity == pytest.approx(8.0 * math.pi * 0.25)
+    assert (point.radius, point.position) == (0.5, (1.0, 2.0, 3.0))
+
+
+def cameras() -> Iterator[ls.Camera]:
+    """Cameras that glTF can hold."""
+    base = ls.Camera.look_at((3.0, 1.0, 5.0), (0.0, 0.5, 0.0), width=320, height=200, fov_y=0.7, name="first")
+    yield base
+    yield replace(base, name="second", exposure=-1.5, aperture=0.25, focus_distance=3.0, near=0.5)
+    yield ls.Camera.look_at((0.0, 0.0, 9.0), (0.0, 0.0, 0.0), model="orthographic", width=64, height=64, name="third")
+
+
+def test_cameras_come_back(path: Path) -> None:
+    """Fields of view, poses and near planes; and what only we know: sizes, exposures, lenses."""
+    given = tuple(cameras())
+    again(path, ls.Scene(meshes=[QUAD_MESH]), given)
+    for camera, found in zip(given, ls.load_cameras(path), strict=True):
+        for field in fields(camera):
+            expected = getattr(camera, field.name)
+            if isinstance(expected, np.ndarray | float | tuple):
+                np.testing.assert_allclose(getattr(found, field.name), expected, rtol=1e-12, atol=1e-12)
+            else:
+                assert getattr(found, field.name) == expected
+
+
+# --- What is said, and what is refused ---
+
+
+def said(caplog: pytest.LogCaptureFixture) -> str:
+    """The only log line."""
+    (record,) = caplog.records
+    return record.getMessage()
+
+
+def test_nothing_is_said_of_what_is_kept(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A scene that glTF holds as it is."""
+    ls.save(path, ls.Scene(splats=[capture(3)], meshes=[QUAD_MESH], lights=LIGHTS), cameras=tuple(cameras()))
+    assert not caplog.records
+
+
+def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Each thing that other programs will not see, and how many of it."""
+    camera = next(cameras())
+    scene = ls.Scene(
+        splats=[
+            ls.SplatInstance(capture(3, antialiased=True), material=ls.MaterialPbr()),
+            capture(3, kernel_degree=4),
+        ],
+        meshes=[
+            replace(QUAD_MESH, material=ls.MaterialSimple(diffuse=(1, 1, 1), name="chalk")),
+            replace(QUAD_MESH, material=ls.MaterialPbr(transmission=1.0, priority=2)),
+        ],
+        lights=[
+            ls.LightRect((0, 5, 0), (1, 0, 0), (0, 0, 1), name="panel"),
+            ls.LightDisk((0, 5, 0), (0, -1, 0)),
+            ls.LightEnvironment(),
+            ls.LightPoint((0, 0, 0), enabled=False),
+        ],
+    )
+    shown = [
+        replace(camera, model="fisheye"),
+        replace(camera, cx=100.0),
+        replace(camera, camera_from_world_end=camera.camera_from_world),
+    ]
+    ls.save(path, scene, cameras=shown)
+    assert said(caplog) == (
+        f"{path}: glTF cannot hold light on captures (1 are relit here, and shown as captured elsewhere); antialiased "
+        "captures (1 look sharper elsewhere); kernels of degree 4 (elsewhere they are Gaussians); simple materials "
+        "(chalk are approximated); which glass is there where bodies overlap; area lamps (panel, a disk); the "
+        "environment; lights that are off (1); fisheyes and lenses that distort (1 cameras are left out); principal "
+        "points (1 cameras have it in the middle instead); rolling shutters (1 cameras have their first pose)"
+    )
+    assert len(ls.load_cameras(path)) == 2
+
+
+def test_nothing_to_write_is_refused(path: Path) -> None:
+    """An empty scene, and one of which glTF can hold nothing, leave no file."""
+    with pytest.raises(ls.FormatError, match="the scene is empty"):
+        ls.save(path, ls.Scene())
+    with pytest.raises(ls.FormatError, match="glTF cannot hold the environment: there is nothing else to write"):
+        ls.save(path, ls.Scene(lights=[ls.LightEnvironment()]))
+    assert not path.exists()
+
+
+def test_a_failure_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files appear whole or not at all."""
+    ls.save(path, capture(3))
+    before = path.read_bytes()
+    monkeypatch.setattr("lumisplat.io.gltf.container._GLB_MAX", 100)
+    with pytest.raises(ls.FormatError, match="but GLB ends at 100"):
+        ls.save(path, capture(5))
+    assert path.read_bytes() == before
+    assert [one.name for one in path.parent.iterdir()] == [path.name]
+
+
+def test_other_formats_hold_gaussians_alone(tmp_path: Path) -> None:
+    """A scene, a mesh or cameras in a format of captures are refused, with the formats that hold them."""
+    for asset, shown in ((ls.Scene(meshes=[QUAD_MESH]), ()), (QUAD_MESH, ()), (capture(3), tuple(cameras()))):
+        with pytest.raises(ls.FormatError, match=r"a\.ply: holds Gaussians alone: scenes and meshes .* \.glb, \.gltf"):
+            ls.save(tmp_path / "a.ply", asset, cameras=shown)
+    ls.check_format(tmp_path / "a.glb", scene=True)
+    ls.check_format(tmp_path / "a.compressed.ply")
+    with pytest.raises(ls.FormatError, match=r"unknown extension '\.obj', expected \.glb, \.gltf"):
+        ls.check_format(tmp_path / "a.obj", scene=True)
+
+
+def test_names_that_are_no_text(path: Path) -> None:
+    """Names of files with other bytes than UTF-8 are written with question marks, not refused."""
+    scene = ls.Scene(meshes=[replace(QUAD_MESH, name="no\udce9l"), replace(QUAD_MESH, name="Stück")])
+    assert [mesh.name for mesh in again(path, scene).meshes] == ["no?l", "Stück"]
+
+
+def test_a_mesh_alone(path: Path) -> None:
+    """A mesh is saved as a scene of itself."""
+    ls.save(path, QUAD_MESH)
+    assert expect_kind(ls.Scene, ls.load(path)).meshes[0].mesh.name == "quad"

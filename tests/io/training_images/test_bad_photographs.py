@@ -1,0 +1,277 @@
+"""Folders of photographs that are not what they should be: one clear line, whatever is wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.io.cameras.colmap import read_colmap_points
+from support.files.photograph_files import (
+    change_frame,
+    ring_cameras,
+    write_blender_photographs,
+    write_colmap_photographs,
+    write_transforms_photographs,
+)
+
+POINTS = np.random.default_rng(3).normal(size=(7, 3))
+CAMERAS = ring_cameras(3, 12, 8)
+NAN_POSE = np.full((4, 4), np.nan).tolist()
+
+
+@pytest.fixture
+def nerfstudio(tmp_path) -> Path:
+    """A folder with transforms.json."""
+    return write_transforms_photographs(tmp_path / "n", CAMERAS)
+
+
+@pytest.fixture
+def colmap(tmp_path) -> Path:
+    """A folder with a model of COLMAP."""
+    return write_colmap_photographs(tmp_path / "c", CAMERAS, POINTS)
+
+
+def refusal(folder: Path, **options: Any) -> str:
+    """What is said about a folder that is refused, on one line."""
+    with pytest.raises(ls.FormatError) as caught:
+        ls.load_photographs(folder, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value).replace(str(folder.parent), "")
+
+
+def test_folders_without_photographs(tmp_path):
+    """What is expected, and what to do."""
+    assert refusal(tmp_path).endswith(
+        ": has no photographs with poses: expected transforms.json (nerfstudio), transforms_train.json (Blender) or a "
+        "sparse model of COLMAP in sparse/0; for photographs without poses, find_poses (--poses colmap) makes one"
+    )
+    with pytest.raises(ls.MissingFileError, match="nowhere: no such folder"):
+        ls.load_photographs(tmp_path / "nowhere")
+    (tmp_path / "transforms.json").write_text('{"frames": []}')
+    assert "transforms.json: lists no photographs: expected 'frames'" in refusal(tmp_path)
+    (tmp_path / "transforms.json").write_text("[1, 2]")
+    assert "lists no photographs" in refusal(tmp_path)
+    (tmp_path / "transforms.json").write_text('{"frames": [')
+    assert "transforms.json: invalid JSON at line 1" in refusal(tmp_path)
+    assert "transforms.json: is a file, expected the folder that holds" in refusal(tmp_path / "transforms.json")
+
+
+def test_all_photographs_missing(nerfstudio, colmap):
+    """The count, the first names, and where they were expected."""
+    for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
+        shutil.rmtree(folder / "images")
+        message = refusal(folder)
+        assert f"{listed}: none of its 3 photographs is there (" in message and "view_0.png, " in message
+        assert message.endswith("n or its images" if folder is nerfstudio else "/c"), "where they were looked for"
+
+
+def test_a_single_photograph(nerfstudio, colmap):
+    """Also one that is left of several."""
+    for folder in (nerfstudio, colmap):
+        for name in ("view_0.png", "view_2.png"):
+            (folder / "images" / name).unlink()
+        assert "has a single photograph, expected two or more: depth shows between photographs only" in refusal(folder)
+
+
+def test_photographs_of_another_size(nerfstudio, colmap):
+    """Both sizes and both files."""
+    for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
+        Image.new("RGB", (6, 4)).save(folder / "images" / "view_1.png")
+        message = refusal(folder)
+        assert "images/view_1.png: has 6 x 4 pixels, its camera in " in message
+        assert f"{listed} 12 x 8: expected the photographs that the cameras were made for" in message
+
+
+def test_poses_that_are_not_numbers(nerfstudio, colmap, tmp_path):
+    """The frame is named, of every layout."""
+    change_frame(nerfstudio / "transforms.json", 1, transform_matrix=NAN_POSE)
+    assert "transforms.json: frame 1 (images/view_1.png) has transform_matrix" in refusal(nerfstudio)
+    images = (colmap / "sparse/0/images.bin").read_bytes()
+    at = images.index(b"view_1.png") - struct.calcsize("<di")
+    (colmap / "sparse/0/images.bin").write_bytes(images[:at] + struct.pack("<d", np.nan) + images[at + 8 :])
+    assert "sparse/0/images.bin: image 2 (view_1.png): " in refusal(colmap)
+    blender = write_blender_photographs(tmp_path / "b", {"train": CAMERAS})
+    change_frame(blender / "transforms_train.json", 2, transform_matrix=NAN_POSE)
+    assert "transforms_train.json: frame 2 (./train/view_2) has transform_matrix" in refusal(blender)
+
+
+def test_orthographic_cameras(nerfstudio):
+    """Named as such."""
+    content = json.loads((nerfstudio / "transforms.json").read_text()) | {"camera_model": "ORTHOPHOTO"}
+    (nerfstudio / "transforms.json").write_text(json.dumps(content))
+    assert "view_0 is of an orthographic camera, expected a pinhole or a fisheye" in refusal(nerfstudio)
+
+
+def test_masks_that_cannot_be(nerfstudio):
+    """Black everywhere, of another size, missing, or no picture: when the folder is read, not later."""
+    (nerfstudio / "masks").mkdir()
+    mask = nerfstudio / "masks" / "view_1.png"
+    Image.new("L", (12, 8)).save(mask)
+    assert "masks/view_1.png: is black everywhere: no pixel of its photograph would count" in refusal(nerfstudio)
+    Image.new("RGBA", (12, 8), (255, 255, 255, 0)).save(mask)
+    assert "masks/view_1.png: is black everywhere" in refusal(nerfstudio)
+    Image.new("L", (12, 9), 255).save(mask)
+    assert "masks/view_1.png: has 12 x 9 pixels, expected the 12 x 8 of " in refusal(nerfstudio)
+    mask.write_bytes(b"no picture")
+    assert "masks/view_1.png: cannot be read for its size" in refusal(nerfstudio)
+    mask.unlink()
+    change_frame(nerfstudio / "transforms.json", 0, mask_path="masks/lost.png")
+    assert 'transforms.json: names the mask "masks/lost.png", which is not there' in refusal(nerfstudio)
+
+
+def test_photographs_that_cannot_be_decoded(nerfstudio, tmp_path):
+    """No picture at all, and one that is cut off, are found at once, an empty one when its pixels are asked for."""
+    blender = write_blender_photographs(tmp_path / "b", {"train": CAMERAS}, alpha=0.0)
+    with pytest.raises(ls.FormatError, match=r"view_0.png: is transparent everywhere: it shows nothing to learn from"):
+        ls.load_photographs(blender).held_out[0].pixels()
+    image = nerfstudio / "images" / "view_1.png"
+    whole = image.read_bytes()
+    image.write_bytes(whole[: len(whole) // 2])
+    assert refusal(nerfstudio).endswith(
+        "view_1.png: is cut off or damaged: copy it anew, or remove it, and the photograph is left out"
+    )
+    image.write_bytes(b"no picture")
+    assert "view_1.png: cannot be read for its size" in refusal(nerfstudio)
+
+
+def test_a_photograph_that_has_gone_since(nerfstudio):
+    """Its file is named when its pixels are asked for; those that were decoded are still there."""
+    views = ls.load_photographs(nerfstudio, hold_out=0).training
+    views[0].pixels()
+    shutil.rmtree(nerfstudio / "images")
+    views[0].pixels()
+    with pytest.raises(ls.MissingFileError, match=r"view_1.png: no such file"):
+        views[1].pixels()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scale": 0.0}, "scale is 0.0, expected more than 0 and at most 1"),
+        ({"scale": 1.5}, "scale is 1.5"),
+        ({"scale": np.nan}, "scale is nan"),
+        ({"scale": "half"}, "scale is 'half'"),
+        ({"hold_out": 1}, "hold_out is 1, which leaves no photograph to learn from: expected 2 or more, or 0"),
+        ({"hold_out": -1}, "hold_out is -1, expected a whole number from 0"),
+        ({"hold_out": 2.0}, "hold_out is 2.0"),
+        ({"cache_bytes": -1}, "cache_bytes is -1"),
+        ({"background": "mauve-ish"}, "background is 'mauve-ish', expected three numbers"),
+    ],
+)
+def test_settings_are_checked_first(options, message):
+    """Before the folder is looked at."""
+    with pytest.raises(ls.ConfigError, match=message):
+        ls.load_photographs("nowhere", **cast(Any, options))
+
+
+@pytest.mark.parametrize("cut", [0, 4, 8, 30, 51, 58, -1, -8])
+def test_truncated_points(colmap, cut):
+    """Cut off within the count, a point or a track, or empty: the file is named."""
+    path = colmap / "sparse/0/points3D.bin"
+    path.write_bytes(path.read_bytes()[:cut])
+    message = refusal(colmap)
+    assert "sparse/0/points3D.bin: " in message and ("cut off" in message or "ends too early" in message or not cut)
+
+
+def test_points_that_are_nowhere(colmap, tmp_path):
+    """Counted, of both kinds of files; texts with too few values, and colours that are none, are refused, too."""
+    path = colmap / "sparse/0/points3D.bin"
+    stored = bytearray(path.read_bytes())
+    stored[16:24] = struct.pack("<d", np.inf)
+    path.write_bytes(stored)
+    assert "has 1 of 7 points without a finite position, the first is 0" in refusal(colmap)
+    text = write_colmap_photographs(tmp_path / "t", CAMERAS, POINTS, text=True) / "sparse/0/points3D.txt"
+    for line, problem in (
+        ("1 nan 0 0 1 2 3 0.5", "has 1 of 1 points without a finite position"),
+        ("1 0 0 0 1", "point 0 has too few values"),
+        ("1 0 0 0 1 2 300 0.5", "has a colour outside of 0..255"),
+        ("1 0 0 zero 1 2 3 0.5", "damaged, or not the points of a sparse model"),
+    ):
+        text.write_text(line + "\n")
+        assert problem in refusal(tmp_path / "t")
+
+
+def mutated(data: bytes, places: list[tuple[int, int]], cut: int) -> bytes:
+    """Some bytes changed, the end cut off."""
+    changed = bytearray(data)
+    for place, value in places:
+        changed[place % len(changed)] = value
+    return bytes(changed[: len(changed) - cut % len(changed)])
+
+
+MUTATIONS = (
+    st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), max_size=6),
+    st.sampled_from([0, 0, 3, 40]),
+)
+CHECKED = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def survives(path: Path, data: bytes, read: Callable[[], object]) -> None:
+    """Reads a file with other contents: it is refused by one line, or read."""
+    original = path.read_bytes()
+    path.write_bytes(data)
+    try:
+        read()
+    except ls.FormatError as error:
+        assert "\n" not in str(error)
+    finally:
+        path.write_bytes(original)
+
+
+@CHECKED
+@given(*MUTATIONS)
+def test_damaged_points_are_refused_or_read(colmap, places, cut):
+    """Random bytes of points3D.bin: an error of ours, or finite points."""
+    path = colmap / "sparse/0/points3D.bin"
+
+    def read() -> None:
+        found = read_colmap_points(path.parent)
+        if found is not None:
+            assert np.isfinite(found[0]).all() and len(found[0]) == len(found[1])
+
+    survives(path, mutated(path.read_bytes(), places, cut), read)
+
+
+@CHECKED
+@given(*MUTATIONS)
+def test_damaged_models_are_refused_or_read(colmap, places, cut):
+    """Random bytes of images.bin."""
+    path = colmap / "sparse/0/images.bin"
+    survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.load_photographs(colmap))
+
+
+@CHECKED
+@given(*MUTATIONS)
+def test_damaged_transforms_are_refused_or_read(nerfstudio, places, cut):
+    """Random bytes of transforms.json."""
+    path = nerfstudio / "transforms.json"
+    survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.load_photographs(nerfstudio))
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.just("images/view_0.png"),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    max_leaves=8,
+)
+KEYS = ("file_path", "mask_path", "transform_matrix", "w", "h", "fl_x", "cx", "k1", "camera_model", "camera_angle_x")
+
+
+@CHECKED
+@given(st.sampled_from(KEYS), VALUES, st.booleans())
+def test_other_values_in_transforms_are_refused_or_read(nerfstudio, key, value, shared):
+    """Any JSON in the place of a value, of a frame or of the file."""
+    path = nerfstudio / "transforms.json"
+    content = json.loads(path.read_text())
+    (content if shared else content["frames"][1])[key] = value
+    survives(path, json.dumps(content).encode(), lambda: ls.load_photographs(nerfstudio))

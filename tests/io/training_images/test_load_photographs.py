@@ -1,0 +1,318 @@
+"""Folders of photographs: which views they hold, with which cameras, and what their pixels are."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import read_texture
+from lumisplat.io.training_images.loading import camera_target
+from support.files.photograph_files import (
+    change_frame,
+    photograph,
+    point_colors,
+    ring_cameras,
+    write_blender_photographs,
+    write_colmap_photographs,
+    write_transforms_photographs,
+)
+
+BYTE = 0.5 / 255.0 + 1e-6
+POINTS = np.random.default_rng(3).normal(size=(7, 3))
+
+
+def same_view(camera: ls.Camera, other: ls.Camera) -> bool:
+    """Whether two cameras see the same."""
+    ours, theirs = ([one.width, one.height, one.fx, one.fy, one.cx, one.cy] for one in (camera, other))
+    return bool(np.allclose(ours, theirs)) and np.allclose(camera.camera_from_world, other.camera_from_world)
+
+
+@pytest.mark.parametrize("layout", ["transforms", "blender", "colmap", "colmap text", "colmap sparse", "colmap bare"])
+def test_every_layout_gives_the_same_views(tmp_path, layout):
+    """Poses, intrinsics, pixels and names are those that were written, whatever lists them."""
+    lens: dict[str, Any] = {"fy": 45.0, "cx": 20.0, "cy": 15.0} if layout == "blender" else {}
+    cameras = ring_cameras(**lens)
+    if layout == "transforms":
+        write_transforms_photographs(tmp_path, cameras)
+    elif layout == "blender":
+        write_blender_photographs(tmp_path, {"train": cameras}, alpha=None)
+    else:
+        model = {"colmap sparse": "sparse", "colmap bare": "."}.get(layout, "sparse/0")
+        write_colmap_photographs(tmp_path, cameras, POINTS, text="text" in layout, model=model)
+    found = ls.load_photographs(tmp_path, hold_out=0)
+    assert [view.name for view in found.training] == [camera.name for camera in cameras]
+    assert not found.held_out
+    for view, camera in zip(found.training, cameras, strict=True):
+        assert same_view(view.camera, camera) and view.camera.name == view.name
+        assert view.pixels().dtype == np.float32
+        np.testing.assert_allclose(view.pixels(), photograph(camera), atol=BYTE)
+        assert view.alpha() is None and view.mask() is None
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_points_of_colmap_are_where_to_begin(tmp_path, text):
+    """Positions and colours, whatever the length of their tracks; other layouts have none."""
+    found = ls.load_photographs(write_colmap_photographs(tmp_path / "c", ring_cameras(), POINTS, text=text))
+    assert found.points is not None and found.point_colors is not None
+    np.testing.assert_allclose(found.points, POINTS, rtol=1e-6)
+    np.testing.assert_allclose(found.point_colors, point_colors(7) / 255.0, atol=1e-6)
+    none = ls.load_photographs(write_colmap_photographs(tmp_path / "n", ring_cameras(), POINTS[:0], text=text))
+    assert none.points is None and none.point_colors is None
+    assert ls.load_photographs(write_transforms_photographs(tmp_path / "t", ring_cameras())).points is None
+
+
+def test_every_eighth_by_name_is_held_out(tmp_path):
+    """The first and each so many after it, in the order of names, not of the file; none for 0."""
+    cameras = [replace(camera, name=f"v{k:02d}") for k, camera in enumerate(ring_cameras(18, 8, 6))]
+    write_transforms_photographs(tmp_path, cameras[::-1])
+    names = [camera.name for camera in cameras]
+    for step, held in ((8, names[::8]), (3, names[::3]), (0, []), (50, names[:1])):
+        found = ls.load_photographs(tmp_path, hold_out=step)
+        assert [view.name for view in found.held_out] == held
+        assert [view.name for view in found.training] == [name for name in names if name not in held]
+
+
+def test_blender_says_itself_what_is_held_out(tmp_path):
+    """transforms_test.json, else transforms_val.json, else every eighth; with hold_out=0, nothing is."""
+    cameras = ring_cameras(6, 16, 12)
+    parts = {"train": cameras[:3], "test": cameras[3:5], "val": cameras[4:]}
+    write_blender_photographs(tmp_path, parts)
+    found = ls.load_photographs(tmp_path)
+    assert [view.name for view in found.training] == ["view_0", "view_1", "view_2"]
+    assert [view.path.parent.name for view in found.held_out] == ["test", "test"]
+    (tmp_path / "transforms_test.json").unlink()
+    assert [view.path.parent.name for view in ls.load_photographs(tmp_path).held_out] == ["val", "val"]
+    assert not ls.load_photographs(tmp_path, hold_out=0).held_out
+    (tmp_path / "transforms_val.json").unlink()
+    assert [view.path.parent.name for view in ls.load_photographs(tmp_path).held_out] == ["train"]
+
+
+def test_transparent_pixels_lie_over_the_background(tmp_path):
+    """Half of the picture and half of white; without a background, half of the picture, to be composited later."""
+    camera = ring_cameras(3, 16, 12)
+    write_blender_photographs(tmp_path, {"train": camera}, alpha=102 / 255)
+    for background, behind in ((None, 0.0), ("transparent", 0.0), ("white", 1.0), ((0.0, 0.5, 1.0), (0.0, 0.5, 1.0))):
+        view = ls.load_photographs(tmp_path, background=background, hold_out=0).training[0]
+        expected = 0.4 * photograph(camera[0]) + 0.6 * np.array(behind)
+        np.testing.assert_allclose(view.pixels(), expected, atol=2 * BYTE)
+        alpha = view.alpha()
+        assert alpha is not None
+        np.testing.assert_allclose(alpha, 0.4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("scale", "size"), [(0.5, (20, 15)), (0.25, (10, 8)), (0.3, (12, 9)), (0.01, (1, 1))])
+def test_smaller_photographs_are_means_over_areas(tmp_path, scale, size):
+    """In display-referred values; cameras see the same at the new size."""
+    cameras = ring_cameras(2)
+    noise = [np.random.default_rng(k).uniform(size=(30, 40, 3)) for k in range(2)]
+    write_transforms_photographs(tmp_path, cameras, noise)
+    view = ls.load_photographs(tmp_path, scale=scale, hold_out=0).training[0]
+    assert (view.camera.width, view.camera.height) == size
+    assert same_view(view.camera, cameras[0].scaled(*size))
+    bytes_of = read_texture(view.path) / 255.0
+    down = np.add.reduceat(np.repeat(bytes_of, size[1], axis=0), np.arange(size[1]) * 30, axis=0) / 30.0
+    expected = np.add.reduceat(np.repeat(down, size[0], axis=1), np.arange(size[0]) * 40, axis=1) / 40.0
+    np.testing.assert_allclose(view.pixels(), expected, atol=2 * BYTE)
+
+
+@pytest.mark.parametrize("place", ["mask_path", "beside", "colmap"])
+def test_what_is_black_in_a_mask_does_not_count(tmp_path, place):
+    """Named by the file, or beside the photographs; any other value counts, as nerfstudio and COLMAP have it."""
+    cameras = ring_cameras(3)
+    if place == "colmap":
+        write_colmap_photographs(tmp_path, cameras, POINTS)
+    else:
+        write_transforms_photographs(tmp_path, cameras)
+    name = {"mask_path": "of/zero.png", "beside": "masks/view_0.png", "colmap": "masks/view_0.png.png"}[place]
+    (tmp_path / name).parent.mkdir()
+    grey = np.zeros((30, 40), np.uint8)
+    grey[:15], grey[15:, :20] = 255, 1
+    Image.fromarray(grey).save(tmp_path / name)
+    if place == "mask_path":
+        change_frame(tmp_path / "transforms.json", 0, mask_path=name)
+    first, second = ls.load_photographs(tmp_path, hold_out=0).training[:2]
+    mask = first.mask()
+    assert mask is not None and second.mask() is None
+    np.testing.assert_array_equal(mask, grey > 0)
+    half = ls.load_photographs(tmp_path, hold_out=0, scale=1 / 3).training[0].mask()
+    assert half is not None
+    assert half[5, 6] == pytest.approx(0.5, abs=2 * BYTE) and half[9, 12] == 0.0 and half[0, 0] == 1.0
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.35])
+def test_what_does_not_count_is_not_mixed_into_smaller_photographs(tmp_path, scale):
+    """What a mask hides may have any colour; at its edge, pixels are means over what counts of their areas."""
+    views = []
+    for name, painted in (("a", 0), ("b", 255)):
+        write_transforms_photographs(tmp_path / name, ring_cameras(2))
+        image = next(iter(sorted((tmp_path / name).rglob("view_0.*"))))
+        hidden = np.zeros((30, 40), np.uint8)
+        hidden[:13, :17] = 255
+        (tmp_path / name / "masks").mkdir()
+        Image.fromarray(255 - hidden).save(tmp_path / name / "masks" / "view_0.png")
+        pixels = np.array(Image.open(image).convert("RGB"))
+        pixels[hidden > 0] = painted
+        Image.fromarray(pixels).save(image)
+        views.append(ls.load_photographs(tmp_path / name, hold_out=0, scale=scale).training[0])
+    mask = views[0].mask()
+    assert mask is not None and ((mask > 0.0) & (mask < 1.0)).any()
+    counts = mask > 0.01
+    np.testing.assert_array_equal(views[0].pixels()[counts], views[1].pixels()[counts])
+    assert (views[0].pixels() != views[1].pixels()).any()
+
+
+def test_the_scene_is_where_the_cameras_look(tmp_path):
+    """1.1 times the radius of the ring of training cameras, and its middle."""
+    write_transforms_photographs(tmp_path, ring_cameras(6, 8, 6))
+    found = ls.load_photographs(tmp_path, hold_out=0)
+    assert found.extent == pytest.approx(3.3)
+    np.testing.assert_allclose(found.target, (1.0, 2.0, 3.0), atol=1e-9)
+
+
+def test_parallel_cameras_look_at_their_middle(tmp_path):
+    """No point is nearest to parallel axes; that of cameras in one place is theirs."""
+    camera = ring_cameras(7, 8, 6)[1]
+    moved = [replace(camera, name=f"m{k}", camera_from_world=np.array(camera.camera_from_world)) for k in range(2)]
+    pose = np.array(camera.camera_from_world)
+    pose[0, 3] += 2.0
+    moved[1] = replace(moved[1], camera_from_world=pose)
+    write_transforms_photographs(tmp_path / "a", moved)
+    found = ls.load_photographs(tmp_path / "a", hold_out=0)
+    np.testing.assert_allclose(found.target, 0.5 * (moved[0].eye + moved[1].eye), atol=1e-9)
+    assert found.extent == pytest.approx(1.1)
+    write_transforms_photographs(tmp_path / "b", [moved[0], replace(moved[0], name="m2")])
+    still = ls.load_photographs(tmp_path / "b", hold_out=0)
+    assert still.extent == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(still.target, moved[0].eye, atol=1e-9)
+
+
+def test_directions_of_parallel_cameras_do_not_matter():
+    """Whatever way they look, rounding errors are not taken for a place."""
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        eyes, axis = rng.normal(size=(3, 3)), rng.normal(size=3)
+        cameras = [ls.Camera.look_at(eye, eye + axis, (0.1, 0.2, 1.0)) for eye in eyes]
+        np.testing.assert_allclose(camera_target(cameras), eyes.mean(axis=0), atol=1e-6)
+
+
+def test_decoded_photographs_stay_within_their_memory(tmp_path, monkeypatch):
+    """Those used last are kept, and others decoded again, with the same pixels; with no memory, each time."""
+    from lumisplat.io.training_images import pixels as module
+
+    write_transforms_photographs(tmp_path, ring_cameras(5))
+    read: list[str] = []
+    original = module.read_texture
+    monkeypatch.setattr(module, "read_texture", lambda path: read.append(path.stem) or original(path))
+    size = 40 * 30 * 3
+    found = ls.load_photographs(tmp_path, hold_out=0, cache_bytes=2 * size + 100)
+    cache = found.training[0]._cache
+    first = [view.pixels() for view in found.training]
+    assert len(read) == 5 and cache.held == 2 * size
+    for k in (3, 0, 3):  # 4, which was used before 3, makes room for 0
+        found.training[k].pixels()
+    assert read[5:] == ["view_0"]
+    for view, before in zip(found.training, first, strict=True):
+        np.testing.assert_array_equal(view.pixels(), before)
+        assert cache.held <= cache.limit
+    assert len(read) > 9
+    none = ls.load_photographs(tmp_path, hold_out=0, cache_bytes=0)
+    del read[:]
+    none.training[0].pixels()
+    none.training[0].pixels()
+    assert len(read) == 2 and none.training[0]._cache.held == 0
+
+
+def test_missing_photographs_are_left_out(tmp_path, caplog):
+    """Those that are there are used; a line counts the others and names the first."""
+    cameras = ring_cameras(8, 8, 6)
+    for folder in (
+        write_transforms_photographs(tmp_path / "t", cameras),
+        write_colmap_photographs(tmp_path / "c", cameras, POINTS),
+    ):
+        for k in (1, 3, 4, 6):
+            (folder / "images" / f"view_{k}.png").unlink()
+        caplog.clear()
+        found = ls.load_photographs(folder, hold_out=0)
+        assert [view.name for view in found.training] == ["view_0", "view_2", "view_5", "view_7"]
+        assert "4 of 8 photographs are not in" in caplog.text
+        assert "view_1.png, " in caplog.text and "view_4.png, ...): left out" in caplog.text
+
+
+def test_undistortion_is_said_once(tmp_path, caplog):
+    """One line for all photographs, and none without a lens."""
+    lens: dict[str, Any] = {"distortion": (0.05, -0.02, 0.0, 0.0, 0.001, 0.0)}
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        ls.load_photographs(write_transforms_photographs(tmp_path / "bent", ring_cameras(4, **lens)))
+        ls.load_photographs(write_transforms_photographs(tmp_path / "straight", ring_cameras(4)))
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert line.endswith(
+        "/bent/transforms.json: 4 photographs of distorting lenses are straightened: resampled as of pinholes"
+    )
+
+
+def test_photographs_in_folders_have_names_of_their_own(tmp_path):
+    """Equal names in several folders get numbers."""
+    cameras = ring_cameras(2, 8, 6)
+    write_transforms_photographs(tmp_path, cameras)
+    for side in ("left", "right"):
+        (tmp_path / "images" / side).mkdir()
+        write_png(tmp_path / "images" / side / "a.png", photograph(cameras[0]))
+    for index, side in enumerate(("right", "left")):
+        change_frame(tmp_path / "transforms.json", index, file_path=f"images/{side}/a.png")
+    views = ls.load_photographs(tmp_path, hold_out=0).training
+    assert [(view.name, view.path.parent.name) for view in views] == [("a", "left"), ("a_2", "right")]
+
+
+def test_files_may_name_photographs_outside_if_trusted(tmp_path):
+    """As other files may, with allow_outside."""
+    folder = write_transforms_photographs(tmp_path / "inner", ring_cameras(2, 8, 6))
+    write_png(tmp_path / "outer.png", photograph(ring_cameras(2, 8, 6)[0]))
+    change_frame(folder / "transforms.json", 0, file_path="../outer.png")
+    with pytest.raises(ls.FormatError, match=r"names '../outer.png', which is not in its folder"):
+        ls.load_photographs(folder)
+    assert len(ls.load_photographs(folder, allow_outside=True, hold_out=0).training) == 2
+
+
+@pytest.mark.parametrize("extension", [".png", ".jpg"])
+def test_cameras_that_were_saved_find_photographs_in_images(tmp_path, extension):
+    """Beside the folder ``images``, what ``save_cameras`` writes is a training set, with its masks."""
+    cameras = ring_cameras(4, 8, 6)
+    (tmp_path / "images").mkdir()
+    (tmp_path / "masks").mkdir()
+    for camera in cameras:
+        write_png(tmp_path / "images" / f"{camera.name}.png", photograph(camera))
+        if extension != ".png":
+            (tmp_path / "images" / f"{camera.name}.png").rename(tmp_path / "images" / f"{camera.name}{extension}")
+        Image.new("L", (8, 6), 255).save(tmp_path / "masks" / f"{camera.name}.png")
+    ls.save_cameras(tmp_path / "transforms.json", cameras)
+    views = ls.load_photographs(tmp_path, hold_out=0).training
+    assert [(view.name, view.path) for view in views] == [
+        (camera.name, tmp_path / "images" / f"{camera.name}{extension}") for camera in cameras
+    ]
+    for view, camera in zip(views, cameras, strict=True):
+        assert same_view(view.camera, camera) and view.mask() is not None
+        np.testing.assert_allclose(view.pixels(), photograph(camera), atol=BYTE)
+
+
+@pytest.mark.data
+def test_the_fox(data_dir):
+    """50 photographs of a phone: 7 held out, as others split them; straightened, with few pixels missing."""
+    folder = Path(data_dir) / "photos" / "fox"
+    found = ls.load_photographs(folder, scale=0.5)
+    listed = json.loads((folder / "transforms.json").read_text())["frames"]
+    assert (len(found.training), len(found.held_out)) == (len(listed) - 7, 7)
+    view = found.held_out[0]
+    assert (view.name, view.camera.width, view.camera.height, view.camera.is_distorted) == ("0001", 135, 240, False)
+    assert view.pixels().shape == (240, 135, 3)
+    mask = view.mask()
+    assert mask is not None and 0.95 < mask.mean() < 1.0 and mask[120, 67] == 1.0
+    assert 2.0 < found.extent < 8.0 and np.linalg.norm(found.target) < 1.0

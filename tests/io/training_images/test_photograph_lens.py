@@ -1,0 +1,101 @@
+"""Photographs of distorting lenses: their pinholes show of a world far away what a pinhole would."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.training_images.pixels import lens_points
+from support.files.photograph_files import photograph, ring_cameras, write_transforms_photographs
+
+FISHEYE = ls.CameraModel.FISHEYE
+LENSES: dict[str, dict[str, Any]] = {
+    "strong phone": {"fx": 80.0, "fy": 81.0, "distortion": (0.232, -0.322, 0.0, 0.0, -0.0039, 0.0006)},
+    "barrel": {"fx": 80.0, "fy": 81.0, "distortion": (-0.28, 0.09, -0.012, 0.0, 0.0006, -0.0011)},
+    "cushion": {"fx": 80.0, "fy": 81.0, "distortion": (0.21, 0.03, 0.01, 0.0, 0.004, -0.003)},
+    "fisheye": {"model": FISHEYE, "fx": 70.0, "fy": 71.0},
+    "bent fisheye": {"model": FISHEYE, "fx": 70.0, "fy": 71.0, "distortion": (0.05, -0.01, 0.004, -0.001, 0.0, 0.0)},
+}
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_pinholes_see_the_world_where_it_is(tmp_path, lens, scale):
+    """Taken through the lens, straightened, and compared with what the pinhole's own rays see, to a few bytes."""
+    cameras = ring_cameras(2, 120, 90, **lens)
+    folder = write_transforms_photographs(tmp_path, cameras, [_large(camera) for camera in cameras])
+    for view in ls.load_photographs(folder, hold_out=0, scale=scale).training:
+        assert view.camera.model is ls.CameraModel.PINHOLE and not view.camera.is_distorted
+        mask = view.mask()
+        counts = np.ones(view.pixels().shape[:2], bool) if mask is None else mask > 0.0
+        assert counts.mean() > 0.7
+        error = np.abs(view.pixels() - photograph(view.camera))[counts]
+        assert error.max() < 4.0 / 255.0 / scale and error.mean() < 0.6 / 255.0
+        assert not view.pixels()[~counts].any()
+        # The pixels as they are are far off: the test sees what it is about.
+        assert np.abs(photograph(cameras[0]) - photograph(_pinhole(cameras[0]))).max() > 3.0 * error.max()
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_lens_points_are_where_rays_come_from(lens):
+    """A pixel of the pinhole and the point of the lens for it look along one ray, which the camera inverts."""
+    camera = ring_cameras(1, 60, 45, **lens)[0]
+    points, covered = lens_points(camera)
+    rays = _pinhole(camera).ray_directions()
+    for row, column in ((0, 0), (22, 30), (44, 59), (10, 50)):
+        if covered[row, column]:
+            x, y = points[row, column]
+            shifted = ls.Camera(
+                width=1,
+                height=1,
+                fx=camera.fx,
+                fy=camera.fy,
+                cx=camera.cx - x + 0.5,
+                cy=camera.cy - y + 0.5,
+                camera_from_world=np.eye(4),
+                model=camera.model,
+                distortion=camera.distortion,
+            )
+            np.testing.assert_allclose(shifted.ray_directions()[0, 0], rays[row, column], atol=1e-9)
+
+
+def test_what_a_lens_does_not_show_does_not_count(tmp_path):
+    """A cushion's corners are beyond the picture of the lens: masked and black; of a barrel all is seen."""
+    masks = {}
+    for name in ("cushion", "barrel"):
+        folder = write_transforms_photographs(
+            tmp_path / name, ring_cameras(2, 60, 45, **LENSES[name] | {"fx": 40.0, "fy": 40.0})
+        )
+        masks[name] = ls.load_photographs(folder, hold_out=0).training[0].mask()
+    assert masks["barrel"] is None
+    cushion = masks["cushion"]
+    assert cushion is not None and set(np.unique(cushion)) == {0.0, 1.0}
+    assert cushion[0, 0] == cushion[-1, -1] == 0.0 and cushion[22, 30] == 1.0
+
+
+def test_beyond_the_fold_a_lens_shows_nothing(tmp_path):
+    """Where the polynomial turns back, a picture has no place for a ray, however near the polynomial brings it."""
+    folder = write_transforms_photographs(
+        tmp_path, ring_cameras(2, 120, 90, fx=60.0, fy=60.0, distortion=(-0.45, 0.0, 0.0, 0.0, 0.0, 0.0))
+    )
+    mask = ls.load_photographs(folder, hold_out=0).training[0].mask()
+    assert mask is not None
+    x, y = np.meshgrid(np.arange(120) + 0.5 - 60.7, np.arange(90) + 0.5 - 44.6)
+    reach = 60.0 * np.sqrt(1.0 / (3.0 * 0.45))
+    np.testing.assert_array_equal(mask > 0.0, np.hypot(x, y) <= reach)
+
+
+def _pinhole(camera: ls.Camera) -> ls.Camera:
+    from lumisplat.io.training_images.pixels import pinhole_of
+
+    return pinhole_of(camera)
+
+
+def _large(camera: ls.Camera) -> np.ndarray:
+    """What a camera shows; pixels without a ray are grey."""
+    seen = photograph(camera)
+    seen[~camera.ray_directions().any(axis=-1)] = 0.5
+    return seen

@@ -1,0 +1,170 @@
+"""Photographs from films: the sharpest, upright, all of them or none."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image, ImageFilter
+
+import lumisplat as ls
+from lumisplat.io.training_images.video_frames import sharpness
+
+SIZE = 96, 64
+"""Width and height of the films."""
+
+
+def scene(seed: int, blur: float = 0.0) -> Image.Image:
+    """A picture with much detail, red at the left, blurred."""
+    noise = np.random.default_rng(seed).uniform(60, 200, (SIZE[1] // 4, SIZE[0] // 4, 3)).astype(np.uint8)
+    picture = Image.fromarray(noise).resize(SIZE, Image.Resampling.NEAREST)
+    picture.paste((230, 20, 20), (0, 0, SIZE[0] // 4, SIZE[1]))
+    return picture.filter(ImageFilter.GaussianBlur(blur))
+
+
+def filmed(path: Path, pictures: list[Image.Image], fps: int = 10, **coding: int) -> Path:
+    """Writes a film."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": "8"})
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        for name, value in coding.items():
+            setattr(stream.codec_context, name, value)
+        for picture in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_image(picture)))
+        container.mux(stream.encode())
+    return path
+
+
+def pixels(path: Path) -> np.ndarray:
+    """Of a photograph."""
+    with Image.open(path) as picture:
+        return np.asarray(picture, np.float64)
+
+
+def test_of_each_stretch_the_sharpest_frame_is_taken(tmp_path: Path) -> None:
+    """Ten frames a second, of five each the one that is not blurred."""
+    sharp = [3, 5, 14]
+    pictures = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
+    told: list[float] = []
+    files = ls.extract_frames(
+        filmed(tmp_path / "a.mp4", pictures), tmp_path / "walk", progress=lambda _, share: told.append(share)
+    )
+    assert [file.relative_to(tmp_path).as_posix() for file in files] == [f"walk/images/{n:04}.jpg" for n in (1, 2, 3)]
+    for file, number in zip(files, sharp, strict=True):
+        assert np.abs(pixels(file) - np.asarray(pictures[number], np.float64)).mean() < 8.0
+    assert told == sorted(told) and told[-1] > 0.9
+
+
+def test_a_stretch_as_long_as_the_film_has_one_photograph_and_a_short_one_all_frames(tmp_path: Path) -> None:
+    """Whatever the length."""
+    film = filmed(tmp_path / "a.mp4", [scene(number) for number in range(7)])
+    assert len(ls.extract_frames(film, tmp_path / "one", every=10.0)) == 1
+    assert len(ls.extract_frames(film, tmp_path / "all", every=0.01)) == 7
+
+
+def test_sharpness_falls_with_blur() -> None:
+    """And is that of what can be seen, not of the noise of pixels: larger pictures are compared at a smaller size."""
+    values = [sharpness(scene(0, blur)) for blur in (0.0, 0.7, 1.5, 3.0)]
+    assert values == sorted(values, reverse=True) and values[0] > 10.0 * values[-1]
+    plain = Image.new("RGB", (1920, 1920), (120, 120, 120))
+    noise = np.random.default_rng(0).normal(120.0, 12.0, (1920, 1920, 3)).clip(0, 255).astype(np.uint8)
+    assert sharpness(plain) == 0.0 and sharpness(Image.fromarray(noise)) < 0.15 * 20.0 * 12.0**2
+    assert sharpness(Image.new("RGB", (2, 2))) == 0.0
+
+
+def test_frames_that_are_stored_on_their_side_are_turned(tmp_path: Path) -> None:
+    """As telephones store what was filmed upright: red at the left was filmed at the bottom or the top."""
+    film = filmed(tmp_path / "a.mp4", [scene(0)] * 3)
+    for angle, where in ((90, np.s_[-20:]), (-90, np.s_[:20]), (180, np.s_[:, -20:])):
+        turned = turned_film(film, tmp_path / f"{angle}.mp4", angle)
+        (file,) = ls.extract_frames(turned, tmp_path / f"turned {angle}")
+        red = pixels(file)[where].reshape(-1, 3).mean(axis=0)
+        assert red[0] > 200.0 and red[1] < 60.0, angle
+        assert pixels(file).shape[:2] == (SIZE[::-1] if angle == 180 else SIZE)
+
+
+def turned_film(film: Path, path: Path, angle: int) -> Path:
+    """A copy that says that its frames are to be turned to the left: the matrix in its track header."""
+    cos, sin = round(np.cos(np.deg2rad(angle))), round(np.sin(np.deg2rad(angle)))
+    data = bytearray(film.read_bytes())
+    at = data.index(b"tkhd") + 4 + 40
+    one, deep = 1 << 16, 1 << 30
+    matrix = [cos * one, -sin * one, 0, sin * one, cos * one, 0, 0, 0, deep]
+    data[at : at + 36] = b"".join(value.to_bytes(4, "big", signed=True) for value in matrix)
+    path.write_bytes(data)
+    return path
+
+
+def test_large_frames_are_made_smaller(tmp_path: Path) -> None:
+    """Never larger."""
+    film = filmed(tmp_path / "a.mp4", [scene(0)] * 2)
+    for size, expected in ((48, (48, 32)), (1600, SIZE)):
+        (file,) = ls.extract_frames(film, tmp_path / str(size), size=size)
+        assert pixels(file).shape[1::-1] == expected
+
+
+def test_hdr_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """HLG, as telephones film it by default."""
+    film = filmed(tmp_path / "a.mp4", [scene(0)] * 2, color_trc=18)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        ls.extract_frames(film, tmp_path / "walk")
+    assert "is HDR (HLG)" in caplog.text and caplog.text.count("HDR (") == 1
+
+
+def test_films_that_show_nothing_are_refused(tmp_path: Path) -> None:
+    """Black ones, with the noise of a sensor, and those in which nothing moves; nothing is left behind."""
+    rng = np.random.default_rng(0)
+
+    def noisy(picture: Image.Image, level: float) -> Image.Image:
+        values = np.asarray(picture, np.float64) + rng.normal(0.0, level, (*SIZE[::-1], 3))
+        return Image.fromarray(values.clip(0, 255).astype(np.uint8))
+
+    black, still = Image.new("RGB", SIZE), scene(0)
+    for name, pictures, message in (
+        ("black", [noisy(black, 4.0) for _ in range(12)], "black.mp4: is black throughout"),
+        ("one", [black], "one.mp4: is black throughout"),
+        ("still", [noisy(still, 2.0) for _ in range(12)], "still.mp4: shows the same throughout"),
+    ):
+        with pytest.raises(ls.FormatError, match=message):
+            ls.extract_frames(filmed(tmp_path / f"{name}.mp4", pictures), tmp_path / "walk")
+        assert not list(tmp_path.glob("walk/*"))
+    wide = scene(1).resize((2 * SIZE[0], SIZE[1]))
+    slow = [wide.crop((k // 4, 0, k // 4 + SIZE[0], SIZE[1])) for k in range(12)]
+    assert len(ls.extract_frames(filmed(tmp_path / "slow.mp4", slow), tmp_path / "slow")) == 3, "two pixels in all"
+
+
+def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one line each."""
+    film = filmed(tmp_path / "a.mp4", [scene(0)] * 4)
+    (tmp_path / "text.mp4").write_text("no film")
+    (tmp_path / "cut.mp4").write_bytes(film.read_bytes()[:200])
+    (tmp_path / "there" / "images").mkdir(parents=True)
+    (tmp_path / "file").write_text("")
+    with av.open(str(tmp_path / "sound.mp4"), "w") as container:
+        sound = container.add_stream("aac", rate=48000)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+        frame.sample_rate = 48000
+        container.mux(sound.encode(frame))
+        container.mux(sound.encode())
+    for name, to, error, message in (
+        ("none.mp4", "walk", ls.MissingFileError, "none.mp4"),
+        ("text.mp4", "walk", ls.FormatError, "text.mp4: is no film that can be read"),
+        ("cut.mp4", "walk", ls.FormatError, "cut.mp4: is no film that can be read"),
+        ("sound.mp4", "walk", ls.FormatError, "has no pictures"),
+        ("a.mp4", "there", ls.FormatError, "is there already"),
+        ("a.mp4", "file/walk", ls.FormatError, "cannot be written"),
+    ):
+        with pytest.raises(error, match=message):
+            ls.extract_frames(tmp_path / name, tmp_path / to)
+        assert not list(tmp_path.glob("walk/*"))
+    for every, size in ((0.0, 100), (1.0, 3)):
+        with pytest.raises(ls.ConfigError):
+            ls.extract_frames(film, tmp_path / "walk", every=every, size=size)
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(ls.MissingExtraError, match=r"lumisplat\[video\]"):
+        ls.extract_frames(film, tmp_path / "walk")
