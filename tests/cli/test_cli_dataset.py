@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 
 import numpy as np
@@ -75,8 +76,12 @@ def test_views_go_on_and_are_the_same_by_parts(work, caplog) -> None:
     assert again.status == 0 and len(json.loads(work.path("parts/transforms.json").read_text())["frames"]) == 1
 
 
+@pytest.mark.deep
+@pytest.mark.filterwarnings("ignore")
 def test_a_farm_makes_the_same(work) -> None:
     """By two workers: every file, to the bit, with light and objects; the same command continues."""
+    if importlib.util.find_spec("ray") is None:
+        pytest.skip("Ray is not installed: pip install 'lumisplat[farm]'")
     assert make(work, "whole", "--views", "4").status == 0
     assert make(work, "farm", "--views", "4", "--frames", "2").status == 0
     done = make(work, "farm", "--views", "4", "--workers", "2", farm=True)

@@ -1,167 +1,309 @@
-"""Workers as actors of Ray: they die, and all frames are there; its ports are open to this machine alone."""
+"""Workers as actors of Ray: they die, their driver dies, and all frames are there; nobody else hears of it."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import warp as wp
 
 import lumisplat as ls
-from lumisplat.cli.farm import ray_actors
-from lumisplat.cli.farm.ray_actors import connect
+from lumisplat.cli.farm import cluster
+from lumisplat.cli.farm.cluster import connected
+from lumisplat.cli.farm.driver import Driver
+from lumisplat.cli.farm.failed_frames import FramesMissingError
+from lumisplat.cli.farm.worker import Order
+from lumisplat.cli.options.farm import FarmOptions
 from support.files.cli_files import Workplace
+from support.frame_makers import FakeMaker
+from support.scenes.raster_scenes import one_gaussian, random_gaussians
+from support.scenes.training_scenes import folder_of
 
 needs_ray = pytest.mark.skipif(
     importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install 'lumisplat[farm]'"
 )
 pytestmark = [needs_ray, pytest.mark.filterwarnings("ignore")]
 
-PROGRAM = """
-import os, sys
-from pathlib import Path
-import lumisplat as ls
-from lumisplat.cli.farm.places import FarmRoom
-from lumisplat.cli.farm.run import FarmRun
-from lumisplat.cli.farm.worker import Order
-from support.frame_makers import FakeMaker
+SIZE = ("--width", "24", "--height", "16", "--device", "cpu")
+TWO = ("--workers", "2", "--cores", "1")
+SCENE = """
+[[splats]]
+path = "capture.ply"
 
-maker = FakeMaker(Path("out").absolute(), count=60, wrong={7: "exit", 23: "kill"})
-room = FarmRoom(workers=2, cores=1, device="cpu")
-print(FarmRun(Order(maker, os.getcwd()), "ray", room, lambda *_: None, overwrite=False, video=None).run())
+[[lights]]
+type = "point"
+position = [0.6, 2.0, 0.4]
+intensity = 4.0
+
+[[actors]]
+path = "ball.ply"
+
+[[actors.keyframes]]
+time = 0.0
+position = [-0.5, 0.0, 4.0]
+
+[[actors.keyframes]]
+time = 0.4
+position = [0.5, 0.0, 4.0]
+
+[animation]
+fps = 10.0
+frames = 5
+
+[animation.lighting.shadow_map]
+resolution = 32
+bins = 16
 """
-PORTS = """
-import subprocess
-from lumisplat.cli.farm.ray_actors import connect, load_ray
-print(connect("ray"))
-ray = load_ray()
-ray.get(ray.remote(lambda: 1).remote())
-print(subprocess.run(["ss", "-ltnpH"], capture_output=True, text=True).stdout)
-ray.shutdown()
-"""
 
 
-def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Runs a program in a process of its own, as Ray stays in one for good."""
-    command = [sys.executable, "-c", program]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=os.environ)
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch, ray) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    ls.save(place.path("ball.ply"), random_gaussians(2, count=20))
+    place.path("scene.toml").write_text(SCENE)
+    return place
 
 
-def test_sixty_frames_of_actors_that_die(tmp_path: Path) -> None:
-    """One exits in mid-frame, one is killed: all frames are there, and only what was at hand was begun twice."""
-    done = run(PROGRAM, tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "60 frames by 2 workers in " in done.stdout and "2 workers lost and replaced" in done.stdout
-    assert len(list((tmp_path / "out").glob("frame_*.png"))) == 60
-    begun = sorted(int(path.name.split("_")[0]) for path in (tmp_path / "made").iterdir())
-    assert begun == sorted([*range(60), 7, 23])
-    assert "its ports are open on 127.0.0.1 alone" in done.stderr
+def wait_for(condition: Callable[[], object]) -> None:
+    """Waits until something is so."""
+    while not condition():
+        time.sleep(0.02)
 
 
-def test_ports_of_a_local_cluster(tmp_path: Path) -> None:
-    """What the line says of them is what ``ss`` shows of all of Ray's processes."""
-    done = run(PORTS, tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "its ports are open on 127.0.0.1 alone" in done.stdout
-    of_ray = ("raylet", "gcs_server", "ray::")
-    addresses = [line.split()[3] for line in done.stdout.splitlines() if any(name in line for name in of_ray)]
-    assert addresses
-    assert all(address.startswith(("127.0.0.1:", "[::ffff:127.0.0.1]:", "[::1]:")) for address in addresses)
+def farm(ray: Any, maker: FakeMaker, workers: int = 2) -> str:
+    """Makes frames; the lines that say so."""
+    options = FarmOptions(workers=workers, cores=1)
+    order = Order(maker, os.getcwd())
+    return Driver(ray, order, options, "cpu", lambda *_: None, overwrite=False, video=None).run()
 
 
-@pytest.mark.deep
-def test_frames_are_those_of_one_process(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """To the bit, by the command."""
-    work = Workplace(tmp_path, capsys)
-    options = ("--seconds", "0.3", "--fps", "20", "--width", "24", "--height", "16", "--device", "cpu")
-    assert work.run("orbit", "@capture.ply", "-o", "@whole", *options).status == 0
-    command = [
-        sys.executable,
-        "-m",
-        "lumisplat",
-        "farm",
-        "orbit",
-        str(work.path("capture.ply")),
-        "-o",
-        "farm",
-        *options,
-    ]
-    command += ["--workers", "2", "--address", "ray"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for path in sorted(work.path("whole").glob("*")):
-        assert path.read_bytes() == (work.path("farm") / path.name).read_bytes()
+def expected(count: int) -> dict[str, str]:
+    """The frames that are to be there."""
+    return {f"frame_{index:04d}.png": f"{index}" for index in range(count)}
 
 
-@pytest.mark.deep
-def test_a_cluster_that_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """By Ray's client and as a part of it: the same frames, and the cluster stays; its token is shown."""
-    work = Workplace(tmp_path, capsys)
-    gcs, client = 6399, 9991  # outside of the range of Ray's own ports
-    start = [str(Path(sys.executable).with_name("ray")), "start", "--head", "--block", f"--port={gcs}"]
-    start += [f"--ray-client-server-port={client}", "--include-dashboard=false", "--num-cpus=2"]
-    loopback = os.environ | {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
-    head = subprocess.Popen(start, env=loopback, start_new_session=True, stdout=subprocess.DEVNULL)
-    try:
-        wait_for_port(client)
-        options = ("--seconds", "0.3", "--fps", "20", "--width", "24", "--height", "16", "--device", "cpu")
-        assert work.run("orbit", "@capture.ply", "-o", "@whole", *options).status == 0
-        for folder, address in (("client", f"ray://127.0.0.1:{client}"), ("part", f"127.0.0.1:{gcs}")):
-            command = [sys.executable, "-m", "lumisplat", "farm", "orbit", "capture.ply", "-o", folder, *options]
-            command += ["--workers", "2", "--address", address]
-            done = subprocess.run(command, cwd=tmp_path, env=loopback, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, done.stderr
-            for path in sorted(work.path("whole").glob("*.png")):
-                assert path.read_bytes() == (work.path(folder) / path.name).read_bytes()
-    finally:
-        os.killpg(head.pid, signal.SIGTERM)
-        head.wait()
+def test_frames_of_workers_that_die(ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One is killed, one exits, each in mid-frame: all frames are there, and only what was at hand was begun twice."""
+    maker = FakeMaker(tmp_path / "out", count=12, wrong={2: "kill", 7: "exit"})
+    lines = farm(ray, maker)
+    assert maker.contents == expected(12) and maker.begun == sorted([*range(12), 2, 7])
+    assert lines.endswith("2 workers lost and replaced")
+    assert [line for line in caplog.messages if "its process on 127.0.0.1 has ended" in line and "at frame 2" in line]
+    assert len({path.name.split("_")[1] for path in (tmp_path / "made").iterdir()}) <= 4
 
 
-def wait_for_port(port: int) -> None:
-    """Waits until somebody listens."""
-    for _ in range(300):
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.2)
-    raise AssertionError("nobody listens")
+def test_errors_cross_to_the_driver(ray: Any, tmp_path: Path) -> None:
+    """A missing package and a mistake are said whole, once; an error of ours by its kind, its words and its place."""
+    with pytest.raises(ls.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"):
+        farm(ray, FakeMaker(tmp_path / "a", count=4, wrong={0: "extra", 1: "extra"}))
+    with pytest.raises(ls.SceneError, match="ends in the middle of Gaussian 5"):
+        farm(ray, FakeMaker(tmp_path / "b", count=3, wrong=dict.fromkeys(range(3), "data"), again=True))
+    ours = r"^frame 1: ValueError: shapes differ, in .*frame_makers\.py, line \d+;"
+    with pytest.raises(FramesMissingError, match=ours):
+        farm(ray, FakeMaker(tmp_path / "c", count=4, wrong={1: "bug"}, again=True))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """What a job has left, but times and texts that say how long it took."""
+    told = (".txt", "curve.json", "curve.png", ".toml")
+    found = {str(path.relative_to(folder)): path for path in folder.rglob("[!.]*") if path.is_file()}
+    return {name: path.read_bytes() for name, path in found.items() if not name.endswith(told)}
+
+
+PATH = ("--pipeline", "path", "--lighting", "on", "--samples", "40")
+TRAIN = ("--iterations", "20", "--cap", "100", "--sh-degree", "0", "--prune-below", "0", "--device", "cpu")
 
 
 @pytest.mark.parametrize(
-    ("address", "why"),
+    ("name", "options"),
     [
-        ("127.0.0.1:1", "nobody listens there: "),
-        ("ray://127.0.0.1:1", "nobody listens there: "),
+        ("animate", ("@scene.toml", "-o", "@OUT", *SIZE)),
+        pytest.param("render", ("@capture.ply", "-o", "@OUT/t.png", *SIZE, "--tiles", "2x1"), marks=pytest.mark.deep),
+        pytest.param(
+            "render", ("@capture.ply", "-o", "@OUT/s.exr", *SIZE, *PATH, "--tiles", "samples"), marks=pytest.mark.deep
+        ),
+        ("render", ("@capture.ply", "-o", "@OUT/b.exr", *SIZE, *PATH, "--tiles", "2x1,samples")),
+        pytest.param("dataset", ("@mesh.obj", "-o", "@OUT/set", "--views", "6", *SIZE), marks=pytest.mark.deep),
     ],
 )
-def test_no_cluster_is_said_in_a_line(address: str, why: str) -> None:
-    """Within seconds, where Ray would try for minutes."""
-    with pytest.raises(ls.ConfigError) as raised:
-        connect(address)
-    assert str(raised.value).startswith(f"--address {address}: {why}") and "\n" not in str(raised.value)
+def test_files_are_those_of_one_process(work: Workplace, name: str, options: tuple[str, ...]) -> None:
+    """To the bit, whatever is shared: frames, tiles, samples, samples of tiles, a data set."""
+    alone, farmed = ([option.replace("OUT", folder) for option in options] for folder in ("alone", "farm"))
+    resume = ["--resume"] if name == "render" and "--tiles" not in options else []
+    assert work.run(name, *alone, *resume).status == 0
+    done = work.run("farm", name, *farmed, *TWO)
+    assert done.status == 0 and " by 2 workers in " in done.out, done.err
+    assert files(work.path("farm")) == files(work.path("alone"))
 
 
-def test_a_cluster_that_has_died_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Ray remembers it, and would try for minutes."""
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("orbit", "@lost.ply"), "lost.ply: no such file"),
+        (("orbit", "@capture.ply", "--samples", "0"), "samples is 0, expected"),
+        (("render", "@capture.ply", "--view", "normal"), "--view colours all pictures by the first"),
+    ],
+)
+def test_mistakes_that_workers_find(work: Workplace, monkeypatch, options: tuple[str, ...], message: str) -> None:
+    """One line and status 2; no frame is there."""
+    monkeypatch.chdir(work.folder)
+    done = work.run("farm", *options, "--device", "cpu", *TWO)
+    assert (done.status, done.out) == (2, ""), done.err
+    assert message in done.err and done.err.strip().count("\n") == 0
+    assert not [name for name in work.files() if name.endswith(".png")]
+
+
+def test_trainings_are_those_of_one_process(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the bit; what came of each is printed."""
+    monkeypatch.chdir(work.folder)
+    for name in ("one", "two"):
+        folder_of(work.path(name))
+    assert work.run("train", "@two", "-o", "@two.ply", *TRAIN).status == 0
+    done = work.run("farm", "train", "one", "two", "-o", "captures", *TRAIN, *TWO)
+    assert done.status == 0 and done.out.count("100 Gaussians, 20 of 20 steps") == 2, done.err
+    assert work.path("captures/two.ply").read_bytes() == work.path("two.ply").read_bytes()
+
+
+DRIVER = """
+import os, sys
+from pathlib import Path
+from lumisplat.cli.farm.cluster import connected
+from lumisplat.cli.farm.driver import Driver
+from lumisplat.cli.farm.worker import Order
+from lumisplat.cli.options.farm import FarmOptions
+from support.frame_makers import FakeMaker
+
+maker = FakeMaker(Path(sys.argv[1]), count=200, seconds=0.1)
+try:
+    with connected("local", 2) as ray:
+        options = FarmOptions(workers=2, cores=1)
+        order = Order(maker, os.getcwd())
+        Driver(ray, order, options, "cpu", lambda *_: None, overwrite=False, video=None).run()
+except KeyboardInterrupt as stop:
+    print(*stop.args)
+"""
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.deep)])
+def test_a_driver_that_is_stopped(ray: Any, tmp_path: Path, sent: signal.Signals) -> None:
+    """Ctrl-C says how far it is; killed, too, its workers end, half-made frames leave nothing, and the next goes on."""
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
+    command = [sys.executable, "-c", DRIVER, str(tmp_path / "out")]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    maker = FakeMaker(tmp_path / "out", count=200)
+    driver = subprocess.Popen(command, env=environment, cwd=tmp_path, start_new_session=True, **pipes)
+    wait_for(lambda: len(maker.contents) >= 3 or driver.poll() is not None)
+    os.killpg(driver.pid, sent) if sent == signal.SIGINT else driver.kill()
+    out, err = driver.communicate()
+    workers = {int(path.name.split("_")[1]) for path in (tmp_path / "made").iterdir()}
+    wait_for(lambda: not any(is_running(process) for process in workers))
+    assert 3 <= len(maker.contents) < 200 and not list((tmp_path / "out").glob("[.][0-9]*")), err
+    if sent == signal.SIGINT:
+        assert f"{tmp_path / 'out'} holds " in out and "of 200 frames; the same command continues" in out, err
+        assert "Traceback" not in err and "its ports are open on 127.0.0.1 alone" in err
+    begun = len(maker.begun)
+    there = len(maker.contents)
+    assert f"{there} of them were there" in farm(ray, maker)
+    assert maker.contents == expected(200) and len(maker.begun) - begun == 200 - there
+
+
+def is_running(process: int) -> bool:
+    """Whether a process has not ended."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+@pytest.mark.deep
+def test_nodes_join_and_die(tmp_path: Path) -> None:
+    """Two workers at a time, on three nodes: all frames are there, and at most what was at hand came twice."""
+    environment = os.environ | {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
+    environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+    command = [sys.executable, "-c", NODES]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "60 frames by 2 workers in " in done.stdout and "1 worker lost and replaced" in done.stdout
+    assert FakeMaker(tmp_path / "out").contents == expected(60)
+    assert len(FakeMaker(tmp_path / "out").begun) <= 61
+
+
+NODES = """
+import os
+from pathlib import Path
+from ray.cluster_utils import Cluster
+from lumisplat.cli.farm.cluster import connected
+from lumisplat.cli.farm.driver import Driver
+from lumisplat.cli.farm.worker import Order
+from lumisplat.cli.options.farm import FarmOptions
+from support.frame_makers import FakeMaker
+
+quick = {"health_check_initial_delay_ms": 500, "health_check_period_ms": 500, "health_check_failure_threshold": 3}
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "_system_config": quick})
+maker = FakeMaker(Path("out").absolute(), count=60, seconds=0.2)
+joined = []
+
+def processes():
+    return {path.name.split("_")[1] for path in Path("made").iterdir()} if Path("made").exists() else set()
+
+def watch(*_):
+    # Two workers are wanted, and there is room for one: the other waits for the second node.
+    if not joined and len(maker.contents) >= 5:
+        assert len(processes()) == 1
+        joined.append(cluster.add_node(num_cpus=1))
+    if len(joined) == 1 and len(processes()) == 2 and len(maker.contents) >= 30:
+        cluster.remove_node(joined[0], allow_graceful=False)
+        joined.append(cluster.add_node(num_cpus=1))
+
+options = FarmOptions(workers=2, cores=1, address=cluster.address)
+with connected(cluster.address, 2) as ray:
+    print(Driver(ray, Order(maker, os.getcwd()), options, "cpu", watch, overwrite=False, video=None).run())
+assert len(joined) == 2, "nothing has happened"
+"""
+
+
+def test_a_stranger_s_folder_runs_nothing(work: Workplace) -> None:
+    """Python would look for its own modules there first; and the ports are open to this machine alone."""
+    for name in ("multiprocessing.py", "numpy.py", "sitecustomize.py"):
+        work.path(name).write_text("open('hostile', 'w').close()")
+    ls.save(work.path("one.ply"), one_gaussian())
+    command = [str(Path(sys.executable).with_name("lumisplat")), "farm", "render", "one.ply", "--width", "16"]
+    command += ["--workers", "1", "--device", "cpu", "-o", "frames"]
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONSAFEPATH"}
+    done = subprocess.run(command, cwd=work.folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "its ports are open on 127.0.0.1 alone" in done.stderr, done.stderr
+    assert not work.path("hostile").exists()
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "auto"])
+def test_no_cluster_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, address: str) -> None:
+    """Within seconds, where Ray would try for minutes, also for one that it remembers, and that has died."""
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     (tmp_path / "current").write_text("127.0.0.1:1")
-    monkeypatch.setattr(ray_actors, "_CURRENT", tmp_path / "current")
-    with pytest.raises(ls.ConfigError, match=r"--address auto: nobody listens at 127\.0\.0\.1:1: "):
-        connect("auto")
+    monkeypatch.setattr(cluster, "_CURRENT", tmp_path / "current")
+    monkeypatch.setattr(importlib.import_module("ray"), "is_initialized", lambda: False)
+    with pytest.raises(ls.ConfigError) as raised, connected(address, 1):
+        pass
+    place = "at 127.0.0.1:1" if address == "auto" else "there"
+    assert str(raised.value).startswith(f"--address {address}: nobody listens {place}: ")
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("where", ["", " on Ray Client", " on node 127.0.0.1"])
 def test_another_ray_on_the_other_side_is_said(monkeypatch: pytest.MonkeyPatch, where: str) -> None:
     """An older one refuses us: a line that has both versions. The words are those of Ray 2.60 about a head of 2.40."""
-    ray = importlib.import_module("ray")
+    module = importlib.import_module("ray")
 
     def refused(**_: object) -> None:
         raise RuntimeError(
@@ -169,10 +311,11 @@ def test_another_ray_on_the_other_side_is_said(monkeypatch: pytest.MonkeyPatch, 
             f"This process{where} was started with:\n    Ray: 2.60.0\n    Python: 3.11.7\n"
         )
 
-    monkeypatch.setattr(ray, "init", refused)
-    monkeypatch.setattr(ray_actors, "_check_reachable", lambda address: None)
-    with pytest.raises(ls.ConfigError) as raised:
-        connect("ray://farm:10001")
+    monkeypatch.setattr(module, "init", refused)
+    monkeypatch.setattr(module, "is_initialized", lambda: False)
+    monkeypatch.setattr(cluster, "_check_reachable", lambda address: None)
+    with pytest.raises(ls.ConfigError) as raised, connected("ray://farm:10001", 1):
+        pass
     assert str(raised.value) == (
         "--address ray://farm:10001: the cluster is of Ray 2.40.0 with Python 3.10.1, this process of Ray 2.60.0 with "
         "Python 3.11.7: install the same on both sides"

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-import lumisplat as ls
-from lumisplat.cli.farm.executor import Failed, Refused, Said
-from lumisplat.cli.farm.ray_actors import Answer, end_of_actor
-from lumisplat.cli.output.console import one_line
+from lumisplat.cli.farm.cluster import end_of_actor
 
 
 class RayTaskError(Exception):
@@ -28,7 +25,11 @@ HEAD = "The actor died unexpectedly before finishing this task.\n\tclass_name: R
     [
         (Exception(HEAD + "The actor died because its node has died. Node Id: 69ca"), "its node on 10.0.0.3 has died"),
         (
-            Exception(HEAD + "The actor is dead because its worker process has died. Worker exit type: SYSTEM_ERROR"),
+            Exception(
+                HEAD
+                + "The actor is dead because its worker process has died. Worker exit type: SYSTEM_ERROR Worker exit "
+                "detail: Some common causes include: (1) the process was killed by the OOM killer"
+            ),
             "its process on 10.0.0.3 has ended",
         ),
         (
@@ -46,17 +47,3 @@ HEAD = "The actor died unexpectedly before finishing this task.\n\tclass_name: R
 def test_ends_of_actors(error: Exception, words: str) -> None:
     """In a few words, of what Ray 2.60 says in pages."""
     assert end_of_actor(error) == words
-
-
-def test_errors_say_on_which_machine_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On another one than that of the command; here, the words are those of one process."""
-    monkeypatch.setattr("socket.gethostname", lambda: "desk")
-    error = ls.MissingFileError("garden.ply", "no such file")
-    (said, event) = Answer(["grainy"], Refused(1, error), "node-3").events()
-    assert said == Said(1, "grainy") and isinstance(event, Refused)
-    assert one_line(event.error) == "garden.ply: no such file (on node-3)"
-    (event,) = Answer([], Failed(1, 4, OSError(13, "Permission denied", "walk.exr"), False), "node-3").events()
-    assert isinstance(event, Failed)
-    assert one_line(event.error) == "walk.exr: cannot be read or written: Permission denied (on node-3)"
-    (event,) = Answer([], Refused(1, ls.MissingFileError("garden.ply", "no such file")), "desk").events()
-    assert isinstance(event, Refused) and one_line(event.error) == "garden.ply: no such file"

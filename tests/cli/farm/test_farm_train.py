@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
+import threading
 import time
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 import warp as wp
@@ -18,13 +19,16 @@ from support.scenes.training_scenes import folder_of
 SHORT = ("--iterations", "20", "--cap", "100", "--sh-degree", "0", "--prune-below", "0", "--device", "cpu")
 
 
+pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's
+
+
 @pytest.fixture(autouse=True)
 def _log_level(monkeypatch) -> None:
     """What commands do to Warp's log level is undone."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
 
 
-def test_captures_are_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_captures_are_the_same(ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """By two workers, to the bit; what came of each is printed; the same command finds all there."""
     folders = [str(folder_of(tmp_path / name)) for name in ("one", "two")]
     assert main(["train", folders[1], "-o", str(tmp_path / "two.ply"), *SHORT, "--seed", "5"]) == 0
@@ -40,7 +44,7 @@ def test_captures_are_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "holds frames of other settings or files (seed" in capsys.readouterr().err
 
 
-def test_each_folder_may_have_its_own_settings(tmp_path: Path, capsys, caplog) -> None:
+def test_each_folder_may_have_its_own_settings(ray: Any, tmp_path: Path, capsys, caplog) -> None:
     """As those of train alone, to the bit. Folders may come later; what has changed for one is said."""
     one, two = (str(folder_of(tmp_path / name)) for name in ("one", "two"))
     own = tmp_path / "own.toml"
@@ -58,7 +62,9 @@ def test_each_folder_may_have_its_own_settings(tmp_path: Path, capsys, caplog) -
     assert "holds frames of other settings or files (settings of two" in capsys.readouterr().err
 
 
-def test_trainings_that_end_before_their_time_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trainings_that_end_before_their_time_go_on(
+    ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """--stop-after: a capture that is not finished, and says so; the same command continues, to the same bits."""
     folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "200", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
@@ -74,7 +80,7 @@ def test_trainings_that_end_before_their_time_go_on(tmp_path: Path, capsys: pyte
     assert not (tmp_path / "out/one.unfinished.txt").exists()
 
 
-def test_overwriting_begins_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_overwriting_begins_anew(ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What was there is removed, with its checkpoint, and nothing else; other settings are no mistake then."""
     folder = str(folder_of(tmp_path / "one"))
     command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *SHORT, "--workers", "1"]
@@ -111,24 +117,6 @@ def test_mistakes_of_settings(tmp_path, monkeypatch, capsys, content: str, messa
     assert not (tmp_path / "captures").exists()
 
 
-@pytest.mark.deep
-def test_a_killed_worker_loses_no_training(tmp_path: Path) -> None:
-    """SIGKILL in the middle: another worker goes on from the checkpoint, to the same bits."""
-    folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "600", *SHORT[2:])
-    assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
-    command = [sys.executable, "-m", "lumisplat", "farm", "train", folder, "-o", str(tmp_path / "out"), *long]
-    farm = subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True)
-    while not (tmp_path / "out/one.training").exists():
-        time.sleep(0.05)
-    children = Path(f"/proc/{farm.pid}/task/{farm.pid}/children").read_text().split()
-    workers = [int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-    for pid in workers:
-        os.kill(pid, signal.SIGKILL)
-    _, told = farm.communicate(timeout=600)
-    assert farm.returncode == 0 and "a worker was lost (killed by SIGKILL" in told, told
-    assert (tmp_path / "out/one.ply").read_bytes() == (tmp_path / "alone.ply").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -144,7 +132,31 @@ def test_a_killed_worker_loses_no_training(tmp_path: Path) -> None:
 def test_mistakes(tmp_path, monkeypatch, capsys, options: tuple[str, ...], message: str) -> None:
     """One line and status 2."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "a").mkdir()
     assert main(["farm", "train", *options, "--device", "cpu"]) == 2
     told = capsys.readouterr()
     assert message in told.err and told.err.strip().count("\n") == 0 and told.out == ""
     assert not (tmp_path / "captures").exists()
+
+
+@pytest.mark.deep
+def test_a_killed_worker_loses_no_training(ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """SIGKILL in the middle: another worker goes on from the checkpoint, to the same bits."""
+    folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "600", *SHORT[2:])
+    assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
+
+    def kill() -> None:
+        while not (tmp_path / "out/one.training").exists():
+            time.sleep(0.02)
+        for process in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                if b"ray::Worker.make" in (process / "cmdline").read_bytes():
+                    if (process / "cwd").resolve() == Path.cwd():
+                        os.kill(int(process.name), signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    assert main(["farm", "train", folder, "-o", str(tmp_path / "out"), *long, "--workers", "1"]) == 0
+    killer.join()
+    assert "a worker was lost (" in caplog.text
+    assert (tmp_path / "out/one.ply").read_bytes() == (tmp_path / "alone.ply").read_bytes()

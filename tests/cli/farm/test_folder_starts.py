@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +15,6 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli.output.frame_folder import FrameFolder
 from support.frame_makers import FakeMaker
-from support.processes import driver_of
 
 
 def at_once(tasks: list[Callable[[], None]]) -> list[Exception]:
@@ -105,16 +106,35 @@ def test_without_links_the_last_one_begins(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.deep
-def test_two_farms_that_begin_together(tmp_path: Path) -> None:
+def test_two_processes_that_begin_together(tmp_path: Path) -> None:
     """Of other origins: the frames of one, all of them; the other one has status 2 and a line."""
     for number in range(3):
         folder = tmp_path / f"{number}" / "out"
         folder.parent.mkdir()
-        pipes = {"stderr": subprocess.PIPE, "text": True}
-        farms = [driver_of(folder, 6, 0.05, kind=kind, **pipes) for kind in ("one", "other")]
-        told = [farm.communicate()[1] for farm in farms]
-        statuses = [farm.returncode for farm in farms]
+        environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
+        commands = [[sys.executable, "-c", PROGRAM, str(folder), kind] for kind in ("one", "other")]
+        runs = [subprocess.Popen(each, env=environment, stderr=subprocess.PIPE, text=True) for each in commands]
+        told = [run.communicate()[1] for run in runs]
+        statuses = [run.returncode for run in runs]
         assert sorted(statuses) == [0, 2], told
         assert len(FakeMaker(folder).contents) == 6
         refused = told[statuses.index(2)]
         assert "another run has begun there, which differs in kind" in refused or "settings or files (kind" in refused
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+import lumisplat as ls
+from lumisplat.cli.farm.alone import make_alone
+from support.frame_makers import FakeMaker
+
+nothing = lambda *_: None
+try:
+    job = FakeMaker(Path(sys.argv[1]), count=6, seconds=0.05, kind=sys.argv[2]).open_frames(nothing)
+    make_alone(job, nothing, overwrite=False, video=None, fewer="")
+except ls.LumisplatError as error:
+    print(error, file=sys.stderr)
+    raise SystemExit(getattr(error, "status", 2))
+"""
+"""Makes frames in a process of its own."""

@@ -1,262 +1,350 @@
-"""The driver of a farm: which frames are to be made, in hand, done and failed. It knows nothing of where workers run.
+"""Gives frames to workers on Ray until each is there or has failed.
 
-A worker has two frames in hand, so that it never waits for the driver; once fewer frames wait than there are workers,
-one, so that none waits behind another while a worker is idle. A worker that is lost is replaced, and its frames are
-given out again; only the one that it was at is held against it, and is left after the second time. So is a frame that
-has failed twice. A worker that is at a frame for longer than the limit, if there is one, is ended, and counts as lost.
-Frames that fail one after the other, with none done between them, end the job: then the disk is full,
-or the like.
+Ray places workers, gives each a GPU of its own where there are any, and tells when one has ended. It repeats nothing by
+itself: a worker that is lost is replaced here, and the frame that it was at is tried once more, as is one that has
+failed; after the second time it is left. Failures one after the other, with no frame done between them, end the job:
+then the disk is full, or the like.
 """
 
 from __future__ import annotations
 
 import logging
+import os
+import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
 
 import lumisplat as ls
-from lumisplat.cli.farm.executor import Done, Event, Executor, Failed, Lost, Ready, Refused, Reported, Said
-from lumisplat.cli.farm.job import FrameList
-from lumisplat.cli.output.console import one_line
+from lumisplat.cli.farm.alone import film_lines
+from lumisplat.cli.farm.cluster import LOCAL, connected, end_of_actor, usable_cores
+from lumisplat.cli.farm.job import FrameList, FrameMaker
+from lumisplat.cli.farm.worker import Answer, Order, Worker
+from lumisplat.cli.input.numbers import seconds_of
+from lumisplat.cli.options.farm import FarmOptions
+from lumisplat.cli.output.console import Report, counted, one_line, progress_bars, spoken_time
+from lumisplat.cli.output.standard_output import refuse_standard_output
+from lumisplat.cli.output.video import check_video
 
 _log = logging.getLogger("lumisplat")
 
+CORES = 4
+"""CPU cores of a worker, unless told otherwise."""
 TRIES = 2
 """How often a frame is tried: what kills a worker twice would kill the third."""
-IN_HAND = 2
-"""Frames that a worker has at once: the one that it makes, and the next."""
 FAILURES_IN_A_ROW = 4
 """Failures of frames, none done between them, after which the job ends."""
 STARTS_IN_A_ROW = 2
 """Workers that end before they are ready, none ready between them, after which none is started in their place."""
 _WAIT_S = 1.0
-"""For events, before the driver looks again, seconds."""
+"""For an answer, before workers that are at a frame for too long are looked for, seconds."""
 
 
-@dataclass
-class Tally:
-    """How far a job is."""
-
-    wanted: int = 0
-    """Frames that were missing when it began."""
-    unit: str = "frame"
-    """What one of them is called."""
-    done: dict[int, float] = field(default_factory=dict[int, float])
-    """Frames that are there since, and what each took of a worker, seconds."""
-    failed: dict[int, BaseException] = field(default_factory=dict[int, BaseException])
-    """Frames that are left, and why."""
-    lost: int = 0
-    """Workers that ended before their time."""
+class FarmCommand(FrameMaker, Protocol):
+    """A command whose frames workers make."""
 
     @property
-    def cost(self) -> float:
-        """Mean of what a frame takes of a worker, seconds; 0 if that is not known."""
-        made = [seconds for seconds in self.done.values() if seconds > 0.0]
-        return sum(made) / len(made) if made else 0.0
+    def output(self) -> Path | None:
+        """As of ``-o``."""
+        ...
+
+    @property
+    def device(self) -> str:
+        """As of ``--device``."""
+        ...
+
+    @property
+    def debug(self) -> bool:
+        """As of ``--debug``."""
+        ...
+
+    @property
+    def farm(self) -> FarmOptions:
+        """What makes them."""
+        ...
 
 
-@dataclass(frozen=True)
-class FrameLimit:
-    """How long a worker may be at a frame."""
+def run_farm(command: FarmCommand, *, overwrite: bool, video: Path | None) -> None:
+    """Makes the frames of a command that are missing, by workers, then the video, and prints what there is.
 
-    seconds: float
-    name: str
-    """As it was given, such as ``--frame-timeout 10m``."""
-    clock: Callable[[], float] = time.monotonic
-    """The time, seconds."""
+    Args:
+        command: Whose frames they are.
+        overwrite: Whether to make those that are there anew.
+        video: A video of them; None: none.
+
+    Raises:
+        ConfigError: An option is wrong, or there is no cluster.
+        KeyboardInterrupt: It was interrupted; says how many frames there are.
+        FramesMissingError: Some frames could not be made.
+        LumisplatError: Something is wrong with the settings or the scene.
+    """
+    refuse_standard_output(command.output)
+    options = command.farm
+    if getattr(command, "stats", False):
+        raise ls.ConfigError("--stats is of one process: give it to the command without farm")
+    for name, value in (("workers", options.workers), ("cores", options.cores)):
+        if value is not None and value < 1:
+            raise ls.ConfigError(f"--{name} is {value}, expected 1 or more")
+    if options.frame_timeout is not None:
+        seconds_of("--frame-timeout", options.frame_timeout)
+    order = Order(command, os.getcwd(), command.debug)
+    cpus = max(usable_cores(), (options.workers or 1) * (options.cores or 1))
+    with connected(options.address, cpus) as ray, progress_bars() as report:
+        lines = Driver(ray, order, options, command.device, report, overwrite=overwrite, video=video).run()
+    print(lines)
 
 
 @dataclass
-class _Worker:
-    """A worker that has not ended."""
+class _Task:
+    """What a worker is at."""
 
-    is_ready: bool = False
-    in_hand: deque[int] = field(default_factory=deque[int])
-    """The frames that it was given, in its order: it is at the first."""
-    since: float = 0.0
-    """When it has begun with that one."""
+    worker: Any
+    frame: int | None
+    """None: it loads the scene."""
+    since: float
+    """When it was asked, seconds."""
 
 
+@dataclass
 class Driver:
-    """Gives frames to workers until each is there or has failed.
+    """Makes frames by workers.
 
     Args:
-        executor: Runs the workers.
-        workers: How many there are to be.
-        begin: Called once, with the frames as the first worker sees them; returns the numbers of the missing ones.
-        on_progress: Called after each frame.
-        on_loading: Called with a label and a fraction while workers load their scene.
-        limit: How long a worker may be at a frame; None: as long as it takes.
+        ray: The module, which is connected to a cluster.
+        order: What workers are to do.
+        options: How many there are, and what each has.
+        device: As of ``--device``.
+        report: Shows the progress.
+        overwrite: Whether to make frames that are there anew.
+        video: A video of them; None: none.
+        clock: The time, seconds.
     """
 
-    def __init__(
-        self,
-        executor: Executor,
-        workers: int,
-        begin: Callable[[FrameList], Iterable[int]],
-        on_progress: Callable[[Tally], None],
-        on_loading: Callable[[str, float], None],
-        *,
-        limit: FrameLimit | None = None,
-    ) -> None:
-        self._executor, self._count = executor, workers
-        self._begin, self._on_progress, self._on_loading = begin, on_progress, on_loading
-        self._limit = limit
-        self._workers: dict[int, _Worker] = {}
-        self._waiting: deque[int] = deque()
-        self._tries: dict[int, int] = {}
-        self._failures = self._bad_starts = 0
-        self._surrender: ls.DeviceError | None = None
-        self._said: set[str] = set()
-        self._refusal: BaseException | None = None
-        self._refused: list[BaseException] = []
-        """What no line tells yet: as long as no worker is ready, one of these may be the job's error."""
-        self.frames: FrameList | None = None
-        """The frames as the first worker sees them; None: none was ready yet."""
-        self.tally = Tally()
+    ray: Any
+    order: Order
+    options: FarmOptions
+    device: str
+    report: Report
+    overwrite: bool = field(kw_only=True)
+    video: Path | None = field(kw_only=True)
+    clock: Callable[[], float] = field(default=time.monotonic, kw_only=True)
 
-    def run(self) -> Tally:
-        """Makes the frames.
+    def __post_init__(self) -> None:
+        self._frames: FrameList | None = None
+        """The frames as the first worker sees them; None: none was ready yet."""
+        self._wanted = 0
+        self._waiting: deque[int] = deque()
+        self._tasks: dict[Any, _Task] = {}
+        self._idle: list[Any] = []
+        self._done: dict[int, float] = {}
+        """Frames that are there since, and what each took of a worker, seconds."""
+        self._failed: dict[int, BaseException] = {}
+        self._tries: dict[int, int] = {}
+        self._lost = self._failures = self._bad_starts = 0
+        self._refusals: list[BaseException] = []
+        """Why workers could not start, of which no line has told: if none can, the last one is the job's error."""
+        self._refusal: BaseException | None = None
+        self._said: set[str] = set()
+
+    def run(self) -> str:
+        """Makes the frames that are missing, then the video.
+
+        Returns:
+            What there is now, and what it took, in lines.
 
         Raises:
+            KeyboardInterrupt: It was interrupted; says how many frames there are.
+            FramesMissingError: Some frames could not be made.
             LumisplatError: No worker can work, or the first frame shows a mistake that comes again in all.
-            OSError: Likewise.
-            MemoryError: Likewise.
         """
-        for _ in range(self._count):
-            self._start()
-        while self._workers and not self._is_finished:
-            for event in self._executor.events(_WAIT_S):
-                self._take(event)
-            self._end_hung()
-        nobody = "no worker could be started" if self.frames is None else "all workers were lost"
-        why = self._refusal or ls.DeviceError(nobody)
+        begun = self.clock()
+        count, needs, threads = self._room()
+        actor = self.ray.remote(max_restarts=0, max_task_retries=0, **needs)(Worker)
+        self._make_worker: Callable[[], Any] = lambda: actor.remote(self.order, threads)
+        self._count = count
+        self.report(f"starting {counted(count, 'worker')}", 0.0)
+        try:
+            for _ in range(count):
+                self._start()
+            while self._tasks and not self._is_finished:
+                answered, _ = self.ray.wait(list(self._tasks), num_returns=1, timeout=_WAIT_S)
+                for ref in answered:
+                    self._hear(ref)
+                self._end_hung()
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(*([self._frames.there(self.overwrite)] if self._frames else [])) from None
+        finally:
+            for worker in [*self._idle, *(task.worker for task in self._tasks.values())]:
+                self.ray.kill(worker)
+        return self._lines(begun)
+
+    def _room(self) -> tuple[int, dict[str, float], int]:
+        """Returns how many workers there are, what each needs of the cluster, and its threads.
+
+        One has a GPU to itself where there are any, else its cores. Those that a cluster has no room for wait until
+        nodes join; on one machine, for which none will, they share its GPUs.
+        """
+        here = self.options.address == LOCAL
+        resources = self.ray.cluster_resources()
+        gpus = int(resources.get("GPU", 0)) if self.device in ("auto", "cuda") else 0
+        cpus = int(resources.get("CPU", 1))
+        count = self.options.workers or gpus or max(1, cpus // (self.options.cores or CORES))
+        cores = self.options.cores or max(1, cpus // count if here else min(CORES, cpus // count))
+        share = 1.0 / -(-count // gpus) if gpus and here else 1.0
+        return count, {"num_gpus": share, "num_cpus": 1} if gpus else {"num_cpus": cores}, cores
+
+    def _lines(self, begun: float) -> str:
+        """Returns what there is now, once nothing is left to do; raises what stands against it."""
+        why = self._refusal or ls.DeviceError(
+            "no worker could be started" if self._frames is None else "all workers were lost"
+        )
         self._say_who_refused(told=one_line(why))
-        if self.frames is None:
+        if (frames := self._frames) is None:
             raise why
-        self.tally.failed |= dict.fromkeys(self._waiting, why)
-        return self.tally
+        self._failed |= dict.fromkeys(self._waiting, why)
+        missing = {index: error for index, error in self._failed.items() if not frames.folder.is_finished(index)}
+        for index in self._done:
+            if not frames.folder.is_finished(index) and not frames.folder.is_stopped(index):
+                missing[index] = ls.SceneError(
+                    "it is not there, though a worker has made it: do all see the same folder?"
+                )
+        if missing:
+            raise frames.missing_error(missing, self.overwrite)
+        lines = film_lines(frames, len(self._done), self.video, self.report)
+        if not self._done:
+            return lines
+        lost = f", {counted(self._lost, 'worker')} lost and replaced" if self._lost else ""
+        return (
+            f"{lines}\n{counted(len(self._done), frames.unit)} by {counted(self._count, 'worker')} in "
+            f"{spoken_time(self.clock() - begun)}, {self._cost:.3g} s of a worker each{lost}"
+        )
+
+    @property
+    def _cost(self) -> float:
+        """Mean of what a frame takes of a worker, seconds; 0 if that is not known."""
+        made = [seconds for seconds in self._done.values() if seconds > 0.0]
+        return sum(made) / len(made) if made else 0.0
 
     @property
     def _is_finished(self) -> bool:
-        in_hand = any(worker.in_hand for worker in self._workers.values())
-        return self.frames is not None and not self._waiting and not in_hand
+        at_frames = any(task.frame is not None for task in self._tasks.values())
+        return self._frames is not None and not self._waiting and not at_frames
 
     def _start(self) -> None:
-        self._workers[self._executor.start()] = _Worker()
+        worker = self._make_worker()
+        self._tasks[worker.open.remote()] = _Task(worker, None, self.clock())
 
-    def _take(self, event: Event) -> None:
-        """Takes notice of an event; those of workers that were stopped are old."""
-        if event.worker not in self._workers:
-            return
-        match event:
-            case Ready(number, frames):
-                self._greet(number, frames)
-            case Refused(number, error):
-                self._bad_start(number, error)
-            case Done(number, frame, seconds):
-                self._put_down(number, frame)
-                self._failures = 0
-                self.tally.done[frame] = seconds
-                self._on_progress(self.tally)
-            case Failed(number, frame, error, is_mistake):
-                self._put_down(number, frame)
-                if is_mistake and not self.tally.done:
-                    raise error
-                self._count_failure(frame, error)
-            case Lost(number, how):
-                self._bury(number, how)
-            case Said(_, line):
+    def _hear(self, ref: Any) -> None:
+        """Takes the answer of a worker, or that it is gone."""
+        task = self._tasks.pop(ref)
+        try:
+            answer: Answer = self.ray.get(ref)
+        except self.ray.exceptions.RayError as error:
+            self._bury(task, end_of_actor(error))
+        else:
+            for line in answer.lines:
                 self._say(line)
-            case Reported(_, label, fraction):
-                if self.frames is None:
-                    self._on_loading(label, fraction)
+            if answer.error is not None and answer.host != socket.gethostname():
+                answer.error.add_note(f"on {answer.host}")
+            if task.frame is None:
+                self._opened(task.worker, answer)
+            else:
+                self._made(task.worker, task.frame, answer)
         self._hand_out()
 
-    def _greet(self, number: int, frames: FrameList) -> None:
+    def _opened(self, worker: Any, answer: Answer) -> None:
         """Takes a worker that is ready, if it sees the same frames as the first one."""
-        if self.frames is None:
-            self._waiting = deque(self._begin(frames))
-            self.frames = frames
-            self.tally.wanted, self.tally.unit = len(self._waiting), frames.unit
-            self._on_progress(self.tally)
-            if frames.in_sequence and self._waiting and self._count > 1:
-                raise ls.ConfigError(
-                    "frames of --pipeline realtime follow from those before them: workers cannot share them; render "
-                    "them by --workers 1 or without farm, or choose another --pipeline"
-                )
-        elif frames != self.frames:
-            others = {name for name, value in frames.origin.items() if self.frames.origin.get(name) != value}
-            named = ", ".join(sorted(others | (self.frames.origin.keys() - frames.origin.keys()))[:3]) or "frames"
-            self._bad_start(number, ls.SceneError(f"a worker sees other {named} than the first one, and is not used"))
+        if answer.frames is None:
+            assert answer.error is not None
+            self._refuse(worker, answer.error)
             return
-        self._workers[number].is_ready = True
+        if self._frames is None:
+            self._begin(answer.frames)
+        elif answer.frames != self._frames:
+            ours, theirs = self._frames.origin, answer.frames.origin
+            others = {name for name in ours | theirs if ours.get(name) != theirs.get(name)}
+            named = ", ".join(sorted(others)[:3]) or "frames"
+            self._refuse(worker, ls.SceneError(f"a worker sees other {named} than the first one, and is not used"))
+            return
+        self._idle.append(worker)
         self._bad_starts = 0
         self._say_who_refused()
 
-    def _bad_start(self, number: int, error: BaseException) -> None:
+    def _begin(self, frames: FrameList) -> None:
+        """Makes the folder ready for the frames that the first worker sees."""
+        self.report("starting", 1.0)
+        if self.video is not None:
+            check_video(self.video, frames.fps or 0.0)
+        self._waiting = deque(frames.begin(self.overwrite))
+        self._frames, self._wanted = frames, len(self._waiting)
+        self._show()
+        if frames.in_sequence and self._waiting and self._count > 1:
+            raise ls.ConfigError(
+                "frames of --pipeline realtime follow from those before them: workers cannot share them; render "
+                "them by --workers 1 or without farm, or choose another --pipeline"
+            )
+
+    def _refuse(self, worker: Any, error: BaseException) -> None:
         """Lets a worker go that cannot work; the others go on."""
-        del self._workers[number]
-        self._executor.stop(number)
+        self.ray.kill(worker)
         self._refusal = error
-        self._refused.append(error)
-        if self.frames is not None and self._workers:
+        self._refusals.append(error)
+        if self._frames is not None and (self._idle or self._tasks):
             self._say_who_refused()
 
     def _say_who_refused(self, told: str = "") -> None:
-        """A line for each reason, but for the one that is told as the job's error."""
-        for reason in map(one_line, self._refused):
+        """Logs each reason, but for the one that is told as the job's error."""
+        for reason in map(one_line, self._refusals):
             if reason != told:
                 self._say(f"one worker fewer: {reason}")
-        self._refused.clear()
+        self._refusals.clear()
 
-    def _put_down(self, number: int, frame: int) -> None:
-        """Takes what a worker has done from its hand: it begins with the next."""
-        self._workers[number].in_hand.remove(frame)
-        self._workers[number].since = self._now()
+    def _made(self, worker: Any, frame: int, answer: Answer) -> None:
+        """Takes a frame that is done or has failed; its worker goes on."""
+        self._idle.append(worker)
+        if answer.error is None:
+            self._failures = 0
+            self._done[frame] = answer.seconds
+            self._show()
+        elif answer.is_mistake and not self._done:
+            raise answer.error
+        else:
+            self._count_failure(frame, answer.error)
 
-    def _now(self) -> float:
-        return self._limit.clock() if self._limit is not None else 0.0
-
-    def _end_hung(self) -> None:
-        """Ends workers that are at a frame for too long."""
-        if (limit := self._limit) is None:
-            return
-        for number, worker in list(self._workers.items()):
-            if worker.in_hand and limit.clock() - worker.since > limit.seconds:
-                self._executor.stop(number)
-                how = f"it takes longer than {limit.name}"
-                self._bury(number, f"{how}, and was ended", ls.DeviceError(how))
-                self._hand_out()
-
-    @property
-    def _unit(self) -> str:
-        return "frame" if self.frames is None else self.frames.unit
-
-    def _bury(self, number: int, how: str, error: BaseException | None = None) -> None:
-        """Gives out again what a lost worker had in hand, and starts another in its place.
+    def _bury(self, task: _Task, how: str, error: BaseException | None = None) -> None:
+        """Starts another worker in place of a lost one, and counts the frame that it was at as failed.
 
         Args:
-            number: The worker's.
+            task: What it was at.
             how: What is known of its end.
-            error: Why the frame that it was at is left, if it is; None: for its end.
+            error: Why the frame is left, if it is; None: for the worker's end.
         """
-        worker = self._workers.pop(number)
-        self.tally.lost += 1
-        if not worker.is_ready:
+        self.ray.kill(task.worker)
+        self._lost += 1
+        unit = "frame" if self._frames is None else self._frames.unit
+        _log.warning("a worker was lost (%s)%s", how, "" if task.frame is None else f", at {unit} {task.frame}")
+        if task.frame is None:
             self._bad_starts += 1
             self._refusal = ls.DeviceError(f"a worker ended before it was ready: {how}")
-        rest = worker.in_hand
-        at = rest.popleft() if rest else None
-        self._waiting.extendleft(reversed(rest))
-        doing = f", at {self._unit} {at}" if at is not None else ""
-        _log.warning("a worker was lost (%s)%s", how, doing)
-        if at is not None:
-            self._count_failure(at, error or ls.DeviceError(f"a worker was lost: {how}"))
+        else:
+            self._count_failure(task.frame, error or ls.DeviceError(f"a worker was lost: {how}"))
         if self._bad_starts < STARTS_IN_A_ROW and not self._is_finished:
             self._start()
+
+    def _end_hung(self) -> None:
+        """Ends workers that are at a frame for longer than --frame-timeout."""
+        if (timeout := self.options.frame_timeout) is None:
+            return
+        limit = seconds_of("--frame-timeout", timeout)
+        for ref, task in list(self._tasks.items()):
+            if task.frame is not None and self.clock() - task.since > limit:
+                del self._tasks[ref]
+                how = f"it takes longer than --frame-timeout {timeout}"
+                self._bury(task, f"{how}, and was ended", ls.DeviceError(how))
+        self._hand_out()
 
     def _count_failure(self, frame: int, error: BaseException) -> None:
         """Tries a frame again, later, or leaves it."""
@@ -265,41 +353,42 @@ class Driver:
         if self._tries[frame] < TRIES:
             self._waiting.append(frame)
         else:
-            self.tally.failed[frame] = error
-            self._on_progress(self.tally)
-        if self._failures >= FAILURES_IN_A_ROW:
-            if self._surrender is None:
-                how = f"given up after {FAILURES_IN_A_ROW} failures in a row, the last: {one_line(error)}"
-                self._surrender = ls.DeviceError(how)
-            self.tally.failed |= dict.fromkeys(self._waiting, self._surrender)
+            self._failed[frame] = error
+            self._show()
+        if self._failures >= FAILURES_IN_A_ROW and self._waiting:
+            how = f"given up after {FAILURES_IN_A_ROW} failures in a row, the last: {one_line(error)}"
+            self._failed |= dict.fromkeys(self._waiting, ls.DeviceError(how))
             self._waiting.clear()
 
     def _hand_out(self) -> None:
-        """Gives frames to workers that have room for them, the idle ones first."""
-        ready = [(number, worker) for number, worker in self._workers.items() if worker.is_ready]
-        for depth in range(1, IN_HAND + 1):
-            for number, worker in ready:
-                may_wait = depth == 1 or len(self._waiting) >= len(ready)
-                if len(worker.in_hand) < depth and may_wait and (frame := self._next()) is not None:
-                    worker.since = worker.since if worker.in_hand else self._now()
-                    worker.in_hand.append(frame)
-                    self._executor.submit(number, frame)
+        """Gives a frame to each worker that has none."""
+        while self._idle and (frame := self._next()) is not None:
+            worker = self._idle.pop(0)
+            self._tasks[worker.make.remote(frame)] = _Task(worker, frame, self.clock())
 
     def _next(self) -> int | None:
-        """The first frame that waits, and for no other; those that wait for one that has failed, fail."""
-        assert self.frames is not None
-        if not self.frames.needs:
+        """Returns the first frame that waits, and for no other; those that wait for one that has failed, fail."""
+        if not self._waiting or self._frames is None or not self._frames.needs:
             return self._waiting.popleft() if self._waiting else None
-        undone = {*self._waiting, *(frame for worker in self._workers.values() for frame in worker.in_hand)}
+        undone = {*self._waiting, *(task.frame for task in self._tasks.values())}
         for frame in list(self._waiting):
-            needs = self.frames.needs.get(frame, ())
-            if failed := [need for need in needs if need in self.tally.failed]:
+            needs = self._frames.needs.get(frame, ())
+            if failed := [need for need in needs if need in self._failed]:
                 self._waiting.remove(frame)
-                self.tally.failed[frame] = self.tally.failed[failed[0]]
+                self._failed[frame] = self._failed[failed[0]]
             elif undone.isdisjoint(needs):
                 self._waiting.remove(frame)
                 return frame
         return None
+
+    def _show(self) -> None:
+        """Shows how far it is, and what a frame costs."""
+        if self._wanted == 0 or self._frames is None:
+            return
+        ended = len(self._done) + len(self._failed)
+        cost = f", {self._cost:.3g} s of a worker each" if self._cost else ""
+        failed = f", {len(self._failed)} failed" if self._failed else ""
+        self.report(f"{self._frames.unit}s, {ended} of {self._wanted}{cost}{failed}", ended / self._wanted)
 
     def _say(self, line: str) -> None:
         """Logs a line, once, whichever worker says it."""

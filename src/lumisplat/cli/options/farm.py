@@ -23,9 +23,9 @@ class FarmOptions:
     )
     """How long a worker may be at a frame, as 90s, 10m or 1.5h: one that is at it for longer is ended, as it hangs, and
     the frame is tried once more. The first frame of all may wait for kernels to compile."""
-    address: Annotated[str, arg(metavar="local|auto|ray|ray://HOST:PORT")] = "local"
-    """local: processes of this machine; no Ray is needed. With Ray (pip install 'lumisplat[farm]'), auto: the cluster
-    that this machine belongs to; ray://HOST:10001: one elsewhere; ray: one that is started here for this job."""
+    address: Annotated[str, arg(metavar="local|auto|ray://HOST:PORT")] = "local"
+    """Ray (pip install 'lumisplat[farm]') that runs the workers. local: it is started here for this job; auto: the
+    cluster that this machine belongs to; ray://HOST:10001: one elsewhere."""
 
 
 FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]

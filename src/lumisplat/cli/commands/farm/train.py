@@ -12,9 +12,9 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.commands.farm.capture_folder import CaptureFolder
-from lumisplat.cli.commands.farm.run_farm import run_farm
 from lumisplat.cli.commands.farm.train_settings import TrainSettings
 from lumisplat.cli.commands.photographs.train import Train
+from lumisplat.cli.farm.driver import run_farm
 from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.farm import FarmGroup, FarmOptions
@@ -51,6 +51,9 @@ class FarmTrain(Train):
     def run(self) -> None:
         """Makes the captures that are missing, and prints what came of each."""
         self._trainings()
+        for folder in self.folder:
+            if not folder.is_dir():
+                raise ls.MissingFileError(folder, "no such folder")
         TrainSettings.read(self.settings, self._names()).warn_of_unused()
         run_farm(self, overwrite=self.overwrite, video=None)
         folder = self._folder()
@@ -69,9 +72,6 @@ class FarmTrain(Train):
             LumisplatError: Something is wrong with the options or a folder.
         """
         trainings = self._trainings()
-        for folder in self.folder:
-            if not folder.is_dir():
-                raise ls.MissingFileError(folder, "no such folder")
         self.quiet_warp()
         frames = FrameList(
             folder=self._folder(),

@@ -1,0 +1,174 @@
+"""Starts Ray on this machine, or connects to a cluster of it; what goes wrong there is said in a line."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import logging
+import os
+import re
+import socket
+import sys
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import lumisplat as ls
+
+LOCAL = "local"
+"""The address of a Ray that is started here for one job."""
+_LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""At 0, Ray takes 127.0.0.1 for its node, as it does on Windows and macOS, and its ports are open there alone. Else
+they are open on all interfaces, whatever ``_node_ip_address`` says (measured with ``ss``, Ray 2.60)."""
+_CURRENT = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster")
+"""Where Ray keeps the address of the cluster that was started last on this machine."""
+_CONNECT_S = 10.0
+"""How long an address may take to answer, seconds."""
+_IP = re.compile(r"^\s*ip: (\S+)", re.MULTILINE)
+"""In what Ray says of an actor."""
+_VERSIONS = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
+"""In what Ray says of two sides that differ."""
+_SAID = 300
+"""Characters of what Ray says that are passed on."""
+
+_log = logging.getLogger("lumisplat")
+
+
+@contextlib.contextmanager
+def connected(address: str, cpus: int) -> Generator[Any]:
+    """Connects to a cluster of Ray, or starts one here, and says so in a line; yields the module ``ray``.
+
+    Where the program is connected already, it stays so.
+
+    Args:
+        address: ``local``: one is started here, for as long as the job takes; ``auto``: that which runs here;
+            ``ray://host:port`` or ``host:port``: that one.
+        cpus: CPUs of one that is started here.
+
+    Raises:
+        ConfigError: There is none, or it is of another version.
+        MissingExtraError: Ray is not installed.
+    """
+    if address == LOCAL:
+        os.environ.setdefault(_LOOPBACK, "0")
+    elif _has_token():  # else it is not shown where an address is given, as of Ray 2.60
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
+    ray = _load_ray()
+    if ray.is_initialized():
+        yield ray
+        return
+    _check_reachable(address)
+    options: dict[str, Any] = {"include_dashboard": False, "num_cpus": cpus} if address == LOCAL else {}
+    try:
+        # Ray shows its workers the working folder, where a stranger's capture may bring modules: they see another.
+        with contextlib.chdir(sys.prefix):
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **options)
+    except Exception as error:  # Ray raises whatever its parts do
+        raise ls.ConfigError(f"--address {address}: {_why_not(error)}") from None
+    try:
+        resources = ray.cluster_resources()
+        line = f"Ray {ray.__version__} at {address}: {resources.get('CPU', 0):g} CPUs, {resources.get('GPU', 0):g} GPUs"
+        if address == LOCAL:
+            is_private = ray.util.get_node_ip_address() == "127.0.0.1"
+            line += f"; its ports are open on {'127.0.0.1 alone' if is_private else 'all interfaces'}"
+        _log.warning("%s", line)
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def usable_cores() -> int:
+    """Returns how many CPU cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _load_ray() -> Any:
+    """Imports Ray, without its reports of usage.
+
+    Raises:
+        MissingExtraError: It is not installed.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("PYTHONSAFEPATH", "1")
+    try:
+        return importlib.import_module("ray")
+    except ImportError:
+        what = "lumisplat farm, which runs on Ray (plain commands share frames by --frames and --resume),"
+        raise ls.MissingExtraError(what, "farm") from None
+
+
+def _has_token() -> bool:
+    """Whether there is a token to show to a cluster, where Ray looks for it."""
+    named = os.environ.get("RAY_AUTH_TOKEN_PATH")
+    path = Path(named) if named else Path.home() / ".ray" / "auth_token"
+    return "RAY_AUTH_TOKEN" in os.environ or path.is_file()
+
+
+def _check_reachable(address: str) -> None:
+    """Raises ConfigError if nothing listens at an address: Ray itself would try for minutes.
+
+    A cluster that listens on 127.0.0.1 alone is sought there, where Ray would try another address of this machine.
+    """
+    named = address
+    if address == "auto":  # Ray remembers clusters that have died
+        named = os.environ.get("RAY_ADDRESS", "")
+        with contextlib.suppress(OSError):
+            named = named or _CURRENT.read_text().strip()
+    host, _, port = named.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        place = "there" if named == address else f"at {named}"
+        raise ls.ConfigError(f"--address {address}: nobody listens {place}: {error}") from None
+    if host in ("127.0.0.1", "localhost") and not _listens(_own_address(), int(port)):
+        os.environ.setdefault(_LOOPBACK, "0")
+
+
+def _own_address() -> str:
+    """The address of this machine by which others reach it; no packet is sent to find it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("8.8.8.8", 53))
+        except OSError:  # it has no network
+            return "127.0.0.1"
+        return probe.getsockname()[0]
+
+
+def _listens(host: str, port: int) -> bool:
+    """Whether somebody listens."""
+    try:
+        socket.create_connection((host, port), _CONNECT_S).close()
+    except OSError:
+        return False
+    return True
+
+
+def _why_not(error: BaseException) -> str:
+    """Why a cluster cannot be used, of an error of Ray's."""
+    if "Version mismatch" in str(error) and len(sides := _VERSIONS.findall(str(error))) == 2:
+        there, here = (f"Ray {ray} with Python {python}" for ray, python in sides)
+        return f"the cluster is of {there}, this process of {here}: install the same on both sides"
+    return f"no cluster of Ray can be used there: {_short(error)}"
+
+
+def end_of_actor(error: BaseException) -> str:
+    """How an actor has ended, of an error of Ray's, in a few words."""
+    text, cause = str(error), getattr(error, "cause", None)
+    where = f" on {found[1]}" if (found := _IP.search(text)) else ""
+    if isinstance(cause, BaseException):  # an error of ours that was not caught
+        return f"{type(cause).__name__}: {' '.join(str(cause).split())}"
+    if "creation task" in text:  # the last line of a traceback is the error's
+        return f"it could not start{where}: {text.strip().splitlines()[-1].strip()}"
+    if "node has died" in text or "node was terminated" in text:
+        return f"its node{where} has died"
+    if "OutOfMemory" in type(error).__name__ or "running low on memory" in text:
+        return f"killed by Ray{where} for want of memory"
+    return f"its process{where} has ended" if where else _short(error)
+
+
+def _short(error: BaseException) -> str:
+    """The beginning of what Ray says, which goes on for pages."""
+    words = " ".join(str(error).split()) or type(error).__name__
+    return words if len(words) <= _SAID else f"{words[:_SAID]} ..."

@@ -1,0 +1,20 @@
+"""Ray for the tests of farms."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from lumisplat.cli.farm.cluster import connected
+
+
+@pytest.fixture(scope="session")
+def ray() -> Iterator[Any]:
+    """A cluster on this machine for all tests of a process, whose commands use it: to start it takes seconds."""
+    if importlib.util.find_spec("ray") is None:  # not imported: it reads its settings then
+        pytest.skip("Ray is not installed: pip install 'lumisplat[farm]'")
+    with connected("local", 4) as found:
+        yield found
