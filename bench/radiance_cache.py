@@ -39,6 +39,7 @@ def row(count: int, device: str) -> dict[str, float]:
     buffers = Buffers(launcher.device)
     config = RadianceCacheConfig()
     cache = RadianceCache(launcher, buffers, config)
+    cache.reset()
     clock = time.perf_counter if launcher.is_cuda else time.process_time
     times: dict[str, list[float]] = {}
 

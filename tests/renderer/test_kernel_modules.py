@@ -1,4 +1,4 @@
-"""What a plan says that a frame needs, against the kernels that it launches."""
+"""The kernels that passes name, against those that their frames launch."""
 
 from __future__ import annotations
 
@@ -62,6 +62,10 @@ SCENES = {
     "shadow": scene([], LAMP),
     "no shadow": scene([], ls.LightDirectional((0.2, 0.3, 1.0), casts_shadow=False)),
     "shadow-only": scene([icosphere(0.4)], LAMP, shadow_catcher=True),
+    "lit by a capture": ls.Scene([random_gaussians(3, count=60)], [icosphere(0.4)]),
+    "mesh catcher": ls.Scene(
+        [random_gaussians(3, count=60)], [icosphere(0.2), ls.MeshInstance(ls.box(1.0), shadow_catcher=True)], [LAMP]
+    ),
 }
 SETTINGS: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -79,17 +83,18 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("parallel", [False, True], ids=["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
-def test_a_frame_launches_what_was_loaded(pipeline: ls.Pipeline, parallel: bool) -> None:
-    """Else a kernel would compile in the middle of a frame: on one thread, without progress."""
+def test_the_first_frame_of_a_prepared_renderer_compiles_nothing(pipeline: ls.Pipeline, parallel: bool) -> None:
+    """A kernel that compiled in the middle of a frame would do so on one thread, without progress."""
     for name, content in SCENES.items():
         for kind, settings in SETTINGS.items():
             if pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME) and "lights" in settings.get("aovs", ()):
                 continue  # refused
             launcher = Recorder(parallel)
-            Renderer(ls.RenderConfig(pipeline=pipeline, samples=1, **settings), launcher).render(
-                content, front_camera(16, 16)
-            )
-            assert launcher.launched <= launcher.loaded, f"{name}, {kind}"
+            config = ls.RenderConfig(pipeline=pipeline, samples=1, **settings)
+            renderer = Renderer(config, launcher, scene=content, encode=True)
+            loaded = frozenset(launcher.loaded)
+            renderer.render(content, front_camera(16, 16), encode=True)
+            assert launcher.launched <= loaded, f"{name}, {kind}"
 
 
 def test_captures_alone_load_no_more_than_they_need() -> None:
@@ -126,3 +131,22 @@ def test_meshes_alone_shadow_without_gaussians() -> None:
     names = names_of(ls.Scene((), [icosphere(0.4)], [LAMP]))
     assert "mesh_shadow_kernels" in names
     assert not names & {"shadow_kernel", "gaussian_bvh_kernels"}
+
+
+def test_settings_that_no_frame_can_have_are_refused_before_kernels_compile() -> None:
+    """Kernels of a frame in real time take half a minute to compile."""
+    launcher = Recorder(parallel=False)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, samples=8)
+    with pytest.raises(ls.ConfigError, match="one sample a pixel"):
+        Renderer(config, launcher, scene=SCENES["mesh"])
+    assert not launcher.loaded
+
+
+def test_kernels_are_loaded_once_a_launcher() -> None:
+    """Renderers of one launcher, such as one whose settings change, share them."""
+    reported: list[str] = []
+    launcher = Launcher("cpu", threads=1)
+    Renderer(ls.RenderConfig(), launcher, lambda label, done: reported.append(label))
+    first = len(reported)
+    Renderer(ls.RenderConfig(), launcher, lambda label, done: reported.append(label))
+    assert len(reported) == first > 0

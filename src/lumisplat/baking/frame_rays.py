@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from lumisplat.math.arrays import FloatArray
-from lumisplat.renderer.kernel_modules import frame_modules
 from lumisplat.renderer.ray_profiles import RayProfile
 from lumisplat.renderer.ray_queries import RayHits
 from lumisplat.renderer.renderer import Renderer
@@ -25,5 +24,5 @@ class FrameRays(Renderer):
 
     def _ready(self, scene: Scene) -> FramePlan:
         plan = self._sync_rays(scene)
-        self._load(frame_modules(plan, self._launcher, self.config))
+        self._load(self._modules(plan))
         return plan

@@ -16,7 +16,6 @@ from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.progress import Progress
 from lumisplat.renderer.given_rays import whole_packets
-from lumisplat.renderer.kernel_modules import frame_modules
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
@@ -96,7 +95,7 @@ class GaussianViewer(Renderer):
         # Rays of queries do not find what shadow catchers receive; views do.
         receives = FramePlan.of(self.config, scene).has_receivers
         self._plan, self._far = replace(plan, has_receivers=receives), far
-        self._load([*frame_modules(self._plan, self._launcher, self.config), kernels], progress)
+        self._load([*self._modules(self._plan, bounced=True), kernels], progress)
 
     @property
     def launcher(self) -> Launcher:

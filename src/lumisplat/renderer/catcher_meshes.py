@@ -53,6 +53,13 @@ def catcher_config(config: RenderConfig) -> RenderConfig:
     )
 
 
+def catcher_scenes(scene: Scene) -> list[Scene]:
+    """Returns scenes whose frames need the kernels of those that `with_caught` renders."""
+    added, catchers = _added(scene), tuple(one for one in scene.meshes if one.shadow_catcher)
+    bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
+    return [bare, replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes))]
+
+
 def with_caught(frame: Frame, scene: Scene, render: Render, *, keeps_ratio: bool) -> Frame:
     """The frame of ``without_catcher_meshes`` with what its catcher meshes catch.
 

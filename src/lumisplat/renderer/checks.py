@@ -79,8 +79,8 @@ def check_projection(config: RenderConfig) -> None:
         raise ConfigError("Projection.UNSCENTED does not go with Pipeline.REALTIME: use Pipeline.HYBRID")
 
 
-def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:
-    """Raises ConfigError unless a frame can have the samples that its settings ask for."""
+def check_sampling(config: RenderConfig) -> None:
+    """Raises ConfigError if a pipeline cannot sample pixels as its settings ask for."""
     if config.pipeline.is_sequence:
         given = [name for name in ("samples", "time_limit", "noise", "adaptive") if getattr(config, name) is not None]
         if config.samples == 1:
@@ -89,12 +89,17 @@ def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -
             raise ConfigError(
                 f"Pipeline.REALTIME has one sample a pixel, not {' and '.join(given)}: render more frames instead"
             )
-        if resume is not None:
-            raise ConfigError("a frame of Pipeline.REALTIME cannot be resumed: the renderer's next frame goes on")
     if config.adaptive and not may_adapt(config):
         if not config.pipeline.rasterises:
             raise ConfigError("RenderConfig.adaptive=True needs pixels with draws of their own: not shared_draws")
         raise ConfigError("RenderConfig.adaptive=True needs rays from the camera: Pipeline.PATH or Pipeline.TRACE")
+
+
+def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:
+    """Raises ConfigError unless a frame can have the samples that its settings ask for."""
+    check_sampling(config)
+    if config.pipeline.is_sequence and resume is not None:
+        raise ConfigError("a frame of Pipeline.REALTIME cannot be resumed: the renderer's next frame goes on")
     if "variance" in plan.aovs and plan.samples == 1 and resume is None and not plan.has_history:
         raise ConfigError("aovs has variance, which takes two samples or more: samples is 1")
 

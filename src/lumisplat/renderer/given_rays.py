@@ -15,7 +15,7 @@ from lumisplat.math.arrays import Doubles, FloatArray, host_array
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 RAY_BATCH = 2**20
 """Rays of a query that are on the device at once: some 200 MiB."""
@@ -33,6 +33,11 @@ class GivenRays:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [camera_ray_kernels]
 
     def allocate(self, count: int) -> RayData:
         """Room for so many rays; there are a few sizes instead of one a call."""

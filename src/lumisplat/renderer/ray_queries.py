@@ -19,11 +19,11 @@ from lumisplat.renderer.given_rays import GivenRays, batches
 from lumisplat.renderer.integrators.integrators import Integrators
 from lumisplat.renderer.ray_profiles import RayProfile
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.frame_plan import ON_ALL, FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers, rows_of
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 _log = logging.getLogger("lumisplat")
 
@@ -83,6 +83,10 @@ class RayQueries:
         self._rays = GivenRays(launcher, buffers)
         exact = ShadowConfig(transmittance_min=config.trace.transmittance_min)
         self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
+
+    def transmittance_modules(self) -> list[KernelModule]:
+        """The kernel modules of `transmittance`, but for hierarchies."""
+        return [*self._transmittance.modules(ON_ALL, has_meshes=True), *self._rays.modules()]
 
     def query(
         self,

@@ -24,6 +24,7 @@ from lumisplat.progress import Progress
 from lumisplat.renderer.captured_light import MeshSurroundings, takes_captured_light
 from lumisplat.renderer.catcher_meshes import (
     catcher_config,
+    catcher_scenes,
     has_catcher_meshes,
     numbered_as,
     with_caught,
@@ -36,6 +37,7 @@ from lumisplat.renderer.checks import (
     check_resumable,
     check_resumed_scene,
     check_samples,
+    check_sampling,
     check_scene,
     check_window,
     checked_config,
@@ -43,7 +45,6 @@ from lumisplat.renderer.checks import (
 from lumisplat.renderer.film.film import Film
 from lumisplat.renderer.given_rays import checked_distances, checked_rays
 from lumisplat.renderer.integrators.integrators import Integrators
-from lumisplat.renderer.kernel_modules import frame_modules, picture_modules, transmittance_modules
 from lumisplat.renderer.light.grain_warning import GrainWarning
 from lumisplat.renderer.light.media_warning import MediaWarning
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
@@ -57,7 +58,7 @@ from lumisplat.renderer.ray_queries import RayHits, RayQueries
 from lumisplat.renderer.sample_budget import SampleBudget
 from lumisplat.renderer.scene.camera_table import check_camera, refuse_lens
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.frame_plan import CapturedLight, FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
@@ -80,9 +81,19 @@ class Renderer:
         config: Settings; the defaults draw a capture as it was trained.
         launcher: The device to run on.
         progress: As for ``create_renderer``.
+        scene: Likewise.
+        encode: Likewise.
     """
 
-    def __init__(self, config: RenderConfig, launcher: Launcher, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        config: RenderConfig,
+        launcher: Launcher,
+        progress: Progress | None = None,
+        scene: Scene | None = None,
+        *,
+        encode: bool = False,
+    ) -> None:
         self.config = config
         self._launcher, self._progress = launcher, progress
         self._buffers = buffers = Buffers(launcher.device)
@@ -107,13 +118,62 @@ class Renderer:
         """Of the next frame, where each adds to what those before it have found."""
         self._catchers: Renderer | None = None
         """Finds what meshes that are shadow catchers catch."""
-        self._loaded: set[int] = set()
-        self._load(frame_modules(FramePlan.of(config, Scene()), launcher, config))
+        if scene is None:
+            self._load(self._modules(FramePlan.of(config, Scene())))
+        else:
+            self.prepare(scene, encode=encode)
 
     @property
     def device(self) -> str:
         """Warp name of the device, e.g. ``cpu`` or ``cuda:0``."""
         return self._launcher.device
+
+    def prepare(self, scene: Scene, *, encode: bool = False, progress: Progress | None = None) -> None:
+        """Compiles and loads the kernels that frames of a scene need, so that its first frame compiles nothing.
+
+        Args:
+            scene: What will be drawn; nothing of it is uploaded.
+            encode: As of `render`.
+            progress: Called with a label and the fraction done, 0..1.
+
+        Raises:
+            ConfigError: Such frames are refused, whatever the camera.
+            SceneError: The scene is none.
+        """
+        check_scene(scene)
+        modules: list[KernelModule] = []
+        if has_catcher_meshes(scene):
+            for caught in catcher_scenes(scene):
+                modules += self._catcher_renderer()._modules_of(caught)
+            scene = without_catcher_meshes(scene)
+        plan = FramePlan.of(self.config, scene)
+        check_sampling(self.config)
+        check_aovs(self.config, plan)
+        if plan.rasterises:
+            check_projection(self.config)
+        self._load([*modules, *self._modules_of(scene, encode=encode)], progress)
+
+    def _modules_of(self, scene: Scene, *, encode: bool = False) -> list[KernelModule]:
+        """The kernel modules of frames of a scene; those that take long to compile first."""
+        modules: list[KernelModule] = []
+        if takes_captured_light(self.config, scene):  # or a headlight, if captures do not surround its meshes
+            light = CapturedLight(visible=False, casts_shadow=False)
+            modules += self._modules(FramePlan.of(self.config, replace(scene, lights=(light,))), encodes=encode)
+            modules += self._unlit_raster.modules(has_meshes=False)
+        return [*modules, *self._modules(FramePlan.of(self.config, scene), encodes=encode)]
+
+    def _modules(self, plan: FramePlan, *, bounced: bool = False, encodes: bool = False) -> list[KernelModule]:
+        """The kernel modules of frames of a plan, or of given rays, which surfaces have scattered if ``bounced``."""
+        others = [*self._scene.modules(plan), *self._film.modules(plan, encodes=encodes)]
+        if not plan.is_sampled:
+            return [*self._unlit_raster.modules(has_meshes=plan.has_meshes), *others]
+        if plan.is_unscented:
+            hits = self._unscented.modules(plan)
+        elif plan.rasterises:
+            hits = self._raster.modules(plan)
+        else:
+            hits = self._tracer.modules(plan, bounced=bounced)
+        return [*hits, *self._integrators.of(plan).modules(plan), *self._camera_rays.modules(), *others]
 
     def render(
         self,
@@ -163,12 +223,7 @@ class Renderer:
                 raise ConfigError("a rasterised frame of a distorting lens cannot be resumed: it is resampled")
             return redistorted(self.render(scene, pinhole_of(camera), progress=progress), camera)
         self._check(plan, scene, camera, resume)
-        modules = frame_modules(plan, self._launcher, self.config) + (picture_modules(plan) if encode else [])
-        self._load(modules, progress)
-        self._launcher.stage_ms = {}
-        self._sync(scene, camera, plan)
-        if plan.is_unscented:
-            self._unscented.begin_frame(camera)
+        self._begin(plan, scene, camera, progress, encodes=encode)
         if not plan.is_sampled:
             pixels = self._unlit_raster.draw(self._scene)
             with self._launcher.stage("download"):
@@ -178,10 +233,7 @@ class Renderer:
 
         with self._launcher.stoppable(None if plan.has_history else stop):
             counts, budget = self._sampled(plan, camera.exposure, resume, progress)
-        with self._launcher.stage("download"):
-            images = self._film.images(camera.exposure, self.config, encodes=encode)
-            if "lights" in plan.aovs:
-                images["light_names"] = self._scene.lights.names
+        images = self._images(plan, camera, encodes=encode)
         self._media.warn_of(plan, scene, self._buffers)
         return self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
 
@@ -193,11 +245,15 @@ class Renderer:
         frame = self.render(shown, camera, progress=progress, stop=stop)
         if not frame.has("light"):
             return numbered_as(frame, scene)
-        if self._catchers is None:
-            self._catchers = Renderer(catcher_config(self.config), self._launcher)
-        catchers = self._catchers
+        catchers = self._catcher_renderer()
         caught = with_caught(frame, scene, lambda one: catchers.render(one, camera, stop=stop), keeps_ratio=keeps_ratio)
         return numbered_as(caught, scene)
+
+    def _catcher_renderer(self) -> Renderer:
+        """Finds what meshes that are shadow catchers catch."""
+        if self._catchers is None:
+            self._catchers = Renderer(catcher_config(self.config), self._launcher)
+        return self._catchers
 
     def render_part(self, scene: Scene, camera: Camera, part: SamplePart, *, progress: Progress | None = None) -> Frame:
         """A frame of a part of all samples: of those that it holds, else they are drawn. See ``render_samples``."""
@@ -209,11 +265,7 @@ class Renderer:
         plan = FramePlan.of(self.config, scene)
         check_blocks(self.config, plan, camera)
         self._check(plan, scene, camera, None)
-        self._load(frame_modules(plan, self._launcher, self.config), progress)
-        self._launcher.stage_ms = {}
-        self._sync(scene, camera, plan)
-        if plan.is_unscented:
-            self._unscented.begin_frame(camera)
+        self._begin(plan, scene, camera, progress)
         counts = BinningCounts()
         if part.accumulated:
             self._film.begin(self._scene, plan, part=part)
@@ -221,9 +273,7 @@ class Renderer:
         else:
             plan = replace(plan, samples=part.count)
             counts, _ = self._sampled(plan, camera.exposure, None, progress, part)
-        images = self._film.images(camera.exposure, self.config, encodes=False)
-        if "lights" in plan.aovs:
-            images["light_names"] = self._scene.lights.names
+        images = self._images(plan, camera)
         counts = replace(counts, nonfinite=self._film.nonfinite_count)
         return self._frame(scene, camera, images, counts, samples=part.count)
 
@@ -283,6 +333,24 @@ class Renderer:
         counts = self._binning.counts if plan.rasterises else BinningCounts()
         return replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count), budget
 
+    def _begin(
+        self, plan: FramePlan, scene: Scene, camera: Camera, progress: Progress | None, *, encodes: bool = False
+    ) -> None:
+        """Loads the kernels of a frame, and syncs the scene."""
+        self._load(self._modules(plan, encodes=encodes), progress)
+        self._launcher.stage_ms = {}
+        self._sync(scene, camera, plan)
+        if plan.is_unscented:
+            self._unscented.begin_frame(camera)
+
+    def _images(self, plan: FramePlan, camera: Camera, *, encodes: bool = False) -> dict[str, Any]:
+        """The images on the film."""
+        with self._launcher.stage("download"):
+            images = self._film.images(camera.exposure, self.config, encodes=encodes)
+            if "lights" in plan.aovs:
+                images["light_names"] = self._scene.lights.names
+            return images
+
     def _draw_sample(self, plan: FramePlan, exposure: float, sample: int) -> None:
         """Adds a sample of each pixel to the film."""
         self._scene.begin_sample(sample)
@@ -301,7 +369,7 @@ class Renderer:
         """As the function ``trace_rays``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
         start, along = checked_rays(origins, directions)
         plan = self._sync_rays(scene)
-        self._load(frame_modules(plan, self._launcher, self.config))
+        self._load(self._modules(plan))
         start = self._local(start)
         hits = self._queries.query(self._scene, plan, start, along)
         if not profile:
@@ -313,14 +381,14 @@ class Renderer:
     ) -> PixelProfile:
         """What rays of a camera's pixels meet, as of `RayProfiles.query_pixels`, for ``Pipeline.TRACE``."""
         plan = self._sync_rays(scene, camera)
-        self._load(frame_modules(plan, self._launcher, self.config))
+        self._load(self._modules(plan))
         return self._profiles.query_pixels(self._scene, scene, places, sample, offset)
 
     def focused(self, scene: Scene, camera: Camera, x: int, y: int) -> Camera:
         """As the function ``focused``, if the renderer has ``Pipeline.TRACE`` or ``PATH``; it keeps the hierarchies."""
         start, along = checked_rays(*pixel_ray(camera, x, y))
         plan = self._sync_rays(scene)
-        self._load(frame_modules(plan, self._launcher, self.config))
+        self._load(self._modules(plan))
         (distance,) = self._profiles.surface_distances(self._scene, self._local(start), along)
         return focused_camera(camera, x, y, float(distance))
 
@@ -330,22 +398,22 @@ class Renderer:
         """As the function ``transmittance``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
         start, along = checked_rays(origins, directions)
         distances = checked_distances(max_distance, len(start))
-        self._sync_rays(scene)
-        self._load(transmittance_modules(self._launcher))
+        plan = self._sync_rays(scene)
+        self._load([*self._scene.modules(plan), *self._queries.transmittance_modules()])
         return self._queries.transmittance(self._scene, self._local(start), along, distances)
 
     def leaving_hits(self, scene: Scene, origins: FloatArray, directions: FloatArray, offsets: FloatArray) -> RayHits:
         """What rays see that leave Gaussians, as `trace_rays`; offsets as `RayQueries.query`."""
         plan = self._sync_rays(scene)
-        self._load(frame_modules(plan, self._launcher, self.config))
+        self._load(self._modules(plan, bounced=True))
         return self._queries.query(self._scene, plan, self._local(origins), directions, offsets)
 
     def leaving_transmittance(
         self, scene: Scene, origins: FloatArray, directions: FloatArray, distances: FloatArray, offsets: FloatArray
     ) -> FloatArray:
         """How much light arrives at Gaussians from points so far away, as `transmittance`."""
-        self._sync_rays(scene)
-        self._load(transmittance_modules(self._launcher))
+        plan = self._sync_rays(scene)
+        self._load([*self._scene.modules(plan), *self._queries.transmittance_modules()])
         return self._queries.transmittance(self._scene, self._local(origins), directions, distances, offsets)
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
@@ -420,10 +488,7 @@ class Renderer:
                 return hits
 
     def _load(self, modules: list[KernelModule], progress: Progress | None = None) -> None:
-        missing = [module for module in modules if id(module) not in self._loaded]
-        if missing:
-            self._launcher.load(missing, self._progress or progress)
-            self._loaded |= {id(module) for module in missing}
+        self._launcher.load(modules, self._progress or progress)
 
     def _frame(
         self,
@@ -463,8 +528,10 @@ def create_renderer(
     threads: int | None = None,
     profile: bool = False,
     progress: Progress | None = None,
+    scene: Scene | None = None,
+    encode: bool = False,
 ) -> Renderer:
-    """A renderer whose kernels are compiled and loaded.
+    """Returns a renderer whose kernels are compiled and loaded.
 
     Args:
         config: Settings; None: the defaults.
@@ -473,9 +540,13 @@ def create_renderer(
         profile: Time every stage on CUDA too.
         progress: Called with a label and a fraction 0..1 while kernels compile, which takes seconds once a machine,
             also where a later frame needs further ones.
+        scene: What will be rendered: all kernels of its frames are compiled at once, and none by the first frame. None:
+            those of an empty scene; the first frame compiles the others.
+        encode: Whether frames of the scene will be, as of `Renderer.render`.
 
     Raises:
-        ConfigError: ``threads`` is not positive, or ``config`` is no RenderConfig.
+        ConfigError: ``threads`` is not positive, ``config`` is no RenderConfig, or no frame of the scene can have it.
         DeviceError: There is no such device.
+        SceneError: ``scene`` is no Scene.
     """
-    return Renderer(checked_config(config), Launcher(device, threads, profile), progress)
+    return Renderer(checked_config(config), Launcher(device, threads, profile), progress, scene, encode=encode)

@@ -30,12 +30,6 @@ from lumisplat.renderer.gradients.results import (
     set_gradient,
 )
 from lumisplat.renderer.gradients.splat_backward import PoseSums, SplatBackward
-from lumisplat.renderer.kernel_modules import (
-    feature_modules,
-    gradient_modules,
-    ray_gradient_modules,
-    unscented_gradient_modules,
-)
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.camera_table import check_camera, refuse_window
@@ -44,7 +38,7 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.traced_gradients import GivenGradient, TracedFrame, TracedGradients, check_traced
 from lumisplat.renderer.unscented_gradients import MetFrame, UnscentedGradients
 from lumisplat.runtime.buffers import DeviceArray
-from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance
 
@@ -95,11 +89,12 @@ class DifferentiableRenderer(Renderer):
         """Sets up the backward passes of the settings."""
         self._traces = not self.config.pipeline.rasterises
         self._is_unscented = not self._traces and self.config.raster.projection is Projection.UNSCENTED
-        self._load(self._backward_modules(), self._progress)
         self._backward = SplatBackward(self._launcher, self._buffers)
         self._by_rays = TracedGradients(self._launcher, self._buffers, self.config, self._tracer)
         self._along_rays = UnscentedGradients(self._launcher, self._buffers)
         self._features = FeatureChannels(self._launcher, self._buffers, self._unlit_raster, self._backward)
+        way_back = self._by_rays if self._traces else self._along_rays if self._is_unscented else self._backward
+        self._load(way_back.modules(), self._progress)
         self._shown: tuple[Scene, Camera, DrawnSplats] | None = None
         self._shown_features: ShownFeatures | None = None
         self._traced: TracedFrame | None = None
@@ -161,7 +156,7 @@ class DifferentiableRenderer(Renderer):
         _, camera, drawn = self._last_frame("render_features")
         columns = np.shape(features)[1] if np.ndim(features) == 2 else 1
         values = given_array("features", features, (drawn.splats.count, max(columns, 1)))
-        self._load(feature_modules())
+        self._load(self._features.modules())
         self._shown_features = self._features.show(self._scene, drawn, values)
         return host_values(self._shown_features.of_pixels).reshape(camera.height, camera.width, -1)
 
@@ -249,12 +244,6 @@ class DifferentiableRenderer(Renderer):
 
     def _forget(self) -> None:
         self._shown = self._shown_features = self._traced = self._met = None
-
-    def _backward_modules(self) -> list[KernelModule]:
-        """The kernel modules of the way back."""
-        if self._traces:
-            return ray_gradient_modules()
-        return (unscented_gradient_modules if self._is_unscented else gradient_modules)(self._launcher)
 
     def _given(
         self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None

@@ -28,7 +28,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -83,6 +83,10 @@ class TracedGradients:
         self._buffers, self._tracer = buffers, tracer
         self._backward = RayBackward(launcher, buffers, config)
         self._rays = GivenRays(launcher, buffers)
+
+    def modules(self) -> list[KernelModule]:
+        """The kernel modules."""
+        return self._backward.modules()
 
     def of_frame(
         self, scene: DeviceScene, frame: TracedFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool

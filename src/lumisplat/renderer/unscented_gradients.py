@@ -15,7 +15,7 @@ from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -40,6 +40,10 @@ class UnscentedGradients:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._buffers = buffers
         self._backward = UnscentedBackward(launcher, buffers)
+
+    def modules(self) -> list[KernelModule]:
+        """The kernel modules."""
+        return self._backward.modules()
 
     def of_frame(
         self, scene: DeviceScene, frame: MetFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool

@@ -156,21 +156,26 @@ class Launcher:
         """Asked before each band."""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
+        self._loaded: dict[int, KernelModule] = {}
+        """Modules by their identity, which keeps them."""
         self._banded: set[object] = set()
         """Modules whose kernels have run in bands."""
         if self.is_cuda:
             keep_scratch(self.device)
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
-        """Compiles and loads kernel modules, as many at once as there are threads.
+        """Compiles and loads those of the kernel modules that are not yet, as many at once as there are threads.
 
         Takes seconds at their first use on a machine, which one log line announces, so that nobody waits unknowingly;
         they are then cached on disk. Warp's compilers release the GIL.
         """
+        missing = [module for key, module in {id(one): one for one in modules}.items() if key not in self._loaded]
+        if not missing:
+            return
         label = "loading kernels"
         if progress:
             progress(label, 0.0)
-        jobs = [self._pool.submit(self._load, module) for module in modules]
+        jobs = [self._pool.submit(self._load, module) for module in missing]
         with _joined(jobs):
             loading = wait(jobs, COMPILING_ANNOUNCED_S, FIRST_EXCEPTION).not_done
             if loading:
@@ -181,7 +186,8 @@ class Launcher:
             for done, job in enumerate(as_completed(jobs), start=1):
                 job.result()
                 if progress:
-                    progress(label, done / len(modules))
+                    progress(label, done / len(missing))
+        self._loaded |= {id(module): module for module in missing}
 
     def run(self, kernel: Kernel, count: int, *inputs: object) -> None:
         """Runs ``count`` items of ``kernel`` in one launch."""

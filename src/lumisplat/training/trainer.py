@@ -34,20 +34,11 @@ from lumisplat.device.structs.training import NoiseData, Photograph, SplatRecord
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress
-from lumisplat.renderer.film import traced_pixel_kernels
-from lumisplat.renderer.kernel_modules import (
-    feature_modules,
-    frame_modules,
-    gradient_modules,
-    ray_gradient_modules,
-    unscented_gradient_modules,
-)
-from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.gradients.feature_channels import FeatureChannels
 from lumisplat.runtime.buffers import Buffers, device_array
-from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import Scene
 from lumisplat.training import loss_kernels, optimizer_kernels, weight_kernels
 from lumisplat.training.along_rays.training_rays import TrainingRays
 from lumisplat.training.along_rays.training_unscented import TrainingUnscented
@@ -103,12 +94,11 @@ class Trainer:
         self._launcher = Launcher(device, threads)
         self._buffers = Buffers(self._launcher.device)
         settings = frame_settings(config, background)
-        frames = frame_modules(FramePlan.of(settings, Scene()), self._launcher, settings)
+        self._raster = raster_of(config)(self._launcher, self._buffers, settings)
         own = [optimizer_kernels, loss_kernels, weight_kernels, *([exposure_kernels] if config.exposures else [])]
         if config.makes_flat:
-            own += [surface_kernels, smoothness_kernels, *feature_modules()]
-        self._launcher.load([*frames, *backward_modules(config, self._launcher), *own], progress)
-        self._raster = raster_of(config)(self._launcher, self._buffers, settings)
+            own += [surface_kernels, smoothness_kernels, *FeatureChannels.modules()]
+        self._launcher.load([*self._raster.modules(), *own], progress)
         of_alpha = {"alpha": config.alpha, "entropy": config.mask_entropy}
         self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, **of_alpha)
         self._surfaces = self._surface_loss()
@@ -364,15 +354,6 @@ def raster_of(config: TrainConfig) -> type[TrainingRaster | TrainingRays | Train
     if not config.pipeline.rasterises:
         return TrainingRays
     return TrainingUnscented if config.projection is Projection.UNSCENTED else TrainingRaster
-
-
-def backward_modules(config: TrainConfig, launcher: Launcher) -> list[KernelModule]:
-    """The kernel modules of the derivatives of its frames."""
-    if not config.pipeline.rasterises:
-        return [*ray_gradient_modules(), traced_pixel_kernels]
-    if config.projection is Projection.UNSCENTED:
-        return [*unscented_gradient_modules(launcher), traced_pixel_kernels]
-    return gradient_modules(launcher)
 
 
 def frame_settings(config: TrainConfig, background: tuple[float, float, float]) -> RenderConfig:

@@ -24,7 +24,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.splat_gradients import pose_gradient
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
@@ -55,6 +55,10 @@ class TrainingRaster:
         self._launcher, self._buffers = launcher, buffers
         self.by_splat: DeviceArray
         """Derivatives by the splats of the last frame, ``SplatGradient``; written by ``backward``."""
+
+    def modules(self) -> list[KernelModule]:
+        """The kernel modules of frames and their derivatives."""
+        return [*self._unlit.modules(has_meshes=False), *self._backward.modules()]
 
     def place(self, gaussians: Gaussians, learnt: LearntSplats) -> None:
         """Draws other Gaussians from now on.

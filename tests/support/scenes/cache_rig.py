@@ -62,6 +62,7 @@ class CacheRig:
         settings = {"tiles": 1024, "cell_size": 1 / 16, "bounces": 1024, "history": 32} | settings
         self.config = RadianceCacheConfig(**{"bounce_history": settings["history"]} | settings)
         self.cache = RadianceCache(self.launcher, self.buffers, self.config)
+        self.cache.reset()
 
     def upload(self, name: str, samples: Samples, active: Any = True) -> CacheSamples:
         """Samples on the device."""

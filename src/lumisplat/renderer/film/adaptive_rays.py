@@ -12,7 +12,7 @@ from lumisplat.renderer.film import adaptive_kernels as kernels
 from lumisplat.renderer.film.noise import quantile
 from lumisplat.renderer.trace.camera_rays import ray_count
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 
@@ -27,6 +27,11 @@ class AdaptiveRays:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._size = (0, 0)
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def begin(self, size: tuple[int, int]) -> None:
         """Starts a frame of that width and height: all of its pixels take part in all samples."""

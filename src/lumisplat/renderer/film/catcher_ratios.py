@@ -7,7 +7,7 @@ import warp as wp
 from lumisplat.renderer.film import catcher_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class CatcherRatios:
@@ -20,6 +20,11 @@ class CatcherRatios:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def room(self, count: int) -> DeviceArray:
         """Returns the array of so many ratios, which ``FilmData.ratio`` is."""

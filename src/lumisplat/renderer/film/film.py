@@ -18,7 +18,7 @@ from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
-from lumisplat.renderer.film import film_kernels
+from lumisplat.renderer.film import film_kernels, lit_picture_kernels, picture_kernels
 from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
 from lumisplat.renderer.film.catcher_ratios import CatcherRatios
 from lumisplat.renderer.film.noise import least_luminance, quantile
@@ -31,7 +31,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, rows_of
 from lumisplat.runtime.downloads import Copies
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 RECEIVED = {
     "captured_all": "captured_all",
@@ -62,6 +62,16 @@ class Film:
         self._drawn = 0
         self._adaptive = AdaptiveRays(launcher, buffers)
         self._catchers = CatcherRatios(launcher, buffers)
+
+    def modules(self, plan: FramePlan, *, encodes: bool) -> list[KernelModule]:
+        """The kernel modules of a frame; on CUDA its picture is always encoded."""
+        modules: list[KernelModule] = []
+        if encodes or self._launcher.is_cuda:
+            modules += [lit_picture_kernels if plan.is_lit else picture_kernels]
+        if plan.is_sampled:
+            modules += [film_kernels, *(self._adaptive.modules() if plan.adapts else [])]
+            modules += self._catchers.modules() if has_catchers(plan) else []
+        return modules
 
     def begin(
         self, scene: DeviceScene, plan: FramePlan, resume: Frame | None = None, part: SamplePart | None = None
@@ -360,7 +370,7 @@ class Film:
 
     @property
     def _has_catchers(self) -> bool:
-        return self._plan.has_shadow_only or self._plan.has_receivers
+        return has_catchers(self._plan)
 
     @property
     def _pixel_count(self) -> int:
@@ -385,6 +395,11 @@ class Film:
     @property
     def _sums(self) -> tuple[PixelSums, DeviceArray]:
         return pixel_sums(self._buffers, self._pixel_count, is_lit=self._plan.is_lit)
+
+
+def has_catchers(plan: FramePlan) -> bool:
+    """Whether a frame shows shadow catchers."""
+    return plan.has_shadow_only or plan.has_receivers
 
 
 def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
-from lumisplat.runtime.launcher import Kernel, Launcher
+from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class Antialiasing:
@@ -25,6 +25,11 @@ class Antialiasing:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._has_history = False
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def forget(self) -> None:
         """Drops all that earlier frames have shown."""

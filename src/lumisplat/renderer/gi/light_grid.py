@@ -11,7 +11,7 @@ from lumisplat.renderer.gi import light_grid_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum, sort_pairs
 
 
@@ -25,6 +25,11 @@ class LightGrids:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def is_needed(self, scene: DeviceScene) -> bool:
         """Whether there are more lights than each surface chooses among; if not, grids are without elements."""

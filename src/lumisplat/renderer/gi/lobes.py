@@ -10,7 +10,7 @@ from lumisplat.renderer.gi import lobe_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, device_array, grown_capacity
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 
@@ -25,6 +25,11 @@ class Lobes:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, *, follows: bool) -> None:
         self._launcher, self._buffers, self._follows = launcher, buffers, follows
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def start(self, scene: DeviceScene, wave: RayWave, frame: int) -> tuple[LobeRays, RayData | None]:
         """The rays of a frame, and what they are for; None: there are none. The host waits for their number.

@@ -34,7 +34,7 @@ from lumisplat.device.structs.radiance_cache import (
 from lumisplat.renderer.gi import radiance_cache_kernels as kernels
 from lumisplat.renderer.gi import radiance_cache_tiles_kernels as tile_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, bytes_of, device_array
-from lumisplat.runtime.launcher import Kernel, Launcher
+from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 _log = logging.getLogger("lumisplat")
@@ -82,10 +82,14 @@ class RadianceCache:
         self._grid.bounce_history = float(config.bounce_history)
         self._tiles = _allocated_tiles(buffers, config.tiles)
         self._is_overflow_told = False
-        self.reset()
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels, tile_kernels]
 
     def reset(self) -> None:
-        """Forgets everything: the cache is as a new one."""
+        """Empties the cache; also needed before its first frame."""
         self._launcher.run_banded(tile_kernels.clear_tiles, self._config.tiles, self._tiles)
         self._is_overflow_told = False
 

@@ -17,7 +17,7 @@ from lumisplat.math.directions import harmonics_of_cells, irradiance_beyond
 from lumisplat.renderer.gi import screen_probe_kernels as place_kernels
 from lumisplat.renderer.gi import screen_probe_light_kernels as light_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, sort_pairs
 
 _DEGREE = 2
@@ -49,6 +49,11 @@ class ScreenProbes:
         self._beyond = buffers.upload("probes.beyond", wp.float32, beyond)
         self._size: tuple[int, int] | None = None
         self._has_history = False
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [place_kernels, light_kernels]
 
     def reset(self) -> None:
         """Forgets what probes have seen: the next frame is the first of a sequence."""

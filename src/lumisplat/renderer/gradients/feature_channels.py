@@ -22,7 +22,7 @@ from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.camera_rays import ray_count
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +52,11 @@ class FeatureChannels:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, raster: UnlitRaster, backward: SplatBackward) -> None:
         self._launcher, self._buffers, self._raster, self._backward = launcher, buffers, raster, backward
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def show(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray | DeviceArray) -> ShownFeatures:
         """Sums of features over the splats of each pixel, with the weights of their colours.

@@ -29,7 +29,7 @@ from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, trace_table
 from lumisplat.renderer.trace.packet_ranges import packet_ranges
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array, grown_capacity
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum, sort_pairs
 
 Noun = TypeVar("Noun")
@@ -77,6 +77,11 @@ class RayBackward:
         self._tracer = GaussianTracer(launcher, buffers, config, "backward.trace")
         self._settings = buffers.get("backward.settings", TraceData, 1)
         assign_table(self._settings, trace_table(launcher, config.trace))
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def start_pixels(
         self, size: tuple[int, int], count: int, pixels: PixelData, gradient: PixelGradient

@@ -22,7 +22,7 @@ from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 
@@ -48,6 +48,14 @@ class SplatBackward:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    def modules(self) -> list[KernelModule]:
+        """The kernel modules."""
+        return [
+            splat_backward_kernels,
+            projection_backward_kernels,
+            *([splat_backward_warp_kernels] if self._launcher.is_parallel else []),
+        ]
 
     def splats(
         self,

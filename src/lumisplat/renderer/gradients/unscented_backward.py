@@ -10,13 +10,14 @@ from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, 
 from lumisplat.renderer.gradients import (
     ray_splat_backward_kernels,
     ray_splat_backward_warp_kernels,
+    splat_backward_kernels,
 )
 from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
 from lumisplat.renderer.gradients.splat_backward import starts_of_pairs
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class UnscentedBackward:
@@ -29,6 +30,14 @@ class UnscentedBackward:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    def modules(self) -> list[KernelModule]:
+        """The kernel modules."""
+        return [
+            ray_splat_backward_kernels,
+            splat_backward_kernels,
+            *([ray_splat_backward_warp_kernels] if self._launcher.is_parallel else []),
+        ]
 
     def splats(self, scene: DeviceScene, met: SplatsOnRays, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
         """Derivatives by all Gaussians of a frame, an element of ``RaySplatGradient`` each.

@@ -19,7 +19,7 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, Noun, device_array, grown_capacity
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 
@@ -38,6 +38,13 @@ class PathIntegrator:
         self._surfaces = Surfaces(launcher, buffers)
         self._shadows = ShadowRays(launcher, buffers, config)
         self._layers = PathLayers(buffers)
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame, but for primary hits."""
+        modules = [*self._surfaces.modules(), kernels, *self._tracer.modules(plan, bounced=True)]
+        if plan.casts_shadows:
+            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, part=True)
+        return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """The first wave, with the radiance of its rays.

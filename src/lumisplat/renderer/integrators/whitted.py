@@ -15,7 +15,7 @@ from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.renderer.trace.specular_waves import SpecularWaves
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class WhittedIntegrator:
@@ -33,6 +33,15 @@ class WhittedIntegrator:
         self._surfaces = Surfaces(launcher, buffers)
         self._direct_light = DirectLight(launcher, buffers, config)
         self._specular = SpecularWaves(launcher, buffers)
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame, but for primary hits."""
+        modules = self._surfaces.modules()
+        if plan.is_lit:
+            modules += self._direct_light.modules(plan)
+        if plan.max_bounces:
+            modules += [*self._specular.modules(), *self._tracer.modules(plan, bounced=plan.has_lobes)]
+        return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """The first wave, with the radiance of its rays over all bounces.

@@ -16,7 +16,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.lights import LightEnvironment
 
 
@@ -32,6 +32,15 @@ class DirectLight:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._shadows = ShadowRays(launcher, buffers, config)
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        modules: list[KernelModule] = [unshadowed_light_kernels] if plan.has_unshadowed else []
+        if plan.casts_shadows or "lights" in plan.aovs:
+            modules += [kernels]
+        if plan.casts_shadows:
+            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes)
+        return modules
 
     def begin_sample(self, sample: int) -> None:
         """Prepares the shadow rays of a sample, before its first wave."""

@@ -12,7 +12,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 SHADOW_RAY_FIELDS = ("spawn_point", "spawn_t_min", "geometric_normal", "smooth_height")
 """Fields of interactions that only shadow rays need."""
@@ -44,6 +44,11 @@ class Surfaces:
         self._launcher, self._buffers = launcher, buffers
         self._unentered: DeviceArray
         """Mesh instances that rays have left without having entered them; written where there are media."""
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def shade(
         self,

@@ -13,7 +13,7 @@ from lumisplat.device.structs.raster import ChunkData, TileRect
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster import binning_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 SORT_DIGIT_BITS_MAX = 12
@@ -67,6 +67,11 @@ class Binning(ABC):
         """Counts of the last finished frame."""
         self.growth = 0
         """How often a truncated list was enlarged: captured graphs are stale after a change."""
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     @abstractmethod
     def begin(self) -> None:

@@ -15,7 +15,7 @@ from lumisplat.renderer.raster import mesh_raster_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +41,10 @@ class MeshRaster:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, binning: Binning) -> None:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
+
+    def modules(self, *, has_meshes: bool) -> list[KernelModule]:
+        """The kernel modules of scenes with or without meshes."""
+        return [mesh_pixel_kernels if self._launcher.is_parallel else mesh_tile_kernels, kernels] if has_meshes else []
 
     def draw(self, scene: DeviceScene) -> MeshPixels:
         """Depth, colour and normal of the meshes at each pixel."""

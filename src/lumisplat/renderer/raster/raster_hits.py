@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from lumisplat.config import RasterStrategy, RenderConfig
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, RayData
+from lumisplat.renderer.raster import mean_surface_kernels, relit_splat_kernels
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class RasterHits:
@@ -36,7 +38,16 @@ class RasterHits:
         splats: SplatRaster,
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._is_sorted = config.raster.strategy is RasterStrategy.SORTED
         self._binning, self._meshes, self._splats = binning, meshes, splats
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        counts = self._is_sorted and "hits" in self._config.aovs
+        modules = self._splats.modules(is_sorted=self._is_sorted, counts=counts)
+        modules += [relit_splat_kernels] if self._is_sorted and plan.mixes_sets else []
+        modules += [mean_surface_kernels] if plan.shows_means else []
+        return [*modules, *self._meshes.modules(has_meshes=plan.has_meshes)]
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
         """What the rays of the scene's current sample hit; they count once ``Binning.finish`` says that they are all.
@@ -46,7 +57,6 @@ class RasterHits:
             rays: The rays of its pixels.
         """
         stage = self._launcher.stage
-        is_sorted = self._config.raster.strategy is RasterStrategy.SORTED
         gaussians = self._buffers.struct("raster.gaussians", GaussianHits, len(rays.t_max), EXTRA_FIELDS)
         self._binning.begin()
         with stage("mesh"):
@@ -54,11 +64,11 @@ class RasterHits:
         with stage("project"):
             splats = self._splats.project(scene)
         with stage("sort"):
-            order = self._binning.sort(splats.keys) if is_sorted else self._binning.unsorted(splats.count)
+            order = self._binning.sort(splats.keys) if self._is_sorted else self._binning.unsorted(splats.count)
         with stage("bin"):
             tiles = self._splats.bin(scene, order, splats)
         with stage("composite"):
-            if is_sorted:
+            if self._is_sorted:
                 counts = "hits" in self._config.aovs
                 self._splats.find_hits(scene, tiles, pixels, gaussians, counts=counts)
                 if scene.mixes_sets:

@@ -24,7 +24,7 @@ from lumisplat.renderer.raster import (
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Kernel, Launcher
+from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 from lumisplat.runtime.struct_tables import table_dtype
 
@@ -72,6 +72,13 @@ class SplatRaster:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
         self.settings = buffers.upload("raster.settings", RasterData, raster_table(config))
         """A 1-element ``RasterData`` array."""
+
+    def modules(self, *, is_sorted: bool = True, counts: bool = False) -> list[KernelModule]:
+        """The kernel modules of splats that are blended or sampled, and ``counts`` as of `find_hits`."""
+        by_pixel = splat_block_kernels if is_sorted else splat_pixel_kernels
+        modules: list[KernelModule] = [by_pixel if self._launcher.is_parallel else splat_tile_kernels]
+        modules += [splat_pixel_kernels] if counts and not self._launcher.is_parallel else []
+        return [*modules, splat_raster_kernels, *self._binning.modules()]
 
     def project(self, scene: DeviceScene) -> ProjectedSplats:
         """The splats of all Gaussians of the scene."""

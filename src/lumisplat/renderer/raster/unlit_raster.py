@@ -17,7 +17,7 @@ from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.splat_raster import ProjectedSplats, SplatRaster, SplatTiles
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +58,10 @@ class UnlitRaster:
         self._finds_depth = finds_depth
         self.drawn: DrawnSplats | None = None
         """What the last frame was composited from."""
+
+    def modules(self, *, has_meshes: bool) -> list[KernelModule]:
+        """The kernel modules of scenes with or without meshes."""
+        return [*self._splats.modules(), *self._meshes.modules(has_meshes=has_meshes)]
 
     def draw(self, scene: DeviceScene) -> PixelBuffers[PixelData]:
         """The pixels of a frame.

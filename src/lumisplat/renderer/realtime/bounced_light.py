@@ -22,7 +22,7 @@ from lumisplat.renderer.trace.path_gaussians import Dark
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 
@@ -52,6 +52,18 @@ class BouncedLight:
         self._launcher, self._buffers, self._tracer, self._shadows = launcher, buffers, tracer, shadows
         self._surfaces = Surfaces(launcher, buffers)
         self._grids = LightGrids(launcher, buffers)
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        modules = [
+            kernels,
+            *self._surfaces.modules(),
+            *self._grids.modules(),
+            *self._tracer.modules(plan, bounced=True),
+        ]
+        if plan.casts_shadows:
+            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, part=True)
+        return modules
 
     def find(
         self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str, *, sees_lights: bool = True

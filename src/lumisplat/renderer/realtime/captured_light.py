@@ -15,7 +15,7 @@ from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 _OF_MESHES = SplatShadows(on_reflecting=False, on_shadow_only=False)
 
@@ -36,6 +36,12 @@ class CapturedLights:
     ) -> None:
         self._launcher, self._buffers, self._shadows, self._tracer = launcher, buffers, shadows, tracer
         self._follows_lobes = config.realtime.highlight_rays and config.max_bounces != 0
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        if not plan.keeps_captures:
+            return []
+        return [kernels, *self._shadows.modules(_OF_MESHES, has_meshes=plan.has_meshes)]
 
     def add(
         self,

@@ -9,7 +9,7 @@ from lumisplat.renderer.realtime import gbuffer_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 SPLATS, MESHES = 0, 1
 """The two kinds of surfaces that a pixel may show: slots of its ray's interactions."""
@@ -37,6 +37,11 @@ class GBuffer:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._kinds_before: tuple[int, ...] = ()
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def forget(self) -> None:
         """No surface was there before."""

@@ -16,7 +16,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class IndirectLight:
@@ -41,6 +41,10 @@ class IndirectLight:
         """What surfaces around reflect."""
         self.probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed, self._offset)
         """What sees light from other surfaces."""
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        return [*self._bounced.modules(plan), kernels, *self.probes.modules(), *self.cache.modules()]
 
     def forget(self) -> None:
         """Drops all that earlier frames have found."""

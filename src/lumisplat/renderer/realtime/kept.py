@@ -13,7 +13,7 @@ from lumisplat.renderer.realtime import kept_kernels as kernels
 from lumisplat.renderer.realtime.gbuffer import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 _NOTHING = {"motion": math.nan, "history": 0.0, "cache": 0.0}
 
@@ -28,6 +28,11 @@ class Kept:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def nothing(self, name: str, count: int) -> DeviceArray:
         """The image of a frame that keeps no such thing: 0, NaN for motion, or -1 where there are numbers of things."""

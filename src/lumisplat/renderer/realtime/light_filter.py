@@ -11,7 +11,7 @@ from lumisplat.renderer.realtime import a_trous_filter_kernels, temporal_filter_
 from lumisplat.renderer.realtime.gbuffer import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
-from lumisplat.runtime.launcher import Kernel, Launcher
+from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class LightFilter:
@@ -29,6 +29,11 @@ class LightFilter:
         self._launcher, self._buffers, self._config, self._name = launcher, buffers, config, name
         self._shared = float(shared)
         self._has_history = False
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [temporal_filter_kernels, a_trous_filter_kernels]
 
     def forget(self) -> None:
         """Drops the history."""

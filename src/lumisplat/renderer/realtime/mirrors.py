@@ -22,7 +22,7 @@ from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.renderer.trace.specular_waves import SpecularWaves
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Kernel, Launcher
+from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class Mirrors:
@@ -55,6 +55,18 @@ class Mirrors:
         self._specular = SpecularWaves(launcher, buffers)
         realtime = config.realtime
         self._hidden_width = realtime.cache.cell_size if realtime.antialiasing else 0.0
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        modules: list[KernelModule] = [
+            kernels,
+            *self._tracer.modules(plan),
+            *self._specular.modules(),
+            *self._direct_light.modules(plan),
+        ]
+        if plan.casts_shadows:
+            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, part=True)
+        return modules
 
     def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
         """Adds what they show to the first wave; that alone, linear, one element a ray.

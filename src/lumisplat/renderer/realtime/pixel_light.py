@@ -19,7 +19,7 @@ from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class PixelLights:
@@ -41,6 +41,15 @@ class PixelLights:
         self._grids = LightGrids(launcher, buffers)
         self._direct_light = DirectLight(launcher, buffers, config)
         self._captured = CapturedLights(launcher, buffers, config, shadows, tracer)
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        modules: list[KernelModule] = [kernels, *self._grids.modules(), *self._captured.modules(plan)]
+        if not plan.casts_shadows:
+            return modules
+        if plan.has_shadow_only:
+            modules += self._direct_light.modules(plan)
+        return [*modules, *self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes)]
 
     def sample(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[Surfaces], frame: int

@@ -27,7 +27,7 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 _log = logging.getLogger("lumisplat")
 
@@ -69,9 +69,19 @@ class RealtimeIntegrator:
         self._has_told_size = False
         self._layers: dict[str, DeviceArray] = {}
 
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame, but for primary hits."""
+        modules = [*self._indirect.modules(plan), *self._surfaces.modules(), *self._gbuffer.modules()]
+        modules += [*self._lights.modules(plan), *LightFilter.modules(), *self._lobes.modules()]
+        modules += self._mirrors.modules(plan) if plan.max_bounces > 0 else []
+        modules += self._antialiasing.modules() if plan.jitters else []
+        return [*modules, *self._kept.modules()] if plan.aovs & {*REALTIME_AOVS} else modules
+
     def forget(self) -> None:
-        """Drops all that earlier frames have found."""
+        """Drops all that earlier frames have found, when the next one begins."""
         self._size = None
+
+    def _forget(self) -> None:
         self._gbuffer.forget()
         self._indirect.forget()
         self._antialiasing.forget()
@@ -130,12 +140,13 @@ class RealtimeIntegrator:
 
     def _begin(self, size: tuple[int, int]) -> None:
         """Begins a frame; one of another size than the last is the first of a sequence, which is told once."""
-        if self._size not in (None, size):
-            if not self._has_told_size:
-                before, now = ("{} x {}".format(*pixels) for pixels in (self._size, size))
-                _log.warning("the camera's size has changed from %s to %s: the sequence begins anew", before, now)
-                self._has_told_size = True
-            self.forget()
+        if self._size == size:
+            return
+        if self._size is not None and not self._has_told_size:
+            before, now = ("{} x {}".format(*pixels) for pixels in (self._size, size))
+            _log.warning("the camera's size has changed from %s to %s: the sequence begins anew", before, now)
+            self._has_told_size = True
+        self._forget()
         self._size = size
 
     def _explained(

@@ -24,9 +24,11 @@ from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.renderer.scene.motion import Motion
 from lumisplat.renderer.scene.shading_scene import ShadingTables
 from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
+from lumisplat.renderer.trees.box_tree import HostBoxTree
+from lumisplat.renderer.trees.gaussian_bvh import GaussianBvh
 from lumisplat.renderer.trees.mesh_bvh import MeshBvhScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.local_frame import LocalFrame, rendered_frame
@@ -95,6 +97,13 @@ class DeviceScene:
         self._plan: FramePlan | None = None
         self._synced: object = None
         """`graph_key` of the last frame."""
+
+    @staticmethod
+    def modules(plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules that build hierarchies."""
+        if plan.follows_rays:
+            return [*GaussianBvh.MODULES]
+        return [*HostBoxTree.MODULES] if plan.is_sampled and plan.has_meshes else []
 
     @property
     def mesh_data(self) -> MeshData:

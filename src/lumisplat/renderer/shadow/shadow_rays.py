@@ -13,11 +13,16 @@ from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import ON_ALL, SplatShadows
-from lumisplat.renderer.shadow import gaussian_shadow_kernels, incoherent_shadow_kernels, mesh_shadow_kernels
+from lumisplat.renderer.shadow import (
+    gaussian_shadow_kernels,
+    incoherent_shadow_kernels,
+    mesh_shadow_kernels,
+    stochastic_bvh_kernels,
+)
 from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
-from lumisplat.renderer.trees.ray_order import ray_order
+from lumisplat.renderer.trees.ray_order import RAY_ORDER_MODULES, ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
 
@@ -40,6 +45,17 @@ class ShadowRays:
         self._table = shadow_table(config)
         self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
         assign_table(self._settings, self._table)
+
+    def modules(self, of_splats: SplatShadows, *, has_meshes: bool, part: bool = False) -> list[KernelModule]:
+        """The kernel modules of rays; arguments as of `trace`."""
+        modules: list[KernelModule] = [mesh_shadow_kernels] if has_meshes else []
+        if not of_splats.exist:
+            return modules
+        if self._draws == DRAWS_SHARED:
+            modules += [stochastic_bvh_kernels]
+        if self._traces_one_by_one(part=part):
+            return [incoherent_shadow_kernels, *RAY_ORDER_MODULES, *modules]
+        return [shadow_kernel_of(self._launcher, self._config).module, *modules]
 
     def begin_sample(self, sample: int) -> None:
         """Before the rays of a sample: stochastic shadows are drawn anew for each."""
@@ -88,7 +104,7 @@ class ShadowRays:
         ):
             bvh.assets = assets
         bands = RAY_BANDS_PER_THREAD * self._launcher.threads
-        if part and self._config.shadow_rays.method is not ShadowMethod.FIRST_HITS:
+        if self._traces_one_by_one(part=part):
             order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
             kernel = incoherent_shadow_kernels.shadow_ray_by_ray
             run(kernel, count, *(order, self._settings, bvh, rays, limits, skips, light), bands=bands)
@@ -96,6 +112,10 @@ class ShadowRays:
         kernel = shadow_kernel_of(self._launcher, self._config, stack=scene.bvh.stack)
         run(kernel, count // self._lanes, *(self._settings, bvh, rays, limits, skips, light), bands=bands)
         return light
+
+    def _traces_one_by_one(self, *, part: bool) -> bool:
+        """Whether each ray goes through Gaussians alone."""
+        return part and self._config.shadow_rays.method is not ShadowMethod.FIRST_HITS
 
     def _past_meshes(
         self,

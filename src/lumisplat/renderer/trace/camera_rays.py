@@ -8,7 +8,7 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels as kernels
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class CameraRays:
@@ -21,6 +21,11 @@ class CameraRays:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def start(self, scene: DeviceScene, listed: ListedRays | None = None, *, of_splats: bool = False) -> RayData:
         """The rays of the scene's current sample, in square blocks of pixels.

@@ -22,9 +22,9 @@ from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHit
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels, stochastic_hit_kernels
-from lumisplat.renderer.trees.ray_order import ray_order
+from lumisplat.renderer.trees.ray_order import RAY_ORDER_MODULES, ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
 _STRATEGIES = {
@@ -57,6 +57,11 @@ class GaussianTracer:
         table["offset"] = config.shadow_rays.offset
         table["offset_absolute"] = config.shadow_rays.offset_absolute
         assign_table(self._settings_bounced, table)
+
+    def modules(self, *, bounced: bool) -> list[KernelModule]:
+        """The kernel modules of rays; ``bounced`` as of `find`."""
+        by_ray = [stochastic_hit_kernels, *RAY_ORDER_MODULES] if bounced and self._is_stochastic_hit else []
+        return [self._kernels[TRAVERSE_STACK_SMALL].module, *by_ray]
 
     def find(
         self,

@@ -7,7 +7,7 @@ from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import mesh_trace_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class MeshTracer:
@@ -20,6 +20,11 @@ class MeshTracer:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules(*, has_meshes: bool) -> list[KernelModule]:
+        """The kernel modules of scenes with or without meshes."""
+        return [kernels] if has_meshes else []
 
     def find(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> MeshHits:
         """The nearest triangle between each ray's ``t_min`` and ``t_max``.

@@ -12,10 +12,11 @@ from lumisplat.constants.realtime import EMITTER_OPAQUE
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace import path_gaussians_kernels as kernels
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class Dark(NamedTuple):
@@ -44,6 +45,15 @@ class PathGaussians:
         ended = _with(config, TraceStrategy.SORTED)
         ended = replace(ended, trace=replace(ended.trace, transmittance_min=EMITTER_OPAQUE))
         self._emitted = GaussianTracer(launcher, buffers, ended, "trace.emitted")
+
+    def modules(self, plan: FramePlan, *, bounced: bool) -> list[KernelModule]:
+        """The kernel modules of a frame; of rays that surfaces have scattered, too, if they are ``bounced``."""
+        if not plan.traces_paths:
+            return self._blended.modules(bounced=bounced)
+        modules = self._blended.modules(bounced=bounced)
+        if plan.relights or not plan.keeps_captures:
+            modules += self._met.modules(bounced=True)
+        return [*modules, kernels] if plan.keeps_captures else modules
 
     def find(
         self,

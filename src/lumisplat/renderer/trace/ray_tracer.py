@@ -7,12 +7,13 @@ import warp as wp
 from lumisplat.config import RenderConfig
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
 from lumisplat.renderer.trace.path_gaussians import Dark, PathGaussians
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class RayTracer:
@@ -29,6 +30,13 @@ class RayTracer:
         self._meshes = MeshTracer(launcher, buffers)
         traces_paths = config.pipeline.bounces_light and config.lighting is not False
         self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
+
+    def modules(self, plan: FramePlan, *, bounced: bool = False) -> list[KernelModule]:
+        """The kernel modules of a frame; of rays that surfaces have scattered, too, if they are ``bounced``."""
+        meshes = self._meshes.modules(has_meshes=plan.has_meshes)
+        if isinstance(self._gaussians, PathGaussians):
+            return [*self._gaussians.modules(plan, bounced=bounced), *meshes]
+        return [*self._gaussians.modules(bounced=bounced), *meshes]
 
     def find_hits(
         self,

@@ -16,7 +16,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace import specular_wave_kernels as kernels
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.runtime.buffers import Buffers, device_array, grown_capacity
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 
@@ -30,6 +30,11 @@ class SpecularWaves:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
 
     def number(self, wave: RayWave) -> None:
         """Numbers the branches of a wave: they are the rays of the next one."""

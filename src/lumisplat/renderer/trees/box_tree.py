@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,7 @@ from lumisplat.device.structs.bvh import Box, ChildLinks, Node
 from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.trees import box_tree_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.editing.morton import morton_codes
@@ -63,6 +64,9 @@ class BoxTree:
 
     nodes: DeviceArray
     """The roots first."""
+
+    MODULES: ClassVar[tuple[KernelModule, ...]] = (kernels,)
+    """The kernel modules."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher

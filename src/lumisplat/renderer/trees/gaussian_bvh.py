@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import warp as wp
 
@@ -14,7 +16,7 @@ from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.renderer.trees import gaussian_bvh_kernels as kernels
 from lumisplat.renderer.trees.box_tree import BoxTree, Split
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, sort_pairs
 
 MORTON_CELLS = 1024.0
@@ -29,6 +31,9 @@ class GaussianBvh(BoxTree):
         gaussians: The set on the device.
         kernel: How its Gaussians respond, on which their bounds depend.
     """
+
+    MODULES: ClassVar[tuple[KernelModule, ...]] = (kernels, *BoxTree.MODULES)
+    """The kernel modules."""
 
     def __init__(self, launcher: Launcher, gaussians: GaussianData, kernel: KernelData) -> None:
         super().__init__(launcher)

@@ -10,7 +10,7 @@ import warp as wp
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.trees import ray_order_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import sort_pairs
 
 _CELLS = 8.0
@@ -18,6 +18,9 @@ _CELLS = 8.0
 
 _LAST = 8 * 16**3
 """Greater than the keys of all rays."""
+
+RAY_ORDER_MODULES: tuple[KernelModule, ...] = (kernels,)
+"""The kernel modules of `ray_order`."""
 
 
 def ray_order(launcher: Launcher, buffers: Buffers, rays: RayData, extent: float) -> DeviceArray:

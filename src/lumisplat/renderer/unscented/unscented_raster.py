@@ -16,11 +16,12 @@ from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.splat_raster import ProjectedSplats, SplatTiles
 from lumisplat.renderer.scene.camera_table import image_field
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.unscented import ray_splat_kernels, ray_splat_pixel_kernels, ray_splat_tile_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 
@@ -58,6 +59,12 @@ class UnscentedRaster:
         self.met: SplatsOnRays | None = None
         """What the last frame's rays have met."""
 
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        blended = ray_splat_pixel_kernels if self._is_by_pixel(mixes_sets=plan.mixes_sets) else ray_splat_tile_kernels
+        meshes = self._meshes.modules(has_meshes=plan.has_meshes)
+        return [ray_splat_kernels, blended, *self._binning.modules(), *meshes]
+
     def begin_frame(self, camera: Camera) -> None:
         """Takes note of a frame's camera."""
         self._table["field"] = image_field(camera)
@@ -88,6 +95,10 @@ class UnscentedRaster:
         self.met = SplatsOnRays(splats, tiles, centers or rays, meshes.t, hits, self._settings)
         return PrimaryHits(rays, meshes, hits)
 
+    def _is_by_pixel(self, *, mixes_sets: bool) -> bool:
+        """Whether an item composites a pixel; the kernel of tiles neither counts nor tells sets apart."""
+        return self._launcher.is_parallel or mixes_sets or "hits" in self._config.aovs
+
     def _project(self, scene: DeviceScene) -> ProjectedSplats:
         count = scene.gaussian_count
         splats = ProjectedSplats(
@@ -109,9 +120,8 @@ class UnscentedRaster:
         hits = self._buffers.struct("unscented.hits", GaussianHits, len(rays.t_max), fields)
         lists = (tiles.splats, tiles.starts, tiles.items)
         inputs = (scene.splat_camera, self._settings, scene.splat_instances, *lists, rays, limits, hits)
-        by_pixel = self._launcher.is_parallel or scene.mixes_sets or "hits" in self._config.aovs
         count, bands = math.prod(scene.tile_grid), TILE_BANDS_PER_THREAD * self._launcher.threads
-        if by_pixel:
+        if self._is_by_pixel(mixes_sets=scene.mixes_sets):
             kernel, count = ray_splat_pixel_kernels.composite_pixels, count * TILE_PX * TILE_PX
         else:
             kernel = ray_splat_tile_kernels.composite_tiles

@@ -24,7 +24,7 @@ from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
@@ -48,6 +48,12 @@ class TrainingRays:
         self._backward = RayBackward(launcher, buffers, config)
         self._hits: PrimaryHits
         self._sums: RaySums
+
+    def modules(self) -> list[KernelModule]:
+        """As of `TrainingRaster`."""
+        plan = FramePlan.of(self._config, Scene())
+        modules = [*self._tracer.modules(plan), *self._rays.modules(), *self._scene.modules(plan)]
+        return [*modules, traced_pixel_kernels, *self._backward.modules()]
 
     def place(self, gaussians: Gaussians, learnt: LearntSplats) -> None:
         """As of `TrainingRaster`."""

@@ -23,7 +23,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays, UnscentedRaster
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
@@ -46,6 +46,11 @@ class TrainingUnscented:
         self._rays = CameraRays(launcher, buffers)
         self._raster = UnscentedRaster(launcher, buffers, config, self._binning)
         self._backward = UnscentedBackward(launcher, buffers)
+
+    def modules(self) -> list[KernelModule]:
+        """As of `TrainingRaster`."""
+        modules = self._raster.modules(FramePlan.of(self._config, Scene()))
+        return [*modules, *self._rays.modules(), traced_pixel_kernels, *self._backward.modules()]
 
     def place(self, gaussians: Gaussians, learnt: LearntSplats) -> None:
         """As of `TrainingRaster`."""

@@ -11,13 +11,10 @@ from lumisplat.config.checks import Color
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.progress import Progress
-from lumisplat.renderer.kernel_modules import frame_modules, gradient_modules
-from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import Scene
 from lumisplat.training import loss_kernels, optimizer_kernels
 from lumisplat.training.learnt import Learnt, LearntOnDevice
 from lumisplat.training.trainer import frame_settings
@@ -51,10 +48,9 @@ class ColoredGaussians:
     ) -> None:
         flat = TrainConfig(sh_degree=0, antialiased=gaussians.antialiased, cap=gaussians.count)
         settings = frame_settings(flat, background)
-        frames = frame_modules(FramePlan.of(settings, Scene()), launcher, settings)
         own = (optimizer_kernels, loss_kernels, *kernels)
-        launcher.load([*frames, *gradient_modules(launcher), *own], progress)
         self._raster = TrainingRaster(launcher, buffers, settings)
+        launcher.load([*self._raster.modules(), *own], progress)
         self._drawn = LearntOnDevice(buffers)
         learnt = _unlit(gaussians)
         self._drawn.upload(learnt)
