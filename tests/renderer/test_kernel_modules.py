@@ -91,7 +91,8 @@ def test_the_first_frame_of_a_prepared_renderer_compiles_nothing(pipeline: ls.Pi
                 continue  # refused
             launcher = Recorder(parallel)
             config = ls.RenderConfig(pipeline=pipeline, samples=1, **settings)
-            renderer = Renderer(config, launcher, scene=content, encode=True)
+            renderer = Renderer(config, launcher, compiles=False)
+            renderer.prepare(content, encode=True)
             loaded = frozenset(launcher.loaded)
             renderer.render(content, front_camera(16, 16), encode=True)
             assert launcher.launched <= loaded, f"{name}, {kind}"
@@ -136,9 +137,8 @@ def test_meshes_alone_shadow_without_gaussians() -> None:
 def test_settings_that_no_frame_can_have_are_refused_before_kernels_compile() -> None:
     """Kernels of a frame in real time take half a minute to compile."""
     launcher = Recorder(parallel=False)
-    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, samples=8)
     with pytest.raises(ls.ConfigError, match="one sample a pixel"):
-        Renderer(config, launcher, scene=SCENES["mesh"])
+        Renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, samples=8), launcher)
     assert not launcher.loaded
 
 

@@ -81,8 +81,7 @@ class Renderer:
         config: Settings; the defaults draw a capture as it was trained.
         launcher: The device to run on.
         progress: As for ``create_renderer``.
-        scene: Likewise.
-        encode: Likewise.
+        compiles: Likewise.
     """
 
     def __init__(
@@ -90,10 +89,10 @@ class Renderer:
         config: RenderConfig,
         launcher: Launcher,
         progress: Progress | None = None,
-        scene: Scene | None = None,
         *,
-        encode: bool = False,
+        compiles: bool = True,
     ) -> None:
+        check_sampling(config)
         self.config = config
         self._launcher, self._progress = launcher, progress
         self._buffers = buffers = Buffers(launcher.device)
@@ -118,10 +117,8 @@ class Renderer:
         """Of the next frame, where each adds to what those before it have found."""
         self._catchers: Renderer | None = None
         """Finds what meshes that are shadow catchers catch."""
-        if scene is None:
+        if compiles:
             self._load(self._modules(FramePlan.of(config, Scene())))
-        else:
-            self.prepare(scene, encode=encode)
 
     @property
     def device(self) -> str:
@@ -147,7 +144,6 @@ class Renderer:
                 modules += self._catcher_renderer()._modules_of(caught)
             scene = without_catcher_meshes(scene)
         plan = FramePlan.of(self.config, scene)
-        check_sampling(self.config)
         check_aovs(self.config, plan)
         if plan.rasterises:
             check_projection(self.config)
@@ -252,7 +248,7 @@ class Renderer:
     def _catcher_renderer(self) -> Renderer:
         """Finds what meshes that are shadow catchers catch."""
         if self._catchers is None:
-            self._catchers = Renderer(catcher_config(self.config), self._launcher)
+            self._catchers = Renderer(catcher_config(self.config), self._launcher, compiles=False)
         return self._catchers
 
     def render_part(self, scene: Scene, camera: Camera, part: SamplePart, *, progress: Progress | None = None) -> Frame:
@@ -290,7 +286,7 @@ class Renderer:
             ConfigError: ``config`` is no RenderConfig; the renderer is as before.
             DeviceError: The device is out of memory; the renderer is as before.
         """
-        other = Renderer(checked_config(config), self._launcher, self._progress)
+        other = Renderer(checked_config(config), self._launcher, self._progress, compiles=False)
         other._scene.take_assets(self._scene)
         other._warnings, other._grain, other._media = self._warnings, self._grain, self._media  # each warns once
         self._launcher.drop_graphs()
@@ -450,7 +446,7 @@ class Renderer:
         launcher = Launcher(self.device, self._launcher.threads, parallel=self._launcher.is_parallel)
         raster = replace(self.config.raster, strategy=RasterStrategy.SORTED, projection=Projection.EWA)
         config = RenderConfig(background=None, lighting=False, raster=raster, response=self.config.response)
-        return Renderer(config, launcher).render
+        return Renderer(config, launcher, compiles=False).render
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:
         """Refuses what cannot be drawn, and logs what is drawn differently."""
@@ -530,6 +526,7 @@ def create_renderer(
     progress: Progress | None = None,
     scene: Scene | None = None,
     encode: bool = False,
+    compiles: bool = True,
 ) -> Renderer:
     """Returns a renderer whose kernels are compiled and loaded.
 
@@ -542,11 +539,16 @@ def create_renderer(
             also where a later frame needs further ones.
         scene: What will be rendered: all kernels of its frames are compiled at once, and none by the first frame. None:
             those of an empty scene; the first frame compiles the others.
-        encode: Whether frames of the scene will be, as of `Renderer.render`.
+        encode: Whether frames of the scene will be encoded, as of `Renderer.render`.
+        compiles: False: nothing is compiled before the first frame, which compiles all that it needs at once.
 
     Raises:
         ConfigError: ``threads`` is not positive, ``config`` is no RenderConfig, or no frame of the scene can have it.
         DeviceError: There is no such device.
         SceneError: ``scene`` is no Scene.
     """
-    return Renderer(checked_config(config), Launcher(device, threads, profile), progress, scene, encode=encode)
+    launcher = Launcher(device, threads, profile)
+    renderer = Renderer(checked_config(config), launcher, progress, compiles=compiles and scene is None)
+    if scene is not None:
+        renderer.prepare(scene, encode=encode)
+    return renderer

@@ -41,13 +41,13 @@ class DeviceCommand(Command):
     def start_renderer(
         self, report: Report, config: ls.RenderConfig | None = None, profile: bool = False
     ) -> ls.Renderer:
-        """A renderer on the device, its kernels compiled.
+        """Returns a renderer on the device; its first frame compiles its kernels.
 
         Raises:
             DeviceError: There is no such device, or the compiled kernels cannot be stored.
         """
         self.quiet_warp()
-        return ls.create_renderer(config, self.device, profile=profile, progress=report)
+        return ls.create_renderer(config, self.device, profile=profile, progress=report, compiles=False)
 
     def quiet_warp(self) -> None:
         """Keeps what Warp itself says off the terminal, but for --debug."""

@@ -52,7 +52,7 @@ class Renderers:
         """
         held = self._held.get(use)
         if held is None:
-            held = self._held[use] = ls.create_renderer(config, self._device, progress=self._progress)
+            held = self._held[use] = ls.create_renderer(config, self._device, progress=self._progress, compiles=False)
         elif held.config != config:
             held.reconfigure(config)
             _return_freed_memory()

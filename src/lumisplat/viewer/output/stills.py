@@ -29,7 +29,7 @@ class Studio:
         Raises:
             DeviceError: There is no such device, or it is out of memory.
         """
-        return ls.create_renderer(config, self.device)
+        return ls.create_renderer(config, self.device, compiles=False)
 
     def scene(self, document: ls.SceneDocument, config: ls.RenderConfig, time: float) -> ls.Scene:
         """All of a document at a time, seconds, with its actors lit.
