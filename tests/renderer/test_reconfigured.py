@@ -124,3 +124,41 @@ def test_a_differentiable_renderer_changes_its_backward_pass_too() -> None:
     with pytest.raises(ls.ConfigError):
         renderer.reconfigure(ls.RenderConfig(pipeline=ls.Pipeline.PATH))
     assert renderer.config.pipeline is ls.Pipeline.TRACE
+
+
+@pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
+def test_another_tone_map_and_exposure_take_no_samples(pipeline: str) -> None:
+    """The last frame is developed anew, by the device or from its arrays, and samples are added to it."""
+    config = replace(BASE, pipeline=ls.Pipeline(pipeline))
+    shown = replace(config, tone_map=ls.ToneMap.AGX)
+    expected = ls.create_renderer(shown, "cpu").render(LIT, replace(CAMERA, exposure=1.0), encode=True)
+    renderer = ls.create_renderer(config, "cpu")
+    first = renderer.render(LIT, CAMERA, encode=True)
+    renderer.reconfigure(shown)
+    by_device = renderer.develop(first, 1.0, encode=True)
+    np.testing.assert_array_equal(np.asarray(by_device, np.uint8), np.asarray(expected, np.uint8))
+    added = renderer.render(LIT, by_device.camera, resume=by_device)
+    assert added.samples == 4
+    by_host = renderer.develop(first, 1.0)  # whose samples the film has no longer
+    np.testing.assert_array_equal(by_host.pixels_srgb(), expected.pixels_srgb())
+    of_four = ls.create_renderer(replace(shown, samples=4), "cpu").render(LIT, by_device.camera)
+    np.testing.assert_array_equal(added.color, of_four.color)
+
+
+def test_another_tone_map_does_not_end_a_sequence() -> None:
+    """What frames in real time have found stays, to the bit."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
+    changed, same = (ls.create_renderer(config, "cpu") for _ in range(2))
+    for renderer in (changed, same):
+        renderer.render(LIT, CAMERA)
+    changed.reconfigure(replace(config, tone_map=ls.ToneMap.NEUTRAL))
+    np.testing.assert_array_equal(changed.render(LIT, CAMERA).color, same.render(LIT, CAMERA).color)
+
+
+def test_frames_of_other_frames_are_not_taken_for_the_last_one() -> None:
+    """Such as those with what mesh catchers catch, which the film does not have."""
+    catcher = ls.MeshInstance(ls.box(4.0), position=(0.0, 3.0, 4.0), shadow_catcher=True)
+    scene = replace(LIT, meshes=(*LIT.meshes, catcher))
+    renderer = ls.create_renderer(BASE, "cpu")
+    frame = renderer.render(scene, CAMERA)
+    np.testing.assert_array_equal(renderer.develop(frame).color, frame.color)

@@ -155,7 +155,7 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         )
     other = differing(frame.camera, replace(camera, name=frame.camera.name))
     if frame.config is not None:
-        limits = {"samples": frame.config.samples, "time_limit": frame.config.time_limit}
+        limits = {name: getattr(frame.config, name) for name in ("samples", "time_limit", "tone_map")}
         other += differing(frame.config, replace(config, **limits))
     if other:
         raise ConfigError(

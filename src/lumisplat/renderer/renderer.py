@@ -82,6 +82,7 @@ class Renderer:
         launcher: The device to run on.
         progress: As for ``create_renderer``.
         compiles: Likewise.
+        buffers: Hold its arrays; None: new ones.
     """
 
     def __init__(
@@ -91,11 +92,12 @@ class Renderer:
         progress: Progress | None = None,
         *,
         compiles: bool = True,
+        buffers: Buffers | None = None,
     ) -> None:
         check_sampling(config)
         self.config = config
         self._launcher, self._progress = launcher, progress
-        self._buffers = buffers = Buffers(launcher.device)
+        self._buffers = buffers = buffers or Buffers(launcher.device)
         self._scene = DeviceScene(launcher, buffers, config)
         self._binning = binning = binning_of(launcher, buffers)
         meshes = MeshRaster(launcher, buffers, binning)
@@ -113,6 +115,8 @@ class Renderer:
         self._grain = GrainWarning()
         self._media = MediaWarning()
         self._surroundings = MeshSurroundings()
+        self._developed: tuple[FramePlan, FrameStats] | None = None
+        """Of the last frame, as long as the film has its samples."""
         self._frame_number = 0
         """Of the next frame, where each adds to what those before it have found."""
         self._catchers: Renderer | None = None
@@ -217,7 +221,9 @@ class Renderer:
             refuse_lens(camera, self.config.pipeline)
             if resume is not None:
                 raise ConfigError("a rasterised frame of a distorting lens cannot be resumed: it is resampled")
-            return redistorted(self.render(scene, pinhole_of(camera), progress=progress), camera)
+            pinhole = self.render(scene, pinhole_of(camera), progress=progress)
+            self._developed = None
+            return redistorted(pinhole, camera)
         self._check(plan, scene, camera, resume)
         self._begin(plan, scene, camera, progress, encodes=encode)
         if not plan.is_sampled:
@@ -231,7 +237,9 @@ class Renderer:
             counts, budget = self._sampled(plan, camera.exposure, resume, progress)
         images = self._images(plan, camera, encodes=encode)
         self._media.warn_of(plan, scene, self._buffers)
-        return self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
+        frame = self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
+        self._developed = None if frame.stats is None else (plan, frame.stats)
+        return frame
 
     def _with_caught(
         self, scene: Scene, camera: Camera, progress: Progress | None, stop: Callable[[], bool] | None
@@ -239,6 +247,7 @@ class Renderer:
         """A frame of a scene whose meshes catch shadows, which frames of another renderer find."""
         shown, keeps_ratio = without_catcher_meshes(scene), "shadow_ratio" in self.config.aovs
         frame = self.render(shown, camera, progress=progress, stop=stop)
+        self._developed = None
         if not frame.has("light"):
             return numbered_as(frame, scene)
         catchers = self._catcher_renderer()
@@ -276,25 +285,48 @@ class Renderer:
     def reconfigure(self, config: RenderConfig) -> None:
         """Changes the settings: the next frames are those of a new renderer, to the bit.
 
-        The assets and their hierarchies stay on the device, which a new renderer would upload and build again. Buffers
-        of the old settings are freed, and a sequence of ``Pipeline.REALTIME`` starts anew, as after ``reset``.
+        The assets and their hierarchies stay on the device, which a new renderer would upload and build again. A
+        sequence of ``Pipeline.REALTIME`` starts anew, as after ``reset``, and buffers of another pipeline are freed. If
+        nothing but ``tone_map`` changes, sequences and samples stay as they are: `develop` shows the last frame with it.
 
         Args:
             config: The new settings.
 
         Raises:
-            ConfigError: ``config`` is no RenderConfig; the renderer is as before.
+            ConfigError: ``config`` is no RenderConfig, or no frame can have it; the renderer is as before.
             DeviceError: The device is out of memory; the renderer is as before.
         """
-        other = Renderer(checked_config(config), self._launcher, self._progress, compiles=False)
+        before, config = self.config, checked_config(config)
+        if replace(config, tone_map=before.tone_map) == before:
+            self.config = config
+            return
+        has_same_buffers = config.pipeline is before.pipeline and not config.pipeline.is_sequence
+        buffers = self._buffers if has_same_buffers else None
+        other = Renderer(config, self._launcher, self._progress, compiles=False, buffers=buffers)
         other._scene.take_assets(self._scene)
         other._warnings, other._grain, other._media = self._warnings, self._grain, self._media  # each warns once
         self._launcher.drop_graphs()
         vars(self).update(vars(other))
 
+    def develop(self, frame: Frame, exposure: float | None = None, *, encode: bool = False) -> Frame:
+        """Returns a frame of this renderer with its present tone map, and another exposure, without new samples.
+
+        Args:
+            frame: The frame; of the last one, the device has all that it takes.
+            exposure: Stops; None: as it is.
+            encode: As of `render`.
+        """
+        camera = frame.camera if exposure is None else replace(frame.camera, exposure=exposure)
+        config = None if frame.config is None else replace(frame.config, tone_map=self.config.tone_map)
+        if self._developed is None or frame.stats is not self._developed[1] or frame.is_denoised:
+            return replace(frame, camera=camera, config=config)
+        images = self._images(self._developed[0], camera, encodes=encode)
+        picture, same = images.pop("picture", None), {"background", "samples", "draws_meshes", "stats"}
+        return Frame.of(images, picture, camera=camera, config=config, **{name: getattr(frame, name) for name in same})
+
     def reset(self) -> None:
         """Forgets what frames of ``Pipeline.REALTIME`` have found: the next one is as the first of a new renderer."""
-        self._frame_number = 0
+        self._frame_number, self._developed = 0, None
         self._integrators.forget()
         self._scene.motion.forget()
 
@@ -426,7 +458,7 @@ class Renderer:
 
     def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         """Syncs the scene; what was found of light is forgotten if its places are about another origin now."""
-        before = self._scene.frame
+        before, self._developed = self._scene.frame, None
         self._scene.sync(scene, camera, plan)
         if not np.array_equal(before.origin, self._scene.frame.origin):
             self._integrators.forget()

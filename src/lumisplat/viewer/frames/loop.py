@@ -182,7 +182,8 @@ class RenderLoop:
             self._renderers.keep(self._uses(job))
             try:
                 if job.moves:
-                    self._draw_moving(job)
+                    if not self._develop(job):
+                        self._draw_moving(job)
                 else:
                     self._draw_at_rest(job)
             except ls.StoppedError:  # it is drawn again when there is time
@@ -268,6 +269,24 @@ class RenderLoop:
 
     # --- Frames ---
 
+    def _develop(self, job: _Job) -> bool:
+        """Shows the frame that the page has with another tone map, exposure or view, if nothing else has changed."""
+        page, state, options = job.page, job.state, job.options
+        config = frame_config(state.config, options.view)
+        frame, content = page.frame, _content(job, config)
+        if frame is None or options.split is not None or page.content is None or not _is_same(page.content, content):
+            return False
+        started = time.perf_counter()
+        use = page if config.pipeline.is_sequence else _AT_REST if page.frames_at_rest else _MOVING
+        renderer = self._renderers.of(use, config)
+        frame = renderer.develop(frame, state.exposure, encode=options.view == "color")
+        shown = Shown(self._picture(job, frame, level=0), QUALITY_AT_REST if page.frames_at_rest else QUALITY_MOVING)
+        with self._session.changed:
+            page.key, page.frame = job.key, frame
+        page.show(shown)
+        self._on_frame(page, None if page.frames_at_rest else page.pace.step, 1e3 * (time.perf_counter() - started))
+        return True
+
     def _draw_moving(self, job: _Job) -> None:
         """A frame of a view that has changed, as fine as the budget allows."""
         page, state, options = job.page, job.state, job.options
@@ -292,6 +311,7 @@ class RenderLoop:
             page.pace.took(took, options.budget_ms)
         with self._session.changed:
             page.key, page.frame, page.noise, page.frames_at_rest = job.key, frame, None, 0
+            page.content = _content(job, config)
             page.changed_at, page.is_finished = time.monotonic(), False
         page.show(Shown(picture, QUALITY_MOVING))
         self._on_frame(page, step, took)
@@ -323,6 +343,7 @@ class RenderLoop:
             shown = Shown(self._picture(job, frame, level=0), QUALITY_AT_REST, depth)
         with self._session.changed:
             page.frame, page.frames_at_rest, page.noise, page.is_finished = frame, rests, noise, is_finished
+            page.content = _content(job, config)
         if shown is not None:
             page.show(shown)
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
@@ -349,6 +370,17 @@ class RenderLoop:
             frame = renderer.render(scene, camera, encode=options.view == "color", stop=stop)
             page.before, page.before_key = picture_of(frame, options.view), key
         return page.before
+
+
+def _content(job: _Job, config: ls.RenderConfig) -> tuple[object, ...]:
+    """What a frame is of, and not how it is developed."""
+    undeveloped = replace(config, tone_map=ls.ToneMap.NONE)
+    return job.state.document, job.pose, undeveloped, job.options.height, job.options.time
+
+
+def _is_same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+    """Whether two frames are of the same: of one document, and of equal settings."""
+    return one[0] is other[0] and one[1:] == other[1:]
 
 
 def _ignore(label: str, fraction: float) -> None:

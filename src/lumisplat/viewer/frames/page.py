@@ -47,6 +47,8 @@ class Page:
         self.pace = Pace()
         self.frame: ls.Frame | None = None
         """What it shows."""
+        self.content: tuple[object, ...] | None = None
+        """What that is a frame of, however it is developed."""
         self.before: Picture | None = None
         """What the left part of a split picture shows."""
         self.before_key: object = None
