@@ -287,7 +287,7 @@ class Renderer:
 
         The assets and their hierarchies stay on the device, which a new renderer would upload and build again. A
         sequence of ``Pipeline.REALTIME`` starts anew, as after ``reset``, and buffers of another pipeline are freed. If
-        nothing but ``tone_map`` changes, sequences and samples stay as they are: `develop` shows the last frame with it.
+        nothing but ``tone_map`` changes, sequences and samples stay as they are: `develop` shows frames with it.
 
         Args:
             config: The new settings.
