@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import logging
 import shlex
 import socket
@@ -187,6 +188,34 @@ def test_a_setting_on_the_page_changes_the_picture(viewer: ls.Viewer) -> None:
         page.choose("samples", "many")
         eventually(lambda: any("many" in note for note in page.notes()), "nobody was told")
         assert viewer._session.state == state
+
+
+def test_tone_map_exposure_and_view_take_no_new_samples(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The frame that a page at rest shows is developed anew; anything else is rendered."""
+    render, count = ls.Renderer.render, 0
+
+    def counted(*args: Any, **options: Any) -> ls.Frame:
+        nonlocal count
+        count += 1
+        return render(*args, **options)
+
+    session = viewer._session
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        pictures = [settled(viewer, page)]
+        monkeypatch.setattr(ls.Renderer, "render", counted)
+        session.configure(lambda config: replace(config, tone_map=ls.ToneMap.AGX))
+        pictures.append(settled(viewer, page))
+        page.choose("exposure", 1.0)
+        eventually(lambda: session.state.exposure == 1.0, "the exposure stayed")
+        pictures.append(settled(viewer, page))
+        session.set_options(view="depth")
+        pictures.append(settled(viewer, page))
+        assert count == 0
+        assert min(difference(one, other) for one, other in itertools.pairwise(pictures)) > 0.5
+        session.configure(lambda config: replace(config, seed=1))
+        settled(viewer, page)
+        assert count > 0
 
 
 def test_files_that_are_damaged_say_so_and_the_viewer_lives_on(viewer: ls.Viewer, tmp_path: Path) -> None:

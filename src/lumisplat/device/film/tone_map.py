@@ -114,7 +114,9 @@ def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, picture: Picture
     if largest > 0.0:
         captured_part = 1.0 - wp.max(wp.abs(lit - before)) / largest
     untouched = encode_srgb_color(before)
-    shown = tone_mapped(lit, picture) + captured_part * (untouched - tone_mapped(before, picture))
+    shown = tone_mapped(lit, picture)
+    if captured_part > 0.0:  # else all is light: the curve is not needed twice
+        shown += captured_part * (untouched - tone_mapped(before, picture))
     for k in range(3):
         if lit[k] >= before[k]:
             shown[k] = wp.max(shown[k], untouched[k])
