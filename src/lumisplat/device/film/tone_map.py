@@ -110,9 +110,9 @@ def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, picture: Picture
     lit = clamped(picture.gain * (radiance + light), BRIGHTEST)
     before = clamped(picture.gain * radiance, BRIGHTEST)
     largest = wp.max(wp.max(lit), wp.max(before))
-    captured_part = float(1.0)
-    if largest > 0.0:
-        captured_part = 1.0 - wp.max(wp.abs(lit - before)) / largest
+    if largest == 0.0:
+        return wp.vec3(0.0)
+    captured_part = 1.0 - wp.max(wp.abs(lit - before)) / largest
     untouched = encode_srgb_color(before)
     shown = tone_mapped(lit, picture)
     if captured_part > 0.0:  # else all is light: the curve is not needed twice
