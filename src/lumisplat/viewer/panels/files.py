@@ -107,7 +107,7 @@ def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
     words += session.options.loading
     words += [f"--fov {np.degrees(pose.fov_y):.5g}", f"--width {camera.width}", f"--height {camera.height}"]
     words += [f"--exposure={camera.exposure:g}"] if camera.exposure else []
-    if state.config.samples and state.config.pipeline is not ls.Pipeline.REALTIME:  # there, they are the scene file's
+    if state.config.samples and not state.config.pipeline.is_sequence:  # there, they are the scene file's
         words.append(f"--samples {state.config.samples}")
     if has_actors and (animation := state.document.animation) is not None:
         number = min(round(session.options.time * animation.fps), animation.frame_count - 1)
