@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN
-from lumisplat.device.gaussian.projection import alpha_from_log, gaussian_normal, projection_jacobian
+from lumisplat.device.splat.projection import alpha_from_log, gaussian_normal, projection_jacobian
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.renderer.scene.camera_table import camera_table
 from support.oracles import raster_oracle as oracles

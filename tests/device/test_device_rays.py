@@ -11,7 +11,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.constants import SUBPIXEL_STEPS
 from lumisplat.device.camera.camera import camera_ray, disk_point, turned
-from lumisplat.device.gaussian.compositing import pixel_ray
+from lumisplat.device.splat.blending import pixel_ray
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
 from lumisplat.renderer.scene.camera_table import camera_table, subpixel

@@ -8,9 +8,9 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lumisplat.device.gaussian.compositing import blend, empty_pixel, pixel_ray
 from lumisplat.device.math.color import encode_srgb
 from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle
+from lumisplat.device.splat.blending import blend, empty_pixel, pixel_ray
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import BlendState, Splat
 from lumisplat.math.color import encode_srgb as encode_srgb_host

@@ -7,11 +7,11 @@ docs/method/relighting.md#baking.
 
 import warp as wp
 
-from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.particle import canonical_from_object, gaussian_color, gaussian_facing, reach_squared
-from lumisplat.device.gaussian.projection import towards
 from lumisplat.device.math.directions import TWO_PI
 from lumisplat.device.math.random import branch_key, pixel_key_of, sample_key_of, sobol_2d
+from lumisplat.device.splat.blending import instance_of
+from lumisplat.device.splat.projection import towards
 from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData

@@ -7,14 +7,13 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
-from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, TileFloats, tile_corner
-from lumisplat.device.gaussian.blend_gradient import pair_slot
-from lumisplat.device.gaussian.compositing import left_behind
-from lumisplat.device.gaussian.splat_coverage import rows_of, touches_strip, visible_alpha
+from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, TileFloats, pair_slot, tile_corner
+from lumisplat.device.splat.blending import left_behind
+from lumisplat.device.splat.ellipse import rows_of, touches_strip, visible_alpha
+from lumisplat.device.splat.ray_splat import eye_of_row, log_alpha_along
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterData, RayRasterData, RaySplat, Splat, TileRect
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.unscented.ray_splat import eye_of_row, log_alpha_along
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": FUSED_FLAGS})
 

@@ -3,9 +3,9 @@
 import warp as wp
 
 from lumisplat.device.camera.lens import seen_point
+from lumisplat.device.splat.ray_bounds import projected_moments
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import ImageMoments, WorldGaussian
-from lumisplat.device.unscented.sigma_points import projected_moments
 
 wp.set_module_options({"enable_backward": False})
 

@@ -4,6 +4,7 @@ import warp as wp
 
 from lumisplat.constants import STRIP_PX, TILE_PX
 from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.raster import TileRect
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,3 +31,21 @@ def tile_pixel(camera: CameraData, item: int) -> wp.vec2i:
     """Pixel of an item, tile after tile and row after row within; it may lie outside the window."""
     corner = tile_corner(camera, item // TILE_PIXELS)
     return wp.vec2i(corner[0] + item % TILE, corner[1] + (item // TILE) % TILE)
+
+
+@wp.func
+def is_listed(rect: TileRect) -> bool:
+    """Whether a splat is in any tile; what is culled is in none."""
+    return rect.x0 < rect.x1
+
+
+@wp.func
+def rect_area(rect: TileRect) -> int:
+    """Tiles in a rectangle."""
+    return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
+
+
+@wp.func
+def pair_slot(rect: TileRect, first: int, tile_x: int, tile_y: int) -> int:
+    """Where the record of a splat and one of its tiles is, if those of the splat start at ``first``."""
+    return first + (tile_y - int(rect.y0)) * (int(rect.x1) - int(rect.x0)) + tile_x - int(rect.x0)

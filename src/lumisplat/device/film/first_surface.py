@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from lumisplat.device.gaussian.compositing import NORMAL_MIN, instance_of
-from lumisplat.device.gaussian.projection import above_horizon
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_normal
+from lumisplat.device.splat.blending import NORMAL_MIN, instance_of
+from lumisplat.device.splat.projection import above_horizon
 from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 

@@ -6,9 +6,9 @@ The equations are in docs/method/gradients.md#hits.
 import warp as wp
 
 from lumisplat.device.bvh.footprint import footprint_of_ray, footprint_slopes, footprint_variance
-from lumisplat.device.gaussian.projection import ALPHA_LIMIT
-from lumisplat.device.gaussian.projection_gradient import color_dot, open_channels, sh_weights
 from lumisplat.device.gaussian.ray_compositing import hit_color
+from lumisplat.device.splat.projection import ALPHA_LIMIT
+from lumisplat.device.splat.projection_gradient import color_dot, open_channels, sh_weights
 from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.gradients import GaussianGradient, HitMoments, RayMotion
 from lumisplat.device.structs.rays import Ray

@@ -10,7 +10,7 @@ from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.particle import alpha_of_degree
-from lumisplat.device.gaussian.projection import alpha_from_log
+from lumisplat.device.splat.projection import alpha_from_log
 from lumisplat.device.structs.bvh import FAR, HIT_FAR, HIT_HULL, HIT_MEAN, HIT_NEAR, HIT_NONE, Particle, SceneBvh
 from lumisplat.device.structs.packet import PacketRays
 from lumisplat.device.structs.rays import RayData

@@ -9,13 +9,16 @@ import warp as wp
 
 from lumisplat.constants import BOX_MARGIN
 from lumisplat.device.bvh.footprint import footprint_of_ray, footprint_variance
-from lumisplat.device.gaussian.projection import ALPHA_LIMIT, OPACITY_MIN, alpha_from_log, gaussian_normal
+from lumisplat.device.math.aligned_memory import aligned_load_of
 from lumisplat.device.math.sh import sh_color
+from lumisplat.device.splat.projection import ALPHA_LIMIT, OPACITY_MIN, alpha_from_log, gaussian_normal
 from lumisplat.device.structs.bvh import FAR, Box, Particle
 from lumisplat.device.structs.rays import Ray
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})
+
+load_particle = aligned_load_of(Particle)
 
 MARGIN = wp.constant(wp.float32(BOX_MARGIN))
 TINY = wp.constant(wp.float32(1.0e-30))

@@ -5,10 +5,10 @@ The equations are in docs/method/ray_tracing.md#strategies.
 
 import warp as wp
 
-from lumisplat.device.gaussian.compositing import empty_pixel, instance_of, lay_behind
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
-from lumisplat.device.gaussian.projection import BEYOND_MAX, towards
 from lumisplat.device.math.random import draw
+from lumisplat.device.splat.blending import empty_pixel, instance_of, lay_behind
+from lumisplat.device.splat.projection import BEYOND_MAX, towards
 from lumisplat.device.structs.bvh import AssetBvh, TraceData
 from lumisplat.device.structs.raster import BlendState
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray

@@ -6,7 +6,7 @@ from lumisplat.device.bvh.footprint import footprint_of_ray, footprint_variance
 from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_nodes import tree_ray
 from lumisplat.device.gaussian.particle import alpha_of_degree
-from lumisplat.device.gaussian.projection import alpha_from_log
+from lumisplat.device.splat.projection import alpha_from_log
 from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, HIT_PEAK, Particle
 from lumisplat.device.structs.packet import ParticleHit, TreeRay
 from lumisplat.device.structs.rays import RayData

@@ -13,10 +13,10 @@ from lumisplat.device.bvh.hit_list import empty_list, insert_hit, is_before
 from lumisplat.device.bvh.local_arrays import storage_of
 from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
-from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.packet_hits import packet_hits_of
 from lumisplat.device.light.shadow import shadow_floor, shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified
+from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.structs.bvh import (
     DRAWS_NONE,
     DRAWS_PER_RAY,

@@ -3,7 +3,6 @@
 import warp as wp
 
 from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
-from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.layers import is_flat
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.light.mesh_interaction import mesh_spawn_point
@@ -11,6 +10,7 @@ from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
 from lumisplat.device.math.directions import seen_from
 from lumisplat.device.mesh.mesh_surface import face_normal
+from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.structs.light import BSDF_PBR
 from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface, WaveData
 

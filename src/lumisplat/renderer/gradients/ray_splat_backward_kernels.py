@@ -8,20 +8,13 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
-from lumisplat.device.camera.tiles import STRIP, TILE, StripSums, TileFloats, tile_corner
-from lumisplat.device.gaussian.blend_gradient import behind_pixel, pair_slot
-from lumisplat.device.gaussian.compositing import left_behind
-from lumisplat.device.gaussian.projection import ALPHA_LIMIT
-from lumisplat.device.gaussian.projection_gradient import color_dot, open_channels, sh_weights
-from lumisplat.device.gaussian.splat_coverage import is_listed, visible_alpha
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import PixelData
-from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RayMotion, RaySplatGradient
-from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
-from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
-from lumisplat.device.unscented.ray_splat import eye_at, eye_of_row, seen_gaussian, seen_time
-from lumisplat.device.unscented.ray_splat_gradient import (
+from lumisplat.device.camera.tiles import STRIP, TILE, StripSums, TileFloats, is_listed, pair_slot, tile_corner
+from lumisplat.device.splat.blending import behind_pixel, left_behind
+from lumisplat.device.splat.ellipse import visible_alpha
+from lumisplat.device.splat.projection import ALPHA_LIMIT
+from lumisplat.device.splat.projection_gradient import color_dot, open_channels, sh_weights
+from lumisplat.device.splat.ray_splat import eye_at, eye_of_row, seen_gaussian, seen_time
+from lumisplat.device.splat.ray_splat_gradient import (
     RaySplatFloats,
     mean_gradient,
     record_of_sums,
@@ -29,6 +22,12 @@ from lumisplat.device.unscented.ray_splat_gradient import (
     sum_of_records,
     turn_gradient,
 )
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RayMotion, RaySplatGradient
+from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": FUSED_FLAGS})
 

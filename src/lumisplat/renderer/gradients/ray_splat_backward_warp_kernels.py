@@ -8,7 +8,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
-from lumisplat.device.camera.tiles import TILE
+from lumisplat.device.camera.tiles import TILE, pair_slot
 from lumisplat.device.camera.warp_tiles import (
     ROWS,
     STRIDE,
@@ -18,21 +18,16 @@ from lumisplat.device.camera.warp_tiles import (
     RowFloats,
     first_pixel,
 )
-from lumisplat.device.gaussian.blend_gradient import behind_pixel, pair_slot
-from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.math.warp_sums import warp_sums
+from lumisplat.device.splat.blending import behind_pixel
+from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log
+from lumisplat.device.splat.ray_splat import eye_of_row, is_within, log_alpha_along
+from lumisplat.device.splat.ray_splat_gradient import RaySplatFloats, nearest_point, record_of_pixel, record_of_sums
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient, RaySplatGradient
 from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.unscented.ray_splat import eye_of_row, is_within, log_alpha_along
-from lumisplat.device.unscented.ray_splat_gradient import (
-    RaySplatFloats,
-    nearest_point,
-    record_of_pixel,
-    record_of_sums,
-)
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": TILE_THREADS})
 

@@ -7,11 +7,10 @@ each of its tiles, and they are added up afterwards. The equations are in docs/m
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, StripSums, TileFloats, tile_corner
-from lumisplat.device.gaussian.blend_gradient import PairFloats, behind_pixel, pair_slot, record_of, sum_of_pairs
-from lumisplat.device.gaussian.compositing import left_behind
-from lumisplat.device.gaussian.projection import ALPHA_LIMIT
-from lumisplat.device.gaussian.splat_coverage import rect_area, rows_of, touches_strip, visible_alpha
+from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, StripSums, TileFloats, pair_slot, rect_area, tile_corner
+from lumisplat.device.splat.blending import behind_pixel, left_behind
+from lumisplat.device.splat.ellipse import PairFloats, record_of, rows_of, sum_of_pairs, touches_strip, visible_alpha
+from lumisplat.device.splat.projection import ALPHA_LIMIT
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient, SplatGradient

@@ -8,7 +8,7 @@ adds up what the warps have for one splat, and writes its record. The equations 
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.camera.tiles import TILE
+from lumisplat.device.camera.tiles import TILE, pair_slot
 from lumisplat.device.camera.warp_tiles import (
     ROWS,
     STRIDE,
@@ -18,17 +18,10 @@ from lumisplat.device.camera.warp_tiles import (
     RowFloats,
     first_pixel,
 )
-from lumisplat.device.gaussian.aligned import load_splat
-from lumisplat.device.gaussian.blend_gradient import (
-    PairFloats,
-    behind_pixel,
-    pair_of_pixel,
-    pair_slot,
-    record_of,
-)
-from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
-from lumisplat.device.gaussian.splat_coverage import log_alpha_at
 from lumisplat.device.math.warp_sums import warp_sums
+from lumisplat.device.splat.blending import behind_pixel
+from lumisplat.device.splat.ellipse import PairFloats, load_splat, log_alpha_at, pair_of_pixel, record_of
+from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import PixelGradient, SplatGradient

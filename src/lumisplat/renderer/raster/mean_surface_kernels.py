@@ -5,11 +5,11 @@ The splats are composited once more, with what is to be averaged in place of the
 
 import warp as wp
 
+from lumisplat.device.camera.tiles import is_listed
 from lumisplat.device.camera.window import ray_index, shown_pixel
-from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
-from lumisplat.device.gaussian.depth_plane import depth_plane
-from lumisplat.device.gaussian.splat_coverage import is_listed
 from lumisplat.device.light.splat_surface import finish_of
+from lumisplat.device.splat.blending import instance_of, pixel_ray
+from lumisplat.device.splat.projection import depth_plane
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 from lumisplat.device.structs.rays import GaussianHits

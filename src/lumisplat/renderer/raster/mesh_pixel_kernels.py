@@ -8,9 +8,9 @@ import warp as wp
 
 from lumisplat.device.camera.tiles import TILE, tile_corner
 from lumisplat.device.camera.window import image_index, picture_index
-from lumisplat.device.gaussian.compositing import pixel_ray
 from lumisplat.device.mesh.raster_alpha import has_alpha, pixel_meets
 from lumisplat.device.mesh.triangle_raster import depth_at
+from lumisplat.device.splat.blending import pixel_ray
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterMeshes, Triangle
 

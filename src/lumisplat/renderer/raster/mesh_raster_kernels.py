@@ -8,10 +8,10 @@ import warp as wp
 
 from lumisplat.device.camera.tiles import TILE
 from lumisplat.device.camera.window import image_index, is_shown, seen_pixel, shown_pixel
-from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import surface_color, surface_normal
 from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle, triangle_box
+from lumisplat.device.splat.blending import instance_of, pixel_ray
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import MeshPixels, TileRect, Triangle
 from lumisplat.device.structs.rays import MeshHits, RayData

@@ -7,9 +7,9 @@ import warp as wp
 
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
 from lumisplat.device.camera.window import image_index, is_shown, ray_index
-from lumisplat.device.gaussian.compositing import instance_of
-from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN
-from lumisplat.device.gaussian.splat_coverage import log_alpha_at
+from lumisplat.device.splat.blending import instance_of
+from lumisplat.device.splat.ellipse import log_alpha_at
+from lumisplat.device.splat.projection import LOG_ALPHA_MIN
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import MeshPixels, Splat
 from lumisplat.device.structs.rays import GaussianHits

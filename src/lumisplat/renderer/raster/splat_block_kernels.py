@@ -10,10 +10,9 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
 from lumisplat.device.camera.window import image_index, is_shown
-from lumisplat.device.gaussian.aligned import load_splat
-from lumisplat.device.gaussian.compositing import blend, empty_pixel, store_result
-from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
-from lumisplat.device.gaussian.splat_coverage import log_alpha_at
+from lumisplat.device.splat.blending import blend, empty_pixel, store_result
+from lumisplat.device.splat.ellipse import load_splat, log_alpha_at
+from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat

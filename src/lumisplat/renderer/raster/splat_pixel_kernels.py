@@ -8,10 +8,10 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
 from lumisplat.device.camera.window import image_index, is_shown, picture_index
-from lumisplat.device.gaussian.compositing import blend, empty_pixel, opaque_pixel, store_gaussian_hits, store_result
-from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
-from lumisplat.device.gaussian.splat_coverage import log_alpha_at
 from lumisplat.device.math.random import draw, sample_key_of
+from lumisplat.device.splat.blending import blend, empty_pixel, opaque_pixel, store_gaussian_hits, store_result
+from lumisplat.device.splat.ellipse import log_alpha_at
+from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat

@@ -7,11 +7,10 @@ import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
 from lumisplat.device.camera.window import ray_index, shown_pixel
-from lumisplat.device.gaussian.aligned import store_splat
-from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
-from lumisplat.device.gaussian.projection import project_gaussian
-from lumisplat.device.gaussian.splat_coverage import is_finite, tile_range
 from lumisplat.device.gaussian.surface_depth import surface_distance
+from lumisplat.device.splat.blending import instance_of, pixel_ray
+from lumisplat.device.splat.ellipse import is_finite, store_splat, tile_range
+from lumisplat.device.splat.projection import project_gaussian
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect

@@ -10,15 +10,9 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS, TILE_PX
 from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, StripFloats, TileFloats, TileInts, tile_corner
 from lumisplat.device.camera.window import image_index, picture_index
-from lumisplat.device.gaussian.compositing import (
-    left_behind,
-    opaque_pixel,
-    store_gaussian_hits,
-    store_result,
-    to_surface,
-)
-from lumisplat.device.gaussian.splat_coverage import first_touching, rows_of, touches_strip, visible_alpha, visible_end
 from lumisplat.device.math.random import draw_mixed, mix, sample_key_of
+from lumisplat.device.splat.blending import left_behind, opaque_pixel, store_gaussian_hits, store_result, to_surface
+from lumisplat.device.splat.ellipse import first_touching, rows_of, touches_strip, visible_alpha, visible_end
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, Splat

@@ -19,7 +19,7 @@ from lumisplat.constants import TRAVERSE_STACK
 from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST, node_stack_of, push_root
 from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
-from lumisplat.device.gaussian.aligned import load_particle
+from lumisplat.device.gaussian.particle import load_particle
 from lumisplat.device.light.packet_shadow import (
     begin_absorption,
     begin_first_hits,

@@ -15,8 +15,8 @@ from lumisplat.device.bvh.ray_nodes import (
     push_link,
 )
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS
-from lumisplat.device.gaussian.aligned import load_particle
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
+from lumisplat.device.gaussian.particle import load_particle
 from lumisplat.device.gaussian.ray_hit import alpha_at, begin_past, hit_particle, ray_in_instance, world_ray
 from lumisplat.device.light.shadow import passed_share, shadow_floor, shadow_key, shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified

@@ -19,8 +19,6 @@ from lumisplat.device.bvh.node_stack import NEAR_FIRST, node_stack_of, push_root
 from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.bvh.ray_group import group_of, largest_of
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, SPREAD_MAX, packet_of
-from lumisplat.device.gaussian.aligned import load_particle
-from lumisplat.device.gaussian.compositing import empty_pixel
 from lumisplat.device.gaussian.packet_tracing import (
     begin_pass,
     begin_rays,
@@ -29,7 +27,9 @@ from lumisplat.device.gaussian.packet_tracing import (
     is_cut,
     packet_tracing_of,
 )
+from lumisplat.device.gaussian.particle import load_particle
 from lumisplat.device.gaussian.ray_compositing import begin_relit, store_pixel
+from lumisplat.device.splat.blending import empty_pixel
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, WORLD, ChildLinks, Particle, SceneBvh, TraceData
 from lumisplat.device.structs.packet import PacketPlace
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData

@@ -7,13 +7,13 @@ import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
-from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.surface_depth import surface_peak
+from lumisplat.device.splat.blending import instance_of
+from lumisplat.device.splat.ray_splat import is_finite, ray_splat, tiles_of
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
-from lumisplat.device.unscented.ray_splat import is_finite, ray_splat, tiles_of
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 

@@ -9,14 +9,14 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
 from lumisplat.device.camera.window import is_shown, ray_index
-from lumisplat.device.gaussian.compositing import empty_pixel, lay_behind
-from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.gaussian.ray_compositing import add_relit, begin_relit
+from lumisplat.device.splat.blending import empty_pixel, lay_behind
+from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log
+from lumisplat.device.splat.ray_splat import eye_of_row, is_within, log_alpha_along
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RayRasterData, RaySplat
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.device.structs.scene import SplatInstanceData
-from lumisplat.device.unscented.ray_splat import eye_of_row, is_within, log_alpha_along
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 

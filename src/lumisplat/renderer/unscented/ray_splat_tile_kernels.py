@@ -9,13 +9,13 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import STRIP, TILE, TileFloats, TileInts, tile_corner
 from lumisplat.device.camera.window import ray_index
-from lumisplat.device.gaussian.compositing import left_behind, to_surface
-from lumisplat.device.gaussian.splat_coverage import visible_alpha
+from lumisplat.device.splat.blending import left_behind, to_surface
+from lumisplat.device.splat.ellipse import visible_alpha
+from lumisplat.device.splat.ray_splat import eye_of_row
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RayRasterData, RaySplat
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.device.structs.scene import SplatInstanceData
-from lumisplat.device.unscented.ray_splat import eye_of_row
 
 # Options as those of ``splat_tile_kernels``, for the same reasons.
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": FUSED_FLAGS})

@@ -7,7 +7,7 @@ import warp as wp
 
 from lumisplat.constants import SH_C0
 from lumisplat.constants.materials import SKY_CHUNK
-from lumisplat.device.gaussian.splat_coverage import is_listed
+from lumisplat.device.camera.tiles import is_listed
 from lumisplat.device.material.rough_dielectric import diffuse_factor, highlight_factor, light_on
 from lumisplat.device.math.color import encode_srgb
 from lumisplat.device.math.directions import seen_from

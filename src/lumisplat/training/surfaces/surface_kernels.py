@@ -9,8 +9,8 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_SPREAD, SURFACE_VARIANCE_MIN
+from lumisplat.device.camera.tiles import is_listed
 from lumisplat.device.film.counted import share_of
-from lumisplat.device.gaussian.splat_coverage import is_listed
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient
 from lumisplat.device.structs.raster import TileRect

@@ -7,11 +7,11 @@ import warp as wp
 
 from lumisplat.device.camera.camera import FISHEYE, turned
 from lumisplat.device.camera.lens import view_at
-from lumisplat.device.gaussian.projection import ALPHA_LIMIT
+from lumisplat.device.splat.projection import ALPHA_LIMIT
+from lumisplat.device.splat.ray_splat import DEPTH_MIN
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import RaySplatGradient
 from lumisplat.device.structs.raster import RaySplat, WorldGaussian
-from lumisplat.device.unscented.ray_splat import DEPTH_MIN
 
 wp.set_module_options({"enable_backward": False})
 

@@ -8,12 +8,12 @@ import warp as wp
 from lumisplat.device.camera.camera import FISHEYE
 from lumisplat.device.camera.lens import row_time, seen_point, view_at
 from lumisplat.device.camera.tiles import TILE
-from lumisplat.device.gaussian.projection import BEYOND_MAX, LOG_ALPHA_MIN, OPACITY_MIN, gaussian_normal, towards
 from lumisplat.device.math.sh import sh_color
+from lumisplat.device.splat.projection import BEYOND_MAX, LOG_ALPHA_MIN, OPACITY_MIN, gaussian_normal, towards
+from lumisplat.device.splat.ray_bounds import canonical, gaussian_bounds, pixel_box
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import PixelBox, RayRasterData, RaySplat, TileRect, WorldGaussian
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
-from lumisplat.device.unscented.image_bounds import canonical, gaussian_bounds, pixel_box
 
 wp.set_module_options({"enable_backward": False})
 

@@ -6,11 +6,15 @@ The equations are in docs/method/rasterisation.md.
 import warp as wp
 
 from lumisplat.device.camera.tiles import STRIP, TILE
-from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
+from lumisplat.device.math.aligned_memory import aligned_load_of, aligned_store_of
+from lumisplat.device.splat.projection import ALPHA_LIMIT, LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gradients import SplatGradient
 from lumisplat.device.structs.raster import Splat, TileRect
 
 wp.set_module_options({"enable_backward": False})
+
+load_splat, store_splat = aligned_load_of(Splat), aligned_store_of(Splat)
 
 
 @wp.func
@@ -41,18 +45,6 @@ def tile_range(camera: CameraData, splat: Splat) -> TileRect:
         rect.x1 = wp.int16(x1 // TILE + 1)
         rect.y1 = wp.int16(y1 // TILE + 1)
     return rect
-
-
-@wp.func
-def is_listed(rect: TileRect) -> bool:
-    """Whether a splat is in any tile; what is culled is in none."""
-    return rect.x0 < rect.x1
-
-
-@wp.func
-def rect_area(rect: TileRect) -> int:
-    """Tiles in a rectangle."""
-    return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
 
 
 @wp.func
@@ -114,3 +106,75 @@ def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int,
         if splats[tile_splats[j]].depth < farthest:
             visible += 1
     return visible
+
+
+@wp.func
+def sum_of_pairs(pairs: wp.array[SplatGradient], begin: int, end: int) -> SplatGradient:
+    """The sum of the records of a splat."""
+    total = SplatGradient()
+    for k in range(begin, end):
+        part = pairs[k]
+        total.color += part.color
+        total.log_opacity += part.log_opacity
+        total.center += part.center
+        total.along += part.along
+        total.shear += part.shear
+        total.across += part.across
+        total.center_absolute += part.center_absolute
+        total.weight += part.weight
+    return total
+
+
+PairFloats = wp.types.vector(length=12, dtype=wp.float32)
+"""Sums over pixels, of which the record of a splat is made: of v, v dx, v dx^2, v dy, v dx dy, v dy^2, of colour and
+weight, and of the magnitudes of what moves its centre."""
+
+
+@wp.func
+def pair_of_pixel(
+    splat: Splat,
+    x: int,
+    y: int,
+    alpha: float,
+    transmittance: float,
+    weight: float,
+    shown: float,
+    behind: float,
+    by_color: wp.vec3,
+) -> PairFloats:
+    """What one pixel adds, in which a splat is blended."""
+    v = wp.where(alpha < ALPHA_LIMIT, alpha * (transmittance * shown - behind) / (1.0 - alpha), 0.0)
+    dy = float(y) + 0.5 - splat.center[1]
+    dx = float(x) + 0.5 - splat.center[0] - splat.shear * dy
+    slope = splat.along * v * dx
+    part = PairFloats()
+    part[0] = v
+    part[1] = v * dx
+    part[2] = v * dx * dx
+    part[3] = v * dy
+    part[4] = v * dx * dy
+    part[5] = v * dy * dy
+    part[6] = weight * by_color[0]
+    part[7] = weight * by_color[1]
+    part[8] = weight * by_color[2]
+    part[9] = weight
+    part[10] = wp.abs(slope)
+    part[11] = wp.abs(splat.across * dy * v - splat.shear * slope)
+    return part
+
+
+@wp.func
+def record_of(splat: Splat, sums: PairFloats) -> SplatGradient:
+    """The record of a splat, of its sums over pixels."""
+    record = SplatGradient()
+    record.log_opacity = sums[0]
+    record.center = wp.vec2(
+        2.0 * splat.along * sums[1], 2.0 * splat.across * sums[3] - 2.0 * splat.along * splat.shear * sums[1]
+    )
+    record.along = -sums[2]
+    record.shear = 2.0 * splat.along * sums[4]
+    record.across = -sums[5]
+    record.color = wp.vec3(sums[6], sums[7], sums[8])
+    record.weight = sums[9]
+    record.center_absolute = wp.vec2(2.0 * sums[10], 2.0 * sums[11])
+    return record

@@ -7,8 +7,8 @@ A splat, weighted by the derivatives of the loss by it and added up, is one numb
 import warp as wp
 
 from lumisplat.constants.training import COMPENSATION_MIN, SH_COEFFICIENTS_MAX
-from lumisplat.device.gaussian.projection import mat23
 from lumisplat.device.math.sh import C0, C1, C2_XX, C2_XY, C2_ZZ, C3_0, C3_1, C3_2, C3_3, C3_5
+from lumisplat.device.splat.projection import mat23
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import SplatGradient, SplatOrigin
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData

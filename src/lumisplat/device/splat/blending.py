@@ -12,6 +12,7 @@ from lumisplat.device.camera.window import image_index, ray_index
 from lumisplat.device.math.color import over
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import SplatInstanceData
@@ -203,3 +204,13 @@ def store_result(
         store_gaussian_hits(camera, splats, pixel, x, y, hits_out)
     else:
         store_pixel(camera, raster, instances, splats, meshes, pixel, x, y, pixels_out)
+
+
+@wp.func
+def behind_pixel(pixels: PixelData, gradient: PixelGradient, pixel: int, mesh_z: float) -> float:
+    """What of the loss is still to come behind all that is blended already: at first, all that the pixel shows.
+
+    Of the alpha of a pixel with a mesh, nothing depends on splats.
+    """
+    transmittance = wp.where(mesh_z < wp.inf, 0.0, 1.0 - pixels.alpha[pixel])
+    return wp.dot(gradient.color[pixel], pixels.color[pixel]) - gradient.alpha[pixel] * transmittance
