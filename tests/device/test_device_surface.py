@@ -28,8 +28,9 @@ def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0
         splat = Splat()
         splat.color = wp.vec3(float(i), 1.0, 0.0)
         splat.normal = wp.vec3(0.0, 0.0, 1.0)
+        splat.index = i
         if pixel.transmittance > 0.0:
-            pixel = blend(pixel, splat, i, alpha, transmittance_min, iso)
+            pixel = blend(pixel, splat, alpha, transmittance_min, iso)
     return pixel
 
 

@@ -150,7 +150,7 @@ class TrainingRaster:
         starts = self._backward.pair_starts(drawn)
         pairs = self._buffers.get("weights.pairs", wp.float32, drawn.tiles.items.shape[0])
         lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
-        run(weight_kernels.find_largest_weights, tiles, self._scene.camera, drawn.settings, *lists, pairs)
+        run(weight_kernels.find_largest_weights, tiles, self._scene.camera, drawn.settings, *lists, drawn.meshes, pairs)
         run(weight_kernels.keep_largest, drawn.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:

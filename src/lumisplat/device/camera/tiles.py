@@ -1,5 +1,7 @@
 """Tiles of the image and the strips of their rows: sizes, vectors of a tile's values, and the pixels of items."""
 
+from typing import Any
+
 import warp as wp
 
 from lumisplat.constants import STRIP_PX, TILE_PX
@@ -18,6 +20,30 @@ TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)
 StripFloats = wp.types.vector(length=TILE_PX * TILE_PX // STRIP_PX, dtype=wp.float32)
 StripSums = wp.types.vector(length=STRIP_PX, dtype=wp.float32)
 RowFloats = wp.types.vector(length=TILE_PX, dtype=wp.float32)
+
+
+def elements_of(vector: Any) -> tuple[Any, Any, Any]:
+    """Returns functions that read, set and add to element ``i`` of a vector through a reference.
+
+    Warp would copy the whole vector to read one, and would allow for negative indices when it writes one, which keeps
+    loops over pixels from being vectorised.
+    """
+    number = vector._wp_scalar_type_
+
+    @wp.func_native("return values[i];")
+    def at(values: wp.ref[vector], i: int) -> number: ...
+
+    @wp.func_native("values[i] = value;")
+    def set_at(values: wp.ref[vector], i: int, value: number): ...
+
+    @wp.func_native("values[i] += value;")
+    def add_at(values: wp.ref[vector], i: int, value: number): ...
+
+    return at, set_at, add_at
+
+
+float_at, set_at, add_at = elements_of(TileFloats)
+int_at, set_int_at, add_int_at = elements_of(TileInts)
 
 
 @wp.func

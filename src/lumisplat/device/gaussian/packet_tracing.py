@@ -16,17 +16,10 @@ from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_group import largest_of, least_of
 from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.packet_hits import packet_hits_of
-from lumisplat.device.gaussian.ray_compositing import (
-    add_relit,
-    blend_hit,
-    close_pass,
-    load_pixel,
-    record_hit,
-    store_pixel,
-)
+from lumisplat.device.gaussian.ray_compositing import blend_hit, close_pass, load_pixel, record_hit, store_pixel
 from lumisplat.device.gaussian.surface_depth import surface_peak
 from lumisplat.device.math.random import draw_mixed, mix
-from lumisplat.device.splat.blending import instance_of
+from lumisplat.device.splat.blending import add_relit, instance_of
 from lumisplat.device.structs.bvh import (
     FAR,
     HIT_HULL,

@@ -7,7 +7,7 @@ import warp as wp
 
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.math.random import draw
-from lumisplat.device.splat.blending import empty_pixel, instance_of, lay_behind
+from lumisplat.device.splat.blending import begin_relit, empty_pixel, instance_of, lay_behind
 from lumisplat.device.splat.projection import BEYOND_MAX, towards
 from lumisplat.device.structs.bvh import AssetBvh, TraceData
 from lumisplat.device.structs.raster import BlendState
@@ -94,32 +94,6 @@ def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: 
         profiles[0].alpha[row] = alpha
         profiles[0].transmittance[row] = pixel.transmittance
         profiles[0].gaussian[row] = index
-
-
-@wp.func
-def begin_relit(hits: GaussianHits, ray: int):
-    """Nothing of relit sets on a ray, if what they show is added up apart."""
-    if hits.relit_weight:
-        hits.relit_color[ray] = wp.vec3(0.0)
-        hits.relit_weight[ray] = 0.0
-        hits.relit_gaussian[ray] = -1
-
-
-@wp.func
-def add_relit(
-    hits: GaussianHits,
-    ray: int,
-    instances: wp.array[SplatInstanceData],
-    before: BlendState,
-    after: BlendState,
-    index: int,
-):
-    """Adds what blending the Gaussian ``index`` has changed to the share of relit sets, if it is one of theirs."""
-    if instances[instance_of(instances, index)].relit != 0:
-        hits.relit_color[ray] += after.color - before.color
-        hits.relit_weight[ray] += before.transmittance - after.transmittance
-        if hits.relit_gaussian[ray] < 0 or after.surface == index:
-            hits.relit_gaussian[ray] = index
 
 
 @wp.func

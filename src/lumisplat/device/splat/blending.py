@@ -74,13 +74,11 @@ def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, a
 
 
 @wp.func
-def blend(
-    pixel: BlendState, splat: Splat, splat_index: int, alpha: float, transmittance_min: float, iso: float
-) -> BlendState:
+def blend(pixel: BlendState, splat: Any, alpha: float, transmittance_min: float, iso: float) -> BlendState:
     """Blends a splat behind the others; if T would fall to its minimum, drops it and finishes the pixel."""
     before = pixel.transmittance
     if before - before * alpha > transmittance_min:
-        return lay_behind(pixel, splat.color, splat.normal, splat_index, alpha, iso)
+        return lay_behind(pixel, splat.color, splat.normal, splat.index, alpha, iso)
     pixel.transmittance = -before
     return pixel
 
@@ -115,6 +113,32 @@ def instance_of(instances: wp.array[Any], item: int) -> int:
         else:
             high = middle
     return low
+
+
+@wp.func
+def begin_relit(hits: GaussianHits, ray: int):
+    """Nothing of relit sets on a ray, if what they show is added up apart."""
+    if hits.relit_weight:
+        hits.relit_color[ray] = wp.vec3(0.0)
+        hits.relit_weight[ray] = 0.0
+        hits.relit_gaussian[ray] = -1
+
+
+@wp.func
+def add_relit(
+    hits: GaussianHits,
+    ray: int,
+    instances: wp.array[SplatInstanceData],
+    before: BlendState,
+    after: BlendState,
+    index: int,
+):
+    """Adds what blending the Gaussian ``index`` has changed to the share of relit sets, if it is one of theirs."""
+    if instances[instance_of(instances, index)].relit != 0:
+        hits.relit_color[ray] += after.color - before.color
+        hits.relit_weight[ray] += before.transmittance - after.transmittance
+        if hits.relit_gaussian[ray] < 0 or after.surface == index:
+            hits.relit_gaussian[ray] = index
 
 
 @wp.func

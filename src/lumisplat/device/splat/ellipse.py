@@ -5,12 +5,15 @@ The equations are in docs/method/rasterisation.md.
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import STRIP, TILE
+from lumisplat.device.camera.tiles import STRIP, TILE, TileFloats, float_at, set_at
+from lumisplat.device.camera.window import image_index
 from lumisplat.device.math.aligned_memory import aligned_load_of, aligned_store_of
-from lumisplat.device.splat.projection import ALPHA_LIMIT, LOG_ALPHA_MIN, alpha_from_log
+from lumisplat.device.splat.footprint import Footprint
+from lumisplat.device.splat.projection import LOG_ALPHA_MIN, visible_alpha
 from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.gradients import SplatGradient
-from lumisplat.device.structs.raster import Splat, TileRect
+from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 
 wp.set_module_options({"enable_backward": False})
 
@@ -56,56 +59,136 @@ def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
     return wp.vec2i(first, last + 1)
 
 
+@struct
+class EllipseTile:
+    """What a tile's pixels know of what is around their splats."""
+
+    limit_z: TileFloats
+    """View depth of the nearest mesh; inf: none."""
+
+
+@struct
+class EllipseRow:
+    """A splat on a row of a tile."""
+
+    dy: float
+    """From its centre, pixels."""
+    log_alpha: float
+    """Logarithm of its largest alpha there."""
+    center: float
+    """Where that is, pixels from the tile's left edge."""
+
+
+@struct
+class EllipseAt:
+    """A splat at a pixel."""
+
+    alpha: float
+    """0 below 1/255, and behind a mesh."""
+    log_alpha: float
+    """Before it is limited."""
+    dx: float
+    """From where its alpha is largest on the row, pixels."""
+    dy: float
+    """From its centre."""
+
+
 @wp.func
-def touches_strip(splat: Splat, row_log_alpha: float, row_center: float, strip: int) -> bool:
-    """Whether a splat is visible at a pixel of a strip.
+def begin_pixel(tile: wp.ref[EllipseTile], i: int, view: CameraData, meshes: MeshPixels, x: int, y: int) -> float:
+    """Takes the depth of the mesh behind a pixel, and returns it."""
+    limit = meshes.depth_z[image_index(view, x, y)]
+    set_at(tile.limit_z, i, limit)
+    return limit
+
+
+@wp.func
+def row_of(splat: Splat, view: CameraData, left: int, top: int, y: int) -> EllipseRow:
+    """A splat on row ``y`` of the tile whose corner is at (left, top)."""
+    row = EllipseRow()
+    row.dy = float(y) + 0.5 - (splat.center[1] - float(top))
+    row.log_alpha = splat.log_opacity - splat.across * row.dy * row.dy
+    row.center = splat.center[0] - float(left) + splat.shear * row.dy
+    return row
+
+
+@wp.func
+def touches_strip(splat: Splat, row: EllipseRow, strip: int) -> bool:
+    """Whether a splat is visible at a pixel of a strip of the row."""
+    first = float(strip * STRIP) + 0.5
+    dx = wp.clamp(row.center, first, first + float(STRIP - 1)) - row.center
+    return row.log_alpha - splat.along * dx * dx >= LOG_ALPHA_MIN
+
+
+@wp.func
+def at_pixel(splat: Splat, row: EllipseRow, tile: wp.ref[EllipseTile], i: int, x: int) -> EllipseAt:
+    """A splat at pixel ``i`` of a tile, in column ``x``."""
+    at = EllipseAt()
+    at.dx = float(x) + 0.5 - row.center
+    at.dy = row.dy
+    at.log_alpha = row.log_alpha - splat.along * at.dx * at.dx
+    at.alpha = wp.where(splat.depth < float_at(tile.limit_z, i), visible_alpha(at.log_alpha), 0.0)
+    return at
+
+
+@struct
+class EllipsePixel:
+    """A pixel, and what is around its splats."""
+
+    center: wp.vec2
+    """In the picture, pixels."""
+    limit_z: float
+    """View depth of the nearest mesh; inf: none."""
+    limit: float
+    """The same: where what the pixel sees ends."""
+
+
+@wp.func
+def look(view: CameraData, meshes: MeshPixels, x: int, y: int) -> EllipsePixel:
+    """A pixel of the picture."""
+    seen = EllipsePixel()
+    seen.center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
+    seen.limit_z = meshes.depth_z[image_index(view, x, y)]
+    seen.limit = seen.limit_z
+    return seen
+
+
+@wp.func
+def covers(splat: Splat, seen: EllipsePixel) -> bool:
+    """There is no test that is quicker than ``meet``."""
+    return True
+
+
+@wp.func
+def meet(splat: Splat, seen: EllipsePixel) -> EllipseAt:
+    """A splat at a pixel, whatever is around it; ``alpha`` is left to who needs it."""
+    at = EllipseAt()
+    at.dy = seen.center[1] - splat.center[1]
+    at.dx = seen.center[0] - splat.center[0] - splat.shear * at.dy
+    at.log_alpha = splat.log_opacity - splat.across * at.dy * at.dy - splat.along * at.dx * at.dx
+    return at
+
+
+@wp.func
+def first_touching(
+    splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, seen: EllipsePixel, is_marked: bool
+) -> int:
+    """The first splat of a sorted list that shows at a pixel; -1: none does.
 
     Args:
-        splat: The splat.
-        row_log_alpha: Logarithm of its largest alpha on the row.
-        row_center: Where on the row that is, px from the tile's left edge.
-        strip: The strip's number in the row.
+        splats: All splats.
+        tile_splats: Numbers of splats.
+        begin: First entry.
+        end: The one after the last.
+        seen: The pixel.
+        is_marked: Whether only those count whose normals begin with a positive number.
     """
-    left = float(strip * STRIP) + 0.5
-    dx = wp.clamp(row_center, left, left + float(STRIP - 1)) - row_center
-    return row_log_alpha - splat.along * dx * dx >= LOG_ALPHA_MIN
-
-
-@wp.func
-def log_alpha_at(splat: Splat, x: int, y: int) -> float:
-    """Logarithm of a splat's alpha at a pixel, before it is limited."""
-    dy = float(y) + 0.5 - splat.center[1]
-    dx = float(x) + 0.5 - splat.center[0] - splat.shear * dy
-    return splat.log_opacity - splat.across * dy * dy - splat.along * dx * dx
-
-
-@wp.func
-def visible_alpha(log_alpha: float) -> float:
-    """Alpha of a logarithm, 0 below 1/255; a selection, so that rows of pixels vectorise."""
-    return wp.where(log_alpha >= LOG_ALPHA_MIN, alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN)), 0.0)
-
-
-@wp.func
-def first_touching(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, x: int, y: int) -> int:
-    """The first splat that touches a pixel; -1: none does."""
     for j in range(begin, end):
         index = tile_splats[j]
-        if log_alpha_at(splats[index], x, y) >= LOG_ALPHA_MIN:
-            return index
+        splat = splats[index]
+        if splat.depth < seen.limit_z and (not is_marked or splat.normal[0] > 0.0):
+            if meet(splat, seen).log_alpha >= LOG_ALPHA_MIN:
+                return index
     return -1
-
-
-@wp.func
-def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
-    """The first entry of a tile's sorted list at or beyond a depth; ``end`` if there is none.
-
-    All are read, not just those up to the first: their memory is fetched at once, a seventh off the composite.
-    """
-    visible = int(begin)
-    for j in range(begin, end):
-        if splats[tile_splats[j]].depth < farthest:
-            visible += 1
-    return visible
 
 
 @wp.func
@@ -131,41 +214,29 @@ weight, and of the magnitudes of what moves its centre."""
 
 
 @wp.func
-def pair_of_pixel(
-    splat: Splat,
-    x: int,
-    y: int,
-    alpha: float,
-    transmittance: float,
-    weight: float,
-    shown: float,
-    behind: float,
-    by_color: wp.vec3,
-) -> PairFloats:
-    """What one pixel adds, in which a splat is blended."""
-    v = wp.where(alpha < ALPHA_LIMIT, alpha * (transmittance * shown - behind) / (1.0 - alpha), 0.0)
-    dy = float(y) + 0.5 - splat.center[1]
-    dx = float(x) + 0.5 - splat.center[0] - splat.shear * dy
-    slope = splat.along * v * dx
-    part = PairFloats()
-    part[0] = v
-    part[1] = v * dx
-    part[2] = v * dx * dx
-    part[3] = v * dy
-    part[4] = v * dx * dy
-    part[5] = v * dy * dy
-    part[6] = weight * by_color[0]
-    part[7] = weight * by_color[1]
-    part[8] = weight * by_color[2]
-    part[9] = weight
-    part[10] = wp.abs(slope)
-    part[11] = wp.abs(splat.across * dy * v - splat.shear * slope)
-    return part
+def part_of(splat: Splat, at: EllipseAt, v: float, weight: float, by_color: wp.vec3) -> PairFloats:
+    """What one pixel adds to the sums of a splat; ``v`` is the derivative by the logarithm of its alpha."""
+    vx = v * at.dx
+    slope = splat.along * vx
+    return PairFloats(
+        v,
+        vx,
+        vx * at.dx,
+        v * at.dy,
+        vx * at.dy,
+        v * at.dy * at.dy,
+        weight * by_color[0],
+        weight * by_color[1],
+        weight * by_color[2],
+        weight,
+        wp.abs(slope),
+        wp.abs(splat.across * at.dy * v - splat.shear * slope),
+    )
 
 
 @wp.func
-def record_of(splat: Splat, sums: PairFloats) -> SplatGradient:
-    """The record of a splat, of its sums over pixels."""
+def gradient_of(splat: Splat, sums: PairFloats) -> SplatGradient:
+    """The derivatives by a splat, of its sums over pixels."""
     record = SplatGradient()
     record.log_opacity = sums[0]
     record.center = wp.vec2(
@@ -178,3 +249,41 @@ def record_of(splat: Splat, sums: PairFloats) -> SplatGradient:
     record.weight = sums[9]
     record.center_absolute = wp.vec2(2.0 * sums[10], 2.0 * sums[11])
     return record
+
+
+@wp.func
+def take(splats: wp.array[Splat], index: int, item: wp.ref[Splat]):
+    """Fetches a splat for the memory that a block shares."""
+    load_splat(splats, index, item)
+
+
+@wp.func
+def splat_of(splats: wp.array[Splat], item: Splat) -> Splat:
+    """The splat that was fetched."""
+    return item
+
+
+ELLIPSE = Footprint(
+    settings=RasterData,
+    splat=Splat,
+    surroundings=MeshPixels,
+    tile=EllipseTile,
+    begin_pixel=begin_pixel,
+    rows_of=rows_of,
+    row_of=row_of,
+    touches_strip=touches_strip,
+    at_pixel=at_pixel,
+    at=EllipseAt,
+    pixel=EllipsePixel,
+    look=look,
+    covers=covers,
+    meet=meet,
+    item=Splat,
+    take=take,
+    splat_of=splat_of,
+    sums=PairFloats,
+    part_of=part_of,
+    gradient=SplatGradient,
+    gradient_of=gradient_of,
+)
+"""A Gaussian as an ellipse of the image (EWA)."""

@@ -158,6 +158,12 @@ def alpha_from_log(log_alpha: float) -> float:
 
 
 @wp.func
+def visible_alpha(log_alpha: float) -> float:
+    """Alpha of a logarithm, 0 below 1/255; a selection, so that rows of pixels vectorise."""
+    return wp.where(log_alpha >= LOG_ALPHA_MIN, alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN)), 0.0)
+
+
+@wp.func
 def depth_plane(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> wp.vec3:

@@ -7,12 +7,23 @@ import warp as wp
 
 from lumisplat.device.camera.camera import FISHEYE
 from lumisplat.device.camera.lens import row_time, seen_point, view_at
-from lumisplat.device.camera.tiles import TILE
+from lumisplat.device.camera.tiles import STRIP, TILE, TileFloats, float_at, set_at
+from lumisplat.device.camera.window import ray_index
 from lumisplat.device.math.sh import sh_color
-from lumisplat.device.splat.projection import BEYOND_MAX, LOG_ALPHA_MIN, OPACITY_MIN, gaussian_normal, towards
+from lumisplat.device.splat.footprint import Footprint
+from lumisplat.device.splat.projection import (
+    BEYOND_MAX,
+    LOG_ALPHA_MIN,
+    OPACITY_MIN,
+    gaussian_normal,
+    towards,
+    visible_alpha,
+)
 from lumisplat.device.splat.ray_bounds import canonical, gaussian_bounds, pixel_box
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import PixelBox, RayRasterData, RaySplat, TileRect, WorldGaussian
+from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.gradients import RaySplatGradient
+from lumisplat.device.structs.raster import PixelBox, PixelRays, RayRasterData, RaySplat, TileRect, WorldGaussian
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})
@@ -145,31 +156,287 @@ def tiles_of(camera: CameraData, box: PixelBox) -> TileRect:
 
 
 @wp.func
-def is_within(box: PixelBox, x: int, y: int) -> bool:
-    """Whether a pixel is in a box."""
-    return x >= box.x0 and x < box.x1 and y >= box.y0 and y < box.y1
-
-
-@wp.func
 def eye_of_row(splat: RaySplat, motion: wp.vec3, time: float) -> wp.vec3:
     """Where the eye is at a time of the shutter, canonical space, if it moves so far from the first row to the last."""
     return splat.eye + time * (splat.canonical_from_world * motion)
 
 
-@wp.func
-def log_alpha_along(splat: RaySplat, eye: wp.vec3, direction: wp.vec3, t_min: float, t_max: float) -> float:
-    """Logarithm of a splat's largest alpha along a ray, before it is limited; -inf if that is not before ``t_max``.
+@struct
+class RayTile:
+    """The rays of a tile's pixels."""
 
-    Args:
-        splat: The splat.
-        eye: Where the ray begins, canonical space.
-        direction: Of the ray, world space, unit.
-        t_min: The largest alpha must lie beyond this distance.
-        t_max: And before this one.
+    limit_z: TileFloats
+    """Inf where there is a ray: how far it goes is a distance, and not a depth."""
+    x: TileFloats
+    """Of their directions, world space."""
+    y: TileFloats
+    z: TileFloats
+    t_min: TileFloats
+    t_max: TileFloats
+
+
+@struct
+class RayRow:
+    """A Gaussian as the rays of a row of a tile meet it."""
+
+    eye: wp.vec3
+    """Canonical."""
+    left: int
+    """The first pixel of its box, from the tile's left edge."""
+    right: int
+    """The one after its last."""
+
+
+@struct
+class RayAt:
+    """A Gaussian as one ray meets it."""
+
+    alpha: float
+    """0 below 1/255, outside of its box, and where the ray does not reach it."""
+    along: wp.vec3
+    """The ray's direction, canonical."""
+    across: wp.vec3
+    """Cross product of the eye and that."""
+    length2: float
+    """Squared length of the direction."""
+    log_alpha: float
+    """Before it is limited."""
+
+
+@wp.func
+def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, seen: PixelRays, x: int, y: int) -> float:
+    """Takes the ray of a pixel, and returns where it ends; 0: there is none."""
+    ray = ray_index(view, x, y)
+    if not seen.rays.is_active[ray]:
+        return 0.0
+    direction = seen.rays.direction[ray]
+    set_at(tile.limit_z, i, wp.inf)
+    set_at(tile.x, i, direction[0])
+    set_at(tile.y, i, direction[1])
+    set_at(tile.z, i, direction[2])
+    set_at(tile.t_min, i, seen.rays.t_min[ray])
+    set_at(tile.t_max, i, seen.limits[ray])
+    return seen.limits[ray]
+
+
+@wp.func
+def rows_of(splat: RaySplat, top: int, rows: int) -> wp.vec2i:
+    """The first row of a tile that a splat's box covers, and the one after the last."""
+    return wp.vec2i(wp.max(splat.box.y0 - top, 0), wp.min(splat.box.y1 - top, rows))
+
+
+@wp.func
+def row_of(splat: RaySplat, view: CameraData, left: int, top: int, y: int) -> RayRow:
+    """A splat on row ``y`` of the tile whose corner is at (left, top)."""
+    row = RayRow()
+    row.eye = splat.eye
+    if view.shutter != 0:
+        row.eye = eye_of_row(splat, view.motion, (float(top + y) + 0.5) / float(view.picture_height))
+    row.left = splat.box.x0 - left
+    row.right = splat.box.x1 - left
+    return row
+
+
+@wp.func
+def touches_strip(splat: RaySplat, row: RayRow, strip: int) -> bool:
+    """Whether a splat's box covers a pixel of a strip of the row."""
+    return row.left < (strip + 1) * STRIP and row.right > strip * STRIP
+
+
+@wp.func
+def at_pixel(splat: RaySplat, row: RayRow, tile: wp.ref[RayTile], i: int, x: int) -> RayAt:
+    """As ``meet``, pixel ``i`` of a tile, in column ``x``, by selections of single numbers."""
+    w = splat.canonical_from_world
+    c = row.eye
+    rx = float_at(tile.x, i)
+    ry = float_at(tile.y, i)
+    rz = float_at(tile.z, i)
+    ex = w[0, 0] * rx + w[0, 1] * ry + w[0, 2] * rz
+    ey = w[1, 0] * rx + w[1, 1] * ry + w[1, 2] * rz
+    ez = w[2, 0] * rx + w[2, 1] * ry + w[2, 2] * rz
+    kx = c[1] * ez - c[2] * ey
+    ky = c[2] * ex - c[0] * ez
+    kz = c[0] * ey - c[1] * ex
+    length2 = ex * ex + ey * ey + ez * ez
+    peak = -(c[0] * ex + c[1] * ey + c[2] * ez)
+    log_alpha = splat.log_opacity - 0.5 * (kx * kx + ky * ky + kz * kz) / length2
+    alpha = visible_alpha(log_alpha)
+    alpha = wp.where(peak > float_at(tile.t_min, i) * length2, alpha, 0.0)
+    alpha = wp.where(peak < float_at(tile.t_max, i) * length2, alpha, 0.0)
+    alpha = wp.where(x >= row.left, alpha, 0.0)
+    at = RayAt()
+    at.alpha = wp.where(x < row.right, alpha, 0.0)
+    at.along = wp.vec3(ex, ey, ez)
+    at.across = wp.vec3(kx, ky, kz)
+    at.length2 = length2
+    return at
+
+
+@struct
+class RayPixel:
+    """A pixel and its ray."""
+
+    x: int
+    y: int
+    limit_z: float
+    """Inf; 0 if there is no ray."""
+    time: float
+    """Of the shutter, when its row is exposed."""
+    motion: wp.vec3
+    """Of the eye until then from the first row to the last."""
+    direction: wp.vec3
+    """World space, unit."""
+    t_min: float
+    limit: float
+    """Distance up to which Gaussians count."""
+
+
+@wp.func
+def look(view: CameraData, around: PixelRays, x: int, y: int) -> RayPixel:
+    """The ray of a pixel of the picture."""
+    ray = ray_index(view, x, y)
+    seen = RayPixel()
+    seen.x = x
+    seen.y = y
+    seen.limit_z = wp.where(around.rays.is_active[ray], wp.inf, 0.0)
+    seen.motion = view.motion
+    if view.shutter != 0:
+        seen.time = (float(y) + 0.5) / float(view.picture_height)
+    seen.direction = around.rays.direction[ray]
+    seen.t_min = around.rays.t_min[ray]
+    seen.limit = around.limits[ray]
+    return seen
+
+
+@wp.func
+def covers(splat: RaySplat, seen: RayPixel) -> bool:
+    """Whether a pixel is in a splat's box."""
+    box = splat.box
+    return seen.x >= box.x0 and seen.x < box.x1 and seen.y >= box.y0 and seen.y < box.y1
+
+
+@wp.func
+def meet(splat: RaySplat, seen: RayPixel) -> RayAt:
+    """A splat as the ray of a pixel in its box meets it; ``alpha`` is left to who needs it.
+
+    The logarithm of the largest alpha along the ray is -inf unless that is between the ray's ends.
     """
-    along = splat.canonical_from_world * direction
-    across = wp.cross(eye, along)  # eye + t along would cancel for thin Gaussians
-    length2 = wp.length_sq(along)
-    peak = -wp.dot(eye, along)
-    log_alpha = splat.log_opacity - 0.5 * wp.length_sq(across) / length2
-    return wp.where(peak > t_min * length2 and peak < t_max * length2, log_alpha, -wp.inf)
+    eye = splat.eye
+    if seen.time > 0.0:
+        eye = eye_of_row(splat, seen.motion, seen.time)
+    at = RayAt()
+    at.along = splat.canonical_from_world * seen.direction
+    at.across = wp.cross(eye, at.along)  # eye + t along would cancel for thin Gaussians
+    at.length2 = wp.length_sq(at.along)
+    peak = -wp.dot(eye, at.along)
+    log_alpha = splat.log_opacity - 0.5 * wp.length_sq(at.across) / at.length2
+    is_between = peak > seen.t_min * at.length2 and peak < seen.limit * at.length2
+    at.log_alpha = wp.where(is_between, log_alpha, -wp.inf)
+    return at
+
+
+RaySplatFloats = wp.types.vector(length=14, dtype=wp.float32)
+"""Sums over pixels, of which a record is made, in the order of its fields."""
+
+
+@wp.func
+def part_of(splat: RaySplat, at: RayAt, v: float, weight: float, by_color: wp.vec3) -> RaySplatFloats:
+    """What one pixel adds to the sums of a splat; ``v`` is the derivative by the logarithm of its alpha."""
+    along = at.along
+    across = at.across
+    # Where nothing is blended, the nearest point may be no number.
+    px = wp.where(at.alpha > 0.0, (along[1] * across[2] - along[2] * across[1]) / at.length2, 0.0)
+    py = wp.where(at.alpha > 0.0, (along[2] * across[0] - along[0] * across[2]) / at.length2, 0.0)
+    pz = wp.where(at.alpha > 0.0, (along[0] * across[1] - along[1] * across[0]) / at.length2, 0.0)
+    vx = v * px
+    vy = v * py
+    vz = v * pz
+    return RaySplatFloats(
+        weight * by_color[0],
+        weight * by_color[1],
+        weight * by_color[2],
+        v,
+        weight,
+        vx,
+        vy,
+        vz,
+        vx * px,
+        vy * py,
+        vz * pz,
+        vy * pz,
+        vz * px,
+        vx * py,
+    )
+
+
+@wp.func
+def gradient_of(splat: RaySplat, sums: RaySplatFloats) -> RaySplatGradient:
+    """The record of a splat, of its sums over pixels."""
+    record = RaySplatGradient()
+    record.color = wp.vec3(sums[0], sums[1], sums[2])
+    record.log_opacity = sums[3]
+    record.weight = sums[4]
+    record.point = wp.vec3(sums[5], sums[6], sums[7])
+    record.squares = wp.vec3(sums[8], sums[9], sums[10])
+    record.products = wp.vec3(sums[11], sums[12], sums[13])
+    return record
+
+
+@wp.func
+def sum_of_records(records: wp.array[RaySplatGradient], begin: int, end: int) -> RaySplatGradient:
+    """The sum of the records of a splat."""
+    total = RaySplatGradient()
+    for k in range(begin, end):
+        part = records[k]
+        total.color += part.color
+        total.log_opacity += part.log_opacity
+        total.weight += part.weight
+        total.point += part.point
+        total.squares += part.squares
+        total.products += part.products
+    return total
+
+
+@struct
+class RayItem:
+    """Which splat one is."""
+
+    index: int
+
+
+@wp.func
+def take(splats: wp.array[RaySplat], index: int, item: wp.ref[RayItem]):
+    """Notes a splat for the memory that a block shares, which has no room for all of it."""
+    item.index = index
+
+
+@wp.func
+def splat_of(splats: wp.array[RaySplat], item: RayItem) -> RaySplat:
+    """The splat that was noted."""
+    return splats[item.index]
+
+
+ALONG_RAYS = Footprint(
+    settings=RayRasterData,
+    splat=RaySplat,
+    surroundings=PixelRays,
+    tile=RayTile,
+    begin_pixel=begin_pixel,
+    rows_of=rows_of,
+    row_of=row_of,
+    touches_strip=touches_strip,
+    at_pixel=at_pixel,
+    at=RayAt,
+    pixel=RayPixel,
+    look=look,
+    covers=covers,
+    meet=meet,
+    item=RayItem,
+    take=take,
+    splat_of=splat_of,
+    sums=RaySplatFloats,
+    part_of=part_of,
+    gradient=RaySplatGradient,
+    gradient_of=gradient_of,
+)
+"""A Gaussian as the rays of pixels meet it (3DGUT)."""

@@ -1,4 +1,4 @@
-"""Derivatives of what rays of pixels show by the Gaussians that they meet: the parts that all schedules share.
+"""Derivatives of what rays of pixels show by the Gaussians that they meet: from their sums to their places and shapes.
 
 The equations are in docs/method/gradients.md#rasterisation-along-rays.
 """
@@ -7,75 +7,12 @@ import warp as wp
 
 from lumisplat.device.camera.camera import FISHEYE, turned
 from lumisplat.device.camera.lens import view_at
-from lumisplat.device.splat.projection import ALPHA_LIMIT
 from lumisplat.device.splat.ray_splat import DEPTH_MIN
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import RaySplatGradient
-from lumisplat.device.structs.raster import RaySplat, WorldGaussian
+from lumisplat.device.structs.raster import WorldGaussian
 
 wp.set_module_options({"enable_backward": False})
-
-RaySplatFloats = wp.types.vector(length=14, dtype=wp.float32)
-"""Sums over pixels, of which a record is made, in the order of its fields."""
-
-
-@wp.func
-def nearest_point(splat: RaySplat, eye: wp.vec3, direction: wp.vec3) -> wp.vec3:
-    """The point of a ray at which a splat responds most, canonical space; arguments as of ``log_alpha_along``."""
-    along = splat.canonical_from_world * direction
-    return wp.cross(along, wp.cross(eye, along)) / wp.length_sq(along)
-
-
-@wp.func
-def record_of_pixel(
-    point: wp.vec3, alpha: float, transmittance: float, weight: float, shown: float, behind: float, by_color: wp.vec3
-) -> RaySplatFloats:
-    """What one pixel adds, in which a splat is blended, whose ray is nearest to it at a canonical point."""
-    v = wp.where(alpha < ALPHA_LIMIT, alpha * (transmittance * shown - behind) / (1.0 - alpha), 0.0)
-    return RaySplatFloats(
-        weight * by_color[0],
-        weight * by_color[1],
-        weight * by_color[2],
-        v,
-        weight,
-        v * point[0],
-        v * point[1],
-        v * point[2],
-        v * point[0] * point[0],
-        v * point[1] * point[1],
-        v * point[2] * point[2],
-        v * point[1] * point[2],
-        v * point[2] * point[0],
-        v * point[0] * point[1],
-    )
-
-
-@wp.func
-def record_of_sums(sums: RaySplatFloats) -> RaySplatGradient:
-    """The record of a splat, of its sums over pixels."""
-    record = RaySplatGradient()
-    record.color = wp.vec3(sums[0], sums[1], sums[2])
-    record.log_opacity = sums[3]
-    record.weight = sums[4]
-    record.point = wp.vec3(sums[5], sums[6], sums[7])
-    record.squares = wp.vec3(sums[8], sums[9], sums[10])
-    record.products = wp.vec3(sums[11], sums[12], sums[13])
-    return record
-
-
-@wp.func
-def sum_of_records(records: wp.array[RaySplatGradient], begin: int, end: int) -> RaySplatGradient:
-    """The sum of the records of a splat."""
-    total = RaySplatGradient()
-    for k in range(begin, end):
-        part = records[k]
-        total.color += part.color
-        total.log_opacity += part.log_opacity
-        total.weight += part.weight
-        total.point += part.point
-        total.squares += part.squares
-        total.products += part.products
-    return total
 
 
 @wp.func

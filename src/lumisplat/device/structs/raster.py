@@ -7,6 +7,7 @@ import warp as wp
 
 from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 
 
@@ -186,6 +187,15 @@ class RaySplat:
     """Among all Gaussians of the scene."""
     box: PixelBox
     """Outside of it, alpha is below 1/255."""
+
+
+@struct
+class PixelRays:
+    """The rays along which pixels see Gaussians, and where they end."""
+
+    rays: RayData
+    limits: wp.array[float]
+    """Distances up to which Gaussians count."""
 
 
 @struct

@@ -6,33 +6,23 @@ docs/method/gradients.md#rasterisation-along-rays.
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
-from lumisplat.device.camera.tiles import STRIP, TILE, StripSums, TileFloats, is_listed, pair_slot, tile_corner
-from lumisplat.device.splat.blending import behind_pixel, left_behind
-from lumisplat.device.splat.ellipse import visible_alpha
-from lumisplat.device.splat.projection import ALPHA_LIMIT
+from lumisplat.device.camera.tiles import is_listed
 from lumisplat.device.splat.projection_gradient import color_dot, open_channels, sh_weights
-from lumisplat.device.splat.ray_splat import eye_at, eye_of_row, seen_gaussian, seen_time
-from lumisplat.device.splat.ray_splat_gradient import (
-    RaySplatFloats,
-    mean_gradient,
-    record_of_sums,
-    scale_gradient,
-    sum_of_records,
-    turn_gradient,
-)
+from lumisplat.device.splat.ray_splat import ALONG_RAYS, eye_at, seen_gaussian, seen_time, sum_of_records
+from lumisplat.device.splat.ray_splat_gradient import mean_gradient, scale_gradient, turn_gradient
+from lumisplat.device.splat.tile_visitors import backward_arrays, derivatives
+from lumisplat.device.splat.tile_walk import TILE_OPTIONS, tile_walk
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RayMotion, RaySplatGradient
-from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
+from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": FUSED_FLAGS})
+wp.set_module_options(TILE_OPTIONS)
 
-BATCH = wp.constant(32)
-"""Gaussians between two checks whether any pixel is unfinished."""
+Arrays = backward_arrays(ALONG_RAYS)
+add_tile_records = tile_walk(ALONG_RAYS, derivatives(ALONG_RAYS))
 
 
 @wp.kernel
@@ -51,152 +41,17 @@ def backward_ray_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[RaySplatGradient],
 ):
-    """The arithmetic of ``ray_splat_tile_kernels.composite_tiles`` once more; item = tile.
-
-    Left whole: its loops share the tile's values, which a function would copy.
-    """
-    tile = start + wp.tid()
-    corner = tile_corner(camera[0], tile)
-    left = corner[0]
-    top = corner[1]
-    width = camera[0].width
-    height = camera[0].height
-    rows = wp.min(TILE, height - top)
-    columns = wp.min(TILE, width - left)
-    tile_x = left // TILE
-    tile_y = top // TILE
-    motion = camera[0].motion
-    has_shutter = camera[0].shutter != 0
-    t_floor = settings[0].transmittance_min
-    transmittance = TileFloats(-1.0)  # pixels outside the image count as finished
-    behind = TileFloats(0.0)
-    red = TileFloats(0.0)
-    green = TileFloats(0.0)
-    blue = TileFloats(0.0)
-    ray_x = TileFloats(0.0)
-    ray_y = TileFloats(0.0)
-    ray_z = TileFloats(1.0)
-    t_min = TileFloats(0.0)
-    t_max = TileFloats(0.0)
-    for y in range(rows):
-        for x in range(columns):
-            i = y * TILE + x
-            pixel = (top + y) * width + left + x
-            ray = ray_of_pixel(width, left + x, top + y)
-            if rays.is_active[ray]:
-                transmittance[i] = 1.0
-                ray_x[i] = rays.direction[ray][0]
-                ray_y[i] = rays.direction[ray][1]
-                ray_z[i] = rays.direction[ray][2]
-                t_min[i] = rays.t_min[ray]
-                t_max[i] = limits[ray]
-                red[i] = gradient.color[pixel][0]
-                green[i] = gradient.color[pixel][1]
-                blue[i] = gradient.color[pixel][2]
-                behind[i] = behind_pixel(pixels, gradient, pixel, limits[ray])
-
-    begin = int(tile_starts[tile])
-    unfinished = bool(True)
-    for j in range(begin, tile_starts[tile + 1]):
-        index = tile_splats[j]
-        record = RaySplatGradient()
-        if (j - begin) % BATCH == 0:
-            unfinished = wp.max(transmittance) > 0.0
-        if unfinished:
-            splat = splats[index]
-            w = splat.canonical_from_world
-            box_left = splat.box.x0 - left
-            box_right = splat.box.x1 - left
-            strip_first = wp.max(box_left, 0) // STRIP
-            strip_end = (wp.min(box_right, columns) + STRIP - 1) // STRIP
-            sred = StripSums(0.0)
-            sgreen = StripSums(0.0)
-            sblue = StripSums(0.0)
-            s0 = StripSums(0.0)
-            sweight = StripSums(0.0)
-            sx = StripSums(0.0)
-            sy = StripSums(0.0)
-            sz = StripSums(0.0)
-            sxx = StripSums(0.0)
-            syy = StripSums(0.0)
-            szz = StripSums(0.0)
-            syz = StripSums(0.0)
-            szx = StripSums(0.0)
-            sxy = StripSums(0.0)
-            for y in range(wp.max(splat.box.y0 - top, 0), wp.min(splat.box.y1 - top, rows)):
-                c = splat.eye
-                if has_shutter:
-                    c = eye_of_row(splat, motion, (float(top + y) + 0.5) / float(height))
-                for strip in range(strip_first, strip_end):
-                    left_x = strip * STRIP
-                    for x in range(STRIP):
-                        i = y * TILE + left_x + x
-                        ex = w[0, 0] * ray_x[i] + w[0, 1] * ray_y[i] + w[0, 2] * ray_z[i]
-                        ey = w[1, 0] * ray_x[i] + w[1, 1] * ray_y[i] + w[1, 2] * ray_z[i]
-                        ez = w[2, 0] * ray_x[i] + w[2, 1] * ray_y[i] + w[2, 2] * ray_z[i]
-                        kx = c[1] * ez - c[2] * ey
-                        ky = c[2] * ex - c[0] * ez
-                        kz = c[0] * ey - c[1] * ex
-                        length2 = ex * ex + ey * ey + ez * ez
-                        peak = -(c[0] * ex + c[1] * ey + c[2] * ez)
-                        log_alpha = splat.log_opacity - 0.5 * (kx * kx + ky * ky + kz * kz) / length2
-                        alpha = visible_alpha(log_alpha)
-                        alpha = wp.where(peak > t_min[i] * length2, alpha, 0.0)
-                        alpha = wp.where(peak < t_max[i] * length2, alpha, 0.0)
-                        alpha = wp.where(left_x + x >= box_left, alpha, 0.0)
-                        alpha = wp.where(left_x + x < box_right, alpha, 0.0)
-                        before = transmittance[i]
-                        weight = before * alpha
-                        after = before - weight
-                        is_blended = after > t_floor
-                        weight = wp.where(is_blended, weight, 0.0)
-                        shown = red[i] * splat.color[0] + green[i] * splat.color[1] + blue[i] * splat.color[2]
-                        v = alpha * (before * shown - behind[i]) / (1.0 - alpha)
-                        v = wp.where(is_blended, v, 0.0)
-                        v = wp.where(alpha < ALPHA_LIMIT, v, 0.0)
-                        behind[i] = behind[i] - weight * shown
-                        transmittance[i] = left_behind(before, after, t_floor)
-                        # Where nothing is blended, the nearest point may be no number.
-                        px = wp.where(alpha > 0.0, (ey * kz - ez * ky) / length2, 0.0)
-                        py = wp.where(alpha > 0.0, (ez * kx - ex * kz) / length2, 0.0)
-                        pz = wp.where(alpha > 0.0, (ex * ky - ey * kx) / length2, 0.0)
-                        vx = v * px
-                        vy = v * py
-                        vz = v * pz
-                        sred[x] = sred[x] + weight * red[i]
-                        sgreen[x] = sgreen[x] + weight * green[i]
-                        sblue[x] = sblue[x] + weight * blue[i]
-                        s0[x] = s0[x] + v
-                        sweight[x] = sweight[x] + weight
-                        sx[x] = sx[x] + vx
-                        sy[x] = sy[x] + vy
-                        sz[x] = sz[x] + vz
-                        sxx[x] = sxx[x] + vx * px
-                        syy[x] = syy[x] + vy * py
-                        szz[x] = szz[x] + vz * pz
-                        syz[x] = syz[x] + vy * pz
-                        szx[x] = szx[x] + vz * px
-                        sxy[x] = sxy[x] + vx * py
-            total = RaySplatFloats()
-            for x in range(STRIP):
-                total += RaySplatFloats(
-                    sred[x],
-                    sgreen[x],
-                    sblue[x],
-                    s0[x],
-                    sweight[x],
-                    sx[x],
-                    sy[x],
-                    sz[x],
-                    sxx[x],
-                    syy[x],
-                    szz[x],
-                    syz[x],
-                    szx[x],
-                    sxy[x],
-                )
-            record = record_of_sums(total)
-        pairs_out[pair_slot(rects[index], pair_starts[index], tile_x, tile_y)] = record
+    """Item = tile: a record for each of its Gaussians."""
+    around = PixelRays()
+    around.rays = rays
+    around.limits = limits
+    arrays = Arrays()
+    arrays.rects = rects
+    arrays.pair_starts = pair_starts
+    arrays.pixels = pixels
+    arrays.gradient = gradient
+    arrays.pairs_out = pairs_out
+    add_tile_records(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, around, arrays)
 
 
 @wp.kernel

@@ -6,10 +6,9 @@ Only tiles that hold splats of both kinds are composited a second time.
 import warp as wp
 
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
-from lumisplat.device.camera.window import image_index, is_shown, ray_index
+from lumisplat.device.camera.window import is_shown, ray_index
 from lumisplat.device.splat.blending import instance_of
-from lumisplat.device.splat.ellipse import log_alpha_at
-from lumisplat.device.splat.projection import LOG_ALPHA_MIN
+from lumisplat.device.splat.ellipse import first_touching, look
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import MeshPixels, Splat
 from lumisplat.device.structs.rays import GaussianHits
@@ -112,7 +111,7 @@ def find_relit(
         return
     ray = ray_index(view, x, y)
     tile = i // TILE_PIXELS
-    j = int(tile_starts[tile])
+    begin = tile_starts[tile]
     end = tile_starts[tile + 1]
     color = wp.vec3(0.0)
     weight = float(0.0)
@@ -122,18 +121,13 @@ def find_relit(
             surface = hits_inout.gaussian[ray]
             if hits_inout.depth[ray] < wp.inf and splats[surface].normal[0] > 0.0:
                 found = surface
-            while found < 0 and j < end:
-                index = tile_splats[j]
-                splat = splats[index]
-                if splat.normal[0] > 0.0 and splat.depth < meshes.depth_z[image_index(view, x, y)]:
-                    if log_alpha_at(splat, x, y) >= LOG_ALPHA_MIN:
-                        found = index
-                j += 1
+            else:
+                found = first_touching(splats, tile_splats, begin, end, look(view, meshes, x, y), True)
         if found >= 0:
             color = shown.color[ray]
             weight = shown.normal[ray][0]
-    elif j < end:
-        if is_relit(instances, tile_splats[j]):
+    elif begin < end:
+        if is_relit(instances, tile_splats[begin]):
             color = hits_inout.color[ray]
             weight = 1.0 - hits_inout.transmittance[ray]
             found = hits_inout.gaussian[ray]

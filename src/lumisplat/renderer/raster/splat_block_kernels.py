@@ -11,7 +11,7 @@ from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
 from lumisplat.device.camera.window import image_index, is_shown
 from lumisplat.device.splat.blending import blend, empty_pixel, store_result
-from lumisplat.device.splat.ellipse import load_splat, log_alpha_at
+from lumisplat.device.splat.ellipse import EllipsePixel, load_splat, meet
 from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
@@ -44,9 +44,10 @@ def composite_blocks(
     y = position[1]
     is_inside = is_shown(view, x, y)
     pixel = empty_pixel()
-    mesh_z = float(0.0)
+    seen = EllipsePixel()
+    seen.center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
     if is_inside:
-        mesh_z = meshes.depth_z[image_index(view, x, y)]
+        seen.limit_z = meshes.depth_z[image_index(view, x, y)]
     else:
         pixel.transmittance = -1.0
     batch = wp.tile_empty(shape=256, dtype=Splat, storage="shared")
@@ -62,19 +63,13 @@ def composite_blocks(
         j = wp.where(pixel.transmittance > 0.0, 0, count)
         while j < count:
             near = batch[j]
-            log_alpha = log_alpha_at(near, x, y)
+            log_alpha = meet(near, seen).log_alpha
             j += 1
             if log_alpha >= LOG_ALPHA_MIN:
-                if near.depth < mesh_z:
-                    pixel = blend(
-                        pixel,
-                        near,
-                        near.index,
-                        alpha_from_log(log_alpha),
-                        raster.transmittance_min,
-                        raster.depth_iso_transmittance,
-                    )
-                if pixel.transmittance <= 0.0 or near.depth >= mesh_z:
+                if near.depth < seen.limit_z:
+                    alpha = alpha_from_log(log_alpha)
+                    pixel = blend(pixel, near, alpha, raster.transmittance_min, raster.depth_iso_transmittance)
+                if pixel.transmittance <= 0.0 or near.depth >= seen.limit_z:
                     pixel.transmittance = -wp.abs(pixel.transmittance)
                     j = count
         first += TILE_PIXELS

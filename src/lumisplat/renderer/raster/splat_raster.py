@@ -202,7 +202,8 @@ class SplatRaster:
         hits: GaussianHits,
     ) -> None:
         """Samples one splat a pixel, with its weight as probability; the lists need no order."""
-        inputs = (scene.splat_camera, scene.sample, tiles.splats, tiles.starts, tiles.items, meshes, hits)
+        lists = (tiles.splats, tiles.starts, tiles.items)
+        inputs = (scene.splat_camera, self.settings, scene.sample, *lists, meshes, hits)
         if self._launcher.is_parallel:
             self._run_pixels(scene, splat_pixel_kernels.sample_pixels, inputs)
         else:

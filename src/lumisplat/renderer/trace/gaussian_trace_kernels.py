@@ -28,8 +28,8 @@ from lumisplat.device.gaussian.packet_tracing import (
     packet_tracing_of,
 )
 from lumisplat.device.gaussian.particle import load_particle
-from lumisplat.device.gaussian.ray_compositing import begin_relit, store_pixel
-from lumisplat.device.splat.blending import empty_pixel
+from lumisplat.device.gaussian.ray_compositing import store_pixel
+from lumisplat.device.splat.blending import begin_relit, empty_pixel
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, WORLD, ChildLinks, Particle, SceneBvh, TraceData
 from lumisplat.device.structs.packet import PacketPlace
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData

@@ -19,10 +19,10 @@ from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.packet_tracing import ray_of, surface_distance
 from lumisplat.device.gaussian.particle import load_particle
-from lumisplat.device.gaussian.ray_compositing import add_relit, begin_relit, blend_hit, store_pixel
+from lumisplat.device.gaussian.ray_compositing import blend_hit, store_pixel
 from lumisplat.device.gaussian.ray_hit import alpha_at, begin_past, hit_particle, ray_in_instance, world_ray
 from lumisplat.device.math.random import draw
-from lumisplat.device.splat.blending import empty_pixel
+from lumisplat.device.splat.blending import add_relit, begin_relit, empty_pixel
 from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, Node, Particle, SceneBvh, TraceData
 from lumisplat.device.structs.packet import Hit, WaitingLink
 from lumisplat.device.structs.rays import GaussianHits, RayData

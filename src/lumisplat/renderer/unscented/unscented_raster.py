@@ -119,12 +119,13 @@ class UnscentedRaster:
         fields = MEAN_FIELDS if scene.mixes_sets else EXTRA_FIELDS
         hits = self._buffers.struct("unscented.hits", GaussianHits, len(rays.t_max), fields)
         lists = (tiles.splats, tiles.starts, tiles.items)
-        inputs = (scene.splat_camera, self._settings, scene.splat_instances, *lists, rays, limits, hits)
+        before, after = (scene.splat_camera, self._settings), (*lists, rays, limits, hits)
         count, bands = math.prod(scene.tile_grid), TILE_BANDS_PER_THREAD * self._launcher.threads
         if self._is_by_pixel(mixes_sets=scene.mixes_sets):
+            inputs = (*before, scene.splat_instances, *after)
             kernel, count = ray_splat_pixel_kernels.composite_pixels, count * TILE_PX * TILE_PX
         else:
-            kernel = ray_splat_tile_kernels.composite_tiles
+            kernel, inputs = ray_splat_tile_kernels.composite_tiles, (*before, *after)
         self._launcher.run_banded(kernel, count, *inputs, bands=bands)
         surfaces = (scene.splat_camera, scene.splat_instances, scene.gaussians, rays, limits, hits)
         self._launcher.run_banded(ray_splat_kernels.set_depth, math.prod(scene.image_size), *surfaces)
