@@ -137,6 +137,11 @@ def light_of(mi: Any, light: Any, radiance_of: Callable[[np.ndarray], np.ndarray
         matrix[:3] = np.stack([u, v, np.cross(u, v), np.array(light.position)], axis=1)
         made = {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix)}
         made["emitter"] = {"type": "area", "radiance": power}
+    elif isinstance(light, ls.LightDisk):
+        ends = {"origin": list(light.position), "target": list(np.add(light.position, light.direction))}
+        placed = mi.ScalarTransform4f().look_at(**ends, up=[0.0, 0.0, 1.0])
+        made = {"type": "disk", "to_world": placed @ mi.ScalarTransform4f().scale([light.radius] * 3)}
+        made["emitter"] = {"type": "area", "radiance": power}
     elif light.image is None:
         made = {"type": "constant", "radiance": power}
     else:

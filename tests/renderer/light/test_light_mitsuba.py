@@ -89,7 +89,7 @@ def test_lights_without_extent_light_as_in_mitsuba(name: str, pipeline: ls.Pipel
     "name", [pytest.param(name, marks=[pytest.mark.deep] if name in AGAIN else []) for name in SOFT]
 )
 def test_lights_with_an_extent_light_as_in_mitsuba(name: str) -> None:
-    """Rectangle, sphere, and environments, one even and one with a sun, turned about all axes.
+    """Rectangle, disk, sphere, and environments, one even and one with a sun, turned about all axes.
 
     The means of whole surfaces and of blocks of pixels; of these, one in a hundred may be off by what is left of noise.
     """

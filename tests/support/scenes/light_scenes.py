@@ -40,6 +40,7 @@ def light_scenes() -> dict[str, LightScene]:
     spot = ls.LightSpot((1.4, 2.8, 1.6), (-1.4, -2.4, -1.7), intensity=40.0, inner_angle=0.42, outer_angle=0.55)
     sun = ls.LightDirectional((-0.6, -1.0, -0.5), color=(1.0, 0.95, 0.8), intensity=5.0)
     rect = ls.LightRect((0.8, 3.0, 1.0), (1.2, -0.3, 0.0), (0.0, 0.0, 0.8), color=(1.0, 0.8, 0.6), intensity=9.0)
+    disk = ls.LightDisk((0.8, 3.0, 1.0), (-0.3, -1.0, -0.2), 0.55, (1.0, 0.8, 0.6), 9.0)
     ball = ls.LightSphere((1.3, 2.7, 1.2), 0.35, intensity=40.0)
     even = ls.LightEnvironment(color=(0.7, 0.9, 1.0), intensity=1.5)
     sky = ls.LightEnvironment(sky_image(256, 512), color=(1.0, 0.9, 0.8), intensity=0.8, rotation_wxyz=ROTATION_WXYZ)
@@ -49,6 +50,7 @@ def light_scenes() -> dict[str, LightScene]:
         LightScene("spot", ls.Scene((), _room(), [spot]), _room_camera()),
         LightScene("directional", ls.Scene((), _room(), [sun]), _room_camera()),
         LightScene("rect", ls.Scene((), _room(), [rect]), _room_camera(), soft),
+        LightScene("disk", ls.Scene((), _room(), [disk]), _room_camera(), soft),
         LightScene("sphere", ls.Scene((), _room(), [ball]), _room_camera(), soft),
         LightScene("constant", ls.Scene((), _room(), [even]), _room_camera(), soft),
         LightScene("sky", ls.Scene((), _table(), [sky]), _table_camera(), soft),
