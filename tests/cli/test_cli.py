@@ -456,7 +456,7 @@ def test_help_is_wrapped_whoever_parses_first():
     """Tyro keeps what it has read: also options that a farm parses, before the command's own help is shown."""
     program = (
         "import tyro, lumisplat.cli as cli\n"
-        "from lumisplat.cli.commands.photographs.train import Train\n"
+        "from lumisplat.cli.commands.train import Train\n"
         "try: tyro.cli(Train, args=['--help'])\n"
         "except SystemExit: cli.main(['train', '--help'])"
     )

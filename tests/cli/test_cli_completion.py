@@ -13,8 +13,8 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from lumisplat import cli
-from lumisplat.cli.commands.machine.completion import FILES
-from lumisplat.cli.input.positionals import gathered_positionals
+from lumisplat.cli.commands.completion import FILES
+from lumisplat.cli.input.arguments import gathered_positionals
 
 _CASES = (
     (("re",), ["relight", "render"]),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.cli.options.captures import count_of, value_ranges
+from lumisplat.cli.commands.convert import _count_of, _value_ranges
 from support.files.cli_files import Workplace
 
 
@@ -107,12 +107,12 @@ def test_invalid_gaussians_are_counted(work: Workplace, caplog: pytest.LogCaptur
 )
 def test_counts(text: str, count: int) -> None:
     """Numbers and percentages; at least one is left."""
-    assert count_of(text, 1000) == count
+    assert _count_of(text, 1000) == count
 
 
 def test_ranges() -> None:
     """Either limit may be missing; numbers of all kinds."""
-    assert value_ranges(["x=-1..2", "opacity=.5..", "scale_max=..1e-3"]) == {
+    assert _value_ranges(["x=-1..2", "opacity=.5..", "scale_max=..1e-3"]) == {
         "x": (-1.0, 2.0),
         "opacity": (0.5, None),
         "scale_max": (None, 0.001),

@@ -12,8 +12,8 @@ import lumisplat as ls
 from lumisplat.cli import _Command, main
 from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.input.positionals import options_of
-from lumisplat.cli.options import moved
+from lumisplat.cli.input import arguments
+from lumisplat.cli.input.arguments import options_of
 from lumisplat.cli.options.settings import LIGHTING
 from lumisplat.io import change_config
 
@@ -116,7 +116,7 @@ def test_mistakes_of_set_are_one_line(text: str, message: str, capsys: pytest.Ca
     assert error.startswith(f"error: --set {text}: ") and message in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("option", [*moved._SETTINGS, *moved._OPTIONS])
+@pytest.mark.parametrize("option", [*arguments._SETTINGS, *arguments._OPTIONS])
 def test_an_option_that_moved_is_answered_by_what_is_typed_now(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     """In one line, which render or animate takes."""
     assert main(["animate" if option in ("--direct", "--gamma") else "render", "a.toml", option, "8"]) == 2

@@ -89,7 +89,7 @@ def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
 )
 def test_slow_frames_are_announced_once(work, monkeypatch, caplog, options, ways) -> None:
     """After the second, as the first may have compiled kernels, with the options that make it quicker."""
-    monkeypatch.setattr("lumisplat.cli.output.frame_progress._LONG_S", 0.0)
+    monkeypatch.setattr("lumisplat.cli.output.console._LONG_S", 0.0)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*FIVE_FRAMES, *options).status == 0
     (line,) = announced(caplog)
@@ -105,7 +105,7 @@ def test_quick_frames_are_not_announced(work, caplog) -> None:
 
 def test_cameras_of_files_and_animations_are_announced_too(work, monkeypatch, caplog) -> None:
     """By the options that those commands have."""
-    monkeypatch.setattr("lumisplat.cli.output.frame_progress._LONG_S", -1.0)
+    monkeypatch.setattr("lumisplat.cli.output.console._LONG_S", -1.0)
     work.path("move.toml").write_text('[[actors]]\npath = "mesh.obj"\n[animation]\nframes = 3\nfps = 10\n')
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", *SIZE).status == 0

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.cli.output.reports import files
-from lumisplat.cli.output.reports.files import write_beside, write_json
+from lumisplat.cli.output import comparisons
+from lumisplat.cli.output.comparisons import write_beside, write_json
 from support.files.small_disks import small_disk
 
 NOISE = np.random.default_rng(0).random((60, 40, 3))
@@ -36,7 +36,7 @@ def test_a_full_disk_leaves_the_report_of_before(tmp_path: Path) -> None:
 
 def test_reports_that_are_written_are_no_leftovers_of_others(tmp_path: Path) -> None:
     """The first file that another process writes into a folder removes what killed ones have left there."""
-    with files._replaced(tmp_path / "report.json") as temporary:
+    with comparisons._replaced(tmp_path / "report.json") as temporary:
         temporary.write_text("{}")
         ls.save(tmp_path / "other.ply", ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4))
     assert sorted(os.listdir(tmp_path)) == ["other.ply", "report.json"]

@@ -13,7 +13,7 @@ import warp as wp
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.cli.output.frame_writer import FrameWriter, Layers
+from lumisplat.cli.output.images import FrameWriter, Layers
 from support.files.cli_files import Workplace
 from support.files.image_files import read_image
 from support.scenes.raster_scenes import front_camera

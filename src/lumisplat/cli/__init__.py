@@ -18,36 +18,39 @@ from tyro.conf import FlagCreatePairsOff, subcommand
 
 import lumisplat as ls
 from lumisplat.cli.commands.animate import Animate
+from lumisplat.cli.commands.bake import Bake
 from lumisplat.cli.commands.bench import Bench
 from lumisplat.cli.commands.blocks import Blocks
+from lumisplat.cli.commands.completion import Completion
 from lumisplat.cli.commands.convert import Convert
+from lumisplat.cli.commands.dataset import Dataset
+from lumisplat.cli.commands.delight import Delight
 from lumisplat.cli.commands.demo import Demo
+from lumisplat.cli.commands.doctor import Doctor
+from lumisplat.cli.commands.evaluate import Evaluate
 from lumisplat.cli.commands.export import Export
 from lumisplat.cli.commands.farm.farm import Farm
+from lumisplat.cli.commands.fit import Fit
+from lumisplat.cli.commands.frames import Frames
 from lumisplat.cli.commands.info import Info
-from lumisplat.cli.commands.lighting.bake import Bake
-from lumisplat.cli.commands.lighting.delight import Delight
-from lumisplat.cli.commands.lighting.fit import Fit
-from lumisplat.cli.commands.lighting.relight import Relight
-from lumisplat.cli.commands.machine.completion import Completion
-from lumisplat.cli.commands.machine.doctor import Doctor
 from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.orbit import Orbit
-from lumisplat.cli.commands.photographs.dataset import Dataset
-from lumisplat.cli.commands.photographs.evaluate import Evaluate
-from lumisplat.cli.commands.photographs.frames import Frames
-from lumisplat.cli.commands.photographs.train import Train
+from lumisplat.cli.commands.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
+from lumisplat.cli.commands.train import Train
 from lumisplat.cli.commands.view import View
-from lumisplat.cli.input.numbers import joined_numbers
-from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors, unknown_command
-from lumisplat.cli.input.positionals import gathered_positionals, options_of
+from lumisplat.cli.input.arguments import gathered_positionals, joined_numbers, moved_option, options_of
+from lumisplat.cli.input.messages import (
+    ArgumentsError,
+    logging_in_shell_words,
+    panels_as_errors,
+    shell_words,
+    unknown_command,
+)
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.options.help_text import join_lines_of_docstrings
-from lumisplat.cli.options.moved import moved_option
 from lumisplat.cli.output.console import one_line
-from lumisplat.cli.words import logging_in_shell_words, shell_words
 
 join_lines_of_docstrings()
 

@@ -23,7 +23,7 @@ from lumisplat.cli.options.settings import LIGHTING, given_settings, setting
 from lumisplat.cli.output.animation_frames import AnimationFrames, with_actors
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
-from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.images import check_writable
 from lumisplat.cli.output.standard_output import refuse_standard_output
 
 

@@ -18,8 +18,15 @@ from lumisplat.cli.options.camera import ViewpointGroup, ViewpointOptions, parse
 from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
 from lumisplat.cli.options.remarks import not_used
 from lumisplat.cli.options.settings import PipelineCommand, given_settings, setting
-from lumisplat.cli.output.console import Report, byte_size, print_table, progress_bars
-from lumisplat.cli.output.stats import count_rows, stage_rows, stage_times
+from lumisplat.cli.output.console import (
+    Report,
+    byte_size,
+    count_rows,
+    print_table,
+    progress_bars,
+    stage_rows,
+    stage_times,
+)
 
 _log = logging.getLogger("lumisplat")
 

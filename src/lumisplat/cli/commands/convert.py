@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,13 +13,13 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import size_on_disk
+from lumisplat.cli.input.loading import holds_all_columns, size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
-from lumisplat.cli.options.captures import count_of, holds_all_columns, value_ranges
 from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.output.console import Report, byte_size, progress_bars, spoken_up
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
+_Range = tuple[float | None, float | None]
 _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 
@@ -149,7 +150,7 @@ class Convert(LevelsCommand):
         elif self.outside:
             raise ls.ConfigError("--outside needs --box or --sphere")
         if self.keep:
-            ranges = value_ranges(self.keep)
+            ranges = _value_ranges(self.keep)
             yield "--keep", lambda g: ls.select(g, **ranges)
         if (neighbours := self.floaters) is not None:
             bar = partial(report, "looking for floaters")
@@ -158,7 +159,7 @@ class Convert(LevelsCommand):
             yield "--sh-degree", lambda g: ls.limit_sh_degree(g, degree, pad=True)
         if (share := self.decimate) is not None:
             merging = partial(report, "merging neighbours")
-            yield "--decimate", lambda g: ls.decimate(g, count_of(share, g.count), progress=merging)
+            yield "--decimate", lambda g: ls.decimate(g, _count_of(share, g.count), progress=merging)
         if self.level:
             yield "--level", lambda g: _levelled(g, done)
         if self.scale != 1.0 or self.rotate is not None or self.translate is not None:
@@ -204,3 +205,43 @@ def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:
         return edit(gaussians)
     except ls.SceneError as error:
         raise ls.ConfigError(f"{option}: {error}") from error
+
+
+def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
+    """Reads ``opacity=0.1..``, ``scale_max=..0.5`` and ``x=-1..1`` as arguments of `lumisplat.select`.
+
+    Raises:
+        ConfigError: A text is none of that, names an unknown value, or one for the second time.
+    """
+    known = [name for name, p in inspect.signature(ls.select).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    ranges: dict[str, _Range] = {}
+    for text in texts:
+        name, equals, limits = text.partition("=")
+        low, dots, high = limits.partition("..")
+        if name not in known:
+            raise ls.ConfigError(f"--keep {text}: unknown value {name!r}, expected one of {', '.join(known)}")
+        if name in ranges:
+            raise ls.ConfigError(f"--keep names {name} twice: give both limits at once, {name}=MIN..MAX")
+        try:
+            ranges[name] = (float(low) if low else None, float(high) if high else None)
+        except ValueError:
+            dots = ""
+        if not equals or not dots or not (low or high):
+            raise ls.ConfigError(f"--keep {text}: expected {name}=MIN..MAX, {name}=MIN.. or {name}=..MAX")
+    return ranges
+
+
+def _count_of(text: str, whole: int) -> int:
+    """Reads a number of Gaussians, or a percentage of those that there are.
+
+    Raises:
+        ConfigError: It is neither, or not above 0.
+    """
+    try:
+        count = round(whole * float(text[:-1]) / 100.0) if text.endswith("%") else int(text)
+        positive = float(text.removesuffix("%")) > 0.0
+    except (ValueError, OverflowError):
+        count, positive = 0, False
+    if not positive or not math.isfinite(count):
+        raise ls.ConfigError(f"--decimate: {text}, expected how many Gaussians are left, such as 100000 or 25%")
+    return max(count, 1)

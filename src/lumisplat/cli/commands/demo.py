@@ -11,7 +11,7 @@ from tyro.conf import arg
 import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, Flag
 from lumisplat.cli.output.console import Report, progress_bars
-from lumisplat.cli.output.pictures import check_writable, make_folder, plan_shots
+from lumisplat.cli.output.images import check_writable, make_folder, plan_shots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class Demo(DeviceCommand):
 
     def _write_lit_pictures(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
         """Writes the lit pictures, and prints the path of each as soon as it is written."""
-        from lumisplat.cli.output.demo_pictures import lit_pictures
+        from lumisplat.cli.output.demo_images import lit_pictures
 
         def start(config: ls.RenderConfig) -> ls.Renderer:
             return self.start_renderer(report, config)

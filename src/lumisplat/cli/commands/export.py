@@ -15,7 +15,7 @@ from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
 from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.options.command import PlacingCommand
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
-from lumisplat.cli.output.pictures import check_folder
+from lumisplat.cli.output.images import check_folder
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -78,25 +78,25 @@ class Info(LevelsCommand):
 
     def _facts(self, path: Path) -> dict[str, Any]:
         """What is in a file, as plain values."""
-        from lumisplat.cli.output import facts
+        from lumisplat.cli.output import describe
 
         kind, held = self._load(path)
         head = {"file": str(path), "kind": kind, "bytes": size_on_disk(path)}
         match held:
             case ls.BlockIndex():
-                return head | facts.block_facts(held)
+                return head | describe.block_facts(held)
             case ls.Gaussians():
-                return head | facts.capture_facts(held)
+                return head | describe.capture_facts(held)
             case ls.Mesh():
-                return head | facts.mesh_facts(held)
+                return head | describe.mesh_facts(held)
             case ls.Scene():
                 animation = _animation(path)
-                animated = facts.animation_facts(animation) if animation else None
-                return head | facts.scene_facts(held, _cameras(path)) | {"animation": animated}
+                animated = describe.animation_facts(animation) if animation else None
+                return head | describe.scene_facts(held, _cameras(path)) | {"animation": animated}
             case list():
-                return head | facts.camera_facts(held)
+                return head | describe.camera_facts(held)
             case _:
-                return head | facts.radiance_facts(held)
+                return head | describe.radiance_facts(held)
 
     def _load(self, path: Path) -> tuple[str, Held]:
         """What kind of file it is, and what is in it."""

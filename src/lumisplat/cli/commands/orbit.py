@@ -13,20 +13,18 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.job import FrameJob, FrameList
-from lumisplat.cli.input.block_views import block_views
 from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.loading import block_views, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
 from lumisplat.cli.options.command import Flag, ViewsCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import given_settings, setting
-from lumisplat.cli.output.console import Report, progress_bars
+from lumisplat.cli.output.console import Report, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder
-from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.images import check_writable
 from lumisplat.cli.output.standard_output import refuse_standard_output
-from lumisplat.cli.output.stats import print_stats
 from lumisplat.cli.output.video import check_video
 
 _log = logging.getLogger("lumisplat")

@@ -17,23 +17,19 @@ from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.farm.samples import SharedSamples
 from lumisplat.cli.farm.tiles import Tiles
-from lumisplat.cli.input.block_views import BlockViews, block_views
 from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.loading import BlockViews, block_views, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
 from lumisplat.cli.options.command import Flag, ViewsCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import given_settings, setting
-from lumisplat.cli.output.console import Report, counted, progress_bars
+from lumisplat.cli.output.console import FrameProgress, Report, counted, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder
-from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.frame_source import REALTIME_FRAMES, FrameSource, WarmUp
-from lumisplat.cli.output.frame_writer import FrameWriter, Layers, ViewName
-from lumisplat.cli.output.pictures import Shot, check_writable, make_folder, plan_shots
+from lumisplat.cli.output.images import FrameWriter, Layers, Shot, ViewName, check_writable, make_folder, plan_shots
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, refuse_standard_output, standard_output
-from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
 

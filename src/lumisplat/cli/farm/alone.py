@@ -7,8 +7,7 @@ from pathlib import Path
 import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, is_mistake
 from lumisplat.cli.farm.parts import PartFolder
-from lumisplat.cli.output.console import Report, counted
-from lumisplat.cli.output.frame_progress import FrameProgress
+from lumisplat.cli.output.console import FrameProgress, Report, counted
 from lumisplat.cli.output.video import check_video, write_video
 
 

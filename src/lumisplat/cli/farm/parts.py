@@ -12,7 +12,7 @@ from typing import Protocol
 
 from lumisplat.cli.output.console import Report
 from lumisplat.cli.output.frame_folder import FrameFolder
-from lumisplat.cli.output.pictures import Shot
+from lumisplat.cli.output.images import Shot
 
 
 class PartedPicture(Protocol):

@@ -14,7 +14,7 @@ from lumisplat.cli.farm.parts import PartFolder, numbers_of, part_folder
 from lumisplat.cli.farm.tiles import Tiles
 from lumisplat.cli.output.console import Report
 from lumisplat.cli.output.frame_source import FrameSource
-from lumisplat.cli.output.pictures import Shot
+from lumisplat.cli.output.images import Shot
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import lumisplat as ls
 from lumisplat.cli.farm.parts import PartFolder, numbers_of, part_folder
-from lumisplat.cli.output.pictures import Shot
+from lumisplat.cli.output.images import Shot
 
 AUTO = "auto"
 AUTO_PIXELS = 2**22

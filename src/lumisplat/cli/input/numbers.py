@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 
 import lumisplat as ls
 
@@ -14,35 +13,10 @@ _INCLUSIVE = re.compile(r"(\d+)(?:-(\d+)(?:x(\d+))?)?")
 _HALF_OPEN = re.compile(r"(\d*):(\d*)")
 """``0:48``, ``48:``, ``:10``."""
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?|nan|inf)"
-_TYPED_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*,?", re.IGNORECASE)
-
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
 
 _COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbers", 6: "six numbers"}
-
-
-def joined_numbers(args: Sequence[str]) -> list[str]:
-    """Arguments with the numbers after an option in one: ``--at 1 2 3`` and ``--at -1,2,3`` become ``--at=1,2,3``.
-
-    So every option that takes several numbers takes them with commas or spaces, and may begin with a minus.
-    """
-    joined: list[str] = []
-    waiting = list(args)
-    while waiting:
-        arg = waiting.pop(0)
-        joined.append(arg)
-        if not arg.startswith("--") or "=" in arg:
-            continue
-        values: list[str] = []
-        while waiting and _TYPED_NUMBERS.fullmatch(waiting[0]):
-            values.append(waiting.pop(0))
-        if len(values) > 1 or (values and values[0].startswith("-")):
-            joined[-1] = f"{arg}={','.join(value.strip(',') for value in values)}"
-        else:
-            joined += values
-    return joined
 
 
 def numbers(option: str, text: str, count: int, example: str) -> tuple[float, ...]:

@@ -9,10 +9,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import lumisplat as ls
-from lumisplat.cli.output.console import Report, found_light, print_table
+from lumisplat.cli.output.console import Report, found_light, print_stats, print_table
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.frame_source import FrameSource
-from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
 

@@ -1,18 +1,19 @@
-"""What commands print: tables on standard output, progress bars on standard error, a quiet Warp."""
+"""Tables, numbers, progress bars and statistics of frames, as commands print them."""
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import lumisplat as ls
+
 if TYPE_CHECKING:
     from rich.progress import TaskID
     from rich.table import Table
-
-    import lumisplat as ls
 
 LINE_EVERY_S = 60.0
 """Between two lines where there is no terminal, seconds."""
@@ -157,7 +158,91 @@ def byte_size(count: float) -> str:
 
 def spoken_up(direction: tuple[float, float, float]) -> str:
     """A direction that is up by its name, ``y-down``, or as numbers."""
-    import lumisplat as ls  # loads NumPy
-
     named = (name for name in ls.Scene.UP_NAMES if ls.Scene(up=name).up == direction)
     return next(named, ",".join(f"{value:.3g}" for value in direction))
+
+
+def print_stats(frame: ls.Frame, pipeline: ls.Pipeline) -> None:
+    """Prints times, counts and memory of a frame of ``pipeline``."""
+    print_table("last frame", [*stage_rows(stage_times(frame)), *count_rows(frame, pipeline)])
+
+
+def stage_times(frame: ls.Frame) -> dict[str, float]:
+    """Milliseconds of each stage of a frame, a copy; empty on CUDA unless profiling."""
+    return dict(frame.stats.stage_ms) if frame.stats else {}
+
+
+def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
+    """Milliseconds of each stage, then their sum; no rows if stages were not timed.
+
+    Of a frame that is made by passes, those of each pass, and below it those of the stages in it.
+    """
+    if not stage_ms:
+        return []
+    passes: dict[str, dict[str, float]] = {}
+    for name, milliseconds in stage_ms.items():
+        pass_name, _, stage = name.partition(": ")
+        passes.setdefault(pass_name, {})[stage] = milliseconds
+    rows: list[tuple[str, float]] = []
+    for name, stages in passes.items():
+        rows.append((name, sum(stages.values())))
+        rows += [(f"  {stage}", milliseconds) for stage, milliseconds in stages.items() if stage]
+    rows.append(("all stages", sum(stage_ms.values())))
+    return [(name, f"{milliseconds:8.2f} ms") for name, milliseconds in rows]
+
+
+def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
+    """Gaussians and triangles; for the rasteriser those that were visible, and their tile pairs; device memory."""
+    stats = frame.stats
+    assert stats is not None
+    rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]
+    if pipeline.rasterises:
+        rows += [("visible", f"{stats.visible_count:,}"), ("tile pairs", f"{stats.pair_count:,}")]
+    if frame.samples:
+        rows += [("samples", f"{frame.samples:,}")]
+    if stats.noise is not None:
+        rows += [("noise", f"{stats.noise:.4f}")]
+    return [*rows, ("not finite", f"{stats.nonfinite_count:,}"), ("memory", byte_size(stats.memory_bytes))]
+
+
+_log = logging.getLogger("lumisplat")
+
+_LONG_S = 60.0
+"""Frames that take longer than this together are announced, seconds."""
+
+
+class FrameProgress:
+    """A bar for all frames, and a line to the log if they take more than a minute: how long, and what is quicker.
+
+    Args:
+        report: Shows the bar.
+        label: What is being done.
+        count: How many frames there are.
+        fewer: The options that make them fewer, as they are typed; none: they are parts, and all are needed.
+        unit: What one of them is called.
+    """
+
+    def __init__(self, report: Report, label: str, count: int, fewer: str, unit: str = "frame") -> None:
+        self._report, self._label, self._count, self._fewer, self._unit = report, label, count, fewer, unit
+        self._done, self._since = 0, time.monotonic()
+        report(label, 0.0)
+
+    def add(self, frame: ls.Frame | ls.SamplePart | None) -> None:
+        """Counts a frame that has been rendered and written; None: another process has done that."""
+        before, self._since = self._since, time.monotonic()
+        self._done += 1
+        if self._done == 2:  # the first may have waited for kernels that compile once, and for the scene's upload
+            self._announce(self._since - before, 1 if frame is None else frame.samples)
+        self._report(self._label, self._done / self._count)
+
+    def _announce(self, seconds: float, samples: int) -> None:
+        """Logs how long the frames that are left take, of so many seconds each."""
+        left = self._count - self._done
+        if left * seconds > _LONG_S:
+            remedies = [f"fewer frames ({self._fewer})"] * bool(self._fewer) + ["--samples 1"] * (samples > 1)
+            _log.warning(
+                "%s to go, about %s: quicker with %s",
+                counted(left, self._unit),
+                spoken_time(left * seconds),
+                " or ".join([", ".join(remedies)] * bool(remedies) + ["a smaller --width"]),
+            )

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import lumisplat as ls
 from lumisplat.cli.output.console import counted
-from lumisplat.cli.output.pictures import make_folder
+from lumisplat.cli.output.images import make_folder
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -13,13 +13,13 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.commands.farm.capture_folder import CaptureFolder
 from lumisplat.cli.commands.farm.train_settings import TrainSettings
-from lumisplat.cli.commands.photographs.train import Train
+from lumisplat.cli.commands.train import Train
 from lumisplat.cli.farm.driver import run_farm
 from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.farm import FarmGroup, FarmOptions
 from lumisplat.cli.output.console import Report
-from lumisplat.cli.output.pictures import make_folder
+from lumisplat.cli.output.images import make_folder
 
 _NOT_OF_CAPTURES = ("folder", "output", "overwrite", "stop_after", "device", "debug", "farm")
 """Options of which captures do not depend, or that are not of several."""

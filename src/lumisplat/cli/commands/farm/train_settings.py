@@ -20,9 +20,9 @@ import tyro
 from tyro.conf import FlagCreatePairsOff
 
 import lumisplat as ls
-from lumisplat.cli.commands.photographs.train import Train
+from lumisplat.cli.commands.train import Train
 from lumisplat.cli.input.file_marks import toml_values
-from lumisplat.cli.input.parse_errors import ArgumentsError, panels_as_errors
+from lumisplat.cli.input.messages import ArgumentsError, panels_as_errors
 
 _log = logging.getLogger("lumisplat")
 

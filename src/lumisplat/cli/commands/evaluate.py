@@ -14,12 +14,19 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.settings import setting
-from lumisplat.cli.output.comparisons import Comparison, compare, write_side_by_side
+from lumisplat.cli.output.comparisons import (
+    Comparison,
+    cells,
+    check_report,
+    compare,
+    mean,
+    plain,
+    write_json,
+    write_side_by_side,
+)
 from lumisplat.cli.output.console import counted, print_columns, progress_bars
-from lumisplat.cli.output.figures import cells, mean, plain
-from lumisplat.cli.output.pictures import check_folder, file_stems, make_folder
-from lumisplat.cli.output.reports.evaluated_materials import figure_rows, write_material_report
-from lumisplat.cli.output.reports.files import check_report, write_json
+from lumisplat.cli.output.images import check_folder, file_stems, make_folder
+from lumisplat.cli.output.material_reports import figure_rows, write_material_report
 
 _log = logging.getLogger("lumisplat")
 

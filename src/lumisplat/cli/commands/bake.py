@@ -15,7 +15,7 @@ from lumisplat.cli.options.command import DeviceCommand, Flag, PlacingCommand
 from lumisplat.cli.options.lighting import EnvironmentOptions
 from lumisplat.cli.options.settings import SetCommand, changed_config, setting, without_none
 from lumisplat.cli.output.console import byte_size, counted, progress_bars
-from lumisplat.cli.output.pictures import check_folder
+from lumisplat.cli.output.images import check_folder
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 

@@ -14,11 +14,10 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.settings import PipelineName, SetCommand, setting
+from lumisplat.cli.output.comparisons import check_report
 from lumisplat.cli.output.console import print_columns, progress_bars
-from lumisplat.cli.output.pictures import check_folder
-from lumisplat.cli.output.reports.files import check_report
-from lumisplat.cli.output.reports.fitted_lights import light_rows, write_report
-from lumisplat.cli.output.reports.fitted_scene import assets_of, fitted_document
+from lumisplat.cli.output.images import check_folder
+from lumisplat.cli.output.light_reports import assets_of, fitted_document, light_rows, write_report
 
 _log = logging.getLogger("lumisplat")
 

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.input.loading import holds_all_columns
 from lumisplat.cli.input.numbers import seconds_of
-from lumisplat.cli.options.captures import holds_all_columns
 from lumisplat.cli.options.command import DeviceCommand, Flag
 from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars, spoken_time
 from lumisplat.cli.output.standard_output import refuse_standard_output
@@ -171,7 +171,7 @@ class Train(DeviceCommand):
         """Finds and writes materials, once training has come to its end."""
         if not self.relightable or not result.is_finished:
             return None
-        from lumisplat.cli.output.reports.found_materials import write_materials  # loads NumPy and Pillow
+        from lumisplat.cli.output.material_reports import write_materials  # loads NumPy and Pillow
 
         if result.cameras is not None:  # poses have moved
             moved = zip(photographs.training, result.cameras, strict=True)

@@ -1,4 +1,4 @@
-"""Messages of the library in the words of the shell: options in place of the names that Python has for settings.
+"""Messages in the words of the shell: those of the library, and arguments that do not parse, in one line.
 
 The library speaks of ``Pipeline.TRACE`` and ``RenderConfig.trace.strategy``, and begins with the name of a setting that
 is out of its range, ``samples is 0``: ``--pipeline trace``, ``--set trace.strategy``, ``--samples is 0``.
@@ -6,17 +6,24 @@ is out of its range, ``samples is 0``: ``--pipeline trace``, ``--set trace.strat
 
 from __future__ import annotations
 
+import contextlib
+import difflib
+import io
 import logging
+import os
 import re
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
-from typing import Any, get_args, get_type_hints
+from itertools import dropwhile, takewhile
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import lumisplat as ls
-from lumisplat.cli.options.command import Command
+
+if TYPE_CHECKING:
+    from lumisplat.cli.options.command import Command
 
 _OPTION_OF = {"aovs": "--aov"}
 """Setting -> its option, of those whose option has another name."""
@@ -115,3 +122,79 @@ def _given(options: Any) -> Iterator[str]:
             yield from _given(value)
         elif value != field.default:
             yield f"--{field.name.replace('_', '-')}"
+
+
+_STYLES = re.compile(r"\x1b\[[0-9;]*m")
+
+
+_NO_NUMBER = re.compile(
+    r"Error parsing (?P<option>--[\w-]+): (?:no type matching (?P<kind>INT|FLOAT)(?:\|\{(?P<word>\w+)\})? could be "
+    r"instantiated from \['(?P<value>.*)'\]\.|could not convert string to float: '(?P<float>.*)'|"
+    r"invalid literal for int\(\) with base 10: '(?P<int>.*)')"
+)
+"""What tyro says of a value that is no number, perhaps where a word would do, too."""
+
+
+class ArgumentsError(Exception):
+    """The arguments do not parse; the message is one line."""
+
+
+@contextlib.contextmanager
+def panels_as_errors() -> Generator[None]:
+    """Turns the panel that tyro prints before it exits into an exception.
+
+    Raises:
+        ArgumentsError: tyro has refused the arguments.
+    """
+    panel = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(panel):
+            yield
+    except SystemExit as stop:
+        if stop.code:
+            raise ArgumentsError(one_line(panel.getvalue())) from None
+        raise
+
+
+def unknown_command(name: str, commands: Iterable[str], program: str) -> str:
+    """Returns the line about a first argument that is no command: the one that is meant, or what shows a file."""
+    if os.path.exists(name) or os.path.splitext(name)[1]:
+        return f"'{name}' is no command: {program} render {name} renders it (see {program} --help)"
+    near = difflib.get_close_matches(name, commands, 1, 0.7)
+    meant = f"; perhaps you meant {near[0]}" if near else ""
+    return f"'{name}' is no command{meant} (see {program} --help)"
+
+
+def one_line(panel: str) -> str:
+    """A panel's first paragraph, the option that it suggests, and the command that prints the help.
+
+    A panel without such a paragraph comes back whole, its lines joined.
+    """
+    rows = [row.strip(" │") for row in _STYLES.sub("", panel).splitlines()[1:]]
+    message = " ".join(takewhile(lambda row: row and not _is_rule(row), dropwhile(_is_rule, rows)))
+    message = re.sub(r"one of \((.*)\)", _choices, message).replace("{None}|", "")
+    message = _NO_NUMBER.sub(_no_number, message)
+    text = " ".join(rows)
+    suggested = re.search(r"Perhaps you meant: +(--[\w-]+)", text)
+    if suggested:
+        message += f"; perhaps you meant {suggested[1]}"
+    helping = re.search(r"lumisplat[\w ]* --help$", text.rstrip("╰─╯ "))
+    return f"{message} (see {helping[0]})" if message and helping else message or " ".join(panel.split())
+
+
+def _no_number(found: re.Match[str]) -> str:
+    """A value that is no number, as other wrong values are named."""
+    value = next(text for text in (found["value"], found["float"], found["int"]) if text is not None)
+    is_whole = found["kind"] == "INT" or found["int"] is not None
+    word = f" or {found['word']}" if found["word"] else ""
+    return f"{found['option']} is '{value}', expected a {'whole ' if is_whole else ''}number{word}"
+
+
+def _choices(listed: re.Match[str]) -> str:
+    """The choices of an option, sorted as tyro does not keep an order, and without the None of an absent option."""
+    choices = [choice for choice in re.findall(r"'([^']*)'", listed[1]) if choice != "None"]
+    return f"one of {', '.join(sorted(choices, key=lambda choice: (len(choice) * choice.isdigit(), choice)))}"
+
+
+def _is_rule(row: str) -> bool:
+    return row != "" and set(row) <= {"─", "-"}

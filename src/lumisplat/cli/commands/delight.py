@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.input.loading import holds_materials
 from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
-from lumisplat.cli.options.captures import holds_materials
 from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
 from lumisplat.cli.output.console import Report, counted, progress_bars
-from lumisplat.cli.output.pictures import check_folder
+from lumisplat.cli.output.images import check_folder
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 _INSIDE = {"auto": None, "yes": True, "no": False}

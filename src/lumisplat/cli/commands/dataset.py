@@ -20,12 +20,11 @@ from lumisplat.cli.options.command import Flag, PlacingCommand
 from lumisplat.cli.options.frame import FrameCommand, shared_origin
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import given_options, given_settings, setting, without_none
-from lumisplat.cli.output.console import Report, counted, progress_bars
+from lumisplat.cli.output.console import Report, counted, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_source import FrameSource
-from lumisplat.cli.output.pictures import check_folder
+from lumisplat.cli.output.images import check_folder
 from lumisplat.cli.output.standard_output import refuse_standard_output
-from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
 

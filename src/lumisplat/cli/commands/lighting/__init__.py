@@ -1,1 +1,0 @@
-"""Commands that find, change and bake the light of captures."""

@@ -1,1 +1,0 @@
-"""Commands that lead from photographs to a capture and measure it against them."""
