@@ -11,7 +11,7 @@ import warp as wp
 
 import lumisplat as ls
 from support.files.cli_files import Workplace
-from support.files.rig_files import TubeRig
+from support.files.rig_files import BEND, TubeRig
 
 SCENE = """
 [[splats]]
@@ -137,3 +137,12 @@ def test_bounds_have_no_negative_zero(work) -> None:
     assert "-0.0" not in work.run("info", "@flat.obj", "--json").out
     mesh = ls.load(work.path("flat.obj"))
     assert isinstance(mesh, ls.Mesh) and "bounds=(-1, 0, 0)..(0, 1, 0)" in repr(mesh)
+
+
+def test_a_gltf_shows_its_rig(work) -> None:
+    """Joints that move vertices, and clips with their lengths, as a table and as JSON; without either, none."""
+    TubeRig(clips={"bend": BEND}).write(work.path("tube.glb"))
+    shown = " ".join(work.run("info", "@tube.glb").out.split())
+    assert "joints 3 clips bend 1 s" in shown
+    (scene,) = json.loads(work.run("info", "@tube.glb", "--json").out)
+    assert scene["rig"] == {"joints": 3, "clips": [{"name": "bend", "duration": 1.0}]}

@@ -231,8 +231,10 @@ def listed_names(value: object) -> tuple[str, ...] | None:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Returns a hint for an unknown name: the most similar known name, else all known names."""
-    near = difflib.get_close_matches(name, list(known), n=1)
+    """Returns a hint for an unknown name: the most similar known name or one that it begins, else all known names."""
+    known = list(known)
+    near = difflib.get_close_matches(name, known, n=1)
+    near = near or [one for one in known if len(name) > 2 and one.startswith(name)]
     return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
 
 

@@ -156,6 +156,8 @@ SPOT = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\n
         (POINT + "range = 0", "line 4, lights[0]: range is 0, expected a number above 0"),
         (POINT + "enabled = 1", "line 4, lights[0]: enabled is 1, expected true or false"),
         (POINT + "direction = [0, 0, 1]", "line 4, lights[0]: unknown 'direction'"),
+        ('[[lights]]\ntype = "sun"', "line 2, lights[0]: type is 'sun', did you mean 'directional'?"),
+        (SPOT + "outer = 1", "line 5, lights[0]: unknown 'outer', did you mean 'outer_angle_degrees'?"),
         (POINT + "radus = 1", "line 4, lights[0]: unknown 'radus', did you mean 'radius'?"),
         (SPOT + "outer_angle = 0.5", "line 5, lights[0]: unknown 'outer_angle', did you mean 'outer_angle_degrees'?"),
         (SPOT + "outer_angle_degrees = 100", "line 5, lights[0]: outer_angle_degrees is 100, expected 0 to 90 degrees"),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.file_marks import toml_values
+from lumisplat.cli.input.file_marks import gltf_document, toml_values
 from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, size_on_disk
 from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.output.console import byte_size, counted, print_table, progress_bars
@@ -92,7 +92,9 @@ class Info(LevelsCommand):
             case ls.Scene():
                 animation = _animation(path)
                 animated = describe.animation_facts(animation) if animation else None
-                return head | describe.scene_facts(held, _cameras(path)) | {"animation": animated}
+                rig = _rig(path)
+                rigged = describe.rig_facts(rig) if rig else None
+                return head | describe.scene_facts(held, _cameras(path)) | {"animation": animated, "rig": rigged}
             case list():
                 return head | describe.camera_facts(held)
             case _:
@@ -133,6 +135,19 @@ def _animation(path: Path) -> ls.Animation | None:
     return ls.load_animation(path)
 
 
+def _rig(path: Path) -> ls.Rig | None:
+    """The rig of a glTF file; None: it has neither joints nor clips, or none that can be played."""
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        return None
+    document = gltf_document(path)
+    if not isinstance(document, dict) or not ("animations" in document or "skins" in document):
+        return None
+    try:
+        return ls.load_rig(path)
+    except ls.SceneError:  # what is shown is what a scene shows of it, at rest
+        return None
+
+
 def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
     """Tables of a scene as a whole, of its captures and meshes, actors, lights and cameras."""
     from lumisplat.cli.output import describe
@@ -156,6 +171,8 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
         print_table(f"  mesh {index}   {' / '.join(names)}{_times(count)}", describe.placed_mesh_rows(mesh))
     for index, actor in enumerate(animation.actors if animation else ()):
         print_table(f"  actor {index}   {actor.name}", describe.actor_rows(actor))
+    if (rig := _rig(path)) is not None:
+        print_table("  rig", describe.rig_rows(rig))
     if scene.lights:
         print_table("  lights", [describe.light_row(light) for light in scene.lights])
     if cameras:

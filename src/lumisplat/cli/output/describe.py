@@ -102,6 +102,17 @@ def _placed(rows: Rows, instance: ls.SplatInstance | ls.MeshInstance) -> Rows:
     return [*rows[:after], ("placed", box(*instance.bounds())), *rows[after:]]
 
 
+def rig_rows(rig: ls.Rig) -> Rows:
+    """A rig: its joints, and its clips with their lengths."""
+    clips = ", ".join(f"{name} {rig.duration(name):.4g} s" for name in rig.clips)
+    return [("joints", f"{_joint_count(rig):,}"), ("clips", clips or "none")]
+
+
+def _joint_count(rig: ls.Rig) -> int:
+    """Number of nodes that move vertices."""
+    return len({int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes})
+
+
 def actor_rows(actor: ls.Actor) -> Rows:
     """An actor: what it is, how it moves by itself, and how through the scene."""
     subject, rig, motion = actor.subject, actor.rig, actor.motion
@@ -372,6 +383,12 @@ def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
         "lights": [light_facts(light) for light in scene.lights],
         "cameras": camera_facts(cameras) if cameras else None,
     }
+
+
+def rig_facts(rig: ls.Rig) -> Facts:
+    """A rig: the number of its joints, and its clips with their lengths, seconds."""
+    clips = [{"name": name, "duration": rig.duration(name)} for name in rig.clips]
+    return {"joints": _joint_count(rig), "clips": clips}
 
 
 def animation_facts(animation: ls.Animation) -> Facts:

@@ -25,6 +25,9 @@ from lumisplat.scene.lights import LIGHT_KINDS, Light, LightEnvironment, LightSp
 
 _Light = TypeVar("_Light", bound=Light)
 
+_OTHER_NAMES = {"sun": "directional", "distant": "directional", "area": "rect", "quad": "rect"}
+"""What other programs call a type of light."""
+
 
 def read_light(table: TomlTable) -> Light:
     """The light of one entry of ``[[lights]]``.
@@ -37,7 +40,9 @@ def read_light(table: TomlTable) -> Light:
     if name == "environment":
         raise table.error("type is 'environment': write it as a table of its own, [environment]", "type")
     if kind is None:
-        meant = suggestion(name, LIGHT_KINDS) if isinstance(name, str) else f"expected {', '.join(LIGHT_KINDS)}"
+        meant = f"expected {', '.join(LIGHT_KINDS)}"
+        if isinstance(name, str):
+            meant = f"did you mean {_OTHER_NAMES[name]!r}?" if name in _OTHER_NAMES else suggestion(name, LIGHT_KINDS)
         raise table.error(f"type is {name!r}, {meant}" if "type" in table.values else f"lacks type, {meant}", "type")
     given = table.take({"type": TEXT, **schema(kind), **_aim_keys(kind)}, _required(kind, table))
     del given["type"]
