@@ -241,7 +241,7 @@ def test_help_says_what_it_costs(work):
     """Of a fit, and of one that looks for places, before anybody waits for it."""
     told = " ".join(work.run("fit", "--help").out.replace("│", " ").split())
     assert "half a minute on a CPU core, and with --positions four" in told
-    assert "where spots and suns shine: takes minutes" in told
+    assert "directions of spots and suns; takes minutes" in told
 
 
 def test_colours_of_a_capture_go_into_a_file_beside_it(work):
