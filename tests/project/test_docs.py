@@ -129,7 +129,7 @@ def test_the_guide_shows_every_key_of_a_scene_file():
 def test_the_guide_shows_every_key_of_an_animation():
     """Each key of actors, their keyframes and the animation is on the page about them."""
     from lumisplat.io.scene_toml.actors import ACTOR_KEYS, KEYFRAME_KEYS
-    from lumisplat.io.scene_toml.timing import ANIMATION_KEYS
+    from lumisplat.io.scene_toml.scene_file import ANIMATION_KEYS
 
     shown = (ROOT / "docs" / "guide" / "animate.md").read_text()
     keys = {*ACTOR_KEYS, *KEYFRAME_KEYS, *ANIMATION_KEYS}

@@ -156,7 +156,7 @@ def read_animation(
     reader = _MOVING.get(path.suffix.lower())
     if reader is not None:
         return _import(reader)(path, drop_invalid)
-    return _import("scene_toml.animation.read_animation")(path, load, load_cameras)
+    return _import("scene_toml.scene_file.read_animation")(path, load, load_cameras)
 
 
 def check_written(path: PathLike, *, scene: bool = False) -> str:

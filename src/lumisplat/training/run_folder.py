@@ -14,7 +14,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io import save_cameras
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.scene_toml.toml_text import toml_text
+from lumisplat.io.scene_toml.toml_table import toml_text
 from lumisplat.io.training_images.loading import ReadFrom
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera

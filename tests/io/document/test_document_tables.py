@@ -14,10 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lumisplat as ls
-from lumisplat.io.document.written import light_table
+from lumisplat.io.document.tables import light_table
 from lumisplat.io.scene_toml.lights import read_environment, read_light
-from lumisplat.io.scene_toml.toml_table import TomlTable
-from lumisplat.io.scene_toml.toml_text import toml_text
+from lumisplat.io.scene_toml.toml_table import TomlTable, toml_text
 from lumisplat.scene.up import up_vector
 from support.kinds import expect_kind
 

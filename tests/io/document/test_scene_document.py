@@ -14,11 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lumisplat as ls
-from lumisplat.io.document.written import light_table
+from lumisplat.io.document.tables import light_table
 from lumisplat.io.images.radiance import write_radiance
 from lumisplat.io.scene_toml.lights import read_environment, read_light
-from lumisplat.io.scene_toml.toml_table import TomlTable
-from lumisplat.io.scene_toml.toml_text import toml_text
+from lumisplat.io.scene_toml.toml_table import TomlTable, toml_text
 from lumisplat.math.transforms import rotation_matrix
 
 SCENE = """

@@ -7,7 +7,7 @@ import tomllib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lumisplat.io.scene_toml.toml_lines import line_numbers
+from lumisplat.io.scene_toml.toml_table import line_numbers
 
 DOCUMENT = '''\
 # comment = 0

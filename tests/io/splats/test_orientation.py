@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.scene_toml import stated_up as up_module
-from lumisplat.io.scene_toml.stated_up import stated_up
+from lumisplat.io.scene_toml import placement as up_module
+from lumisplat.io.scene_toml.placement import stated_up
 from lumisplat.io.splats.orientation import orientation_of
 from support.files.splat_files import capture, load_gaussians
 from support.kinds import present

@@ -10,14 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lumisplat.io.document.written import placement_table
+from lumisplat.io.document.tables import placement_table
 from lumisplat.io.scene_toml.actors import Load, Subjects, read_actor
 from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
 from lumisplat.io.scene_toml.placement import is_placed, placement
-from lumisplat.io.scene_toml.toml_table import TomlTable
-from lumisplat.io.scene_toml.toml_text import plain_value
+from lumisplat.io.scene_toml.toml_table import TomlTable, plain_value
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.animation.actors import Actor, Instance
 from lumisplat.scene.checks import with_checked
@@ -128,7 +127,7 @@ class EntryReader:
                 self._subjects = Subjects(self.load)
             actor = read_actor(table, self._subjects, self.up, around)
             entry = replace(entry, actor=actor, world_from_file=actor.world_from_object)
-            return self.read(number, kind, explicit_table(entry)) if is_inserted(entry) else entry
+            return self.read(number, kind, explicit_table(entry)) if _is_inserted(entry) else entry
         placed = self.assets.splats(table) if kind == "splats" else self.assets.meshes(table, around)
         entry = replace(
             entry,
@@ -138,7 +137,7 @@ class EntryReader:
             world_from_file=placed.world_from_file,
             _assets=placed.assets,
         )
-        return self.read(number, kind, explicit_table(entry)) if is_inserted(entry) else entry
+        return self.read(number, kind, explicit_table(entry)) if _is_inserted(entry) else entry
 
     def with_up(self, up: Vector) -> EntryReader:
         """A reader of scenes with another up, which shares what was read."""
@@ -170,7 +169,7 @@ class EntryReader:
         return with_checked(light, image=self.skies[path])
 
 
-def is_inserted(entry: SceneEntry) -> bool:
+def _is_inserted(entry: SceneEntry) -> bool:
     """Whether an entry whose table says no place stands elsewhere than its file has it."""
     if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
         return False

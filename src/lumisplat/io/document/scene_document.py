@@ -26,18 +26,15 @@ from lumisplat.io.document.entries import (
     explicit_table,
     shown_scene,
 )
-from lumisplat.io.document.memory import entries_of
-from lumisplat.io.document.opening import heading_of, listed_files, read_entries, read_entry, reader_of
-from lumisplat.io.document.saving import relocated, saved_assets
-from lumisplat.io.document.standing import turned_with_up
-from lumisplat.io.document.written import PLACED_IN_WORDS, light_table, placement_table
+from lumisplat.io.document.opening import heading_of, listed_files, read_entries, read_entry, reader_of, turned_with_up
+from lumisplat.io.document.saving import entries_of, relocated, saved_assets
+from lumisplat.io.document.tables import PLACED_IN_WORDS, light_table, placement_table
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.scene_toml.animation import animation_of
 from lumisplat.io.scene_toml.cameras import read_scene_cameras
 from lumisplat.io.scene_toml.config_file import changed_settings, read_config
-from lumisplat.io.scene_toml.toml_table import TomlTable
-from lumisplat.io.scene_toml.toml_text import plain_value, toml_text
+from lumisplat.io.scene_toml.scene_file import animation_of
+from lumisplat.io.scene_toml.toml_table import TomlTable, plain_value, toml_text
 from lumisplat.math.arrays import matrix_4x4
 from lumisplat.scene.animation.actors import Animation
 from lumisplat.scene.camera import Camera

@@ -26,9 +26,16 @@ import numpy as np
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.rigs import is_rigged, read_rig
-from lumisplat.io.scene_toml.placement import PLACEMENT, STANDING, inserted, is_placed, placement, turned_upright
+from lumisplat.io.scene_toml.placement import (
+    PLACEMENT,
+    STANDING,
+    inserted,
+    is_placed,
+    placement,
+    scene_up,
+    turned_upright,
+)
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, TABLES, TEXT, WHOLE, TomlTable, Values
-from lumisplat.io.scene_toml.up import scene_up
 from lumisplat.io.splats.sequence import read_sequence
 from lumisplat.scene.animation.actors import Actor, Subject
 from lumisplat.scene.animation.keyframes import Keyframes

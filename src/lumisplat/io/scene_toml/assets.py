@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, cast
 from weakref import WeakValueDictionary
 
 import numpy as np
 
-from lumisplat.config.checks import suggestion
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import STREAMED_SOG, format_of
 from lumisplat.io.meshes.mesh_arrays import drop_unplaced_textures
@@ -33,7 +33,6 @@ from lumisplat.io.scene_toml.placement import (
     is_placed,
     placement,
 )
-from lumisplat.io.scene_toml.shapes import SIZE, shape_mesh
 from lumisplat.io.scene_toml.toml_table import (
     FLAG,
     NAME_OR_NUMBER,
@@ -43,8 +42,11 @@ from lumisplat.io.scene_toml.toml_table import (
     TEXT_OR_TABLE,
     VECTOR,
     WHOLE,
+    Kind,
     TomlTable,
     Values,
+    is_list,
+    suggestion,
 )
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.checks import with_checked
@@ -54,8 +56,19 @@ from lumisplat.scene.lights import Light, move_light
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.ground import lowest
 from lumisplat.scene.ops.smooth_normals import smooth_normals
+from lumisplat.scene.primitives import box, plane, sphere
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import Vector
+
+_SHAPES = ("box", "plane", "sphere")
+
+
+def _is_size(value: object) -> bool:
+    return not isinstance(value, bool | str | dict) and (not is_list(value) or len(value) in (2, 3))
+
+
+_SIZE = Kind("a number, two (plane) or three (box)", _is_size)
+"""Edges of a box or a plane, or the diameter of a sphere."""
 
 _ENTRY = {
     "path": TEXT,
@@ -80,7 +93,7 @@ ENTRY_KEYS = {
     "meshes": {
         **_ENTRY,
         "shape": TEXT,
-        "size": SIZE,
+        "size": _SIZE,
         "lights": FLAG,
         "crease_angle_degrees": NUMBER,
         "part": NAME_OR_NUMBER,
@@ -93,6 +106,29 @@ _CHANGES = ("kernel_degree", "crease_angle_degrees", "crop_low", "crop_high")
 """Keys of an entry that change the form of the asset itself, not where it stands."""
 
 _Key = tuple[str, ...]
+
+
+def _shape_mesh(table: TomlTable, given: Values) -> Mesh:
+    """The mesh of an entry with a ``shape``: of size 1, unless ``size`` says otherwise.
+
+    Raises:
+        FormatError: There is no such shape, or the size does not suit it.
+    """
+    shape, size = given["shape"], given.get("size", 1.0)
+    if shape not in _SHAPES:
+        raise table.error(f"shape is {shape!r}, {suggestion(shape, _SHAPES)}", "shape")
+    try:
+        if shape == "box":
+            return box(size)
+        if shape == "sphere" and not is_list(size):
+            return sphere(0.5 * size)
+        if shape == "plane" and not (is_list(size) and len(size) != 2):
+            edges = cast(list[Any], size if isinstance(size, list) else [size, size])
+            return plane(*edges)
+    except (SceneError, TypeError):
+        pass
+    expected = {"box": "one positive number or three", "plane": "one positive number or two", "sphere": "its diameter"}
+    raise table.wrong("size", expected[shape])
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +255,7 @@ class Assets:
             if "part" in given:
                 raise table.error("part is of a file with several meshes, but there is no path", "part")
             key = ("shape", repr((given["shape"], given.get("size"))))
-            loaded = self._once(key, lambda: as_scene(shape_mesh(table, given)))
+            loaded = self._once(key, lambda: _as_scene(_shape_mesh(table, given)))
         changes = {name: given[name] for name in _CHANGES if name in given}
         if changes:
             key = (*key, repr(changes))
@@ -242,7 +278,7 @@ class Assets:
                 raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
             levels = _levels(table, file, given)
             known_by = ("file", str(file), repr(levels))
-            scene = self._once(known_by, lambda: as_scene(self.load(file, **levels)))
+            scene = self._once(known_by, lambda: _as_scene(self.load(file, **levels)))
         if _is_capture(scene) is not (heading == "splats"):
             whole = "a scene" if scene.splats else "a mesh"
             found, other = ("a capture", "splats") if _is_capture(scene) else (whole, "meshes")
@@ -341,7 +377,7 @@ def _read_entry(table: TomlTable, heading: str, up: Vector) -> tuple[Values, Dou
     return given, placement(table, up)
 
 
-def as_scene(asset: Gaussians | Mesh | Scene) -> Scene:
+def _as_scene(asset: Gaussians | Mesh | Scene) -> Scene:
     """A scene as it is; one of a single asset has it at the origin."""
     if isinstance(asset, Scene):
         return asset

@@ -35,9 +35,8 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.common import unique_names
 from lumisplat.io.scene_toml.fields import with_radians
-from lumisplat.io.scene_toml.placement import PLACEMENT, placement
+from lumisplat.io.scene_toml.placement import DIRECTION, PLACEMENT, placement, scene_up
 from lumisplat.io.scene_toml.toml_table import COEFFICIENTS, NUMBER, TABLES, TEXT, VECTOR, WHOLE, TomlTable, Values
-from lumisplat.io.scene_toml.up import DIRECTION, scene_up
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.up import Vector, up_vector
@@ -59,7 +58,7 @@ _VIEW_KEYS = {
     "distortion": COEFFICIENTS,
     "keyframes": TABLES,
 }
-CAMERA_KEYFRAME_KEYS = {
+_CAMERA_KEYFRAME_KEYS = {
     "time": NUMBER,
     **{
         key: _VIEW_KEYS[key]
@@ -145,7 +144,7 @@ def _moving_view(table: TomlTable, up: Vector) -> CameraPath:
     cameras: list[Camera] = []
     targets: list[list[float]] = []
     for entry in table.tables("keyframes"):
-        given = entry.take(CAMERA_KEYFRAME_KEYS, required=("time",))
+        given = entry.take(_CAMERA_KEYFRAME_KEYS, required=("time",))
         time = given.pop("time")
         if not np.isfinite(time) or (times and time <= times[-1]):
             raise entry.wrong("time", f"seconds after {times[-1]:g}: times must rise" if times else "seconds")

@@ -23,8 +23,7 @@ from lumisplat.config.setting import Setting, all_settings, settings_of
 from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.scene_toml.toml_table import FLAG, TABLE, TomlTable, suggestion
-from lumisplat.io.scene_toml.toml_text import toml_text
+from lumisplat.io.scene_toml.toml_table import FLAG, TABLE, TomlTable, suggestion, toml_text
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -56,10 +56,10 @@ def read_materials(document: TomlTable) -> dict[str, MaterialTable]:
         FormatError: A material is not a table, or is invalid.
     """
     named = document.table("materials")
-    return {name: read_material(named.table(name), name) for name in named.values}
+    return {name: _read_material(named.table(name), name) for name in named.values}
 
 
-def read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
+def _read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
     """A material that is written as a table.
 
     Args:
@@ -97,7 +97,7 @@ def entry_material(entry: TomlTable, named: Mapping[str, MaterialTable]) -> Mate
     if given is None:
         return None
     if is_table(given):
-        return read_material(entry.table("material"))
+        return _read_material(entry.table("material"))
     if given not in named:
         meant = suggestion(given, named) if named else f"there is no [materials.{given}]"
         raise entry.error(f"material is {given!r}, {meant}", "material")

@@ -1,25 +1,40 @@
-"""Placement of an entry of a scene file: points of its file are scaled, then rotated, then translated.
+"""Places the entries of a scene file: points are scaled, then rotated, then translated; and finds which way is up.
 
-A mesh or an actor whose entry says nothing of that is put into the captures of the scene: `inserted`.
+Up is ``up = "z-up"`` at the top of the file, else what its captures state, else a guess. It is found without reading
+Gaussians where a format allows that.
 """
 
 from __future__ import annotations
 
+import json
 import logging
-from collections.abc import Mapping, Sequence
+import threading
+import zipfile
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.errors import SceneError
-from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, TEXT, VECTOR, TomlTable
+from lumisplat.errors import FormatError, LumisplatError, SceneError
+from lumisplat.io.files.source import BLOCKS, STREAMED_SOG, format_of, parsing, read_bytes
+from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.extras import own_extras
+from lumisplat.io.gltf.scene import read_gltf
+from lumisplat.io.ply import read_ply_header
+from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, TEXT, VECTOR, Kind, TomlTable, is_list
+from lumisplat.io.splats.orientation import orientation_of, orientation_of_comments
+from lumisplat.io.splats.sog import OURS, read_meta
+from lumisplat.io.splats.spz import read_spz_orientation
 from lumisplat.math.transforms import rotation_matrix
+from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.insertion import insertion
 from lumisplat.scene.placing import Placing, placed
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import Vector
+from lumisplat.scene.up import Vector, up_vector
 
 _log = logging.getLogger("lumisplat")
 
@@ -36,6 +51,8 @@ _TURNS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
 
 _LEANS = 0.7
 """Height of y along up below which what has y up does not stand."""
+
+_USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 def _is_saved(document: TomlTable) -> bool:
@@ -167,3 +184,136 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
         raise table.error(f"rotation_wxyz is {error}", "rotation_wxyz") from None
     matrix[:3, 3] = position
     return matrix
+
+
+def stated_up(path: Path) -> Vector | None:
+    """Returns the unit vector that points up in a capture, in its own coordinates.
+
+    Args:
+        path: A file or folder of any format.
+
+    Returns:
+        None if the file states no up, is no capture, or cannot be read, which whoever reads it will say.
+    """
+    try:
+        with parsing(path, "a capture"):
+            kind = format_of(path)
+            if kind in (".glb", ".gltf", *_USD):
+                status = path.stat()
+                return _up_by_format(path, kind, status.st_mtime_ns, status.st_size)
+            return _up_by_values(path, kind)
+    except (LumisplatError, OSError, zipfile.BadZipFile):
+        return None
+
+
+def _up_by_values(path: Path, kind: str) -> Vector | None:
+    """Returns what is stated beside the Gaussians of a file."""
+    if kind == ".ply":
+        return orientation_of_comments(path, read_ply_header(path).comments).up
+    if kind in (BLOCKS, STREAMED_SOG):
+        stored = json.loads(read_bytes(path / kind if path.is_dir() else path))
+        return orientation_of(path, stored if kind == BLOCKS else stored.get(OURS)).up
+    if kind == ".sog":
+        return orientation_of(path, read_meta(path).get(OURS)).up
+    return read_spz_orientation(path).up if kind == ".spz" else None
+
+
+@lru_cache(maxsize=64)
+def _up_by_format(path: Path, kind: str, *_version: int) -> Vector | None:
+    """Returns the up of a capture whose format says how it stands; only the place of its node tells that.
+
+    The whole file is read for it, once for each of its versions, and without log lines: who loads it logs them.
+    """
+    with _silenced():
+        if kind in _USD:
+            from lumisplat.io.usd.scene import read_usd
+
+            return _up_of(read_usd(path, drop_invalid=True))
+        return _up_of(read_gltf(path, drop_invalid=True)) if _has_up(GltfFile(path)) else None
+
+
+@contextmanager
+def _silenced() -> Generator[None]:
+    """Drops the log lines of this thread."""
+    thread = threading.get_ident()
+
+    def is_of_others(record: logging.LogRecord) -> bool:
+        return record.thread != thread
+
+    _log.addFilter(is_of_others)
+    try:
+        yield
+    finally:
+        _log.removeFilter(is_of_others)
+
+
+def _up_of(loaded: Gaussians | Scene) -> Vector | None:
+    return loaded.up if isinstance(loaded, Gaussians) else None
+
+
+def _has_up(file: GltfFile) -> bool:
+    """Whether a capture of a glTF file has an up of its own, besides that of the format."""
+    primitives = (one for mesh in file.model.meshes or [] for one in mesh.primitives)
+    return any("up" in (own_extras(one) or {}) for one in primitives)
+
+
+def _may_be_direction(value: object) -> bool:
+    return is_list(value) or isinstance(value, str)
+
+
+DIRECTION = Kind("the name of an axis, such as y-down, or three numbers", _may_be_direction)
+"""An axis by its name, or a direction."""
+
+_CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".json", "")
+"""Ends of the paths of captures, .json of unpacked SOGs; those of folders of frames have none."""
+
+
+def scene_up(document: TomlTable) -> Vector:
+    """Returns the unit vector that points up.
+
+    It is what the file says, else what the first capture states of which the file does, else y down with a capture, y
+    up for meshes alone.
+
+    Args:
+        document: Top table of the scene file.
+
+    Raises:
+        FormatError: ``up`` is no direction.
+    """
+    if "up" in document.values:
+        return _direction(document, "up")
+    for table in document.tables("splats"):
+        if (up := _stated(table)) is not None:
+            return up
+    actors = (Path(str(table.values.get("path"))).suffix.lower() for table in document.tables("actors"))
+    has_capture = bool(document.tables("splats")) or any(suffix in _CAPTURES for suffix in actors)
+    return up_vector("y-down" if has_capture else "y-up")
+
+
+def _stated(table: TomlTable) -> Vector | None:
+    """Returns up as the file of a capture states it, turned as the entry turns the capture; None: it states none.
+
+    An entry that is stood upright follows the scene, and says nothing about it.
+    """
+    stands = table.values.get("upright", False) or "look_at" in table.values
+    path = table.values.get("path")
+    if stands or not isinstance(path, str) or (up := stated_up(table.path.parent / path)) is None:
+        return None
+    keys = {key: kind for key, kind in (PLACEMENT | STANDING).items() if key.startswith("rotation")}
+    turned = {key: value for key, value in table.values.items() if key in keys and keys[key].accepts(value)}
+    try:
+        return up_vector(placement(TomlTable.of(table.path, turned))[:3, :3] @ up)
+    except FormatError:  # said where the entry is read
+        return None
+
+
+def _direction(table: TomlTable, key: str) -> Vector:
+    """The unit vector of a key.
+
+    Raises:
+        FormatError: It is no direction.
+    """
+    try:
+        return up_vector(table.values[key])
+    except SceneError as error:
+        raise table.error(str(error), key) from None

@@ -24,30 +24,67 @@ ground = 0.0                            # stands at this height along up
 [materials.chrome]
 roughness = 0.0
 metallic = 1.0
+
+[animation]
+fps = 25.0
+duration = 4.0                          # or frames = 100
+
+[animation.lighting]
+direct = 0.7
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config import AvatarLightingConfig
+from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.io.files.source import PathLike, parsing, with_present_keys
 from lumisplat.io.scene_toml.actors import Load, read_actors, with_instances
 from lumisplat.io.scene_toml.assets import Assets
+from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_scene_cameras
+from lumisplat.io.scene_toml.config_file import read_settings
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
-from lumisplat.io.scene_toml.placement import keep_saved_places, say_unturned
-from lumisplat.io.scene_toml.timing import read_timing
-from lumisplat.io.scene_toml.toml_table import TomlTable
-from lumisplat.io.scene_toml.up import scene_up
+from lumisplat.io.scene_toml.placement import keep_saved_places, say_unturned, scene_up
+from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable
+from lumisplat.scene.animation.actors import Actor, Animation
+from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.lights import Light
 from lumisplat.scene.scene import Scene
 from lumisplat.scene.up import up_vector
 
+ANIMATION_KEYS = {"fps": NUMBER, "duration": NUMBER, "frames": WHOLE, "lighting": TABLE}
+_FPS = 25.0
+
 _TOP = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")
 _SHOWN = ("splats", "meshes", "actors", "lights", "environment")
 """Headings that put something into the scene."""
+
+
+def _read_timing(document: TomlTable) -> tuple[float, AvatarLightingConfig]:
+    """Frames a second of a scene file's animation, and how its actors are lit; defaults if it has no such table.
+
+    Raises:
+        FormatError: A key of ``[animation]`` is unknown, or a value is invalid.
+    """
+    table = document.table("animation")
+    given = table.take(ANIMATION_KEYS)
+    lighting = read_settings(table.table("lighting"), AvatarLightingConfig)
+    fps = given.get("fps", _FPS)
+    if not 0.0 < fps < np.inf:
+        raise table.wrong("fps", "a positive number of frames a second")
+    if "duration" in given and "frames" in given:
+        raise table.error("has both duration and frames: expected one of them", "frames")
+    if not 0.0 < given.get("duration", 1.0) < np.inf:
+        raise table.wrong("duration", "a positive number of seconds")
+    if given.get("frames", 1) < 1:
+        raise table.wrong("frames", "at least 1")
+    return fps, lighting
 
 
 def read_document(path: PathLike) -> TomlTable:
@@ -87,13 +124,13 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
             document.values.setdefault("up", direction)
         if all(document.values.get(key, []) == [] for key in _SHOWN):
             raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
-        read_timing(document)  # of no use to one frame, but its mistakes are found where the file is first tried
-        scene = static_scene(document, load)
+        _read_timing(document)  # of no use to one frame, but its mistakes are found where the file is first tried
+        scene = _static_scene(document, load)
         shown = [instance for actor in read_actors(document, load, scene) for instance in actor.at(0.0)]
         return with_instances(scene, shown)
 
 
-def static_scene(document: TomlTable, load: Load) -> Scene:
+def _static_scene(document: TomlTable, load: Load) -> Scene:
     """The scene of a scene file without its actors; it may be empty.
 
     Raises:
@@ -121,3 +158,59 @@ def static_scene(document: TomlTable, load: Load) -> Scene:
 
 def _heading(key: str) -> str:
     return f"[{key}]" if key == "environment" else f"[[{key}]]"
+
+
+def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Animation:
+    """As `lumisplat.io.load_animation`.
+
+    Args:
+        path: The scene file.
+        load: Reads one capture or mesh.
+        load_cameras: Reads a camera file.
+    """
+    with parsing(path, "a scene file"):
+        document = read_document(path)
+        if not document.tables("actors") and read_camera_path(document) is None:
+            raise document.error("lists no [[actors]]: there is nothing to animate, nor a camera with keyframes")
+        scene = _static_scene(document, load)
+        animation = animation_of(document, scene, read_actors(document, load, scene))
+        return replace(animation, cameras=tuple(read_scene_cameras(document, load_cameras)))
+
+
+def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> Animation:
+    """How a scene moves, without the cameras that stand still.
+
+    Args:
+        document: Top table of the scene file.
+        scene: What stands still.
+        actors: What moves.
+
+    Raises:
+        FormatError: ``[animation]`` or a camera is wrong.
+    """
+    moving = read_camera_path(document)
+    fps, lighting = _read_timing(document)
+    count = _frame_count(document.table("animation"), fps, actors, moving)
+    return Animation(scene, tuple(actors), (), fps, count, lighting, moving)
+
+
+def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: CameraPath | None) -> int:
+    """Number of frames, from ``frames``, from ``duration``, or from what takes longest: an actor, or the camera."""
+    given = table.values
+    if "frames" in given:
+        count = given["frames"]
+    else:
+        longest = max((*map(_own_duration, actors), moving.duration if moving is not None else 0.0))
+        count = given.get("duration", longest) * fps
+    if count > ANIMATION_FRAMES_MAX:
+        raise table.error(
+            f"has {count:,.8g} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}: "
+            "lower duration or frames, or fps",
+            "frames" if "frames" in given else "duration",
+        )
+    return max(1, round(count))
+
+
+def _own_duration(actor: Actor) -> float:
+    """Time of the last keyframe, else the duration of the clip or the frames, seconds."""
+    return actor.motion.duration if actor.motion is not None else actor.own_duration

@@ -1,23 +1,152 @@
-"""TOML tables with values of known kinds; errors name the line, the key and what was probably meant."""
+"""Reads TOML tables with values of known kinds, and writes tables as TOML that ``tomllib`` reads back to equal values.
+
+Errors name the line, the key and what was probably meant. ``tomllib`` gives no line numbers; they are found here.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 import reprlib
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from types import UnionType
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple, TypeGuard, cast
+
+import numpy as np
 
 from lumisplat.config.checks import suggestion
 from lumisplat.constants import TOML_KEY_PARTS_MAX
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.source import PathLike, TextureBytes, named_path, read_text
-from lumisplat.io.scene_toml.toml_lines import KeyPath, line_numbers
+
+KeyPath = tuple[str | int, ...]
+"""Keys and indices from the top of the document, e.g. ``("splats", 1, "position")``."""
+
+_TOKEN = re.compile(
+    r"""(?P<blank>[ \t\r]+|\#[^\n]*)
+      | (?P<newline>\n)
+      | (?P<string>\"{3}(?s:(?:\\.|[^\\])*?)\"{3,5} | '{3}(?s:.*?)'{3,5} | "(?:\\.|[^"\\\n])*" | '[^'\n]*')
+      | (?P<mark>[\[\]{}=,.])
+      | (?P<bare>[^\s\[\]{}=,.\#"']+)""",
+    re.VERBOSE,
+)
 
 Values = dict[str, Any]
 """Checked values by key."""
+
+
+class _Token(NamedTuple):
+    kind: str
+    text: str
+    line: int
+
+
+def line_numbers(text: str) -> dict[KeyPath, int]:
+    """The line of every key, table and element of an array of tables, counted from 1.
+
+    Args:
+        text: Valid TOML, which tomllib has read without an error.
+    """
+    return _Scanner(text).lines
+
+
+class _Scanner:
+    """Reads the tokens of a text and notes the line of every key."""
+
+    def __init__(self, text: str) -> None:
+        self.lines: dict[KeyPath, int] = {}
+        self._tokens: list[_Token] = []
+        line = 1
+        for match in _TOKEN.finditer(text):
+            if match.lastgroup != "blank":
+                self._tokens.append(_Token(match.lastgroup or "", match[0], line))
+            line += match[0].count("\n")
+        self._tokens.append(_Token("newline", "\n", line))
+        self._at = 0
+        self._array_sizes: dict[KeyPath, int] = {}
+        table: KeyPath = ()
+        while self._at < len(self._tokens):
+            token = self._next()
+            if token.text == "[":
+                table = self._header()
+            elif token.kind != "newline":
+                self._at -= 1
+                self._pair(table)
+
+    def _next(self) -> _Token:
+        self._at += 1
+        return self._tokens[self._at - 1]
+
+    @property
+    def _upcoming(self) -> _Token:
+        return self._tokens[self._at]
+
+    def _header(self) -> KeyPath:
+        """Reads a header after its first bracket: ``[a.b]`` or ``[[a.b]]``."""
+        in_array = self._upcoming.text == "["
+        self._at += in_array
+        keys, line = self._keys("]")
+        self._at += in_array
+        path: KeyPath = ()
+        for key in keys[:-1]:
+            path = self._latest((*path, key))
+        path = (*path, keys[-1])
+        if in_array:
+            index = self._array_sizes.get(path, 0)
+            self._array_sizes[path] = index + 1
+            self.lines.setdefault(path, line)
+            path = (*path, index)
+        else:
+            path = self._latest(path)
+        self.lines.setdefault(path, line)
+        return path
+
+    def _latest(self, path: KeyPath) -> KeyPath:
+        """A path, or that of the latest element if it is an array of tables."""
+        return (*path, self._array_sizes[path] - 1) if path in self._array_sizes else path
+
+    def _keys(self, end: str) -> tuple[list[str], int]:
+        """Reads a dotted key and the mark after it; the line is that of its first part."""
+        keys: list[str] = []
+        line = self._upcoming.line
+        while (token := self._next()).text != end:
+            if token.kind == "bare":
+                keys.append(token.text)
+            elif token.kind == "string":
+                keys.append(tomllib.loads(f"key = {token.text}")["key"])
+        return keys, line
+
+    def _pair(self, table: KeyPath) -> None:
+        """Reads ``key = value``."""
+        keys, line = self._keys("=")
+        for depth in range(len(keys)):
+            self.lines.setdefault((*table, *keys[: depth + 1]), line)
+        self._value((*table, *keys))
+
+    def _value(self, path: KeyPath) -> None:
+        token = self._next()
+        if token.text in ("[", "{"):
+            self._members(path, "]" if token.text == "[" else "}")
+        elif token.kind != "string":  # a number or a date: bare parts with dots in between
+            while self._upcoming.kind == "bare" or self._upcoming.text == ".":
+                self._at += 1
+
+    def _members(self, path: KeyPath, end: str) -> None:
+        """Reads the contents of an array or an inline table, and its end."""
+        index = 0
+        while (token := self._next()).text != end:
+            if token.text in ("\n", ","):
+                continue
+            self._at -= 1
+            if end == "}":
+                self._pair(path)
+            else:
+                self.lines[(*path, index)] = token.line
+                self._value((*path, index))
+                index += 1
 
 
 class Kind(NamedTuple):
@@ -67,24 +196,37 @@ def is_table(value: object) -> TypeGuard[dict[str, object]]:
     return isinstance(value, dict)
 
 
-def is_array_of_tables(value: object) -> TypeGuard[list[dict[str, object]]]:
+def _is_array_of_tables(value: object) -> TypeGuard[list[dict[str, object]]]:
     """Whether a value is an array of tables, which may be empty."""
     return is_list(value) and all(map(is_table, value))
 
 
 TEXT = Kind("a string", _is_instance(str))
+
 FLAG = Kind("true or false", _is_instance(bool))
+
 NUMBER = Kind("a number", _is_number)
+
 NUMBER_OR_FALSE = Kind("a number or false", _is_number_or_false)
+
 WHOLE = Kind("a whole number", _is_whole)
+
 VECTOR = Kind("three numbers", _is_vector(3))
+
 PAIR = Kind("two numbers", _is_vector(2))
+
 COEFFICIENTS = Kind("six numbers, k1 k2 k3 k4 p1 p2", _is_vector(6))
+
 QUATERNION = Kind("four numbers, w x y z", _is_vector(4))
+
 COLOR = Kind("a number or three", _is_color)
+
 TABLE = Kind("a table", is_table)
-TABLES = Kind("tables, written with double brackets", is_array_of_tables)
+
+TABLES = Kind("tables, written with double brackets", _is_array_of_tables)
+
 NAME_OR_NUMBER = Kind("a name or a whole number", _is_name_or_number)
+
 TEXT_OR_TABLE = Kind("a name or a table", _is_instance(str | dict))
 
 
@@ -217,7 +359,7 @@ class TomlTable:
             FormatError: The value is not a table.
         """
         values = self.values.get(key, {})
-        if is_array_of_tables(values):
+        if _is_array_of_tables(values):
             raise self.error(f"{key} is there once only: write it with single brackets, [{key}]", key)
         if not is_table(values):
             raise self.wrong(key, f"a table, [{key}]")
@@ -230,7 +372,7 @@ class TomlTable:
             FormatError: The value is not an array of tables.
         """
         entries = self.values.get(key, [])
-        if not is_array_of_tables(entries):
+        if not _is_array_of_tables(entries):
             raise self.error(f"{key} must be written with double brackets: [[{key}]]", key)
         return [TomlTable(entry, self._source, (*self._where, key, index)) for index, entry in enumerate(entries)]
 
@@ -253,3 +395,27 @@ def _quote(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return " ".join(reprlib.repr(value).split())
+
+
+def plain_value(value: object) -> Any:
+    """Converts a value to what TOML has: NumPy to Python, tuples to lists, paths and enums to text."""
+    match value:
+        case Enum():
+            return plain_value(value.value)
+        case os.PathLike():
+            return os.fspath(cast("os.PathLike[str]", value))
+        case np.generic() | np.ndarray():
+            return cast(Any, value).tolist()
+        case Mapping():
+            return {name: plain_value(item) for name, item in cast(Mapping[str, object], value).items()}
+        case list() | tuple():
+            return [plain_value(item) for item in cast(Sequence[object], value)]
+        case _:
+            return value
+
+
+def toml_text(values: Mapping[str, Any]) -> str:
+    """Writes a document: values first, then tables, then arrays of tables; arrays of numbers stay on one line."""
+    import tomlkit  # 20 ms that readers need not wait for
+
+    return tomlkit.dumps(plain_value(values))

@@ -1,22 +1,112 @@
-"""Cameras of a program as entries of a scene file, by eye, target and up."""
+"""Writes objects of a scene as tables of a scene file: lights, materials, placements and cameras."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import MISSING, Field, fields
 from typing import Any
 
 import numpy as np
 
-from lumisplat.constants import NEAR_PLANE
+from lumisplat.constants import NEAR_PLANE, SIMILARITY_TOLERANCE
+from lumisplat.io.scene_toml.fields import DEGREES, key_of
+from lumisplat.io.scene_toml.materials import MATERIAL_KINDS
+from lumisplat.io.scene_toml.toml_table import Values, plain_value
 from lumisplat.math.arrays import Doubles
+from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.lights import Light, LightEnvironment
+from lumisplat.scene.materials import Material
+
+PLACED_IN_WORDS = ("rotation_degrees", "look_at", "front", "upright", "ground")
+"""Keys that a placement by position, rotation and scale replaces."""
+_ROUNDED = {"inner_angle": -1, "outer_angle": 1}
+"""How angles of spots are rounded: the inner one stays below the outer one."""
+_STEPS = 3
+"""Neighbours of an angle that are tried, on each side."""
 
 _ROUNDING = 1e-9
 """Largest relative difference of what shall be equal."""
 _VARYING = ("eye", "target", "up", "fov_y_degrees", "exposure", "aperture", "focus_distance")
 """What keyframes have, besides their times."""
+
+
+def light_table(light: Light) -> Values:
+    """The entry of a light; of an environment the table, without its image."""
+    table = {} if isinstance(light, LightEnvironment) else {"type": light.kind}
+    return table | _values(light, without=("image",))
+
+
+def material_table(material: Material) -> Values:
+    """The table of a material, without its textures."""
+    textures = tuple(field.name for field in fields(material) if field.name.endswith(("_texture", "_wraps")))
+    return {"type": _name(MATERIAL_KINDS, type(material))} | _values(material, without=textures)
+
+
+def placement_table(matrix: Doubles) -> Values:
+    """The keys that place an entry by a similarity, shape (4, 4)."""
+    scale = _rounded(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    quaternion = quaternions_from_matrices(matrix[None, :3, :3] / scale)[0]
+    return {
+        "position": [_rounded(x) for x in matrix[:3, 3]],
+        "rotation_wxyz": [_rounded(x) for x in quaternion],
+        "scale": scale,
+    }
+
+
+def _rounded(number: float) -> float:
+    """Twelve digits: what people read should not end in noise."""
+    return float(f"{number:.12g}")
+
+
+def is_similarity(matrix: Doubles) -> bool:
+    """Whether a transform, shape (4, 4), is a rotation, one scale and a translation: what an entry can say."""
+    linear = matrix[:3, :3]
+    gram = linear.T @ linear
+    size = np.trace(gram) / 3.0
+    return bool(np.linalg.det(linear) > 0.0 and np.abs(gram / size - np.eye(3)).max() < SIMILARITY_TOLERANCE)
+
+
+def _values(item: Light | Material, without: tuple[str, ...]) -> Values:
+    """The fields that differ from their defaults, by key."""
+    table: Values = {}
+    for field in fields(item):
+        value = getattr(item, field.name)
+        if field.name not in without and (field.default is MISSING or value != field.default):
+            table[key_of(field)] = _written(field, value)
+    return table
+
+
+def _written(field: Field[Any], value: object) -> object:
+    plain = plain_value(value)
+    return _degrees(plain, _ROUNDED.get(field.name, 0)) if key_of(field).endswith(DEGREES) else plain
+
+
+def _degrees(angle: float, rounded: int) -> float:
+    """The degrees, at most 90, that the reader turns to an angle, or to one next to it.
+
+    Args:
+        angle: Radians.
+        rounded: 0: to the nearest; 1: not to a smaller one; -1: not to a larger one.
+    """
+    near = [math.degrees(angle)]
+    for end in (0.0, 90.0):
+        step = math.degrees(angle)
+        for _ in range(_STEPS):
+            step = math.nextafter(step, end)
+            near.append(step)
+    back = {degrees: math.radians(degrees) for degrees in (*near, 0.0, 90.0) if 0.0 <= degrees <= 90.0}
+    if rounded > 0:
+        return min((degrees for degrees in back if back[degrees] >= angle), default=90.0)
+    if rounded < 0:
+        return max(degrees for degrees in back if back[degrees] <= angle)
+    return min(back, key=lambda degrees: abs(back[degrees] - angle))
+
+
+def _name(kinds: dict[str, Any], kind: type) -> str:
+    return next(name for name, other in kinds.items() if other is kind)
 
 
 def camera_tables(cameras: Sequence[Camera], path: CameraPath | None) -> tuple[list[dict[str, Any]], list[str]]:
@@ -29,7 +119,7 @@ def camera_tables(cameras: Sequence[Camera], path: CameraPath | None) -> tuple[l
     tables: list[dict[str, Any]] = []
     problems: list[str] = []
     for number, camera in enumerate(cameras):
-        table = camera_table(camera)
+        table = _camera_table(camera)
         if table is None:
             problems.append(
                 f"camera {camera.name or number} is left out: scene files hold cameras with square pixels, the "
@@ -42,13 +132,13 @@ def camera_tables(cameras: Sequence[Camera], path: CameraPath | None) -> tuple[l
         if moving is None:
             problems.append("the camera that moves is left out: scene files hold those that look at targets")
         else:
-            first = camera_table(path.cameras[0], np.asarray(path.targets)[0])
+            first = _camera_table(path.cameras[0], np.asarray(path.targets)[0])
             tables = [moving if _is_same(table, first) else table for table in tables]
             tables += [] if moving in tables else [moving]
     return tables, problems
 
 
-def camera_table(camera: Camera, target: Doubles | None = None) -> dict[str, Any] | None:
+def _camera_table(camera: Camera, target: Doubles | None = None) -> dict[str, Any] | None:
     """A camera by its eye and target; None: it cannot be said so.
 
     Args:
@@ -89,7 +179,7 @@ def _path_table(path: CameraPath) -> dict[str, Any] | None:
     keyframes: list[dict[str, Any]] = []
     fixed: dict[str, Any] = {}
     for camera, time, target in zip(path.cameras, np.asarray(path.times), np.asarray(path.targets), strict=True):
-        table = camera_table(camera, target)
+        table = _camera_table(camera, target)
         if table is None or camera.near != path.cameras[0].near:
             return None
         here = {"exposure": camera.exposure, "aperture": camera.aperture, "focus_distance": camera.focus_distance}
