@@ -37,7 +37,7 @@ from lumisplat.baking.seen_together import SeenTogether  # noqa: E402
 from lumisplat.io.images.png import write_png  # noqa: E402
 from lumisplat.math.sh import sh_basis  # noqa: E402
 from lumisplat.math.tone_map import apply_tone_map  # noqa: E402
-from lumisplat.scene.ops.pixel_rays import world_rays  # noqa: E402
+from lumisplat.scene.ops.views import world_rays  # noqa: E402
 from support.scenes.light_scenes import matte, metal, parallelogram  # noqa: E402
 from support.scenes.path_rooms import BOUNCES, closed_room, faceted_ball, sky_light, turned_box  # noqa: E402
 

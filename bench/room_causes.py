@@ -35,7 +35,7 @@ from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.relighting.evaluation.compare import SeenView, albedo_scale, measured, normal_figures
 from lumisplat.relighting.evaluation.found import LayerRenderer, with_albedo
 from lumisplat.relighting.evaluation.truth import RelightableSet
-from lumisplat.scene.ops.estimate_normals import estimate_normals
+from lumisplat.scene.ops.normals import estimate_normals
 
 NEAR = 0.2
 """Gaussians farther from all surfaces float, metres."""

@@ -141,14 +141,11 @@ if TYPE_CHECKING:
     from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians, bind_gaussians
     from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera, CameraModel
-    from lumisplat.scene.editing.crop import crop
     from lumisplat.scene.editing.decimate import decimate
-    from lumisplat.scene.editing.floaters import remove_floaters
     from lumisplat.scene.editing.levelling import UpEstimate, find_up, level
-    from lumisplat.scene.editing.merge import merge
+    from lumisplat.scene.editing.merge import limit_sh_degree, merge
     from lumisplat.scene.editing.morton import sort_morton
-    from lumisplat.scene.editing.select import select
-    from lumisplat.scene.editing.sh_degree import limit_sh_degree
+    from lumisplat.scene.editing.select import crop, remove_floaters, select
     from lumisplat.scene.editing.transform import transform
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.lights import (
@@ -162,13 +159,10 @@ if TYPE_CHECKING:
     )
     from lumisplat.scene.materials import AlphaMode, MaterialPbr, MaterialSimple
     from lumisplat.scene.mesh import Mesh
-    from lumisplat.scene.ops.estimate_normals import estimate_normals
-    from lumisplat.scene.ops.framing import frame_camera
-    from lumisplat.scene.ops.ground import stand_on_ground
-    from lumisplat.scene.ops.insertion import insert
-    from lumisplat.scene.ops.orbit import orbit_cameras
-    from lumisplat.scene.ops.recolor import scale_light
-    from lumisplat.scene.ops.smooth_normals import smooth_normals
+    from lumisplat.scene.ops.colors import scale_light
+    from lumisplat.scene.ops.insertion import insert, stand_on_ground
+    from lumisplat.scene.ops.normals import estimate_normals, smooth_normals
+    from lumisplat.scene.ops.views import frame_camera, orbit_cameras
     from lumisplat.scene.primitives import box, plane, sphere
     from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -313,7 +307,7 @@ _MODULE_OF = {
     "can_stream": "io.blocks.stream",
     "check_format": "io",
     "create_renderer": "renderer.renderer",
-    "crop": "scene.editing.crop",
+    "crop": "scene.editing.select",
     "decimate": "scene.editing.decimate",
     "delight": "relighting.delight.delight",
     "demo_cameras": "demo.scene",
@@ -323,7 +317,7 @@ _MODULE_OF = {
     "estimate_capture_gain": "relighting.capture_gain",
     "estimate_lights": "relighting.light_estimation",
     "estimate_materials": "relighting.delight.delight",
-    "estimate_normals": "scene.ops.estimate_normals",
+    "estimate_normals": "scene.ops.normals",
     "estimate_sun": "relighting.sun_estimation",
     "evaluate_materials": "relighting.evaluation.evaluate",
     "extract_frames": "io.training_images.video_frames",
@@ -335,12 +329,12 @@ _MODULE_OF = {
     "flip": "metrics.images",
     "focused": "renderer.one_shot",
     "forget_training": "training.run_folder",
-    "frame_camera": "scene.ops.framing",
+    "frame_camera": "scene.ops.views",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "insert": "scene.ops.insertion",
     "join_windows": "io.images.joined_windows",
     "level": "scene.editing.levelling",
-    "limit_sh_degree": "scene.editing.sh_degree",
+    "limit_sh_degree": "scene.editing.merge",
     "load": "io",
     "load_animation": "io",
     "load_blocks": "io.blocks.views",
@@ -359,14 +353,14 @@ _MODULE_OF = {
     "ms_ssim_scales": "metrics.images",
     "ncm_ab": "metrics.lighting",
     "open_blocks": "io.blocks.storage",
-    "orbit_cameras": "scene.ops.orbit",
+    "orbit_cameras": "scene.ops.views",
     "paa_y": "metrics.lighting",
     "plan_views": "io.blocks.views",
     "plane": "scene.primitives",
     "psnr": "metrics.images",
     "ray_gradients": "renderer.ray_gradients",
     "relight": "relighting.probe_transfer",
-    "remove_floaters": "scene.editing.floaters",
+    "remove_floaters": "scene.editing.select",
     "render": "renderer.one_shot",
     "render_dataset": "dataset.render",
     "render_deep": "renderer.deep",
@@ -378,16 +372,16 @@ _MODULE_OF = {
     "save_animation": "io",
     "save_cameras": "io",
     "save_config": "io",
-    "scale_light": "scene.ops.recolor",
+    "scale_light": "scene.ops.colors",
     "select": "scene.editing.select",
     "shadowed": "relighting.captured_shadow",
     "sm_iou": "metrics.shadows",
-    "smooth_normals": "scene.ops.smooth_normals",
+    "smooth_normals": "scene.ops.normals",
     "sort_morton": "scene.editing.morton",
     "sphere": "scene.primitives",
     "splat_gradients": "renderer.splat_gradients",
     "ssim": "metrics.images",
-    "stand_on_ground": "scene.ops.ground",
+    "stand_on_ground": "scene.ops.insertion",
     "stream_ply": "io.blocks.stream",
     "surface_remark": "relighting.surface_measure",
     "thin_blocks": "io.blocks.views",

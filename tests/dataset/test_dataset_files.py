@@ -15,7 +15,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.math.transforms import transform_points
-from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.ops.views import world_rays
 from support.scenes.dataset_scenes import block_scene, small_config
 
 LAYERS = ("depth", "normal", "albedo", "alpha", "mask", "instance", "category", "exr")

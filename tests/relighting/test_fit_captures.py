@@ -10,7 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
-from lumisplat.scene.ops.recolor import base_colors
+from lumisplat.scene.ops.colors import base_colors
 from support.scenes.fit_rooms import DIRECT, assert_powers, closed, noisy, taken, three_lamps, unknown, view
 
 HYBRID = replace(DIRECT, pipeline=ls.Pipeline.HYBRID)

@@ -17,7 +17,7 @@ import lumisplat as ls
 from lumisplat.math.color import decode_srgb
 from lumisplat.relighting.local_contrast import surroundings
 from lumisplat.scene.lights import facing_irradiance
-from lumisplat.scene.ops.sh_colors import colors_along
+from lumisplat.scene.ops.colors import colors_along
 from support.scenes.light_room import SIZE, bright_wall, captured, lamp, room_with, sparkle, walls
 
 CENTER = 0.5 * SIZE

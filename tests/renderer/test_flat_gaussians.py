@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.ops.views import world_rays
 from support.files.splat_files import FLAT_NAMES, load_gaussians, ply_header
 
 CENTRE = np.array([0.1, -0.2, 4.0])

@@ -35,7 +35,7 @@ from lumisplat.renderer.scene.materials import emits_capture_only, is_relit
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import LocalFrame, rendered_frame
-from lumisplat.scene.ops.recolor import scale_light_of
+from lumisplat.scene.ops.colors import scale_light_of
 from lumisplat.scene.scene import Scene, SplatInstance
 
 _log = logging.getLogger("lumisplat")

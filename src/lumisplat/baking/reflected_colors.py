@@ -9,7 +9,7 @@ import numpy as np
 from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.scene.materials import material_of, shading_overrides
 from lumisplat.scene.materials import MaterialPbr
-from lumisplat.scene.ops.recolor import base_colors
+from lumisplat.scene.ops.colors import base_colors
 from lumisplat.scene.scene import Scene, SplatInstance
 
 

@@ -10,7 +10,7 @@ from lumisplat.math.arrays import Doubles, Flags
 from lumisplat.math.sh import even_directions
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.axes import shortest_axes
+from lumisplat.scene.ops.normals import shortest_axes
 
 
 def random_turns(count: int, rng: np.random.Generator) -> Doubles:

@@ -15,7 +15,7 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import axis_rotation
 from lumisplat.scene.camera import Camera, camera_pose
-from lumisplat.scene.ops.framing import frame_camera
+from lumisplat.scene.ops.views import frame_camera
 from lumisplat.scene.up import front_vector
 
 _TRIES = 200

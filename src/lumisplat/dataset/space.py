@@ -9,7 +9,7 @@ from lumisplat.dataset.solids import Solids
 from lumisplat.math.arrays import Doubles, Flags
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import Scene
 
 _AROUND = 32

@@ -12,7 +12,7 @@ from lumisplat.config import RenderConfig
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.math.tone_map import captured_radiance
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.ops.views import world_rays
 
 
 @dataclass(frozen=True, slots=True)

@@ -168,7 +168,7 @@ def _points(
     positions = instance.world_means[rows]
     own_normals = selected.normals
     if own_normals is None:
-        from lumisplat.scene.ops.estimate_normals import estimate_normals
+        from lumisplat.scene.ops.normals import estimate_normals
 
         own_normals = estimate_normals(selected)
     # The similarity rotates normals; its scale is removed when they are normalised.

@@ -19,8 +19,8 @@ from lumisplat.relighting.captured_shadow import light_factors, light_shares
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment, PlacedLight
 from lumisplat.scene.local_frame import rendered_frame
-from lumisplat.scene.ops.recolor import scale_light_of
-from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
+from lumisplat.scene.ops.colors import scale_light_of
+from lumisplat.scene.ops.world_space import PlacedGaussians, distance_from_body
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap

@@ -25,8 +25,8 @@ from lumisplat.renderer.scene.materials import emits_capture_only
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.estimate_normals import estimate_normals
-from lumisplat.scene.ops.recolor import scale_light_of
+from lumisplat.scene.ops.colors import scale_light_of
+from lumisplat.scene.ops.normals import estimate_normals
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_lights
 
 _log = logging.getLogger("lumisplat")

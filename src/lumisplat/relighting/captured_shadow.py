@@ -15,7 +15,7 @@ from lumisplat.errors import SceneError, check_instance
 from lumisplat.math.arrays import FloatArray, float_array
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment, facing_irradiance
-from lumisplat.scene.ops.recolor import Subject, scale_light_of
+from lumisplat.scene.ops.colors import Subject, scale_light_of
 from lumisplat.scene.scene import SplatInstance, checked_lights
 
 

@@ -16,7 +16,7 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.sh_colors import colors_along
+from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.scene import SplatInstance
 
 _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]) / np.sqrt(3.0)

@@ -15,8 +15,8 @@ from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import sh_basis
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.estimate_normals import estimate_normals
-from lumisplat.scene.ops.recolor import Subject, scale_light_of
+from lumisplat.scene.ops.colors import Subject, scale_light_of
+from lumisplat.scene.ops.normals import estimate_normals
 from lumisplat.scene.scene import SplatInstance
 
 _NORMALS_AT_ONCE = 1024

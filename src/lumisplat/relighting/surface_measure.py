@@ -28,7 +28,7 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.axes import shortest_axes
+from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import Scene
 
 

@@ -15,7 +15,7 @@ from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles, FloatArray, IntArray
 from lumisplat.math.tone_map import captured_radiance
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import Scene
 
 _log = logging.getLogger("lumisplat")

@@ -25,8 +25,8 @@ from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.lights import AreaLight, LightEnvironment
-from lumisplat.scene.ops.pixel_rays import world_rays
-from lumisplat.scene.ops.sh_colors import colors_along
+from lumisplat.scene.ops.colors import colors_along
+from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import Scene
 
 _STEPS = 16

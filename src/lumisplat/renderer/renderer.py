@@ -66,8 +66,7 @@ from lumisplat.renderer.unscented.unscented_raster import UnscentedRaster
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.ops.focus import focused_camera
-from lumisplat.scene.ops.pixel_rays import pixel_ray
+from lumisplat.scene.ops.views import focused_camera, pixel_ray
 from lumisplat.scene.scene import Scene
 
 _ANY = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))

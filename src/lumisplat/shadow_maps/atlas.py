@@ -24,7 +24,7 @@ from lumisplat.device.structs.shadow_map import (
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import three_numbers
 from lumisplat.scene.lights import LightDirectional, PlacedLight
-from lumisplat.scene.ops.world_gaussians import PlacedGaussians
+from lumisplat.scene.ops.world_space import PlacedGaussians
 
 Source = npt.NDArray[np.float64] | LightDirectional
 """Where light comes from: a point, shape (3,), or a direction."""

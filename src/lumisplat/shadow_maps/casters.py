@@ -12,10 +12,10 @@ import numpy.typing as npt
 from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
-from lumisplat.scene.animation.binding import Binding, bind_surface, deform_gaussians
+from lumisplat.scene.animation.rigged_gaussians import Binding, bind_surface, deform_gaussians
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.world_gaussians import ZERO, PlacedGaussians, placed_gaussians
+from lumisplat.scene.ops.world_space import ZERO, PlacedGaussians, placed_gaussians
 from lumisplat.scene.sampling.mesh_sampling import sample_surface
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 

@@ -21,7 +21,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.local_frame import LocalFrame, rendered_frame
-from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
+from lumisplat.scene.ops.world_space import PlacedGaussians, distance_from_body
 from lumisplat.scene.scene import Scene
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 from lumisplat.shadow_maps.atlas import Source, atlas_of, shadow_bound, source_of

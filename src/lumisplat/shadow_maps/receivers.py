@@ -14,7 +14,7 @@ from lumisplat.device.structs.shadow_map import CENTER, RANDOM, STENCIL, Footpri
 from lumisplat.errors import check_shapes
 from lumisplat.math.arrays import Doubles, float_array
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.scene.ops.world_gaussians import PlacedGaussians
+from lumisplat.scene.ops.world_space import PlacedGaussians
 from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians, as_iterable
 
 Receiving = Content | Iterable[Content] | npt.ArrayLike

@@ -16,7 +16,7 @@ from lumisplat.math.arrays import IntArray
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.scene.ops.world_gaussians import PlacedGaussians
+from lumisplat.scene.ops.world_space import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 from lumisplat.shadow_maps.atlas import face_count
 

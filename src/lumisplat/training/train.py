@@ -25,7 +25,7 @@ from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.local_frame import LocalFrame
-from lumisplat.scene.ops.camera_views import first_view_of, up_of_cameras
+from lumisplat.scene.ops.views import first_view_of, up_of_cameras
 from lumisplat.training.checkpoint import check_images, read_checkpoint, write_checkpoint
 from lumisplat.training.curve import Curve
 from lumisplat.training.held_out import HeldOut, HeldOutScore

@@ -10,7 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SCALE_MIN, SH_C0
 from lumisplat.math.color import encode_srgb
-from lumisplat.scene.ops.sh_colors import colors_along
+from lumisplat.scene.ops.colors import colors_along
 from support.files.gltf_splats import (
     EXTENSION,
     full_name,

@@ -9,7 +9,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.math.transforms import matrices_from_quaternions
-from lumisplat.scene.editing.affine import under_affine
+from lumisplat.scene.editing.transform import under_affine
 from support.files.splat_files import capture
 
 STRETCH = np.array([[2.0, 0.3, 0.0], [-0.2, 0.5, 0.1], [0.4, 0.0, 1.5]])

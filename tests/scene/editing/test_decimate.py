@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.transforms import matrices_from_quaternions
-from lumisplat.scene.editing.moments import areas, log_determinants, mixtures, moments_of, shapes
+from lumisplat.scene.editing.decimate import areas, log_determinants, mixtures, moments_of, shapes
 from support.kinds import expect_kind, present
 from support.scenes.raster_scenes import random_gaussians
 from support.scenes.sphere import sphere_quadrature, unit

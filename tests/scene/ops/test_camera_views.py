@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.ops.camera_views import first_view_of, up_of_cameras
+from lumisplat.scene.ops.views import first_view_of, up_of_cameras
 from support.kinds import present
 
 UPS = [(0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.3, -0.5, 0.8)]

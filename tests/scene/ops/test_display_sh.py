@@ -8,7 +8,7 @@ import pytest
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
-from lumisplat.scene.ops.display_sh import display_sh
+from lumisplat.scene.ops.colors import display_sh
 
 
 def colors(sh: np.ndarray, basis: np.ndarray) -> np.ndarray:

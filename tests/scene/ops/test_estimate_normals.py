@@ -11,8 +11,8 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import NORMAL_NEIGHBOURS
 from lumisplat.demo import shapes, shapes_swept
-from lumisplat.scene.ops.estimate_normals import _pairs_within
-from lumisplat.scene.sampling.neighbours import pairs_of_about
+from lumisplat.scene.ops.normals import _pairs_within
+from lumisplat.scene.sampling.blue_noise import pairs_of_about
 from support.kinds import present
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
 from support.scenes.sphere import unit

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.ops.framing import shown_bounds
+from lumisplat.scene.ops.views import shown_bounds
 from lumisplat.scene.scene import bulk_extent
 from support.scenes.raster_scenes import quad, random_gaussians
 

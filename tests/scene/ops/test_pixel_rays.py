@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lumisplat.scene.camera import Camera, CameraModel
-from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.ops.views import world_rays
 from support.oracles.camera_oracle import camera_rays
 from support.scenes.lit_frames import BALL, RADIUS, ball_frame
 

@@ -9,7 +9,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb
-from lumisplat.scene.ops.recolor import scale_light
+from lumisplat.scene.ops.colors import scale_light
 from support.oracles.raster_oracle import sh_basis
 
 

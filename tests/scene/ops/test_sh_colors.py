@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.ops.sh_colors import colors_along
+from lumisplat.scene.ops.colors import colors_along
 from support.oracles.raster_oracle import sh_color
 from support.scenes.raster_scenes import random_gaussians
 

@@ -16,8 +16,8 @@ from lumisplat.demo.textures import marble
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.sampling.blue_noise import cross_pairs, neighbour_pairs
-from lumisplat.scene.sampling.creases import crease_points
 from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
+from lumisplat.scene.sampling.surface_points import crease_points
 from support.kinds import present
 
 COUNT = 3000

@@ -11,7 +11,7 @@ from lumisplat.frame.frame import Frame
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.tone_map import captured_radiance
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.ops.views import world_rays
 
 LIGHTS = {"key": (np.array([2.0, 3.0, 1.0]), 60.0), "": (np.array([-4.0, 2.0, 2.0]), 12.0)}
 """Positions and candelas."""

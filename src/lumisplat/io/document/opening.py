@@ -24,7 +24,7 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import quaternions_from_matrices, rotation_between, rotation_matrix
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.ground import lowest
+from lumisplat.scene.ops.insertion import lowest
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import Vector, up_vector
 

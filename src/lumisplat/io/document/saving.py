@@ -29,7 +29,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.materials import MaterialPbr, texture_names
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.placed_mesh import placed_mesh
+from lumisplat.scene.ops.world_space import placed_mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import Vector
 

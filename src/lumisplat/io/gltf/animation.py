@@ -28,9 +28,8 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
-from lumisplat.scene.animation.clips import Channel, Clip, Interpolation
 from lumisplat.scene.animation.keyframes import Keyframes
-from lumisplat.scene.animation.skeleton import Skeleton
+from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Skeleton
 from lumisplat.scene.scene import Scene, SplatInstance, check_similarity
 
 _log = logging.getLogger("lumisplat")

@@ -21,10 +21,9 @@ from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns, lo
 from lumisplat.io.splats.orientation import orientation_of, orientation_values
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import decode_srgb
-from lumisplat.scene.editing.affine import under_affine
-from lumisplat.scene.editing.transform import transform
+from lumisplat.scene.editing.transform import transform, under_affine
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.display_sh import display_sh
+from lumisplat.scene.ops.colors import display_sh
 from lumisplat.scene.scene import SplatInstance, check_similarity
 from lumisplat.scene.up import y_up_from
 

@@ -19,7 +19,7 @@ from lumisplat.io.gltf.nodes import Matrix
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, unit_normals
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
-from lumisplat.scene.animation.skinning import blend_matrices
+from lumisplat.scene.animation.rig import blend_matrices
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 

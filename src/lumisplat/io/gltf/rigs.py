@@ -26,9 +26,19 @@ from lumisplat.io.gltf.nodes import (
 from lumisplat.io.gltf.scene import check_extensions
 from lumisplat.io.meshes.mesh_arrays import placeable_material
 from lumisplat.math.arrays import Doubles, IntArray, read_only_view
-from lumisplat.scene.animation.clips import Channel, Clip, Interpolation, Track
-from lumisplat.scene.animation.rig import MorphTargets, Rig, RigPart, RigPose, RigSurface, join_triangles
-from lumisplat.scene.animation.skeleton import Skeleton
+from lumisplat.scene.animation.rig import (
+    Channel,
+    Clip,
+    Interpolation,
+    MorphTargets,
+    Rig,
+    RigPart,
+    RigPose,
+    RigSurface,
+    Skeleton,
+    Track,
+    join_triangles,
+)
 
 if TYPE_CHECKING:
     import pygltflib

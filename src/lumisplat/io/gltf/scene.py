@@ -36,7 +36,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import FlatLight, Light, LightEnvironment
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.placed_mesh import placed_mesh
+from lumisplat.scene.ops.world_space import placed_mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import y_up_from
 

@@ -24,7 +24,7 @@ from lumisplat.io.meshes.mesh_arrays import (
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.smooth_normals import smooth_normals
+from lumisplat.scene.ops.normals import smooth_normals
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _log = logging.getLogger("lumisplat")

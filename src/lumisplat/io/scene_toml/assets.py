@@ -50,12 +50,12 @@ from lumisplat.io.scene_toml.toml_table import (
 )
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.checks import with_checked
-from lumisplat.scene.editing.crop import crop
+from lumisplat.scene.editing.select import crop
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, move_light
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.ground import lowest
-from lumisplat.scene.ops.smooth_normals import smooth_normals
+from lumisplat.scene.ops.insertion import lowest
+from lumisplat.scene.ops.normals import smooth_normals
 from lumisplat.scene.primitives import box, plane, sphere
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 from lumisplat.scene.up import Vector

@@ -21,9 +21,8 @@ from lumisplat.io.usd.stage import UsdFile, open_usd
 from lumisplat.io.usd.walk import Placed, prim_name
 from lumisplat.math.arrays import Doubles, matrix_4x4
 from lumisplat.math.transforms import quaternions_from_matrices
-from lumisplat.scene.animation.actors import Actor, Animation, Instance
+from lumisplat.scene.animation.actors import Actor, Animation, Deforming, Instance
 from lumisplat.scene.animation.camera_path import CameraPath
-from lumisplat.scene.animation.deforming import Deforming
 from lumisplat.scene.animation.keyframes import Keyframes
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, check_similarity

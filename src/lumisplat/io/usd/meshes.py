@@ -17,7 +17,7 @@ from lumisplat.io.usd.walk import Placed
 from lumisplat.math.arrays import Flags, FloatArray, IntArray, Rows, read_only_view
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.smooth_normals import smooth_normals
+from lumisplat.scene.ops.normals import smooth_normals
 from lumisplat.scene.primitives import box, plane, sphere
 from lumisplat.scene.scene import MeshInstance
 

@@ -14,7 +14,7 @@ from lumisplat.io.splats.orientation import orientation_of_text, orientation_val
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.stage import StageWriter, UsdFile, array, hints_of, number
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.display_sh import display_sh
+from lumisplat.scene.ops.colors import display_sh
 
 _TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaussianSplat")
 """The second is described by applied schemas; the third is the name that Nuke 17.0 wrote."""

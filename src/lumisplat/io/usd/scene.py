@@ -24,7 +24,7 @@ from lumisplat.io.usd.process import read_apart
 from lumisplat.io.usd.stage import UsdFile, hints_of, open_usd
 from lumisplat.io.usd.walk import Placed, placed_prims
 from lumisplat.math.arrays import Doubles
-from lumisplat.scene.editing.affine import under_affine
+from lumisplat.scene.editing.transform import under_affine
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity

@@ -11,7 +11,7 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.renderer.ray_queries import RayHits
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.sh_colors import colors_along
+from lumisplat.scene.ops.colors import colors_along
 
 BLOCK = 4096
 """Gaussians whose colours from all sides are in memory at once."""

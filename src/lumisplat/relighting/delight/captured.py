@@ -7,7 +7,7 @@ import numpy as np
 from lumisplat.constants.delight import CLIPPED, LAMP_GAP, LAMPS_MAX
 from lumisplat.math.arrays import Doubles, Flags, Rows
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.sh_colors import colors_along
+from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.sampling.blue_noise import cross_pairs
 
 

@@ -38,8 +38,7 @@ from lumisplat.relighting.surface_measure import measure_surface, no_surface
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.axes import shortest_axes
-from lumisplat.scene.ops.outward_side import agreeing_signs
+from lumisplat.scene.ops.normals import agreeing_signs, shortest_axes
 from lumisplat.scene.sampling.blue_noise import Pairs
 
 _log = logging.getLogger("lumisplat")

@@ -12,8 +12,7 @@ from lumisplat.constants.delight import NEIGHBOURS, NORMAL_SHARPNESS
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
-from lumisplat.scene.sampling.neighbours import pairs_of_about
+from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs, pairs_of_about
 
 
 def neighbours_of(gaussians: Gaussians) -> Pairs:

@@ -26,7 +26,7 @@ from lumisplat.relighting.delight.lobes import Lobes, bins_of, frames_of
 from lumisplat.relighting.delight.neighbours import normal_variances
 from lumisplat.relighting.delight.sky_cells import SkyCells
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.sh_colors import colors_along
+from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.sampling.blue_noise import Pairs
 
 

@@ -12,7 +12,7 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, read_only_view
 from lumisplat.renderer.scene.materials import is_relit, material_of
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.recolor import base_colors, scale_light
+from lumisplat.scene.ops.colors import base_colors, scale_light
 from lumisplat.scene.scene import Scene
 
 _DARK = 1e-6

@@ -15,7 +15,7 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.materials import MaterialPbr, wraps_of
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.sampling.surface_color import wrapped
+from lumisplat.scene.sampling.surface_points import wrapped
 from lumisplat.scene.scene import MeshInstance, Scene
 from lumisplat.scene.textures import WrapPair
 

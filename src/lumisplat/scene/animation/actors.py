@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, get_args
 
@@ -15,7 +15,6 @@ from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
 from lumisplat.scene.animation.camera_path import CameraPath
-from lumisplat.scene.animation.deforming import Deforming
 from lumisplat.scene.animation.keyframes import Keyframes, check_time
 from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians
@@ -26,9 +25,37 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
+Instances = tuple[SplatInstance | MeshInstance, ...]
+Instance = SplatInstance | MeshInstance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Deforming:
+    """A mesh or capture whose shape is read from its file for each time that is shown; made by `load_animation`."""
+
+    read: Callable[[float], Instances]
+    """What there is at a time, seconds, where it stands."""
+    _shown: dict[float, Instances] = field(default_factory=dict[float, Instances], init=False)
+    """That of the last time."""
+
+    def at(self, time: float) -> Instances:
+        """What there is at a time, seconds; the same objects as long as that is asked for.
+
+        Raises:
+            SceneError: The time is not finite.
+            FormatError: It cannot be read.
+        """
+        check_time(time)
+        shown = self._shown.get(time)
+        if shown is None:
+            shown = self.read(time)
+            self._shown.clear()
+            self._shown[time] = shown
+        return shown
+
+
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
 """What an actor may be; a `Scene` stands for its captures and meshes, `Deforming` for those of a time."""
-Instance = SplatInstance | MeshInstance
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,22 +1,166 @@
-"""Rigs: meshes that are moved by joints, and the clips that move the joints."""
+"""Defines rigs: meshes that are moved by joints, and the clips that move the joints.
+
+A vertex moves with the weighted mean of its joints' matrices (linear blend skinning, glTF 2.0 section 3.7.3).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, FloatArray, IntArray, read_only_view
-from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
-from lumisplat.scene.animation.clips import Channel, Clip
+from lumisplat.math.transforms import (
+    is_mirroring,
+    matrices_from_quaternions,
+    slerp,
+    transform_normals_each,
+    transform_points_each,
+)
 from lumisplat.scene.animation.keyframes import check_time
-from lumisplat.scene.animation.skeleton import Skeleton
-from lumisplat.scene.animation.skinning import blend_matrices
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import check_triangles
+
+_Floats = npt.NDArray[np.floating]
+
+
+class Channel(Enum):
+    """Property of a node that a track animates."""
+
+    TRANSLATION = "translation"
+    """Vector, shape (3,)."""
+    ROTATION = "rotation"
+    """Unit quaternion wxyz, shape (4,)."""
+    SCALE = "scale"
+    """Factors along the axes, shape (3,)."""
+    WEIGHTS = "weights"
+    """Weights of the morph targets of the node's mesh, shape (T,)."""
+
+
+class Interpolation(Enum):
+    """Interpolation of values between keys (glTF 2.0 appendix C)."""
+
+    STEP = "STEP"
+    LINEAR = "LINEAR"
+    """Linear; slerp for rotations."""
+    CUBICSPLINE = "CUBICSPLINE"
+    """Cubic Hermite spline."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """One channel of one node over time."""
+
+    node: int
+    channel: Channel
+    interpolation: Interpolation
+    times: Doubles
+    """Seconds, not falling, shape (K,)."""
+    values: Doubles
+    """Shape (K, C)."""
+    tangents: Doubles | None = None
+    """Tangents of a spline, incoming and outgoing at each key, units per second, shape (K, 2, C)."""
+
+    def at(self, time: float) -> Doubles:
+        """The value at a time, shape (C,). It is constant before the first key and after the last one."""
+        before = int(np.searchsorted(self.times, time, side="right")) - 1
+        if before < 0 or before + 1 >= self.times.size or self.interpolation is Interpolation.STEP:
+            return self._normalise(self.values[max(before, 0)])
+        first, second = self.values[before], self.values[before + 1]
+        span = float(self.times[before + 1] - self.times[before])
+        share = (time - float(self.times[before])) / span
+        if self.tangents is not None:
+            square, cube = share * share, share * share * share
+            value = (2.0 * cube - 3.0 * square + 1.0) * first + (3.0 * square - 2.0 * cube) * second
+            value = value + span * (cube - 2.0 * square + share) * self.tangents[before, 1]
+            return self._normalise(value + span * (cube - square) * self.tangents[before + 1, 0])
+        if self.channel is Channel.ROTATION:
+            return slerp(first, second, share)
+        return (1.0 - share) * first + share * second
+
+    def _normalise(self, value: Doubles) -> Doubles:
+        """Rotations scaled back to length 1, which splines do not keep; other values as they are."""
+        return value / np.linalg.norm(value) if self.channel is Channel.ROTATION else value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clip:
+    """A named animation of a rig."""
+
+    name: str
+    tracks: tuple[Track, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time of the last key, seconds."""
+        return max((float(track.times[-1]) for track in self.tracks), default=0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skeleton:
+    """N nodes with their transforms at rest. A node scales a point first, then rotates, then translates it."""
+
+    parents: tuple[int | None, ...]
+    """Index of each node's parent; None for a root."""
+    order: tuple[int, ...]
+    """All nodes, parents first."""
+    translations: Doubles
+    """Shape (N, 3)."""
+    rotations_wxyz: Doubles
+    """Unit quaternions, shape (N, 4)."""
+    scales: Doubles
+    """Shape (N, 3)."""
+    matrices: Mapping[int, Doubles]
+    """``parent_from_node`` of the nodes that have a matrix instead of the three parts; clips do not move them."""
+
+    def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> Doubles:
+        """The transforms of all nodes to world space, shape (N, 4, 4).
+
+        Args:
+            clip: The animation; None: the nodes are at rest.
+            time: Time of the clip, seconds.
+        """
+        columns = {
+            Channel.TRANSLATION: self.translations.copy(),
+            Channel.ROTATION: self.rotations_wxyz.copy(),
+            Channel.SCALE: self.scales.copy(),
+        }
+        for track in clip.tracks if clip else ():
+            if track.channel is not Channel.WEIGHTS:
+                columns[track.channel][track.node] = track.at(time)
+        local = np.tile(np.eye(4), (len(self.parents), 1, 1))
+        rotations = matrices_from_quaternions(columns[Channel.ROTATION])
+        local[:, :3, :3] = rotations * columns[Channel.SCALE][:, None, :]
+        local[:, :3, 3] = columns[Channel.TRANSLATION]
+        for node, matrix in self.matrices.items():
+            local[node] = matrix
+        world = local.copy()
+        for node in self.order:
+            parent = self.parents[node]
+            if parent is not None:
+                world[node] = world[parent] @ local[node]
+        return world
+
+
+def blend_matrices(matrices: _Floats, joints: npt.NDArray[np.integer], weights: _Floats) -> npt.NDArray[np.float64]:
+    """The skinning matrix of each vertex, shape (V, 3, 4).
+
+    Args:
+        matrices: ``world_from_bind`` of each joint: its pose times its inverse bind matrix, shape (J, 4, 4).
+        joints: Indices of the joints of each vertex, shape (V, K).
+        weights: Weights of these joints, of any sum but 0, shape (V, K).
+    """
+    rows = np.ascontiguousarray(matrices[:, :3])
+    blended = np.zeros((len(joints), 3, 4))
+    for k in range(joints.shape[1]):
+        used = np.flatnonzero(weights[:, k])
+        blended[used] += weights[used, k, None, None] * rows[joints[used, k]]
+    return blended / weights.sum(axis=1, dtype=np.float64)[:, None, None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Gaussians that are bound to the triangles of a rig and deform with them."""
+"""Binds Gaussians to the triangles of a surface or a rig, with which they deform."""
 
 from __future__ import annotations
 
@@ -7,14 +7,155 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.math.arrays import read_only_view
-from lumisplat.scene.animation.binding import Binding, bind_surface, deform_gaussians
+from lumisplat.constants import RIG_HIDDEN_AREA, RIG_SHEAR_MIN
+from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
+from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians, merge_gaussians
-from lumisplat.scene.sampling.multi_mesh_sampling import sample_surfaces
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.sampling.mesh_sampling import SurfaceSamples, sample_surfaces
 
 _Floats = npt.NDArray[np.floating]
+
+_SHORT_NORMAL = 1e-6
+"""Length of an interpolated normal below which its direction is rounding."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Binding:
+    """The places of the N Gaussians of one surface on T of its triangles.
+
+    The frame of a triangle has the columns (first edge, second edge, normal); at rest the normal has length 1.
+    """
+
+    corners: IntArray
+    """Vertices of the triangles, shape (T, 3)."""
+    areas: FloatArray
+    """Twice the areas of the triangles at rest, shape (T,)."""
+    triangles: IntArray
+    """Triangle of each Gaussian, 0..T-1, shape (N,)."""
+    weights: FloatArray
+    """Barycentric coordinates of the centres, shape (N, 3)."""
+    in_frame: FloatArray
+    """Each Gaussian in the rest frame of its triangle: columns are the two wide axes times their scales, and the centre
+    relative to the first corner; shape (N, 3, 3)."""
+
+    def frames(self, positions: _Floats) -> tuple[FloatArray, FloatArray]:
+        """The frames of the triangles, and the factors of their areas against those at rest.
+
+        The normal has the square root of the area's factor as its length, so that a uniform scale of the surface scales
+        the frame uniformly.
+
+        Args:
+            positions: Positions of all vertices of the surface, shape (V, 3).
+
+        Returns:
+            Frames, shape (T, 3, 3), and factors, shape (T,).
+        """
+        a, b, c = positions[self.corners].swapaxes(0, 1)
+        first, second = b - a, c - a
+        cross = np.cross(first, second)
+        doubled = np.linalg.norm(cross, axis=1)
+        growth = doubled / self.areas
+        normals = np.divide(cross, doubled[:, None], out=np.zeros_like(cross), where=doubled[:, None] > 0.0)
+        frames = np.stack([first, second, np.sqrt(growth)[:, None] * normals], axis=2)
+        return frames.astype(np.float32), growth.astype(np.float32)
+
+
+def bind_surface(mesh: Mesh, samples: SurfaceSamples) -> Binding:
+    """Binds Gaussians to the triangles of the mesh that they were sampled from."""
+    used, triangles = np.unique(samples.faces, return_inverse=True)
+    corners = mesh.indices[used]
+    a, b, c = mesh.positions.astype(np.float64)[corners].swapaxes(0, 1)
+    cross = np.cross(b - a, c - a)
+    areas = np.linalg.norm(cross, axis=1)
+    frame_from_world = np.linalg.inv(np.stack([b - a, c - a, cross / areas[:, None]], axis=2))[triangles]
+    gaussians = samples.gaussians
+    scales = gaussians.scales.astype(np.float64)
+    axes = matrices_from_quaternions(gaussians.rotations_wxyz) * scales[:, None, :]
+    in_frame = frame_from_world @ axes
+    in_frame[:, :, 2] = 0.0
+    in_frame[:, :2, 2] = samples.weights[:, 1:]
+    return Binding(
+        corners=read_only_view(corners),
+        areas=read_only_view(areas.astype(np.float32)),
+        triangles=read_only_view(triangles.astype(np.int32)),
+        weights=read_only_view(samples.weights.astype(np.float32)),
+        in_frame=read_only_view(in_frame.astype(np.float32)),
+    )
+
+
+def deform_gaussians(
+    binding: Binding, scales: _Floats, positions: _Floats, vertex_normals: _Floats | None
+) -> tuple[dict[str, _Floats], npt.NDArray[np.bool_]]:
+    """Moves Gaussians with their triangles.
+
+    Args:
+        binding: Binds the Gaussians to the triangles.
+        scales: Scales at rest, shape (N, 3).
+        positions: Positions of all vertices of the surface, shape (V, 3).
+        vertex_normals: Normals of these vertices, of any length, shape (V, 3); None: the triangles are flat.
+
+    Returns:
+        The new ``means``, ``rotations_wxyz``, ``scales`` and ``normals`` by name, and a mask of the Gaussians that
+        vanish with their triangles, shape (N,).
+    """
+    frames, growth = binding.frames(positions)
+    triangles = binding.triangles
+    vanished = growth[triangles] < RIG_HIDDEN_AREA
+    moved = frames[triangles] @ binding.in_frame
+    first, second = _principal_axes(moved[:, :, 0], moved[:, :, 1])
+    wide = np.sqrt(np.stack([_dots(first, first), _dots(second, second)], axis=1))
+    wide[vanished] = 1.0
+    first, second = first / wide[:, :1], second / wide[:, 1:]
+    axes = np.stack([first, second, _crosses(first, second)], axis=2)
+    axes[vanished] = np.eye(3)
+    thin = scales[:, 2] * np.sqrt(wide[:, 0] * wide[:, 1] / (scales[:, 0] * scales[:, 1]))
+    changed = {
+        "means": positions[binding.corners[:, 0]].astype(np.float32)[triangles] + moved[:, :, 2],
+        "rotations_wxyz": quaternions_from_matrices(axes),
+        "scales": np.where(vanished[:, None], scales, np.concatenate([wide, thin[:, None]], axis=1)),
+        "normals": _normals(binding, vertex_normals, axes[:, :, 2]),
+    }
+    return changed, vanished
+
+
+def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
+    """Two perpendicular vectors that span the same ellipse as the given pair, shape (N, 3) each.
+
+    The pair is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two possible angles, so that axes
+    change as little as possible.
+    """
+    first_square, second_square, mixed = _dots(first, first), _dots(second, second), _dots(first, second)
+    skewed = np.abs(mixed) > RIG_SHEAR_MIN * np.sqrt(first_square * second_square)
+    ratio = np.divide(second_square - first_square, 2.0 * mixed, out=np.zeros_like(mixed), where=skewed)
+    tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
+    tangent = np.where(skewed, tangent, np.float32(0.0))[:, None]
+    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+    return cosine * (first - tangent * second), cosine * (tangent * first + second)
+
+
+def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
+    """Shading normals of the Gaussians, shape (N, 3); ``flat`` if the vertices have no normals."""
+    if vertex_normals is None:
+        return flat
+    lengths = np.linalg.norm(vertex_normals, axis=1, keepdims=True)
+    unit = np.divide(vertex_normals, lengths, out=np.zeros_like(vertex_normals), where=lengths > 0.0)
+    at_corners = unit.astype(np.float32)[binding.corners][binding.triangles]
+    smooth = (binding.weights[:, None, :] @ at_corners)[:, 0]
+    length = np.sqrt(_dots(smooth, smooth))[:, None]
+    return np.where(length > _SHORT_NORMAL, smooth / np.maximum(length, _SHORT_NORMAL), flat)
+
+
+def _dots(first: _Floats, second: _Floats) -> _Floats:
+    return np.einsum("ni,ni->n", first, second)
+
+
+def _crosses(first: _Floats, second: _Floats) -> _Floats:
+    a, b = first, second
+    columns = [a[:, (k + 1) % 3] * b[:, (k + 2) % 3] - a[:, (k + 2) % 3] * b[:, (k + 1) % 3] for k in range(3)]
+    return np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

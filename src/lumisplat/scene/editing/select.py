@@ -1,18 +1,42 @@
-"""Gaussians by their values."""
+"""Selects Gaussians by their values, crops captures to a box or a sphere, and removes floaters."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
 
-from lumisplat.constants import SH_C0
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from lumisplat.constants import FLOATER_NEIGHBOURS, FLOATER_REACH, SH_C0
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray
-from lumisplat.scene.checks import check_argument
-from lumisplat.scene.editing.remaining import remaining
+from lumisplat.math.arrays import FloatArray, finite_numbers
+from lumisplat.scene.checks import check_argument, check_positive, check_whole
 from lumisplat.scene.gaussians import Gaussians
 
 Range = tuple[float | None, float | None]
 """Smallest and largest value that is kept; None: no limit."""
+
+Box = tuple[npt.ArrayLike, npt.ArrayLike]
+Sphere = tuple[npt.ArrayLike, float]
+
+_BLOCK = 2**16
+"""Gaussians that are searched for at a time, between two reports of progress."""
+
+
+def _remaining(gaussians: Gaussians, kept: npt.NDArray[np.bool_]) -> Gaussians:
+    """The Gaussians of a mask, shape (N,); the same object if that is all of them.
+
+    Raises:
+        SceneError: It is none of them; the message has the capture's bounds.
+    """
+    if kept.all():
+        return gaussians
+    if not kept.any():
+        low, high = gaussians.bounds()
+        bounds = "({:.4g}, {:.4g}, {:.4g}) to ({:.4g}, {:.4g}, {:.4g})".format(*low, *high)
+        raise SceneError(f"nothing is left of {gaussians.count:,} Gaussians, whose means lie within {bounds}")
+    return gaussians.subset(kept)
 
 
 def select(
@@ -73,7 +97,7 @@ def select(
     for name, (low, high) in given.items():
         values = _values(gaussians, name)
         kept &= (values >= low) & (values <= high)
-    return remaining(gaussians, kept)
+    return _remaining(gaussians, kept)
 
 
 def _limits(name: str, limits: object) -> tuple[float, float]:
@@ -106,3 +130,96 @@ def _values(gaussians: Gaussians, name: str) -> FloatArray:
     if values is None:
         raise SceneError(f"select cannot go by {name}: the capture has none")
     return values
+
+
+def crop(
+    gaussians: Gaussians, box: Box | None = None, sphere: Sphere | None = None, *, outside: bool = False
+) -> Gaussians:
+    """Keeps the Gaussians whose means lie in a box, in a sphere, or in both if both are given.
+
+    Args:
+        gaussians: The capture.
+        box: Two opposite corners in the capture's coordinates, shape (3,) each, in either order.
+        sphere: Centre, shape (3,), and radius, above 0, scene units.
+        outside: Keep the others instead.
+
+    Returns:
+        Those Gaussians, in their order, unchanged; the border belongs to the inside.
+
+    Raises:
+        SceneError: Neither box nor sphere is given, one is malformed, or no Gaussian is left.
+    """
+    check_argument("crop", gaussians, Gaussians, "Gaussians")
+    if box is None and sphere is None:
+        raise SceneError("crop takes a box or a sphere: box=(corner, corner), sphere=(centre, radius)")
+    inside = np.ones(gaussians.count, dtype=bool)
+    if box is not None:
+        corners = _pair("box", box, "two corners of three numbers")
+        first, second = (_point("box", corner) - gaussians.origin for corner in corners)
+        low, high = np.minimum(first, second), np.maximum(first, second)
+        inside &= ((gaussians.means >= low) & (gaussians.means <= high)).all(axis=1)
+    if sphere is not None:
+        center, radius = _pair("sphere", sphere, "a centre of three numbers and a radius")
+        size = finite_numbers(radius, ())
+        check_positive("the radius of sphere", radius if size is None else size.item())
+        assert size is not None
+        offset = gaussians.means - (_point("sphere", center) - gaussians.origin)
+        inside &= np.einsum("ij,ij->i", offset, offset) <= size.item() ** 2
+    return _remaining(gaussians, ~inside if outside else inside)
+
+
+def _pair(name: str, value: object, expected: str) -> tuple[npt.ArrayLike, npt.ArrayLike]:
+    try:
+        first, second = value  # pyright: ignore[reportGeneralTypeIssues, reportUnknownVariableType]
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} is {value}, expected {expected}") from None
+    return first, second  # pyright: ignore[reportUnknownVariableType]
+
+
+def _point(name: str, value: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    numbers = finite_numbers(value, (3,))
+    if numbers is None:
+        raise SceneError(f"{name} has the point {value}, expected three finite numbers")
+    return numbers
+
+
+def remove_floaters(
+    gaussians: Gaussians,
+    neighbours: int = FLOATER_NEIGHBOURS,
+    reach: float = FLOATER_REACH,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Gaussians:
+    """Removes Gaussians that have fewer than so many others around them.
+
+    Others count if their means are within ``reach`` times the Gaussian's largest scale, or times the capture's median
+    largest scale if that is more. So wide Gaussians of a far background, which lie far apart, stay. A clump of floaters
+    of more than ``neighbours`` stays, too: `crop` and `select` remove it.
+
+    Args:
+        gaussians: The capture.
+        neighbours: Least number of others, 1 or more.
+        reach: Distance in scales, above 0.
+        progress: Called with the fraction done, 0..1.
+
+    Returns:
+        The others, in their order, unchanged.
+
+    Raises:
+        SceneError: An argument is out of range, or no Gaussian is left.
+    """
+    check_argument("remove_floaters", gaussians, Gaussians, "Gaussians")
+    check_whole("neighbours", neighbours, 1, 1_000_000)
+    check_positive("reach", reach)
+    largest = gaussians.scales.max(axis=1)
+    typical = np.float32(np.median(largest))
+    radii = np.float32(reach) * np.maximum(largest, typical)
+    tree, floating = cKDTree(gaussians.means), np.empty(gaussians.count, np.bool_)
+    for start in range(0, gaussians.count, _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        # A Gaussian is the first of its own neighbours; those that do not exist are infinitely far.
+        distance, _ = tree.query(gaussians.means[rows], k=[neighbours + 1])
+        floating[rows] = distance[:, 0] > radii[rows]
+        if progress:
+            progress(min(start + _BLOCK, gaussians.count) / gaussians.count)
+    return _remaining(gaussians, ~floating)

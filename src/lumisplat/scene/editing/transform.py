@@ -1,4 +1,7 @@
-"""Captures moved, turned and scaled for good, colours included."""
+"""Moves, turns and scales captures for good, colours included, also by any affine transform.
+
+Files scale captures by factors that differ along the axes, as instances do not.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import SCALE_MIN
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, finite_numbers, matrix_4x4, read_only_view
+from lumisplat.math.arrays import Doubles, FloatArray, finite_numbers, matrix_4x4, read_only_view
 from lumisplat.math.sh import sh_rotation
 from lumisplat.math.transforms import (
+    matrices_from_quaternions,
     multiply_quaternions,
     quaternions_from_matrices,
     rotation_from_degrees,
@@ -22,6 +27,9 @@ from lumisplat.scene.local_frame import needed_origin
 from lumisplat.scene.scene import check_similarity
 
 _Vector = npt.ArrayLike
+
+_BLOCK = 2**16
+"""Gaussians whose axes are found at once."""
 
 
 def transform(
@@ -69,10 +77,10 @@ def transform(
         "means": transform_points(new_from_old, gaussians.means),
         "rotations_wxyz": multiply_quaternions(turned, gaussians.rotations_wxyz),
         "scales": gaussians.scales * factor,
-        "sh": turned_harmonics(gaussians.sh, rotation),
+        "sh": _turned_harmonics(gaussians.sh, rotation),
     }
     if gaussians.incident is not None:
-        changed["incident"] = turned_harmonics(gaussians.incident, rotation)
+        changed["incident"] = _turned_harmonics(gaussians.incident, rotation)
     if gaussians.normals is not None:
         changed["normals"] = gaussians.normals @ rotation.T
     with np.errstate(over="ignore", under="ignore"):  # too large or too small: refused
@@ -80,7 +88,7 @@ def transform(
         return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old), origin=tuple(origin.tolist()))
 
 
-def turned_harmonics(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+def _turned_harmonics(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """SH coefficients, shape (N, K, 3), of what has turned, or been mirrored, by a matrix ``new_from_old``."""
     degree = SH_DEGREE_FROM_COUNT[sh.shape[1]]
     return np.einsum("jk,nkc->njc", sh_rotation(rotation, degree), sh, optimize=True)
@@ -98,3 +106,44 @@ def _placement(scale: float, rotation_degrees: _Vector, translation: _Vector) ->
     matrix[:3, :3] = scale * rotation_from_degrees(angles)
     matrix[:3, 3] = offset
     return matrix
+
+
+def under_affine(gaussians: Gaussians, matrix: Doubles) -> Gaussians:
+    """The Gaussians with their shapes moved, turned, stretched, sheared and mirrored; opacities and materials stay.
+
+    A covariance ``C C^T`` with ``C = R S`` becomes ``M C (M C)^T``, whose principal axes are the left singular vectors
+    of ``M C``. Colours turn, and are mirrored, with the rotation nearest to M, its orthogonal polar factor: harmonics
+    cannot be stretched.
+
+    Args:
+        gaussians: The capture.
+        matrix: ``new_from_old``, shape (4, 4).
+
+    Raises:
+        SceneError: The matrix is not finite or singular, or a result is too large.
+    """
+    new_from_old = matrix_4x4("matrix", matrix)
+    linear = new_from_old[:3, :3]
+    left, _, right = np.linalg.svd(linear)
+    turn = left @ right
+    rotations, scales = np.empty((gaussians.count, 4)), np.empty((gaussians.count, 3))
+    for start in range(0, gaussians.count, _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        axes = matrices_from_quaternions(gaussians.rotations_wxyz[rows].astype(np.float64))
+        axes = linear @ (axes * gaussians.scales[rows, None, :].astype(np.float64))
+        turned, scales[rows], _ = np.linalg.svd(axes)
+        turned[:, :, 2] *= np.sign(np.linalg.det(turned))[:, None]
+        rotations[rows] = quaternions_from_matrices(turned)
+    changed = {
+        "means": transform_points(new_from_old, gaussians.means),
+        "rotations_wxyz": rotations,
+        "scales": np.maximum(scales, SCALE_MIN),
+        "sh": _turned_harmonics(gaussians.sh, turn),
+    }
+    if gaussians.incident is not None:
+        changed["incident"] = _turned_harmonics(gaussians.incident, turn)
+    if gaussians.normals is not None:
+        changed["normals"] = gaussians.normals @ np.linalg.inv(linear)  # rows, so that this is the inverse transpose
+    with np.errstate(over="ignore", under="ignore"):  # what is too large is refused
+        arrays = {name: read_only_view(v.astype(np.float32)) for name, v in changed.items()}
+        return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old))

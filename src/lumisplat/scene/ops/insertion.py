@@ -7,12 +7,15 @@ the area of their shadow on it. The decisions are in docs/adr/0093-meshes-put-in
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
+import numpy.typing as npt
 
+from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, Rows
 from lumisplat.math.transforms import matrices_from_quaternions, transform_points
@@ -27,11 +30,13 @@ from lumisplat.scene.up import Vector, up_vector, y_up_from
 
 _log = logging.getLogger("lumisplat")
 
-SIZES = (0.02, 0.75)
+_Placed = TypeVar("_Placed", SplatInstance, MeshInstance)
+
+_SIZES = (0.02, 0.75)
 """Diagonals of things, as shares of that of the captures, that are taken for the same units."""
-SIZE_IN_VIEW = 0.4
+_SIZE_IN_VIEW = 0.4
 """The larger of them where a first view is stated: what is larger would hide what that is about."""
-OWN_SIZE = 0.25
+_OWN_SIZE = 0.25
 """Share of the captures that others are scaled to: a thing in the picture, not the picture."""
 _CELLS_ACROSS = 6
 """Cells of the ground across the wider side of a thing."""
@@ -76,6 +81,37 @@ _LOW_IN_VIEW = 0.36
 """How far to the right and below the middle of that view its foot is, in widths and heights of the picture."""
 _ASIDE = 0.5
 """How much nearer a place to the front and the right counts, as a share of its distance: seen, and nothing hidden."""
+
+
+def stand_on_ground(instance: _Placed, height: float = 0.0, *, up: str | npt.ArrayLike) -> _Placed:
+    """An instance moved along the vertical, so that its lowest point is at a height.
+
+    The lowest point of a capture leaves out 2 % of its opacity, so that stray Gaussians below it do not lift it.
+
+    Args:
+        instance: A placed capture or mesh.
+        height: Height of the ground along ``up``, scene units: where y is down, a floor at y = 1.2 has height -1.2.
+        up: Up of the scene, an axis (``"y-down"``) or a direction: `Scene.up_direction`.
+
+    Raises:
+        SceneError: It is no instance, or an argument is out of range.
+    """
+    if not isinstance(cast(object, instance), SplatInstance | MeshInstance):
+        raise SceneError(f"stand_on_ground takes a SplatInstance or a MeshInstance, got a {type(instance).__name__}")
+    if not is_number(height) or not math.isfinite(height):
+        raise SceneError(f"height is {height}, expected a finite number")
+    move = np.eye(4)
+    move[:3, 3] = (height - lowest(instance, up)) * np.array(up_vector(up))
+    return replace(instance, world_from_object=move @ instance.transform)
+
+
+def lowest(instance: SplatInstance | MeshInstance, up: str | npt.ArrayLike) -> float:
+    """Height of the lowest point of an instance along ``up``, of a capture without its lowest 2 % of opacity."""
+    upward = np.array(up_vector(up))
+    if isinstance(instance, SplatInstance):
+        return bulk_extent(instance.world_means @ upward, instance.gaussians.opacities)[0]
+    mesh = instance.mesh
+    return float((transform_points(instance.transform, mesh.positions[np.unique(mesh.indices)]) @ upward).min())
 
 
 @dataclass(frozen=True)
@@ -165,8 +201,8 @@ def insertion(
     seen = _Seen.of(scene, turn)
     if scale is None:
         share = float(np.linalg.norm(high - low)) / seen.size
-        largest = SIZES[1] if seen.view is None else SIZE_IN_VIEW
-        scale = 1.0 if SIZES[0] <= share <= largest else float(f"{OWN_SIZE / max(share, 1e-12):.3g}")
+        largest = _SIZES[1] if seen.view is None else _SIZE_IN_VIEW
+        scale = 1.0 if _SIZES[0] <= share <= largest else float(f"{_OWN_SIZE / max(share, 1e-12):.3g}")
     check_positive("scale", scale)
     low, high = scale * low, scale * high
     middle = 0.5 * (low + high)

@@ -1,8 +1,12 @@
-"""Gaussians from a mesh: flat discs over its surface, so that one object exists in both forms."""
+"""Makes Gaussians from meshes: flat discs over their surface, so that one object exists in both forms.
+
+Discs are aligned with creases, and grown until no hole is left. The count of several meshes is divided by area.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,30 +14,153 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import (
+    SAMPLING_AXIS_COSINE,
     SAMPLING_CANDIDATES_PER_GAUSSIAN,
     SAMPLING_COUNT_MAX,
+    SAMPLING_COVERED_ALPHA,
     SAMPLING_CREASE_POINTS_PER_GAUSSIAN,
     SAMPLING_EDGE_BAND,
+    SAMPLING_EDGE_ROW,
     SAMPLING_FACING_COSINE,
+    SAMPLING_FIRST_SCALE,
+    SAMPLING_GROWTH,
+    SAMPLING_GROWTH_REACH,
+    SAMPLING_GROWTH_STEPS,
     SAMPLING_OPACITY,
     SAMPLING_SEARCH_SPACINGS,
     SAMPLING_THICKNESS,
     SH_C0,
 )
 from lumisplat.math.color import encode_srgb
-from lumisplat.math.transforms import quaternions_from_matrices
+from lumisplat.math.transforms import (
+    is_mirroring,
+    quaternions_from_matrices,
+    transform_normals_each,
+    transform_points_each,
+)
 from lumisplat.scene.checks import check_argument, check_whole
-from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.blue_noise import Pairs, cell_order, cross_pairs, neighbour_pairs, poisson_disk
-from lumisplat.scene.sampling.creases import CreasePoints, crease_points
-from lumisplat.scene.sampling.disc_shapes import crease_limits, disc_axes, grow_scales, shading_normals, thin_axes
-from lumisplat.scene.sampling.surface_color import base_colors
-from lumisplat.scene.sampling.surface_points import default_count, face_areas_and_normals, stratified_points
+from lumisplat.scene.sampling.surface_points import (
+    CreasePoints,
+    SurfacePoints,
+    base_colors,
+    crease_points,
+    default_count,
+    face_areas_and_normals,
+    interpolate_vertices,
+    stratified_points,
+    surface_area,
+)
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _Floats = npt.NDArray[np.floating]
+_Indices = npt.NDArray[np.integer]
+
+
+def _shading_normals(mesh: Mesh, points: SurfacePoints, face_normals: _Floats) -> _Floats:
+    """Interpolated vertex normals at points, shape (N, 3); face normals if the mesh has no vertex normals."""
+    flat = face_normals[points.faces]
+    if mesh.normals is None:
+        return flat
+    smooth = interpolate_vertices(mesh.normals, mesh.indices[points.faces], points.weights)
+    length = np.linalg.norm(smooth, axis=1, keepdims=True)
+    return np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), flat)
+
+
+def _thin_axes(smooth: _Floats, flat: _Floats) -> _Floats:
+    """Shading normals, but face normals where the two differ so much that discs would stand off the surface."""
+    agree = np.abs(np.einsum("ij,ij->i", smooth, flat)) > SAMPLING_AXIS_COSINE
+    return np.where(agree[:, None], smooth, flat)
+
+
+def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
+    """Columns (across the nearest crease, along it, normal) of each Gaussian, right-handed, shape (N, 3, 3)."""
+    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    if creases.positions.size:
+        near = cross_pairs(positions, creases.positions, 2.5 * spacing)
+        # Written from the farthest to the nearest, so that the nearest crease remains.
+        order = np.argsort(-near.distance, kind="stable")
+        direction = creases.directions[near.second[order]]
+        usable = np.abs(np.einsum("ij,ij->i", direction, normals[near.first[order]])) < 0.9
+        helper[near.first[order][usable]] = direction[usable]
+    across: _Floats = np.cross(helper, normals)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along: _Floats = np.cross(normals, across)
+    return np.stack([across, along, normals], axis=2)
+
+
+def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
+    """Largest scale along the two wide axes before a Gaussian reaches far over a crease, shape (N, 2)."""
+    limits = np.full((positions.shape[0], 2), np.inf)
+    if not creases.positions.size:
+        return limits
+    near = cross_pairs(positions, creases.positions, 2.5 * spacing)
+    step = creases.positions[near.second] - positions[near.first]
+    reach = np.abs(np.einsum("ij,ijk->ik", step, axes[near.first, :, :2]))
+    along = np.abs(np.einsum("ij,ijk->ik", creases.directions[near.second], axes[near.first, :, :2]))
+    for axis in (0, 1):
+        sideways = reach[:, 1 - axis]
+        ahead = (along[:, axis] < 0.5) & (sideways < np.maximum(reach[:, axis], 0.5 * spacing))
+        np.minimum.at(limits[:, axis], near.first[ahead], reach[ahead, axis])
+    # The row next to the edge reaches up to it; the rows behind it stay further away, as their edge is covered already.
+    row = SAMPLING_EDGE_ROW * spacing
+    return np.clip(limits, 0.25 * spacing, np.maximum(row, 0.75 * limits))
+
+
+def _grow_scales(
+    candidates: _Floats,
+    inner: npt.NDArray[np.bool_],
+    chosen: _Indices,
+    pairs: Pairs,
+    *,
+    axes: _Floats,
+    limits: _Floats,
+    spacing: float,
+) -> _Floats:
+    """Smallest scales along the wide axes with which the discs cover all inner candidates, shape (N, 2).
+
+    Discs start small and round. Where a candidate is not yet opaque, the discs that cover most of it grow by a step.
+
+    Args:
+        candidates: Points on the surface, shape (M, 3).
+        inner: Which of them must be covered: those not next to a crease, shape (M,).
+        chosen: Which of them are the centres of the Gaussians, shape (N,).
+        pairs: Neighbours among the candidates.
+        axes: Columns are the axes of each Gaussian, shape (N, 3, 3).
+        limits: Largest scales, shape (N, 2).
+        spacing: Distance between neighbouring Gaussians.
+    """
+    point, gaussian = _covering_pairs(pairs, chosen, inner)
+    step = (candidates[point] - candidates[chosen[gaussian]]).astype(np.float32)
+    offset2 = np.einsum("ij,ijk->ik", step, axes[gaussian, :, :2].astype(np.float32)) ** 2
+    size = np.full(chosen.size, SAMPLING_FIRST_SCALE * spacing, dtype=np.float32)
+    limits = limits.astype(np.float32)
+    for _ in range(SAMPLING_GROWTH_STEPS):
+        scales = np.minimum(size[:, None], limits)
+        exponent = (offset2 / scales[gaussian] ** 2).sum(axis=1)
+        clear = np.bincount(point, np.log1p(-SAMPLING_OPACITY * np.exp(-0.5 * exponent)), candidates.shape[0])
+        short = (clear > math.log(1.0 - SAMPLING_COVERED_ALPHA))[point]
+        point, gaussian, offset2, exponent = point[short], gaussian[short], offset2[short], exponent[short]
+        nearest = np.full(candidates.shape[0], np.inf, dtype=np.float32)
+        np.minimum.at(nearest, point, exponent)
+        growing = np.unique(gaussian[exponent <= nearest[point] + SAMPLING_GROWTH_REACH])
+        size[growing] *= SAMPLING_GROWTH
+    return np.minimum(size[:, None], limits)
+
+
+def _covering_pairs(pairs: Pairs, chosen: _Indices, inner: npt.NDArray[np.bool_]) -> tuple[_Indices, _Indices]:
+    """Pairs of an inner candidate that is not a centre and the index of a Gaussian nearby."""
+    is_centre = np.zeros(inner.size, dtype=bool)
+    is_centre[chosen] = True
+    gaussian_of = np.zeros(inner.size, dtype=np.int32)
+    gaussian_of[chosen] = np.arange(chosen.size)
+    points = np.concatenate([pairs.second, pairs.first])
+    others = np.concatenate([pairs.first, pairs.second])
+    wanted = is_centre[others] & (inner & ~is_centre)[points]
+    return points[wanted], gaussian_of[others[wanted]]
 
 
 def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> Gaussians:
@@ -95,11 +222,11 @@ def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> Surfa
     chosen = poisson_disk(pairs, rng.permutation(edge_distance.size), count, SAMPLING_SEARCH_SPACINGS * spacing)
     points = candidates.at(chosen)
 
-    normals = shading_normals(mesh, points, face_normals)
-    axes = disc_axes(points.positions, thin_axes(normals, face_normals[points.faces]), creases, spacing)
-    limits = crease_limits(points.positions, axes, creases, spacing)
+    normals = _shading_normals(mesh, points, face_normals)
+    axes = _disc_axes(points.positions, _thin_axes(normals, face_normals[points.faces]), creases, spacing)
+    limits = _crease_limits(points.positions, axes, creases, spacing)
     inner = edge_distance > SAMPLING_EDGE_BAND * spacing
-    wide = grow_scales(candidates.positions, inner, chosen, pairs, axes=axes, limits=limits, spacing=spacing)
+    wide = _grow_scales(candidates.positions, inner, chosen, pairs, axes=axes, limits=limits, spacing=spacing)
     albedo = base_colors(mesh, points.faces, points.weights, 0.5 * spacing)
     gaussians = _opaque_discs(mesh.material, points.positions, axes, wide, normals=normals, albedo=albedo)
     return SurfaceSamples(gaussians, points.faces, points.weights)
@@ -139,3 +266,43 @@ def _same_side(pairs: Pairs, normals: _Floats) -> Pairs:
     """Removes pairs across a thin wall, so that its two sides are sampled independently."""
     cosines = np.einsum("ij,ij->i", normals[pairs.first], normals[pairs.second])
     return pairs.where(cosines > SAMPLING_FACING_COSINE)
+
+
+def sample_surfaces(meshes: Sequence[Mesh], count: int | None = None, seed: int = 0) -> list[SurfaceSamples]:
+    """Gaussians of each mesh, ``count`` in total.
+
+    Args:
+        meshes: At least one mesh, all in the same space.
+        count: At least one for each mesh; None: so many that neighbours are 1/300 of the diagonal of the common
+            bounding box apart, from 1,000 to 1,000,000.
+        seed: Seed of the random order.
+
+    Raises:
+        SceneError: ``count`` is out of range.
+    """
+    count = max(default_count(meshes), len(meshes)) if count is None else count
+    check_whole("count", count, len(meshes), SAMPLING_COUNT_MAX)
+    areas = np.array([surface_area(mesh) for mesh in meshes])
+    ends = np.floor(np.cumsum(areas) / areas.sum() * (count - len(meshes)) + 0.5)
+    shares = np.diff(ends, prepend=0.0).astype(int) + 1
+    return [sample_surface(mesh, int(share), seed) for mesh, share in zip(meshes, shares, strict=True)]
+
+
+def gaussians_from_instances(instances: Sequence[MeshInstance], count: int | None = None, seed: int = 0) -> Gaussians:
+    """Covers placed meshes with Gaussians in world space; see `gaussians_from_mesh`.
+
+    Raises:
+        SceneError: There is no mesh, or ``count`` is out of range.
+    """
+    samples = sample_surfaces([_in_world(instance) for instance in instances], count, seed)
+    return merge_gaussians([one.gaussians for one in samples])
+
+
+def _in_world(instance: MeshInstance) -> Mesh:
+    mesh, matrix = instance.mesh, instance.transform[None, :3]
+    return replace(
+        mesh,
+        positions=transform_points_each(matrix, mesh.positions),
+        normals=None if mesh.normals is None else transform_normals_each(matrix, mesh.normals),
+        indices=mesh.indices[:, ::-1] if is_mirroring(matrix) else mesh.indices,
+    )

@@ -12,7 +12,7 @@ from lumisplat.progress import Progress
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.axes import shortest_axes
+from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import Scene
 
 

@@ -1,4 +1,7 @@
-"""Display-referred colours of Gaussians under more or less light (docs/method/gaussians.md#colour)."""
+"""Computes colours of Gaussians from their SH (Kerbl et al. 2023), in display space, and under more or less light.
+
+See docs/method/gaussians.md#colour.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,66 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import RECOLOR_DARK, SH_C0
+from lumisplat.constants import RECOLOR_DARK, SH_C0, SH_DEGREE_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, float_array, read_only_view, refuse_rows
 from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import SplatInstance
 
+_DIRECTIONS_PER_COEFFICIENT = 8
+"""Directions in which colours are compared, for each coefficient: the root mean square stays as with twice as many."""
+_STEP = 4096
+"""Gaussians that are converted together."""
+
 Subject = TypeVar("Subject", Gaussians, SplatInstance)
 """What is relit or shadowed: a function returns the kind that it was given."""
+
+
+def colors_along(gaussians: Gaussians, directions: npt.NDArray[np.floating], degree: int = SH_DEGREE_MAX) -> FloatArray:
+    """Display-referred colours ``max(SH + 0.5, 0)`` as seen along directions from the eye to the means.
+
+    Args:
+        gaussians: The Gaussians.
+        directions: Unit vectors in the Gaussians' own space, shape (N, 3).
+        degree: Highest degree that is evaluated, 0 to 3.
+
+    Returns:
+        Shape (N, 3).
+    """
+    basis = sh_basis(directions, min(degree, gaussians.sh_degree), np.float32)
+    # A product of small matrices for each Gaussian: one pass over its coefficients, which lie side by side.
+    sums = (basis[:, None, :] @ gaussians.sh[:, : basis.shape[1]])[:, 0]
+    return np.maximum(sums + np.float32(0.5), 0.0)
+
+
+def display_sh(linear_sh: npt.NDArray[np.floating]) -> FloatArray:
+    """The harmonics whose colours are nearest to the sRGB encoding of the colours ``max(SH + 0.5, 0)`` of others.
+
+    Nearest in the mean square over all directions. A single coefficient is converted exactly.
+
+    Args:
+        linear_sh: Harmonics of linear Rec.709 colours, shape (N, K, 3).
+
+    Returns:
+        Harmonics of sRGB colours, shape (N, K, 3).
+    """
+    count, coefficients, _ = linear_sh.shape
+    converted = np.empty(linear_sh.shape, np.float32)
+    if coefficients == 1:
+        colors = np.maximum(SH_C0 * linear_sh.astype(np.float64) + 0.5, 0.0)
+        return ((encode_srgb(colors) - 0.5) / SH_C0).astype(np.float32)
+    degree = round(coefficients**0.5) - 1
+    basis = sh_basis(even_directions(_DIRECTIONS_PER_COEFFICIENT * coefficients), degree)
+    fit = np.linalg.pinv(basis)
+    for start in range(0, count, _STEP):
+        rows = slice(start, start + _STEP)
+        colors = np.maximum(
+            np.einsum("dk,nkc->ndc", basis, linear_sh[rows].astype(np.float64), optimize=True) + 0.5, 0.0
+        )
+        converted[rows] = np.einsum("kd,ndc->nkc", fit, encode_srgb(colors) - 0.5, optimize=True)
+    return converted
 
 
 def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:

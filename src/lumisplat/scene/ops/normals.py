@@ -1,0 +1,340 @@
+"""Computes normals: outward ones of Gaussians (docs/method/relighting.md#normals), and smooth ones of meshes.
+
+The normal of a Gaussian is its shortest axis; its outside is found from the set as voxels and the free space connected
+to its surroundings. Normals of meshes are smooth across blunt edges and broken at sharp ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from lumisplat.config import NormalEstimate, enum_member
+from lumisplat.config.checks import is_number
+from lumisplat.constants import (
+    CREASE_ANGLE,
+    NORMAL_NEIGHBOURS,
+    NORMAL_NEIGHBOURS_MIN,
+    NORMAL_NEIGHBOURS_PER_CELL,
+    OUTSIDE_CELLS,
+    OUTSIDE_CONNECTED,
+    OUTSIDE_CONTRAST,
+    OUTSIDE_OPACITY_MIN,
+    OUTSIDE_REACH,
+    OUTSIDE_STEPS_MAX,
+    STRAY_SHARE,
+    WELD_SHARE,
+)
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
+from lumisplat.math.transforms import matrices_from_quaternions
+from lumisplat.scene.checks import check_argument
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs, pairs_of_about
+from lumisplat.scene.triangles import area_vectors
+
+_BORDER = 2
+"""Free cells around the set: they are outside, and keep the blur off the grid's edge."""
+
+
+def shortest_axes(gaussians: Gaussians) -> Doubles:
+    """Of either sign, unit, in the set's own space, shape (N, 3); of a round Gaussian the first of its axes."""
+    return _ranked_axes(gaussians)[..., 0]
+
+
+def _wide_axes(gaussians: Gaussians) -> tuple[Doubles, Doubles]:
+    """The two others, each times its scale, the shorter ones first, shape (N, 3) both."""
+    axes, scales = _ranked_axes(gaussians), np.sort(gaussians.scales, axis=1)
+    return axes[..., 1] * scales[:, 1:2], axes[..., 2] * scales[:, 2:]
+
+
+def _ranked_axes(gaussians: Gaussians) -> Doubles:
+    """The axes as columns, from the one with the least scale to that with the largest, unit, shape (N, 3, 3)."""
+    axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64))
+    order = np.argsort(gaussians.scales, axis=1, kind="stable")
+    return np.take_along_axis(axes, order[:, None, :], axis=2)
+
+
+class OpennessGrid(NamedTuple):
+    """How open the space around each cell is towards the outside."""
+
+    openness: FloatArray
+    """0 (solid or enclosed) to 1, blurred by about a cell, shape (X, Y, Z)."""
+    corner: Doubles
+    """Lower corner of cell (0, 0, 0), shape (3,)."""
+    cell: float
+    """Side of a cell, scene units."""
+
+    def at(self, points: Doubles) -> FloatArray:
+        """The openness at points, shape (N, 3); 1 outside of the grid."""
+        cells = np.floor((points - self.corner) / self.cell)
+        inside = np.all((cells >= 0) & (cells < np.array(self.openness.shape)), axis=1)
+        x, y, z = np.where(inside[:, None], cells, 0.0).astype(np.int64).T
+        return np.where(inside, self.openness[x, y, z], np.float32(1.0))
+
+
+def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> FloatArray:
+    """For each Gaussian, +1 where its axis points outside, else -1, shape (N,).
+
+    The set becomes voxels that are solid where Gaussians are. Free cells that are connected to the set's surroundings
+    are outside. The openness on both sides of a Gaussian is compared along its axis at a distance of one cell, two,
+    four and so on, until one side is clearly more open. So the shape need not be convex, and the two sides of a plate
+    are told apart if it is at least about a cell thick. Where both sides stay equal, as for a single sheet, the axes
+    are turned to one common side.
+
+    Args:
+        gaussians: The set.
+        axes: Unit vectors in object space, shape (N, 3).
+    """
+    grid = _openness_grid(gaussians)
+    means, along = gaussians.means.astype(np.float64), np.asarray(axes, np.float64)
+    signs = np.zeros(gaussians.count)
+    undecided = np.arange(gaussians.count)
+    reach = 1.0
+    while undecided.size and reach < max(grid.openness.shape):
+        step = (reach * grid.cell) * along[undecided]
+        difference = grid.at(means[undecided] + step) - grid.at(means[undecided] - step)
+        clear = np.abs(difference) >= OUTSIDE_CONTRAST
+        signs[undecided[clear]] = np.sign(difference[clear])
+        undecided = undecided[~clear]
+        reach *= 2.0
+    signs[undecided] = agreeing_signs(along[undecided])
+    return signs.astype(np.float32)
+
+
+def agreeing_signs(axes: Doubles) -> Doubles:
+    """Signs, +1 or -1, that turn axes, shape (M, 3), to one side of the plane perpendicular to most of them: (M,)."""
+    common = np.linalg.eigh(axes.T @ axes)[1][:, 2]
+    common *= np.sign(common[np.abs(common).argmax()])
+    return np.where(axes @ common < 0.0, -1.0, 1.0)
+
+
+def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
+    """Makes the voxels of a set, and computes how open each is towards the outside."""
+    wide = _wide_axes(gaussians)
+    means = gaussians.means.astype(np.float64)
+    opaque = gaussians.opacities >= OUTSIDE_OPACITY_MIN
+    rows = np.flatnonzero(opaque) if opaque.any() else np.arange(gaussians.count)
+    low, high = _bounds_without_strays(means[rows])
+    radii = np.stack([np.linalg.norm(axis, axis=1) for axis in wide], axis=1)
+    sides = np.maximum(high - low, 1e-3 * max(float((high - low).max()), float(radii.max())))
+    cell = max(float(np.prod(sides) / OUTSIDE_CELLS) ** (1.0 / 3.0), float(np.median(radii[rows].max(axis=1))))
+    # Points on a flat side of the box lie in the middle of their cells: rounding must not scatter them over two layers.
+    corner = low - (_BORDER + 0.5) * cell
+    shape = np.ceil((high - low) / cell).astype(int) + 1 + 2 * _BORDER
+    solid = np.zeros(shape, bool)
+    steps = np.clip(np.ceil(OUTSIDE_REACH * radii.max(axis=1) / cell), 1, OUTSIDE_STEPS_MAX).astype(int)
+    for count in np.unique(steps[rows]):
+        some = rows[steps[rows] == count]
+        for points in _points_on_discs(means[some], wide[0][some], wide[1][some], int(count)):
+            cells = np.floor((points - corner) / cell).astype(int)
+            x, y, z = cells[((cells >= _BORDER) & (cells < shape - _BORDER)).all(axis=1)].T
+            solid[x, y, z] = True
+    openness = (1.0 - OUTSIDE_CONNECTED) * _open_directions(~solid) + OUTSIDE_CONNECTED * _outside(solid)
+    openness = openness.astype(np.float32)
+    for axis in range(3):
+        openness = _blur(openness, axis)
+    return OpennessGrid(openness, corner, cell)
+
+
+def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int) -> Iterator[Doubles]:
+    """Points on the discs of M Gaussians, one of each disc at a time, shape (M, 3): ``count`` steps to the rim."""
+    offsets = np.arange(-count, count + 1) * (OUTSIDE_REACH / count)
+    for a in offsets:
+        for b in offsets[np.hypot(offsets, a) <= OUTSIDE_REACH * 1.01]:
+            yield means + a * first + b * second
+
+
+def _bounds_without_strays(points: Doubles) -> tuple[Doubles, Doubles]:
+    """Corners of a box around all points but strays, which lie far outside of the quantiles."""
+    low, high = np.quantile(points, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
+    margin = 0.5 * (high - low)
+    return np.maximum(points.min(axis=0), low - margin), np.minimum(points.max(axis=0), high + margin)
+
+
+def _open_directions(free: Flags) -> FloatArray:
+    """Share of the 26 directions to a cell's neighbours that are free of solid cells up to the grid's edge.
+
+    For each direction, the grid is swept slice by slice: a cell is open if it is free and the next cell in that
+    direction is open.
+    """
+    count = np.zeros(free.shape, np.uint8)
+    for direction in np.ndindex(3, 3, 3):
+        step = np.array(direction) - 1
+        if not step.any():
+            continue
+        axis = int(np.flatnonzero(step)[0])
+        slices, counts = np.moveaxis(free, axis, 0), np.moveaxis(count, axis, 0)
+        u, v = np.delete(step, axis)
+        order = range(len(slices)) if step[axis] < 0 else range(len(slices) - 1, -1, -1)
+        is_open = np.ones(slices.shape[1:], bool)
+        for place in order:
+            is_open = _shift(is_open, u, v) & slices[place]
+            counts[place] += is_open
+    return count.astype(np.float32) / 26.0
+
+
+def _shift(flags: Flags, u: int, v: int) -> Flags:
+    """Moves a slice by -1, 0 or 1 cells along its axes; cells that enter at the edge are true."""
+    rows, columns = flags.shape
+    padded = np.pad(flags, 1, constant_values=True)
+    return padded[1 - u : 1 - u + rows, 1 - v : 1 - v + columns]
+
+
+def _outside(solid: Flags) -> Flags:
+    """Returns which free cells are connected to the first cell through faces of free cells."""
+    labels, _ = ndimage.label(~solid)
+    return labels == labels[0, 0, 0]
+
+
+def _blur(values: FloatArray, axis: int) -> FloatArray:
+    """Blurs with weights 1/4, 1/2, 1/4 along an axis; the edge cells are repeated outwards."""
+    padded = np.pad(values, [(1, 1) if dim == axis else (0, 0) for dim in range(3)], mode="edge")
+    lower, upper = (np.take(padded, np.arange(int(values.shape[axis])) + shift, axis=axis) for shift in (0, 2))
+    blurred = np.float32(0.5) * values + np.float32(0.25) * (lower + upper)
+    return blurred.astype(np.float32, copy=False)
+
+
+def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = NormalEstimate.AUTO) -> FloatArray:
+    """Estimates unit outward normals of a set that is an object seen from outside.
+
+    First an axis is found for each Gaussian, then which of its two directions points outside, to the free space that is
+    connected to the set's surroundings (see `_outward_signs`). For a room captured from within, outside is behind its
+    walls.
+
+    Args:
+        gaussians: The set; more opaque Gaussians have more weight.
+        method: ``AUTO``: the set's own ``normals`` if it has them, else ``SMALLEST_AXIS``. ``SMALLEST_AXIS``: the axis
+            of the smallest scale; for a round Gaussian any of its axes. ``PCA``: the normal of the plane through the
+            means around, weighted by opacity and by a Gaussian of distance; the smallest axis where neighbours are too
+            few.
+
+    Returns:
+        Normals in the set's own space, shape (N, 3), read-only.
+
+    Raises:
+        ConfigError: ``method`` is no NormalEstimate, nor the value of one.
+        SceneError: The argument is not a set of Gaussians.
+    """
+    method = enum_member("method", method, NormalEstimate)
+    check_argument("estimate_normals", gaussians, Gaussians, "Gaussians")
+    if method is NormalEstimate.AUTO and gaussians.normals is not None:
+        return gaussians.normals
+    axes = shortest_axes(gaussians)
+    if method is NormalEstimate.PCA:
+        axes = _plane_normals(gaussians, axes)
+    signs = _outward_signs(gaussians, axes)
+    return read_only_view((axes * signs[:, None]).astype(np.float32))
+
+
+def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
+    """Normals, of either sign, of the planes through the means around each Gaussian, shape (N, 3)."""
+    within = partial(_pairs_within, gaussians.means)
+    pairs, radius = pairs_of_about(NORMAL_NEIGHBOURS, gaussians.means, within)
+    means, opacities = gaussians.means.astype(np.float64), gaussians.opacities.astype(np.float64)
+    count = gaussians.count
+    first, second = pairs.first, pairs.second
+    weights = np.exp(-0.5 * (2.0 * pairs.distance.astype(np.float64) / radius) ** 2) * opacities[second]
+    step = means[second] - means[first]
+    # Moments about the centre of the neighbours, the Gaussian itself (offset 0) included.
+    total = np.bincount(first, weights, count) + opacities
+    total = np.maximum(total, np.finfo(np.float64).tiny)
+    center = np.stack([np.bincount(first, weights * step[:, i], count) for i in range(3)], axis=1) / total[:, None]
+    spread = np.empty((count, 3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            moment = np.bincount(first, weights * step[:, i] * step[:, j], count) / total
+            spread[:, i, j] = spread[:, j, i] = moment - center[:, i] * center[:, j]
+    vectors = np.linalg.eigh(spread)[1][:, :, 0]
+    enough = np.bincount(first, minlength=count) >= NORMAL_NEIGHBOURS_MIN
+    return np.where(enough[:, None], vectors, fallback)
+
+
+def _pairs_within(means: FloatArray, radius: float) -> Pairs:
+    """Each Gaussian (``first``) with others near it, at most `NORMAL_NEIGHBOURS_PER_CELL` of them per cube."""
+    _, cells = np.unique(np.floor(means / radius).astype(np.int64), axis=0, return_inverse=True)
+    order = np.argsort(cells.ravel(), kind="stable")
+    starts = np.searchsorted(cells.ravel()[order], cells.ravel()[order])
+    candidates = np.sort(order[np.arange(len(means)) - starts < NORMAL_NEIGHBOURS_PER_CELL]).astype(np.int32)
+    pairs = cross_pairs(means, means[candidates], radius)
+    pairs = pairs._replace(second=candidates[pairs.second])
+    return pairs.where(pairs.first != pairs.second)
+
+
+def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
+    """The mesh with new normals: at a corner, the mean of the faces around that meet its own at less than an angle.
+
+    Faces count by their angle at the corner (Thuermer and Wuethrich 1998), so that how they are cut into triangles does
+    not matter; corners at the same place are one, whatever their uvs. Where corners of a vertex get different normals,
+    it is split.
+
+    Args:
+        mesh: The mesh; normals that it has are replaced.
+        crease_angle: Largest angle between faces that are smooth, radians, 0 to pi; 0: flat.
+
+    Raises:
+        SceneError: It is no mesh, or the angle is out of range.
+    """
+    check_argument("smooth_normals", mesh, Mesh, "a Mesh")
+    if not is_number(crease_angle) or not 0.0 <= crease_angle <= math.pi:
+        raise SceneError(f"crease_angle is {crease_angle}, expected radians from 0 to pi")
+    if crease_angle == 0.0:
+        return replace(mesh, normals=None)
+    normals = _corner_normals(mesh, crease_angle)
+    # Corners of a vertex whose normals are equal stay one vertex.
+    cells: npt.NDArray[np.int64] = np.rint(normals * 1e5).astype(np.int64)
+    keys = np.column_stack([mesh.indices.ravel(), cells])
+    _, first, vertex = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    old = mesh.indices.ravel()[first]
+    return replace(
+        mesh,
+        positions=mesh.positions[old],
+        indices=vertex.reshape(-1, 3),
+        normals=normals[first],
+        uvs=None if mesh.uvs is None else mesh.uvs[old],
+        colors=None if mesh.colors is None else mesh.colors[old],
+    )
+
+
+def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
+    """Unit normals of the triangles' corners, one row a corner, shape (3 F, 3)."""
+    areas = area_vectors(mesh.positions, mesh.indices)
+    faces = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-300)
+    low, high = mesh.bounds()
+    cell = WELD_SHARE * float(np.linalg.norm(high.astype(np.float64) - low))
+    welded = np.round(mesh.positions.astype(np.float64) / cell)
+    _, point = np.unique(welded, axis=0, return_inverse=True)
+    point_of_corner = point.reshape(-1)[mesh.indices].ravel()
+    face_of_corner = np.repeat(np.arange(len(faces)), 3)
+    angle_of_corner = _corner_angles(mesh).ravel()
+    normals = np.zeros((len(point_of_corner), 3))
+    cosine = math.cos(crease_angle) - 1e-6
+    order = np.argsort(point_of_corner, kind="stable")
+    starts = np.flatnonzero(np.diff(point_of_corner[order], prepend=-1))
+    counts = np.diff(starts, append=len(order))
+    for count in np.unique(counts):  # all points with as many corners at once: pairs are count x count
+        rows = order[starts[counts == count][:, None] + np.arange(count)]
+        around = faces[face_of_corner[rows]]
+        weights = angle_of_corner[rows][:, None, :] * (np.einsum("nic,njc->nij", around, around) >= cosine)
+        normals[rows] = np.einsum("nij,njc->nic", weights, around)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = lengths[:, 0] <= 1e-12
+    normals /= np.maximum(lengths, 1e-300)
+    normals[flat] = faces[face_of_corner[flat]]
+    return normals
+
+
+def _corner_angles(mesh: Mesh) -> np.ndarray:
+    """Angles of the triangles at their corners, radians, shape (F, 3)."""
+    corners = mesh.positions.astype(np.float64)[mesh.indices]
+    one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    sine = np.linalg.norm(np.cross(one, other), axis=2)
+    return np.arctan2(sine, np.einsum("fkc,fkc->fk", one, other))
