@@ -37,27 +37,16 @@ class PathData:
 
 @struct
 class PathSteps:
-    """Where the paths of a wave go on, one element a ray: a ray of the next wave, as ``RayData`` and ``PathData``."""
+    """Where the paths of a wave go on, one element a ray: a ray of the next wave."""
 
     goes_on: wp.array[int]
     """0: the path ends here, and the other fields are undefined."""
     places: wp.array[int]
     """Inclusive sum of these: one more than the place of the ray in the next wave."""
-    origin: wp.array[wp.vec3]
-    direction: wp.array[wp.vec3]
-    t_min: wp.array[float]
-    layer_normal: wp.array[wp.vec3]
-    path_length: wp.array[float]
-    spread: wp.array[float]
-    throughput: wp.array[wp.vec3]
-    density: wp.array[float]
-    position: wp.array[wp.vec3]
-    normal: wp.array[wp.vec3]
-    importance: wp.array[float]
-    is_specular: wp.array[wp.bool]
-    receives: wp.array[wp.bool]
-    diffuse: wp.array[wp.vec3]
-    media: wp.array[wp.vec4i]
+    rays: RayData
+    """Their origins, directions and widths; its other fields are without elements."""
+    paths: PathData
+    """All but their roots."""
 
 
 @struct

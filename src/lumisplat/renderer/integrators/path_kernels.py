@@ -237,20 +237,20 @@ def add_seen_light(
 def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: wp.array[PathSteps]):
     """Writes where path ``i`` goes on, but for what its past decides as well."""
     steps[0].goes_on[i] = 1
-    steps[0].origin[i] = step.origin
-    steps[0].direction[i] = step.direction
-    steps[0].t_min[i] = step.t_min
-    steps[0].layer_normal[i] = step.layer_normal
-    steps[0].path_length[i] = step.path_length
-    steps[0].spread[i] = step.spread
-    steps[0].density[i] = step.density
-    steps[0].position[i] = vertex.position
-    steps[0].normal[i] = vertex.normal
-    steps[0].importance[i] = vertex.importance
-    if steps[0].media:
-        steps[0].media[i] = step.media
-    if steps[0].diffuse:
-        steps[0].diffuse[i] = step.diffuse
+    steps[0].rays.origin[i] = step.origin
+    steps[0].rays.direction[i] = step.direction
+    steps[0].rays.t_min[i] = step.t_min
+    steps[0].rays.normal[i] = step.layer_normal
+    steps[0].rays.path_length[i] = step.path_length
+    steps[0].rays.spread[i] = step.spread
+    steps[0].paths.density[i] = step.density
+    steps[0].paths.position[i] = vertex.position
+    steps[0].paths.normal[i] = vertex.normal
+    steps[0].paths.importance[i] = vertex.importance
+    if steps[0].paths.media:
+        steps[0].paths.media[i] = step.media
+    if steps[0].paths.diffuse:
+        steps[0].paths.diffuse[i] = step.diffuse
 
 
 @wp.kernel
@@ -308,7 +308,7 @@ def continue_paths(
         light_surface(i, branch.kind, factor, no_shadows, interaction, vertex, scene, wave, shadows_inout)
         u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)
         splits = bool(False)
-        if steps_out[0].diffuse:
+        if steps_out[0].paths.diffuse:
             splits = number == 0
         step = scattered_step(i, branch, interaction, u, ways[1], splits, scene, wave)
     else:
@@ -318,11 +318,11 @@ def continue_paths(
     if chance <= 0.0:
         return
     store_step(i, step, vertex, wave, steps_out)
-    steps_out[0].throughput[i] = throughput / chance
-    steps_out[0].is_specular[i] = paths[0].is_specular[i] and not is_scattering(branch)
-    steps_out[0].receives[i] = receives
-    if steps_out[0].diffuse and number > 0:
-        steps_out[0].diffuse[i] = paths[0].diffuse[i]
+    steps_out[0].paths.throughput[i] = throughput / chance
+    steps_out[0].paths.is_specular[i] = paths[0].is_specular[i] and not is_scattering(branch)
+    steps_out[0].paths.receives[i] = receives
+    if steps_out[0].paths.diffuse and number > 0:
+        steps_out[0].paths.diffuse[i] = paths[0].diffuse[i]
 
 
 @wp.kernel
@@ -376,25 +376,25 @@ def spawn_paths(
         return
     child = steps[0].places[i] - 1
     rays_out.is_active[child] = True
-    rays_out.origin[child] = steps[0].origin[i]
-    rays_out.direction[child] = steps[0].direction[i]
-    rays_out.t_min[child] = steps[0].t_min[i]
-    rays_out.normal[child] = steps[0].layer_normal[i]
+    rays_out.origin[child] = steps[0].rays.origin[i]
+    rays_out.direction[child] = steps[0].rays.direction[i]
+    rays_out.t_min[child] = steps[0].rays.t_min[i]
+    rays_out.normal[child] = steps[0].rays.normal[i]
     rays_out.t_max[child] = wp.inf
-    rays_out.path_length[child] = steps[0].path_length[i]
-    rays_out.spread[child] = steps[0].spread[i]
+    rays_out.path_length[child] = steps[0].rays.path_length[i]
+    rays_out.spread[child] = steps[0].rays.spread[i]
     rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[i], 0)
     rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[i], 0)
     rays_out.sample[child] = wave[0].rays.sample[i]
     paths_out[0].root[child] = paths[0].root[i]
-    paths_out[0].throughput[child] = steps[0].throughput[i]
-    paths_out[0].density[child] = steps[0].density[i]
-    paths_out[0].position[child] = steps[0].position[i]
-    paths_out[0].normal[child] = steps[0].normal[i]
-    paths_out[0].importance[child] = steps[0].importance[i]
-    paths_out[0].is_specular[child] = steps[0].is_specular[i]
-    paths_out[0].receives[child] = steps[0].receives[i]
+    paths_out[0].throughput[child] = steps[0].paths.throughput[i]
+    paths_out[0].density[child] = steps[0].paths.density[i]
+    paths_out[0].position[child] = steps[0].paths.position[i]
+    paths_out[0].normal[child] = steps[0].paths.normal[i]
+    paths_out[0].importance[child] = steps[0].paths.importance[i]
+    paths_out[0].is_specular[child] = steps[0].paths.is_specular[i]
+    paths_out[0].receives[child] = steps[0].paths.receives[i]
     if paths_out[0].media:
-        paths_out[0].media[child] = steps[0].media[i]
+        paths_out[0].media[child] = steps[0].paths.media[i]
     if paths_out[0].diffuse:
-        paths_out[0].diffuse[child] = steps[0].diffuse[i]
+        paths_out[0].diffuse[child] = steps[0].paths.diffuse[i]

@@ -22,6 +22,9 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray, Noun, device_array, 
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
+SPAWNED_FIELDS = frozenset({"is_active", "t_max", "sample_key", "pixel_key", "sample"})
+"""Fields of rays that follow from those before them, so that steps do not hold them."""
+
 
 class PathIntegrator:
     """Computes the radiance of rays by one path each.
@@ -173,7 +176,10 @@ class PathIntegrator:
         return self._buffers.struct(f"path.paths{number}", PathData, count, unused_fields(plan))
 
     def _steps(self, plan: FramePlan, count: int) -> PathSteps:
-        return self._buffers.struct("path.steps", PathSteps, count, unused_fields(plan))
+        steps = self._buffers.struct("path.steps", PathSteps, count, {"rays", "paths"})
+        steps.rays = self._buffers.struct("path.step_rays", RayData, count, SPAWNED_FIELDS)
+        steps.paths = self._buffers.struct("path.step_paths", PathData, count, {"root", *unused_fields(plan)})
+        return steps
 
     def _shadow_rays(self, plan: FramePlan, count: int) -> PathShadowRays:
         """To sampled lights and, where captures may hide lights that rays show, to these."""
