@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -450,20 +449,6 @@ def test_help_is_wrapped_once(capsys, monkeypatch):
         for row, below in joined:
             if below[:column].isspace() and row[column:].strip():
                 assert len(row.rstrip()) + 1 + len(below.split()[0]) > len(row) - 1, (command, row, below)
-
-
-def test_help_is_wrapped_whoever_parses_first():
-    """Tyro keeps what it has read: also options that a farm parses, before the command's own help is shown."""
-    program = (
-        "import tyro, lumisplat.cli as cli\n"
-        "from lumisplat.cli.commands.train import Train\n"
-        "try: tyro.cli(Train, args=['--help'])\n"
-        "except SystemExit: cli.main(['train', '--help'])"
-    )
-    environment = {**os.environ, "COLUMNS": "80"}
-    run = [sys.executable, "-c", program]
-    done = subprocess.run(run, capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.count("Read images with") == 2
 
 
 def test_help_imports_nothing_heavy():

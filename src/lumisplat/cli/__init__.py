@@ -49,10 +49,7 @@ from lumisplat.cli.input.messages import (
     unknown_command,
 )
 from lumisplat.cli.options.command import Command
-from lumisplat.cli.options.help_text import join_lines_of_docstrings
 from lumisplat.cli.output.console import one_line
-
-join_lines_of_docstrings()
 
 _DESCRIPTION = "Lights 3D Gaussian captures and meshes, on the CPU or a CUDA GPU."
 

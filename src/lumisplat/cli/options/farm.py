@@ -15,17 +15,15 @@ class FarmOptions:
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a GPU, or one for 4 cores)")] = (
         None
     )
-    """Processes, each of which holds the scene. More than a cluster has room for wait until nodes join."""
+    """Start so many processes, each of which holds the scene."""
     cores: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: their share of the machine)")] = None
-    """CPU cores of each worker."""
+    """Give each worker so many CPU cores."""
     frame_timeout: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="(default: as long as it takes)")] = (
         None
     )
-    """How long a worker may be at a frame, as 90s, 10m or 1.5h: one that is at it for longer is ended, as it hangs, and
-    the frame is tried once more. The first frame of all may wait for kernels to compile."""
+    """End a worker that is at a frame for longer: 90s, 10m, 1.5h."""
     address: Annotated[str, arg(metavar="local|auto|ray://HOST:PORT")] = "local"
-    """Ray (pip install 'lumisplat[farm]') that runs the workers. local: it is started here for this job; auto: the
-    cluster that this machine belongs to; ray://HOST:10001: one elsewhere."""
+    """Run on Ray here, on this machine's cluster, or on one elsewhere."""
 
 
 FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]

@@ -55,7 +55,7 @@ class FarmRender(Render):
     """
 
     overwrite: Flag = False
-    """Render pictures that are there anew."""
+    """Render images that are there anew."""
     farm: FarmGroup = field(default_factory=FarmOptions)
     """Pictures are the same to the bit as those of one process."""
 

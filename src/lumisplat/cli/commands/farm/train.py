@@ -35,16 +35,15 @@ class FarmTrain(Train):
     """
 
     folder: Positional[Annotated[tuple[Path, ...], arg(metavar="PHOTOGRAPHS...")]]  # pyright: ignore[reportIncompatibleVariableOverride]
-    """Folders of photographs, as of train."""
+    """Read several folders of images, as train does."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("captures")
-    """Where captures go, as NAME.ply of a folder NAME, with train.json, which says by what settings they were made."""
+    """Write NAME.ply of each folder NAME, with train.json."""
     settings: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint="")] = None
-    """What is other for single folders: a table for each by its name, [fox], with options of train as keys, cap =
-    200000, which come before those of the command."""
+    """Read other settings of single folders from a table for each, [NAME]."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
-    """End each training after such a time, as 90s, 10m or 1.5h; the same command then continues."""
+    """End each training after this time: 90s, 10m or 1.5h."""
     overwrite: Flag = False
-    """Begin anew, and remove captures of these folders that are there, and what their trainings have left."""
+    """Remove the captures that are there first."""
     farm: FarmGroup = field(default_factory=FarmOptions)
     """Captures are the same to the bit as those of one process."""
 
