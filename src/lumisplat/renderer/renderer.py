@@ -116,6 +116,8 @@ class Renderer:
         self._surroundings = MeshSurroundings()
         self._developed: tuple[FramePlan, FrameStats] | None = None
         """Of the last frame, as long as the film has its samples."""
+        self._loaded: tuple[FramePlan, bool] | None = None
+        """Plan of the last frame, and whether it was encoded."""
         self._frame_number = 0
         """Of the next frame, where each adds to what those before it have found."""
         self._catchers: Renderer | None = None
@@ -364,7 +366,9 @@ class Renderer:
         self, plan: FramePlan, scene: Scene, camera: Camera, progress: Progress | None, *, encodes: bool = False
     ) -> None:
         """Loads the kernels of a frame, and syncs the scene."""
-        self._load(self._modules(plan, encodes=encodes), progress)
+        if self._loaded != (plan, encodes):
+            self._load(self._modules(plan, encodes=encodes), progress)
+            self._loaded = plan, encodes
         self._launcher.stage_ms = {}
         self._sync(scene, camera, plan)
         if plan.is_unscented:
