@@ -19,6 +19,7 @@ from lumisplat.renderer.raster import (
     splat_block_kernels,
     splat_pixel_kernels,
     splat_raster_kernels,
+    splat_sample_tile_kernels,
     splat_tile_kernels,
 )
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
@@ -76,7 +77,8 @@ class SplatRaster:
     def modules(self, *, is_sorted: bool = True, counts: bool = False) -> list[KernelModule]:
         """The kernel modules of splats that are blended or sampled, and ``counts`` as of `find_hits`."""
         by_pixel = splat_block_kernels if is_sorted else splat_pixel_kernels
-        modules: list[KernelModule] = [by_pixel if self._launcher.is_parallel else splat_tile_kernels]
+        by_tile = splat_tile_kernels if is_sorted else splat_sample_tile_kernels
+        modules: list[KernelModule] = [by_pixel if self._launcher.is_parallel else by_tile]
         modules += [splat_pixel_kernels] if counts and not self._launcher.is_parallel else []
         return [*modules, splat_raster_kernels, *self._binning.modules()]
 
@@ -207,7 +209,7 @@ class SplatRaster:
         if self._launcher.is_parallel:
             self._run_pixels(scene, splat_pixel_kernels.sample_pixels, inputs)
         else:
-            self._run_tiles(scene, splat_tile_kernels.sample_tiles, inputs)
+            self._run_tiles(scene, splat_sample_tile_kernels.sample_tiles, inputs)
         self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
 
     def _set_depth(self, scene: DeviceScene, kernel: Kernel, meshes: MeshPixels, surfaces: object) -> None:

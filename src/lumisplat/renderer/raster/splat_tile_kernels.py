@@ -6,9 +6,9 @@ The equations are in docs/method/rasterisation.md.
 import warp as wp
 
 from lumisplat.device.splat.ellipse import ELLIPSE
-from lumisplat.device.splat.tile_visitors import ELLIPSE_COLORS, ELLIPSE_SAMPLES, EllipseColors, SampleArrays
+from lumisplat.device.splat.tile_visitors import ELLIPSE_COLORS, EllipseColors
 from lumisplat.device.splat.tile_walk import TILE_OPTIONS, tile_walk
-from lumisplat.device.structs.camera import CameraData, SampleData
+from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits
@@ -17,7 +17,6 @@ from lumisplat.device.structs.scene import SplatInstanceData
 wp.set_module_options(TILE_OPTIONS)
 
 blend_ellipses = tile_walk(ELLIPSE, ELLIPSE_COLORS)
-sample_ellipses = tile_walk(ELLIPSE, ELLIPSE_SAMPLES)
 
 
 @wp.kernel
@@ -45,23 +44,3 @@ def composite_tiles(
     arrays.pixels_out = pixels_out
     arrays.hits_out = hits_out
     blend_ellipses(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
-
-
-@wp.kernel
-def sample_tiles(
-    start: int,
-    camera: wp.array[CameraData],
-    settings: wp.array[RasterData],
-    samples: wp.array[SampleData],
-    splats: wp.array[Splat],
-    tile_starts: wp.array[int],
-    tile_splats: wp.array[int],
-    meshes: MeshPixels,
-    hits_out: GaussianHits,
-):
-    """Chooses, for each pixel, the nearest splat that a random number below its alpha selects."""
-    arrays = SampleArrays()
-    arrays.splats = splats
-    arrays.sample = samples[0]
-    arrays.hits_out = hits_out
-    sample_ellipses(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
