@@ -59,23 +59,25 @@ def test_threads_are_positive(threads: int) -> None:
 
 def test_interrupted_bands_are_waited_for() -> None:
     """When one band fails, no further one starts, and none is at work on the arrays once the error is seen."""
-    started, finished = threading.Event(), []
+    started, failing = threading.Event(), threading.Event()
+    begun: list[int] = []
+    finished: list[int] = []
 
     class Failing(Launcher):
         def _run_band(self, launch: object, kernel: object, start: int, end: int, inputs: Sequence[object]) -> None:
             if start == 0:
                 started.wait()
+                failing.set()
                 raise KeyboardInterrupt
+            begun.append(start)
             started.set()
-            time.sleep(0.05)
+            failing.wait()
             finished.append(start)
 
     with pytest.raises(KeyboardInterrupt):
         Failing("cpu", threads=2).run_banded(cast(Any, None), 20, bands=20)
-    finished_then = list(finished)
-    assert 1 <= len(finished_then) <= 2, "no further band starts"
-    time.sleep(0.1)
-    assert finished == finished_then, "none is still at work"
+    assert finished == begun, "none is still at work"
+    assert 1 <= len(begun) <= 2, "no further band starts"
 
 
 def test_buffers_grow_and_never_shrink() -> None:
@@ -100,25 +102,26 @@ def test_out_of_memory_is_a_device_error(size: int) -> None:
 
 def test_stages_within_a_stage_are_not_counted_twice() -> None:
     """The outer one has what the inner ones leave: together they have the time that passed."""
-    launcher = Launcher("cpu")
-    started = time.perf_counter()
-    with launcher.stage("outer"), launcher.stage("inner"):
-        time.sleep(0.02)
-    passed = 1e3 * (time.perf_counter() - started)
-    assert launcher.stage_ms["inner"] >= 20.0
-    assert sum(launcher.stage_ms.values()) <= passed
+    launcher, now = Launcher("cpu"), [5.0]
+    launcher.clock = lambda: now[0]
+    with launcher.stage("outer"):
+        now[0] += 0.003
+        with launcher.stage("inner"):
+            now[0] += 0.02
+    assert launcher.stage_ms == pytest.approx({"outer": 3.0, "inner": 20.0})
 
 
 def test_stages_are_those_of_their_pass():
     """The same stage in two passes is timed twice, what is in no stage as the pass."""
-    launcher = Launcher("cpu", threads=1)
+    launcher, now = Launcher("cpu", threads=1), [5.0]
+    launcher.clock = lambda: now[0]
     for name in ("first", "second"):
         with launcher.frame_pass(name), launcher.stage("work"):
-            time.sleep(0.001)
+            now[0] += 0.001
     with launcher.stage("work"):
         pass
     assert set(launcher.stage_ms) == {"first", "first: work", "second", "second: work", "work"}
-    assert launcher.stage_ms["first: work"] >= 1.0
+    assert launcher.stage_ms["first: work"] == pytest.approx(1.0)
 
 
 def test_no_graph_without_memory_pools(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,10 +211,14 @@ def test_compiling_is_announced_once_it_takes_long(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """By one log line; modules that load at once are not worth a word."""
-    monkeypatch.setattr(wp, "load_module", lambda *_, **__: time.sleep(0.3))
+    said = threading.Event()
+    monkeypatch.setattr(wp, "load_module", lambda *_, **__: None)
+    monkeypatch.setattr("lumisplat.runtime.launcher.COMPILING_ANNOUNCED_S", 60.0)
     launcher = Launcher("cpu", threads=1)
     launcher.load([film_kernels])
     assert not caplog.messages
-    monkeypatch.setattr("lumisplat.runtime.launcher.COMPILING_ANNOUNCED_S", 0.05)
+    monkeypatch.setattr(wp, "load_module", lambda *_, **__: said.wait())
+    monkeypatch.setattr("lumisplat.runtime.launcher.COMPILING_ANNOUNCED_S", 0.0)
+    monkeypatch.setattr(caplog.handler, "emit", lambda record, emit=caplog.handler.emit: (emit(record), said.set()))
     launcher.load([film_kernels, binning_kernels])
     assert caplog.messages == ["compiling kernels (once): this takes up to a minute"]
