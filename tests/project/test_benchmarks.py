@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from bench import timing
+from bench.__main__ import benchmarks
 
 import lumisplat as ls
 from lumisplat.cli import main
@@ -60,3 +61,11 @@ def test_bench_command_lists_stages_of_a_gpu(
     ls.save(tmp_path / "capture.ply", raster_scenes.random_gaussians(1, 20))
     assert main(["bench", str(tmp_path / "capture.ply"), "--width", "32", "--repeats", "2"]) == 0
     assert "composite" in capsys.readouterr().out
+
+
+def test_all_benchmarks_are_listed_with_a_line() -> None:
+    """``python -m bench`` names each command that the docs name."""
+    listed = benchmarks()
+    assert all(listed.values()) and {"bench.run", "bench.first_light", "bench.realtime_truth.bias"} <= listed.keys()
+    named = re.findall(r"python -m (bench\.[a-z_.]*[a-z_])(?= |`)", (BENCH.parent / "docs/benchmarks.md").read_text())
+    assert named and set(named) - {"bench.realtime_truth"} <= listed.keys()
