@@ -16,7 +16,7 @@ from test_viewer import camera, eventually, lit_scene, settled
 import lumisplat as ls
 from lumisplat.renderer.checks import check_projection
 from lumisplat.viewer.frames.renderers import frame_config
-from lumisplat.viewer.panels.described import described
+from lumisplat.viewer.panels.controls import shown_settings
 from lumisplat.viewer.panels.settings import SettingsPanel
 from lumisplat.viewer.state.applicable import shown_views, unused_settings
 from lumisplat.viewer.state.session import Options, Session, State
@@ -92,7 +92,7 @@ def test_no_choice_beside_others_is_refused_by_frames(pipeline: ls.Pipeline) -> 
             continue
         unused = unused_settings(config, lit=True)
         disabled += any(name.startswith("raster.") for name in unused)
-        for field in described(ls.RasterConfig):
+        for field in shown_settings(ls.RasterConfig):
             for choice in field.choices if f"raster.{field.name}" not in unused and "raster" not in unused else ():
                 assert not is_refused(replace(config, raster=replace(raster, **{field.name: choice}))), choice
     assert disabled > 0
@@ -153,7 +153,7 @@ def test_each_choice_that_is_offered_is_accepted() -> None:
 
 def test_whole_numbers_go_by_the_steps_that_are_accepted() -> None:
     """A shadow map has a multiple of 8 texels."""
-    fields = {field.name: field for field in described(ls.DeepShadowConfig)}
+    fields = {field.name: field for field in shown_settings(ls.DeepShadowConfig)}
     assert fields["resolution"].step == 8 and fields["resolution"].low == 8
 
 
@@ -200,8 +200,8 @@ def test_no_choice_of_a_setting_is_told_as_python_writes_it() -> None:
     """Of all settings, whatever class they are of."""
 
     def choices(cls: type) -> list[Enum]:
-        groups = [choices(field.group) for field in described(cls) if field.group is not None]
-        return [choice for field in described(cls) for choice in field.choices] + [c for g in groups for c in g]
+        groups = [choices(field.group) for field in shown_settings(cls) if field.group is not None]
+        return [choice for field in shown_settings(cls) for choice in field.choices] + [c for g in groups for c in g]
 
     found = choices(ls.RenderConfig)
     assert len(found) > 20

@@ -8,21 +8,30 @@ import time
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 import pytest
 from test_viewer import camera, cloud
 
 import lumisplat as ls
+from lumisplat.config.setting import Range, Setting, frozen, given
 from lumisplat.io.formats import USD
+from lumisplat.scene.checks import UNIT_COLOR
 from lumisplat.viewer.colors import color_of_temperature, linear_from_picked, picked_from_linear
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.hands.gizmo import Drag, dragged, grip_of
 from lumisplat.viewer.hands.helpers import with_insets
 from lumisplat.viewer.hands.outlines import grid_outline
-from lumisplat.viewer.panels.controls import from_shown, shown_number, to_shown, unrounded
-from lumisplat.viewer.panels.described import Described, described
+from lumisplat.viewer.panels.controls import (
+    from_shown,
+    hint_of,
+    label_of,
+    shown_number,
+    shown_settings,
+    to_shown,
+    unrounded,
+)
 from lumisplat.viewer.panels.files import command_line
 from lumisplat.viewer.panels.markdown import plain
 from lumisplat.viewer.panels.viewpoints import selected_ball
@@ -55,21 +64,21 @@ class Kind(Enum):
 class Inner:
     """Inner settings."""
 
-    depth: int = 3
-    """How deep, 1 to 64."""
+    depth: Annotated[int, Range(1, 64, "layers of paint")] = 3
+    """How deep."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Sample:
     """Settings that this package does not have."""
 
-    share: float = 0.5
-    """A share, 0 (none) to 0.9."""
-    count: int | None = None
-    """How many, at least 2."""
+    share: Annotated[float, Range(0.0, 0.9, "cd")] = 0.5
+    """A share."""
+    count: Annotated[int, Range(2)] | None = None
+    """How many."""
     kind: Kind = Kind.ONE
     """Which one."""
-    base_color: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    base_color: tuple[float, float, float] = given(converter=UNIT_COLOR, default=(1.0, 0.0, 0.0))
     """Its colour."""
     inner: Inner = Inner()
     """What is inside."""
@@ -77,25 +86,27 @@ class Sample:
     """No control shows this."""
 
 
-def field(name: str, cls: type = Sample) -> Described:
+def field(name: str, cls: type = Sample) -> Setting:
     """A field of settings by its name."""
-    return next(one for one in described(cls) if one.name == name)
+    return next(one for one in shown_settings(cls) if one.name == name)
 
 
 def test_fields_say_their_kind_range_and_help() -> None:
     """Of settings that nobody has told the panel of: a new one appears by itself."""
-    assert [one.name for one in described(Sample)] == ["share", "count", "kind", "base_color", "inner"]
+    assert [one.name for one in shown_settings(Sample)] == ["share", "count", "kind", "base_color", "inner"]
     assert (field("share").kind, field("share").low, field("share").high) == ("number", 0.0, 0.9)
     assert (field("count").kind, field("count").is_optional, field("count").low) == ("whole", True, 2.0)
     assert field("kind").help == "Which one. one: The first. two: The second."
     assert field("base_color").kind == "color" and field("inner").group is Inner
     assert (field("depth", Inner).low, field("depth", Inner).high) == (1.0, 64.0)
+    assert hint_of(field("depth", Inner)) == "How deep. Takes a whole number from 1 to 64, in layers of paint."
+    assert [label_of(one) for one in (field("share"), field("depth", Inner))] == ["share (cd)", "depth"]
 
 
 @pytest.mark.parametrize("cls", [ls.RenderConfig, ls.RealtimeConfig, ls.ShadowConfig, ls.MaterialPbr, ls.LightSpot])
 def test_every_value_survives_its_control(cls: type) -> None:
     """Defaults of real settings, as they are shown and read back; colours to 8 bits."""
-    for one in described(cls):
+    for one in shown_settings(cls):
         if one.kind == "group" or repr(one.default).startswith("<dataclasses._MISSING"):
             continue
         back = unrounded(from_shown(one, to_shown(one, one.default)), one.default)
@@ -106,7 +117,7 @@ def test_every_value_survives_its_control(cls: type) -> None:
 
 
 def test_ranges_of_the_package_are_found() -> None:
-    """From docstrings, with thousands and words between."""
+    """From the declarations."""
     ends = {
         name: (field(name, cls).low, field(name, cls).high)
         for name, cls in (
@@ -595,7 +606,7 @@ def test_numbers_are_rounded_to_the_room_of_their_control(value: float, room: in
 def test_what_was_not_changed_in_a_vector_keeps_its_digits() -> None:
     """One number is typed; the others stay what they are, though fewer digits of them are shown."""
     before = (12.15493217, 0.0123456789, -3.0)
-    field = Described("position", "vector", "")
+    field = Setting("position", "vector", "")
     given = (to_shown(field, before)[0], 0.5, -3.0)
     assert unrounded(given, before) == (12.15493217, 0.5, -3.0)
 

@@ -83,8 +83,7 @@ class Range:
             return False
         if not (number < self.high if self.below else number <= self.high):
             return False
-        is_finite = abs(number) <= FLOAT32_MAX or (self.infinite and number == math.inf)
-        return is_finite and (self.step == 1 or number % self.step == 0)
+        return (self.infinite or abs(number) <= FLOAT32_MAX) and (self.step == 1 or number % self.step == 0)
 
     def expected(self, kind: type = float) -> str:
         """Returns the range as messages and tables say it: ``a whole number from 1 to 64``."""
@@ -95,7 +94,7 @@ class Range:
             return f"a whole number{ends if math.isfinite(low) else ''}{multiple}"
         if math.isfinite(high):
             if not (self.above or self.below):
-                return f"{low} to {high}"
+                return f"{_short(low)} to {_short(high)}"
             first, last = "more than" if self.above else "at least", "less than" if self.below else "at most"
             return f"{first} {low:g} and {last} {high:g}"
         if not math.isfinite(low):
@@ -113,6 +112,11 @@ class Range:
         if not is_kind or not self.holds(cast(float, number)):
             raise error(f"{name} is {quoted(value)}, expected {self.expected(kind)}")
         return kind(number)
+
+
+def _short(number: float) -> str:
+    """Returns a number with at most seven digits, if it is not round."""
+    return str(number) if len(str(number)) <= 12 else f"{number:.7g}"
 
 
 @dataclass(frozen=True, slots=True)

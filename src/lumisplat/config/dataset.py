@@ -113,7 +113,7 @@ class DatasetLights:
 
     own: bool = True
     """Whether the lights of the scene stay."""
-    environments: tuple[str, ...] = given(_file_names, default=())
+    environments: tuple[str, ...] = given(converter=_file_names, default=())
     """Files of environments, .hdr or .exr, one of which each view has, in place of the scene's own. In a settings file
     paths begin at its folder."""
     turned: bool = True
@@ -152,7 +152,7 @@ class DatasetObjects:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
-    files: tuple[str, ...] = given(_file_names, default=())
+    files: tuple[str, ...] = given(converter=_file_names, default=())
     """Captures, meshes and scenes, of which some are put into each view; a file may be named more than once. In a
     settings file paths begin at its folder."""
     count: Annotated[WholeSpan, Range(0, 1000)] = (1, 3)
@@ -190,10 +190,10 @@ class DatasetConfig:
     """Of pictures."""
     height: Annotated[int, Range(1, 65536, "pixels")] = 480
     """Of pictures."""
-    layers: tuple[str, ...] = given(_checked_layers, default=("depth", "normal", "instance"))
+    layers: tuple[str, ...] = given(converter=_checked_layers, default=("depth", "normal", "instance"))
     """Beside the pictures, some of ``depth``, ``normal``, ``albedo``, ``alpha``, ``mask``, ``instance``, ``category``
     and ``exr``; as a list, or as a text with commas."""
-    split: tuple[float, float, float] = given(_checked_split, default=(0.8, 0.1, 0.1))
+    split: tuple[float, float, float] = given(converter=_checked_split, default=(0.8, 0.1, 0.1))
     """Shares of views to train by, to validate by and to test by, at least 0; the sum counts as all. A view stays in
     its part, however many there are."""
     shard_views: Annotated[int, Range(0, _VIEWS_MAX)] = 0

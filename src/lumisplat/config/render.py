@@ -123,7 +123,7 @@ class RenderConfig:
 
     pipeline: Pipeline = Pipeline.RASTER
     """How the surfaces that the camera sees are found."""
-    background: Color | None = given(DisplayColor(), default=(0.0, 0.0, 0.0))
+    background: Color | None = given(converter=DisplayColor(), default=(0.0, 0.0, 0.0))
     """Display-referred sRGB behind everything; None leaves the frame transparent. Also accepted are
     ``"#ff8800"``, names such as ``"white"``, and ``"transparent"``, which become numbers or None."""
     raster: RasterConfig = field(default_factory=RasterConfig)
@@ -146,7 +146,7 @@ class RenderConfig:
     """Settings of shadow rays."""
     tone_map: ToneMap = ToneMap.NONE
     """How lit frames become pictures; pixels that show only a capture stay as captured."""
-    aovs: tuple[str, ...] = given(_checked_aovs, default=())
+    aovs: tuple[str, ...] = given(converter=_checked_aovs, default=())
     """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
     ``variance``, ``sample_count``, ``shadow_ratio``; ``hits``, ``variance`` and ``sample_count`` of an unlit one, too.
     Paths have no ``reflection``, but also ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``,

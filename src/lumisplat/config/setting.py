@@ -77,10 +77,10 @@ WholeSpan = tuple[int, int]
 
 
 @overload
-def given(converter: Callable[[_Given], _Taken], *, kw_only: bool = False) -> _Taken: ...
+def given(*, converter: Callable[[_Given], _Taken], kw_only: bool = False) -> _Taken: ...
 @overload
-def given(converter: Callable[[_Given], _Taken], default: _Given, *, kw_only: bool = False) -> _Taken: ...
-def given(converter: Any, default: Any = MISSING, *, kw_only: bool = False) -> Any:
+def given(*, converter: Callable[[_Given], _Taken], default: _Given, kw_only: bool = False) -> _Taken: ...
+def given(*, converter: Any, default: Any = MISSING, kw_only: bool = False) -> Any:
     """Declares a field that accepts more than what it becomes, such as any array for a vector.
 
     Args:
@@ -181,6 +181,13 @@ class Setting:
                 return f"two of {self.range.expected()}"
             case _:
                 return ""
+
+    @property
+    def limits(self) -> str:
+        """Range and unit of numbers as a sentence: ``Takes 0.0 to 10.0, in stops.``; empty if there are none."""
+        if self.kind not in ("whole", "number", "span") or not (self.range != _ANY or self.numbers):
+            return ""
+        return f"Takes {self.expected}{self.range.unit and ', in ' + self.range.unit}."
 
 
 @cache

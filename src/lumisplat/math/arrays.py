@@ -30,9 +30,6 @@ _LAST_ROW_ERROR = 1e-6 + 1e-5 * _LAST_ROW
 _UNIT_ERROR = 2e-15
 """Largest error of the length of a vector that has been divided by its length."""
 
-FLOAT32_MAX = float(np.finfo(np.float32).max)
-"""Largest number that a kernel can be given."""
-
 
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
     """Returns ``values`` as a read-only, C-contiguous float32 array of finite numbers; see `finite_array`.
@@ -41,6 +38,16 @@ def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
         SceneError: The values are not numbers, or some are NaN or infinite (the message counts them).
     """
     return finite_array(name, values, np.float32)
+
+
+def to_floats(values: npt.ArrayLike, name: str = "array") -> FloatArray:
+    """Converts a field to a float32 array, see `float_array`."""
+    return float_array(name, values)
+
+
+def to_floats_or_none(values: npt.ArrayLike | None, name: str = "array") -> FloatArray | None:
+    """Converts a field to a float32 array; None stays."""
+    return None if values is None else float_array(name, values)
 
 
 def finite_array(name: str, values: npt.ArrayLike, dtype: type[_Float]) -> npt.NDArray[_Float]:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import check_whole
 from lumisplat.config.checks import is_number, quoted
+from lumisplat.config.setting import frozen, given
 from lumisplat.constants import SH_C0
 from lumisplat.constants.metrics import (
     CHROMATICITY_SAMPLES_MAX,
@@ -31,10 +32,11 @@ from lumisplat.constants.metrics import (
     TRIMMED_SHARE,
 )
 from lumisplat.errors import ConfigError, SceneError, check_shapes
-from lumisplat.math.arrays import Doubles, FloatArray, float_array, host_array, normalise_rows, refuse_rows
+from lumisplat.math.arrays import Doubles, FloatArray, float_array, host_array, normalise_rows, refuse_rows, to_floats
 from lumisplat.math.color import decode_srgb, lab, luminance
 from lumisplat.math.sh import sh_basis
 from lumisplat.metrics.images import import_extra
+from lumisplat.scene.checks import take_scene_fields
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
 
@@ -42,7 +44,7 @@ Lit = Gaussians | SplatInstance | Scene
 """What `LitPoints.of` takes."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LitPoints:
     """N points of lit surfaces. Arrays become read-only float32; normals are normalised.
 
@@ -50,25 +52,15 @@ class LitPoints:
         SceneError: There is no point, shapes do not fit, values are not finite, or a colour is negative.
     """
 
-    positions: FloatArray
+    positions: FloatArray = given(converter=to_floats)
     """World space, metres, shape (N, 3)."""
-    normals: FloatArray
+    normals: FloatArray = given(converter=to_floats)
     """Unit normals, world space, shape (N, 3)."""
-    rgb: FloatArray
+    rgb: FloatArray = given(converter=to_floats)
     """Linear Rec.709, white 1, at least 0, shape (N, 3)."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            positions: npt.ArrayLike,
-            normals: npt.ArrayLike,
-            rgb: npt.ArrayLike,
-        ) -> None: ...
-
     def __post_init__(self) -> None:
-        for name in ("positions", "normals", "rgb"):
-            object.__setattr__(self, name, float_array(name, getattr(self, name)))
+        take_scene_fields(self)
         check_shapes(positions=(self.positions, "N 3"), normals=(self.normals, "N 3"), rgb=(self.rgb, "N 3"))
         if self.count == 0:
             raise SceneError("zero points: there is no light to compare")

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import enum_member, is_number
+from lumisplat.config.checks import Range, enum_member, is_number, plain
+from lumisplat.config.setting import frozen, given
 from lumisplat.constants import DISTORTION_MAX, EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.constants.parts import WINDOW_STEP
-from lumisplat.errors import ConfigError, SceneError
+from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
 from lumisplat.math.distortion import Coefficients, undistort
-from lumisplat.scene.checks import check_positive
+from lumisplat.scene.checks import take_scene_fields
 
 _RIGID_ERROR = 1e-3
 """Largest error of the scalar products of a rotation's rows."""
@@ -35,7 +37,18 @@ class CameraModel(Enum):
     scene unit."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+def _pixel_count(value: float, name: str = "width") -> int:
+    """Converts a number of pixels, which may be given as a float.
+
+    Raises:
+        SceneError: It is no whole number, or out of range.
+    """
+    number = plain(value)
+    whole = int(number) if isinstance(number, float) and number.is_integer() else number
+    return Range(1, 65536).taken(name, whole, int, SceneError)
+
+
+@frozen(kw_only=True)
 class Camera:
     """A camera with OpenCV axes: a projection, a pose, and, for rays only, a thin lens and a rolling shutter.
 
@@ -44,33 +57,33 @@ class Camera:
             or the two poses of a rolling shutter are half a turn apart.
     """
 
-    width: int
-    """Image width, pixels."""
-    height: int
-    """Image height, pixels."""
-    fx: float
+    width: Annotated[int, Range(1, 65536, "pixels")] = given(converter=_pixel_count)
+    """Image width."""
+    height: Annotated[int, Range(1, 65536, "pixels")] = given(converter=_pixel_count)
+    """Image height."""
+    fx: Annotated[float, Range(0.0, above=True)]
     """Horizontal focal length, pixels; for a fisheye pixels per radian, for an orthographic camera per scene unit."""
-    fy: float
+    fy: Annotated[float, Range(0.0, above=True)]
     """Vertical focal length, in the same unit as ``fx``."""
-    cx: float
-    """Principal point, pixels from the left edge of the image."""
-    cy: float
-    """Principal point, pixels from the top edge of the image."""
+    cx: Annotated[float, Range(unit="pixels")]
+    """Principal point, from the left edge of the image."""
+    cy: Annotated[float, Range(unit="pixels")]
+    """Principal point, from the top edge of the image."""
     camera_from_world: npt.NDArray[np.float64]
     """Rigid transform for column vectors, shape (4, 4); with a rolling shutter, the pose at the start of the first
     row."""
-    near: float = NEAR_PLANE
-    """Nothing at a smaller view depth is drawn, scene units; for a fisheye, nothing at a smaller distance. The default
+    near: Annotated[float, Range(0.0, unit="scene units", above=True)] = NEAR_PLANE
+    """Nothing at a smaller view depth is drawn; for a fisheye, nothing at a smaller distance. The default
     is halved until it is a thousandth of the size of the largest asset, or less."""
     name: str = ""
     """Name of the frame: in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE
     """How pixels map to rays."""
-    aperture: float = 0.0
-    """Radius of the lens, scene units; 0: everything is in focus. The lens is a disc in the plane through the eye; for
+    aperture: Annotated[float, Range(0.0, unit="scene units")] = 0.0
+    """Radius of the lens; 0: everything is in focus. The lens is a disc in the plane through the eye; for
     a fisheye, perpendicular to the ray of each pixel."""
-    focus_distance: float = 1.0
-    """View depth of the plane in focus, scene units; for a fisheye, the radius of the sphere in focus."""
+    focus_distance: Annotated[float, Range(0.0, unit="scene units", above=True)] = 1.0
+    """View depth of the plane in focus; for a fisheye, the radius of the sphere in focus."""
     camera_from_world_end: npt.NDArray[np.float64] | None = None
     """Rolling shutter: the pose at the end of the last row, shape (4, 4). Row y is exposed at the fraction
     (y + 0.5) / height of the motion; the eye moves on a straight line, the rotation is slerped. None: all rows are
@@ -79,29 +92,14 @@ class Camera:
     """Lens distortion k1, k2, k3, k4, p1, p2 of OpenCV's pinhole (k1, k2, k3, p1, p2) and fisheye models (k1 to k4).
     With (u, v) as without a lens and s = u^2 + v^2, a point appears at (u, v) (1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4)
     plus (2 p1 u v + p2 (s + 2 u^2), 2 p2 u v + p1 (s + 2 v^2)). Not for orthographic cameras."""
-    exposure: float = 0.0
-    """Exposure of lit frames, stops, -100 to 100: pictures show linear light times 2 to this power."""
+    exposure: Annotated[float, Range(-EXPOSURE_MAX, EXPOSURE_MAX, "stops")] = 0.0
+    """Exposure of lit frames: pictures show linear light times 2 to this power."""
     window: tuple[int, int, int, int] | None = None
     """The part of the picture that frames show: left, top, width and height, pixels. Its pixels are those of the whole
     picture, to the bit. Its edges are multiples of 16 pixels, or edges of the picture. None: all of it."""
 
     def __post_init__(self) -> None:
-        for name in ("width", "height"):
-            object.__setattr__(self, name, _pixel_count(name, getattr(self, name)))
-        for name in ("fx", "fy", "near", "cx", "cy", "aperture", "focus_distance", "exposure"):
-            value = getattr(self, name)
-            if not is_number(value) or not math.isfinite(value):
-                raise SceneError(f"camera {name} is {value}, expected a finite number")
-            if name in ("fx", "fy", "near", "focus_distance"):
-                check_positive(f"camera {name}", value)
-            object.__setattr__(self, name, float(value))
-        if abs(self.exposure) > EXPOSURE_MAX:
-            raise SceneError(
-                f"camera exposure is {self.exposure}, expected stops from -{EXPOSURE_MAX} to {EXPOSURE_MAX}"
-            )
-        if self.aperture < 0.0:
-            raise SceneError(f"camera aperture is {self.aperture}, expected the radius of a lens, or 0 for none")
-        object.__setattr__(self, "model", _model_of(self.model))
+        take_scene_fields(self, "camera ")
         object.__setattr__(self, "distortion", _coefficients(self.distortion, self.model))
         object.__setattr__(self, "camera_from_world", _rigid("camera_from_world", self.camera_from_world))
         if self.camera_from_world_end is not None:
@@ -149,7 +147,7 @@ class Camera:
             SceneError: ``eye`` equals ``target``, ``up`` is parallel to the view, the field of view is out of range,
                 or something is not of its shape.
         """
-        width, height = _pixel_count("width", width), _pixel_count("height", height)
+        width, height = _pixel_count(width, "camera width"), _pixel_count(height, "camera height")
         eye, up = _point("eye", eye), _point("up", up)
         forward = _point("target", target) - eye
         right = np.cross(forward, up)
@@ -337,10 +335,7 @@ def _focal_length(model: CameraModel, fov_y: float, height: int, distance: float
 
 def _model_of(model: object) -> CameraModel:
     """The model, given as such or by its value, such as "fisheye"."""
-    try:
-        return enum_member("camera model", model, CameraModel)
-    except ConfigError as error:
-        raise SceneError(str(error)) from None
+    return enum_member("camera model", model, CameraModel, SceneError)
 
 
 def _coefficients(values: object, model: CameraModel) -> Coefficients:
@@ -353,12 +348,6 @@ def _coefficients(values: object, model: CameraModel) -> Coefficients:
         raise SceneError("camera distortion is of pinhole and fisheye cameras, this one is orthographic")
     k1, k2, k3, k4, p1, p2 = (float(number) for number in numbers)
     return k1, k2, k3, k4, p1, p2
-
-
-def _pixel_count(name: str, value: object) -> int:
-    if not is_number(value) or not 1 <= value <= 65536 or value != int(value):
-        raise SceneError(f"camera {name} is {value}, expected a whole number from 1 to 65536")
-    return int(value)
 
 
 def _point(name: str, values: npt.ArrayLike) -> Doubles:

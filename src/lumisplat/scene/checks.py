@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
-from typing import TypeGuard, TypeVar
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar, cast
 
 import numpy as np
+import numpy.typing as npt
 
-from lumisplat.config.checks import is_number, is_whole
+from lumisplat.config.checks import Range, plain
+from lumisplat.config.setting import take_fields
 from lumisplat.errors import SceneError
+from lumisplat.math.arrays import host_array
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _Item = TypeVar("_Item")
+
+Vector = tuple[float, float, float]
 
 
 def check_kind(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
@@ -26,22 +35,53 @@ def check_argument(function: str, value: object, kind: type, expected: str, hint
         raise SceneError(f"{function} takes {expected}, got a {type(value).__name__}{hint}")
 
 
-def check_flag(name: str, value: object) -> None:
-    """Raises a `SceneError` unless ``value`` is a bool, Python's or NumPy's."""
-    if not isinstance(value, bool | np.bool_):
-        raise SceneError(f"{name} is {value}, expected True or False")
+def check_whole(name: str, value: object, low: int, high: int) -> int:
+    """Returns an integer with ``low <= value <= high`` as Python's; else raises a `SceneError`."""
+    return Range(low, high).taken(name, value, int, SceneError)
 
 
-def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """Raises a `SceneError` unless ``value`` is an integer with ``low <= value <= high``."""
-    if not is_whole(value) or not low <= value <= high:
-        raise SceneError(f"{name} is {value}, expected a whole number from {low} to {high:,}")
+def check_positive(name: str, value: object) -> float:
+    """Returns a finite number above 0 as Python's; else raises a `SceneError`."""
+    return Range(0.0, above=True).taken(name, value, float, SceneError)
 
 
-def check_positive(name: str, value: object) -> None:
-    """Raises a `SceneError` unless ``value`` is a finite number above 0."""
-    if not is_number(value) or not 0.0 < value < np.inf:
-        raise SceneError(f"{name} is {value}, expected a positive number")
+def take_scene_fields(item: DataclassInstance, prefix: str = "") -> None:
+    """Makes the fields of a new object what they declare, see `take_fields`; what is refused is a `SceneError`."""
+    take_fields(item, prefix, SceneError)
+
+
+class LinearColor:
+    """Converts what is given for linear Rec.709: three numbers, or one for all channels.
+
+    Args:
+        high: The largest number of a channel.
+    """
+
+    kind = "color"
+
+    def __init__(self, high: float = math.inf) -> None:
+        self._range = Range(0.0, high)
+
+    def __call__(self, value: npt.ArrayLike, name: str = "color") -> Vector:
+        """Returns the three numbers.
+
+        Raises:
+            SceneError: The value is something else, or one is outside the range.
+        """
+        single: Any = plain(value)
+        values: Any = (single,) * 3 if type(single) in (int, float) else host_array(single)
+        if hasattr(values, "__array__") and np.ndim(values) == 1:
+            values = np.asarray(values).tolist()
+        channels = list(cast(Sequence[Any], values)) if isinstance(values, Sequence) else []
+        numbers = [plain(one) for one in channels]
+        if len(numbers) != 3 or not all(type(one) in (int, float) and self._range.holds(one) for one in numbers):
+            bound = f"in 0..{self._range.high:g}" if math.isfinite(self._range.high) else "of at least 0"
+            raise SceneError(f"{name} is {value}, expected three numbers {bound}")
+        return float(numbers[0]), float(numbers[1]), float(numbers[2])
+
+
+COLOR, UNIT_COLOR = LinearColor(), LinearColor(1.0)
+"""Colours that are at least 0, and those of at most 1."""
 
 
 def items_of(name: str, values: object) -> Iterable[object]:

@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import field, replace
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import Range
+from lumisplat.config.setting import frozen, given
 from lumisplat.constants import ALPHA_MAX, KERNEL_DEGREE, KERNEL_DEGREE_MAX, ORIGIN_LOSS
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import (
     Doubles,
     FloatArray,
     box_text,
-    float_array,
     normalise_rows,
     read_only_view,
     refuse_outside_unit,
     refuse_rows,
+    to_floats,
+    to_floats_or_none,
 )
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.camera import Camera, camera_pose
-from lumisplat.scene.checks import check_kind, check_whole
-from lumisplat.scene.light_aims import vector
-from lumisplat.scene.up import Vector, up_vector
+from lumisplat.scene.checks import check_kind, take_scene_fields
+from lumisplat.scene.light_aims import to_vector
+from lumisplat.scene.up import Vector, up_vector, up_vector_or_none
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 
@@ -36,7 +39,7 @@ _REQUIRED = ("means", "rotations_wxyz", "scales", "opacities", "sh")
 _OPTIONAL = ("normals", "albedo", "roughness", "metallic", "incident")
 
 
-@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+@frozen(weakref_slot=True)
 class Gaussians:
     """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
 
@@ -47,74 +50,49 @@ class Gaussians:
         SceneError: An input breaks one of these rules; the message names it and counts the offenders.
     """
 
-    means: FloatArray
+    means: FloatArray = given(converter=to_floats)
     """Centres, scene units, shape (N, 3)."""
-    rotations_wxyz: FloatArray
+    rotations_wxyz: FloatArray = given(converter=to_floats)
     """Unit quaternions, object from Gaussian, scalar first, shape (N, 4)."""
-    scales: FloatArray
+    scales: FloatArray = given(converter=to_floats)
     """Standard deviations along each Gaussian's own axes, scene units, > 0, shape (N, 3)."""
-    opacities: FloatArray
+    opacities: FloatArray = given(converter=to_floats)
     """Opacity at the centre, 0..1, shape (N,)."""
-    sh: FloatArray
+    sh: FloatArray = given(converter=to_floats)
     """SH coefficients of display-referred sRGB in INRIA's order and signs, shape (N, K, 3), K in 1, 4, 9, 16.
     The colour is max(sum + 0.5, 0)."""
-    normals: FloatArray | None = None
+    normals: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Unit surface normals in object space, shape (N, 3)."""
-    albedo: FloatArray | None = None
+    albedo: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Linear Rec.709 base colour, 0..1, shape (N, 3)."""
-    roughness: FloatArray | None = None
+    roughness: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Perceptual roughness, 0..1, shape (N,)."""
-    metallic: FloatArray | None = None
+    metallic: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Metalness, 0..1, shape (N,)."""
     antialiased: bool = field(default=False, kw_only=True)
     """Whether the capture was trained with Mip-Splatting's opacity compensation, and must be rendered with it."""
-    kernel_degree: int = field(default=KERNEL_DEGREE, kw_only=True)
-    """Exponent of the distance in the response that the capture was trained with, 0 (linear) to 5 (quintic); ordinary
+    kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] = field(default=KERNEL_DEGREE, kw_only=True)
+    """Exponent of the distance in the response that the capture was trained with, from linear to quintic; ordinary
     captures have 2, the Gaussian. The ray tracer uses it; the rasteriser draws every capture with degree 2."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
     """Comments of the file, kept on conversion."""
-    incident: FloatArray | None = field(default=None, kw_only=True)
+    incident: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
     """Light that reached each Gaussian from near by when the photographs were taken, as Relightable 3D Gaussians learn
     it beside the sky: SH coefficients of linear radiance by the direction that it comes from, shape (N, J, 3), J in 1,
     4, 9, 16; the radiance is max(sum, 0). It is kept for those who asked for it, and lights nothing."""
 
-    up: Vector | None = field(default=None, kw_only=True)
+    up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
     """Unit vector that points up in the capture; None: it does not say. Accepted as of `lumisplat.Scene`."""
     first_view: Camera | None = field(default=None, kw_only=True)
     """From where the capture is looked at first, such as from where one of its images was taken; what it looks at is
     at its ``focus_distance``. None: it does not say."""
 
-    origin: Vector = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
     """Where the capture's zero is placed, unless an instance of it says otherwise, scene units, in float64: captures
     in map coordinates have their means, and their first view, about an origin, as float32 is 0.5 apart there."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(  # noqa: PLR0917
-            self,
-            means: npt.ArrayLike,
-            rotations_wxyz: npt.ArrayLike,
-            scales: npt.ArrayLike,
-            opacities: npt.ArrayLike,
-            sh: npt.ArrayLike,
-            normals: npt.ArrayLike | None = None,
-            albedo: npt.ArrayLike | None = None,
-            roughness: npt.ArrayLike | None = None,
-            metallic: npt.ArrayLike | None = None,
-            *,
-            antialiased: bool = False,
-            kernel_degree: int = KERNEL_DEGREE,
-            comments: tuple[str, ...] = (),
-            incident: npt.ArrayLike | None = None,
-            up: str | npt.ArrayLike | None = None,
-            first_view: Camera | None = None,
-            origin: npt.ArrayLike = (0.0, 0.0, 0.0),
-        ) -> None: ...
-
     def __post_init__(self) -> None:
-        for name in (*_REQUIRED, *_OPTIONAL):
-            if name in _REQUIRED or getattr(self, name) is not None:
-                object.__setattr__(self, name, float_array(name, getattr(self, name)))
+        take_scene_fields(self)
         check_shapes(
             means=(self.means, "N 3"),
             rotations_wxyz=(self.rotations_wxyz, "N 4"),
@@ -132,12 +110,8 @@ class Gaussians:
         for name, values in (("sh", self.sh), ("incident", self.incident)):
             if values is not None and values.shape[1] not in SH_DEGREE_FROM_COUNT:
                 raise SceneError(f"{name} has {values.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
-        check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
-        if self.up is not None:
-            object.__setattr__(self, "up", up_vector(self.up))
         if self.first_view is not None:
             check_kind("first_view", self.first_view, Camera, "a Camera")
-        object.__setattr__(self, "origin", vector("origin", self.origin))
         refuse_rows("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
             values = getattr(self, name)

@@ -2,26 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import finite_numbers, float_array, host_array, unit_vector
-
-Vector = tuple[float, float, float]
-
-
-class _Rect(Protocol):
-    """What is needed of a `LightRect`."""
-
-    @property
-    def position(self) -> Vector: ...
-    @property
-    def edge_u(self) -> Vector: ...
-    @property
-    def edge_v(self) -> Vector: ...
+from lumisplat.scene.checks import Vector
 
 
 def vector(name: str, values: npt.ArrayLike) -> Vector:
@@ -35,6 +21,11 @@ def vector(name: str, values: npt.ArrayLike) -> Vector:
         raise SceneError(f"{name} has shape {array.shape}, expected three numbers")
     x, y, z = (float(v) for v in np.asarray(host_array(values), dtype=np.float64))
     return x, y, z
+
+
+def to_vector(values: npt.ArrayLike, name: str = "vector") -> Vector:
+    """Converts a field to three finite numbers, see `vector`."""
+    return vector(name, values)
 
 
 def direction_of(name: str, values: npt.ArrayLike) -> Vector:
@@ -69,7 +60,9 @@ def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.Arra
     return direction_of("direction", along)
 
 
-def facing_edges(light: _Rect, target: npt.ArrayLike | None, size: npt.ArrayLike | None) -> tuple[Vector, Vector]:
+def facing_edges(
+    position: Vector, edges: tuple[Vector, Vector], target: npt.ArrayLike | None, size: npt.ArrayLike | None
+) -> tuple[Vector, Vector]:
     """Edges of a rectangle that faces a target: ``edge_u`` level with y along the vertical.
 
     Raises:
@@ -77,12 +70,12 @@ def facing_edges(light: _Rect, target: npt.ArrayLike | None, size: npt.ArrayLike
     """
     if target is None or size is None:
         raise SceneError("target and size of a rect go together: where it faces, and how large it is")
-    if np.any(light.edge_u) or np.any(light.edge_v):
+    if np.any(edges):
         raise SceneError("edge_u and target of a rect are both given: choose the edges, or the target and the size")
     sizes = finite_numbers(size, (2,))
     if sizes is None or not (sizes > 0.0).all():
         raise SceneError(f"size is {size}, expected two positive numbers, width and height")
-    forward = np.array(towards("a rect", (0.0, 0.0, 0.0), vector("position", light.position), target))
+    forward = np.array(towards("a rect", (0.0, 0.0, 0.0), position, target))
     # Level with y; straight up or down, with z.
     across = np.cross((0.0, 1.0, 0.0) if abs(forward[1]) < 0.999999 else (0.0, 0.0, 1.0), forward)
     across /= np.linalg.norm(across)

@@ -11,21 +11,59 @@ The unions below the classes say which of them have a position, a direction, a r
 from __future__ import annotations
 
 import math
-from dataclasses import InitVar, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import InitVar, field, replace
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import is_number
+from lumisplat.config.checks import Range
+from lumisplat.config.setting import frozen, given
 from lumisplat.constants import LIGHT_DISTANCE_MIN
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FLOAT32_MAX, Doubles, Flags, FloatArray, float_array, host_array, unit_vector
-from lumisplat.scene.checks import check_flag
-from lumisplat.scene.light_aims import Vector, facing_edges, towards, vector
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, float_array, host_array, unit_vector
+from lumisplat.scene.checks import COLOR, Vector, take_scene_fields
+from lumisplat.scene.light_aims import facing_edges, to_vector, towards, vector
+
+RIGHT_ANGLE = math.pi / 2.0 + 1e-6
+"""Largest angle from an axis, radians."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _radiance(values: npt.ArrayLike | None, name: str = "image") -> FloatArray | None:
+    """Converts the image of an environment.
+
+    Raises:
+        SceneError: It is not finite, non-negative and of floats, shape (H, W, 3).
+    """
+    if values is None:
+        return None
+    given = np.asarray(host_array(values))
+    if given.dtype.kind in "bui":
+        raise SceneError(f"environment {name} is {given.dtype}, expected linear float radiance")
+    image = float_array(f"environment {name}", values)
+    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+        raise SceneError(f"environment {name} has shape {image.shape}, expected (H, W, 3)")
+    negative = int(np.count_nonzero(image < 0.0))
+    if negative:
+        raise SceneError(f"environment {name} has {negative:,} negative values")
+    return image
+
+
+def _unit_quaternion(values: npt.ArrayLike, name: str = "rotation_wxyz") -> tuple[float, float, float, float]:
+    """Converts a quaternion, of any length but 0.
+
+    Raises:
+        SceneError: It is not four finite numbers, or all are 0.
+    """
+    float_array(name, values)
+    wxyz = np.asarray(host_array(values), dtype=np.float64)
+    if wxyz.shape != (4,) or np.linalg.norm(wxyz) == 0.0:
+        raise SceneError(f"{name} is {values}, expected four numbers that are not all 0")
+    w, x, y, z = (float(number) for number in unit_vector(wxyz))
+    return w, x, y, z
+
+
+@frozen
 class LightPoint:
     """A light that shines equally in all directions.
 
@@ -41,38 +79,19 @@ class LightPoint:
     aim_fields: ClassVar[tuple[str, ...]] = ()
     aim_keys: ClassVar[tuple[str, ...]] = ()
 
-    position: Vector
-    color: Vector = (1.0, 1.0, 1.0)
-    intensity: float = 1.0
+    position: Vector = given(converter=to_vector)
+    color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    intensity: Annotated[float, Range(0.0, unit="cd")] = 1.0
     """Candela."""
-    range: float = math.inf
-    """Distance beyond which it lights nothing, scene units, > 0."""
-    radius: float = 0.0
-    """Radius of the sphere that it is for soft shadows, scene units; 0: a point."""
+    range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
+    """Distance beyond which it lights nothing."""
+    radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
+    """Radius of the sphere that it is for soft shadows; 0: a point."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            position: npt.ArrayLike,
-            color: npt.ArrayLike = (1.0, 1.0, 1.0),
-            intensity: float = 1.0,
-            range: float = math.inf,
-            radius: float = 0.0,
-            *,
-            enabled: bool = True,
-            casts_shadow: bool = True,
-            name: str = "",
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        _check_shared(self)
-        object.__setattr__(self, "position", vector("position", self.position))
-        _check_number("range", self.range, 0.0, above=True, finite=False)
-        _check_number("radius", self.radius, 0.0)
+    __post_init__ = take_scene_fields
 
     def candela(self, offsets: Doubles) -> Doubles:
         """Returns candela at an intensity of 1, as if all of the light shone from its position; shape (N,).
@@ -83,7 +102,7 @@ class LightPoint:
         return _window(self.range, _squared(offsets))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LightSpot:
     """A point light that shines into a cone: at full intensity within ``inner_angle``, fading out to ``outer_angle``.
 
@@ -97,54 +116,30 @@ class LightSpot:
     aim_fields: ClassVar[tuple[str, ...]] = ("direction",)
     aim_keys: ClassVar[tuple[str, ...]] = ("target",)
 
-    position: Vector
-    direction: Vector = (0.0, 0.0, 0.0)
+    position: Vector = given(converter=to_vector)
+    direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """Direction in which it shines, of any length; normalised. Needed unless there is a ``target``."""
-    color: Vector = (1.0, 1.0, 1.0)
-    intensity: float = 1.0
+    color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    intensity: Annotated[float, Range(0.0, unit="cd")] = 1.0
     """Candela along the axis."""
-    range: float = math.inf
-    """Distance beyond which it lights nothing, scene units, > 0."""
-    inner_angle: float = 0.0
-    """Angle from the axis, radians."""
-    outer_angle: float = math.pi / 4.0
-    """Angle from the axis, radians."""
-    radius: float = 0.0
-    """Radius of the sphere that it is for soft shadows, scene units; 0: a point."""
+    range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
+    """Distance beyond which it lights nothing."""
+    inner_angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
+    """Angle from the axis within which it shines at full intensity."""
+    outer_angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = math.pi / 4.0
+    """Angle from the axis at which its light ends."""
+    radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
+    """Radius of the sphere that it is for soft shadows; 0: a point."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """In place of ``direction``: world position at which it shines, shape (3,)."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(  # noqa: PLR0917
-            self,
-            position: npt.ArrayLike,
-            direction: npt.ArrayLike = (0.0, 0.0, 0.0),
-            color: npt.ArrayLike = (1.0, 1.0, 1.0),
-            intensity: float = 1.0,
-            range: float = math.inf,
-            inner_angle: float = 0.0,
-            outer_angle: float = math.pi / 4.0,
-            radius: float = 0.0,
-            *,
-            enabled: bool = True,
-            casts_shadow: bool = True,
-            name: str = "",
-            target: npt.ArrayLike | None = None,
-        ) -> None: ...
-
     def __post_init__(self, target: npt.ArrayLike | None) -> None:
-        _check_shared(self)
-        object.__setattr__(self, "position", vector("position", self.position))
+        take_scene_fields(self)
         object.__setattr__(self, "direction", towards("a spot", self.direction, self.position, target))
-        _check_number("range", self.range, 0.0, above=True, finite=False)
-        _check_number("radius", self.radius, 0.0)
-        for name in ("inner_angle", "outer_angle"):
-            _check_number(name, getattr(self, name), 0.0)
-        if not self.inner_angle < self.outer_angle <= math.pi / 2.0 + 1e-6:
+        if not self.inner_angle < self.outer_angle:
             raise SceneError(
                 f"a spot's inner_angle is {self.inner_angle:g} and its outer_angle {self.outer_angle:g}, "
                 "expected 0 <= inner < outer <= pi / 2 (radians)"
@@ -158,7 +153,7 @@ class LightSpot:
         return _window(self.range, distance2) * np.clip((cosine - outer) / max(inner - outer, 1e-30), 0.0, 1.0) ** 2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LightDirectional:
     """Parallel light from infinitely far away: the sun.
 
@@ -172,54 +167,35 @@ class LightDirectional:
     aim_fields: ClassVar[tuple[str, ...]] = ("direction",)
     aim_keys: ClassVar[tuple[str, ...]] = ("position", "target")
 
-    direction: Vector = (0.0, 0.0, 0.0)
+    direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """Direction in which the light travels, of any length; normalised. Needed unless there is a ``position``."""
-    color: Vector = (1.0, 1.0, 1.0)
-    intensity: float = 1.0
+    color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    intensity: Annotated[float, Range(0.0, unit="lux")] = 1.0
     """Lux: irradiance of a surface that faces the light."""
-    angle: float = 0.0
-    """Angular radius for soft shadows, radians; the sun's is 0.00465."""
+    angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
+    """Angular radius for soft shadows; the sun's is 0.27 degrees."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
-    shadow_distance: float = field(default=math.inf, kw_only=True)
-    """What is farther than this from a surface casts no shadow on it, scene units, > 0: a sky of captured Gaussians."""
+    shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
+        default=math.inf, kw_only=True
+    )
+    """What is farther than this from a surface casts no shadow on it: a sky of captured Gaussians."""
     name: str = field(default="", kw_only=True)
     position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """In place of ``direction``: world position from which the light comes towards ``target``, however far away."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """World position towards which the light travels from ``position``; None: the origin."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            direction: npt.ArrayLike = (0.0, 0.0, 0.0),
-            color: npt.ArrayLike = (1.0, 1.0, 1.0),
-            intensity: float = 1.0,
-            angle: float = 0.0,
-            *,
-            enabled: bool = True,
-            casts_shadow: bool = True,
-            shadow_distance: float = math.inf,
-            name: str = "",
-            position: npt.ArrayLike | None = None,
-            target: npt.ArrayLike | None = None,
-        ) -> None: ...
-
     def __post_init__(self, position: npt.ArrayLike | None, target: npt.ArrayLike | None) -> None:
-        _check_shared(self)
+        take_scene_fields(self)
         if target is not None and position is None:
             raise SceneError("target of a directional light is given without a position, from which the light comes")
         start = (0.0, 0.0, 0.0) if position is None else vector("position", position)
         end = (0.0, 0.0, 0.0) if target is None and position is not None else target
         object.__setattr__(self, "direction", towards("a directional light", self.direction, start, end))
-        _check_number("angle", self.angle, 0.0)
-        if self.angle > math.pi / 2.0:
-            raise SceneError(f"angle is {self.angle:g}, expected at most pi / 2 (radians)")
-        _check_number("shadow_distance", self.shadow_distance, 0.0, above=True, finite=False)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LightSphere:
     """A sphere whose surface shines equally in all directions. Only the path pipeline shows it.
 
@@ -234,11 +210,11 @@ class LightSphere:
     aim_fields: ClassVar[tuple[str, ...]] = ()
     aim_keys: ClassVar[tuple[str, ...]] = ()
 
-    position: Vector
-    radius: float
-    """Scene units, > 0."""
-    color: Vector = (1.0, 1.0, 1.0)
-    intensity: float = 1.0
+    position: Vector = given(converter=to_vector)
+    radius: Annotated[float, Range(0.0, unit="scene units", above=True)]
+    """Radius of the sphere."""
+    color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance: candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -246,26 +222,7 @@ class LightSphere:
     """Whether the path pipeline shows it, to the camera and to surfaces alike. No pipeline lets it block light."""
     name: str = field(default="", kw_only=True)
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            position: npt.ArrayLike,
-            radius: float,
-            color: npt.ArrayLike = (1.0, 1.0, 1.0),
-            intensity: float = 1.0,
-            *,
-            enabled: bool = True,
-            casts_shadow: bool = True,
-            visible: bool = True,
-            name: str = "",
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        _check_shared(self)
-        object.__setattr__(self, "position", vector("position", self.position))
-        _check_number("radius", self.radius, 0.0, above=True)
-        check_flag("visible", self.visible)
+    __post_init__ = take_scene_fields
 
     def candela(self, offsets: Doubles) -> Doubles:
         """As `LightPoint.candela`."""
@@ -285,7 +242,7 @@ class LightSphere:
         return np.where(hits, to_middle - np.sqrt(np.maximum(inside, 0.0)), np.inf)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LightRect:
     """A rectangle (or parallelogram) that shines on one side. Only the path pipeline shows it.
 
@@ -298,14 +255,14 @@ class LightRect:
     aim_fields: ClassVar[tuple[str, ...]] = ("edge_u", "edge_v")
     aim_keys: ClassVar[tuple[str, ...]] = ("target", "size")
 
-    position: Vector
+    position: Vector = given(converter=to_vector)
     """Centre of the rectangle."""
-    edge_u: Vector = (0.0, 0.0, 0.0)
+    edge_u: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """One edge, scene units. Both edges are needed unless there is a ``target``."""
-    edge_v: Vector = (0.0, 0.0, 0.0)
+    edge_v: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """The other edge. The light shines to the side of ``cross(edge_u, edge_v)``."""
-    color: Vector = (1.0, 1.0, 1.0)
-    intensity: float = 1.0
+    color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance: candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -317,36 +274,15 @@ class LightRect:
     size: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """With ``target``: width, which is level with y along the vertical, and height, scene units, shape (2,)."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            position: npt.ArrayLike,
-            edge_u: npt.ArrayLike = (0.0, 0.0, 0.0),
-            edge_v: npt.ArrayLike = (0.0, 0.0, 0.0),
-            color: npt.ArrayLike = (1.0, 1.0, 1.0),
-            intensity: float = 1.0,
-            *,
-            enabled: bool = True,
-            casts_shadow: bool = True,
-            visible: bool = True,
-            name: str = "",
-            target: npt.ArrayLike | None = None,
-            size: npt.ArrayLike | None = None,
-        ) -> None: ...
-
     def __post_init__(self, target: npt.ArrayLike | None, size: npt.ArrayLike | None) -> None:
-        _check_shared(self)
+        take_scene_fields(self)
         if target is not None or size is not None:
-            edges = facing_edges(self, target, size)
+            edges = facing_edges(self.position, (self.edge_u, self.edge_v), target, size)
             object.__setattr__(self, "edge_u", edges[0])
             object.__setattr__(self, "edge_v", edges[1])
-        for name in ("position", "edge_u", "edge_v"):
-            object.__setattr__(self, name, vector(name, getattr(self, name)))
         area = np.linalg.norm(np.cross(self.edge_u, self.edge_v))
         if not area > 1e-9 * np.linalg.norm(self.edge_u) * np.linalg.norm(self.edge_v):
             raise SceneError(f"edge_u {self.edge_u} and edge_v {self.edge_v} span no area")
-        check_flag("visible", self.visible)
 
     @property
     def area_vector(self) -> Doubles:
@@ -373,7 +309,7 @@ class LightRect:
         return _flat_distances(self, origins, directions)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LightDisk:
     """A disk that shines on one side. Only the path pipeline shows it.
 
@@ -386,14 +322,14 @@ class LightDisk:
     aim_fields: ClassVar[tuple[str, ...]] = ("direction",)
     aim_keys: ClassVar[tuple[str, ...]] = ("target",)
 
-    position: Vector
+    position: Vector = given(converter=to_vector)
     """Centre of the disk."""
-    direction: Vector = (0.0, 0.0, 0.0)
+    direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """Normal of the side that shines, of any length; normalised. Needed unless there is a ``target``."""
-    radius: float = 0.5
-    """Scene units, > 0."""
-    color: Vector = (1.0, 1.0, 1.0)
-    intensity: float = 1.0
+    radius: Annotated[float, Range(0.0, unit="scene units", above=True)] = 0.5
+    """Radius of the disk."""
+    color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance: candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -403,29 +339,9 @@ class LightDisk:
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """In place of ``direction``: world position towards which it faces, shape (3,)."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            position: npt.ArrayLike,
-            direction: npt.ArrayLike = (0.0, 0.0, 0.0),
-            radius: float = 0.5,
-            color: npt.ArrayLike = (1.0, 1.0, 1.0),
-            intensity: float = 1.0,
-            *,
-            enabled: bool = True,
-            casts_shadow: bool = True,
-            visible: bool = True,
-            name: str = "",
-            target: npt.ArrayLike | None = None,
-        ) -> None: ...
-
     def __post_init__(self, target: npt.ArrayLike | None) -> None:
-        _check_shared(self)
-        object.__setattr__(self, "position", vector("position", self.position))
+        take_scene_fields(self)
         object.__setattr__(self, "direction", towards("a disk", self.direction, self.position, target))
-        _check_number("radius", self.radius, 0.0, above=True)
-        check_flag("visible", self.visible)
 
     @property
     def area_vector(self) -> Doubles:
@@ -452,7 +368,7 @@ class LightDisk:
         return _flat_distances(self, origins, directions)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LightEnvironment:
     """Light from all directions, infinitely far away: a latitude-longitude image, or one colour.
 
@@ -468,57 +384,24 @@ class LightEnvironment:
     aim_fields: ClassVar[tuple[str, ...]] = ()
     aim_keys: ClassVar[tuple[str, ...]] = ()
 
-    image: FloatArray | None = None
+    image: FloatArray | None = given(converter=_radiance, default=None)
     """Linear Rec.709 radiance, shape (H, W, 3); None: 1 everywhere."""
-    color: Vector = (1.0, 1.0, 1.0)
-    intensity: float = 1.0
+    color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    intensity: Annotated[float, Range(0.0, unit="x image")] = 1.0
     """Factor of the image's radiance."""
-    rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    rotation_wxyz: tuple[float, float, float, float] = given(converter=_unit_quaternion, default=(1.0, 0.0, 0.0, 0.0))
     """World from environment, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), half a turn about x."""
     visible: bool = True
     """Whether it is the background of pictures; mirrors always show it."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
-    shadow_distance: float = field(default=math.inf, kw_only=True)
-    """What is farther than this from a surface casts no shadow on it, scene units, > 0: a sky of captured Gaussians."""
+    shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
+        default=math.inf, kw_only=True
+    )
+    """What is farther than this from a surface casts no shadow on it: a sky of captured Gaussians."""
     name: str = field(default="", kw_only=True)
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            image: npt.ArrayLike | None = None,
-            color: npt.ArrayLike = (1.0, 1.0, 1.0),
-            intensity: float = 1.0,
-            rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0),
-            visible: bool = True,
-            *,
-            enabled: bool = True,
-            casts_shadow: bool = True,
-            shadow_distance: float = math.inf,
-            name: str = "",
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        _check_shared(self)
-        if self.image is not None:
-            given = np.asarray(host_array(self.image))
-            if given.dtype.kind in "bui":
-                raise SceneError(f"environment image is {given.dtype}, expected linear float radiance")
-            image = float_array("environment image", self.image)
-            if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-                raise SceneError(f"environment image has shape {image.shape}, expected (H, W, 3)")
-            negative = int(np.count_nonzero(image < 0.0))
-            if negative:
-                raise SceneError(f"environment image has {negative:,} negative values")
-            object.__setattr__(self, "image", image)
-        float_array("rotation_wxyz", self.rotation_wxyz)
-        wxyz = np.asarray(host_array(self.rotation_wxyz), dtype=np.float64)
-        if wxyz.shape != (4,) or np.linalg.norm(wxyz) == 0.0:
-            raise SceneError(f"rotation_wxyz is {self.rotation_wxyz}, expected four numbers that are not all 0")
-        object.__setattr__(self, "rotation_wxyz", tuple(float(x) for x in unit_vector(wxyz)))
-        check_flag("visible", self.visible)
-        _check_number("shadow_distance", self.shadow_distance, 0.0, above=True, finite=False)
+    __post_init__ = take_scene_fields
 
 
 FlatLight = LightRect | LightDisk
@@ -597,21 +480,3 @@ def _flat_distances(light: FlatLight, origins: Doubles, directions: Doubles) -> 
     distances = (offsets @ normal) / np.where(towards > 0.0, towards, 1.0)
     hits = (towards > 0.0) & (distances > 0.0) & light.covers(offsets + distances[:, None] * directions)
     return np.where(hits, distances, np.inf)
-
-
-def _check_shared(light: Light) -> None:
-    """Checks the fields that all lights have, and stores the colour as a tuple."""
-    color = vector("color", light.color)
-    if min(color) < 0.0:
-        raise SceneError(f"color is {color}, expected no negative number")
-    object.__setattr__(light, "color", color)
-    _check_number("intensity", light.intensity, 0.0)
-    for name in ("enabled", "casts_shadow"):
-        check_flag(name, getattr(light, name))
-
-
-def _check_number(name: str, value: object, low: float, *, above: bool = False, finite: bool = True) -> None:
-    high = FLOAT32_MAX if finite else math.inf
-    if not is_number(value) or not low <= value <= high or (above and value == low):
-        bound = f"above {low:g}" if above else f"at least {low:g}"
-        raise SceneError(f"{name} is {value}, expected a number {bound}")

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.setting import frozen, given
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import (
     FloatArray,
     IntArray,
     box_text,
-    float_array,
     host_array,
     normalise_rows,
     read_only_array,
     read_only_view,
     refuse_outside_unit,
+    to_floats,
+    to_floats_or_none,
 )
-from lumisplat.scene.light_aims import vector
+from lumisplat.scene.checks import take_scene_fields
+from lumisplat.scene.light_aims import to_vector
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.triangles import area_vectors, check_triangles, sum_at_vertices
 from lumisplat.scene.up import Vector
@@ -29,7 +32,12 @@ from lumisplat.scene.up import Vector
 _log = logging.getLogger("lumisplat")
 
 
-@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+def _to_indices(values: npt.ArrayLike, name: str = "indices") -> IntArray:
+    """Converts triangles to an array of NumPy, which the mesh checks."""
+    return np.asarray(host_array(values))
+
+
+@frozen(weakref_slot=True)
 class Mesh:
     """V vertices and F triangles, counter-clockwise seen from outside.
 
@@ -42,40 +50,23 @@ class Mesh:
             usable triangle is left.
     """
 
-    positions: FloatArray
+    positions: FloatArray = given(converter=to_floats)
     """Vertices, object space, scene units, shape (V, 3)."""
-    indices: IntArray
+    indices: IntArray = given(converter=_to_indices)
     """Triangles, shape (F, 3)."""
-    normals: FloatArray | None = None
+    normals: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Unit shading normals, object space, shape (V, 3); None: flat shading."""
-    uvs: FloatArray | None = None
+    uvs: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Texture coordinates, (0, 0) at the top left as in glTF, shape (V, 2)."""
     material: Material = field(default_factory=MaterialPbr)
-    colors: FloatArray | None = None
+    colors: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Linear Rec.709 vertex colours, 0..1, multiplied with the base colour, shape (V, 3)."""
     name: str = ""
-    origin: Vector = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
     """Where the mesh's zero is placed, unless an instance of it says otherwise, as of `Gaussians`."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(  # noqa: PLR0917
-            self,
-            positions: npt.ArrayLike,
-            indices: npt.ArrayLike,
-            normals: npt.ArrayLike | None = None,
-            uvs: npt.ArrayLike | None = None,
-            material: Material = ...,
-            colors: npt.ArrayLike | None = None,
-            name: str = "",
-            *,
-            origin: npt.ArrayLike = (0.0, 0.0, 0.0),
-        ) -> None: ...
-
     def __post_init__(self) -> None:
-        for name in ("positions", "normals", "uvs", "colors"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, float_array(name, getattr(self, name)))
+        take_scene_fields(self)
         check_shapes(
             positions=(self.positions, "V 3"),
             normals=(self.normals, "V 3"),
@@ -84,8 +75,7 @@ class Mesh:
         )
         if self.colors is not None:
             refuse_outside_unit("colors", self.colors)
-        object.__setattr__(self, "origin", vector("origin", self.origin))
-        object.__setattr__(self, "indices", self._usable_triangles(np.asarray(host_array(self.indices))))
+        object.__setattr__(self, "indices", self._usable_triangles(self.indices))
         if self.normals is not None:
             object.__setattr__(self, "normals", normalise_rows("normals", self._fill_normals(self.normals)))
 

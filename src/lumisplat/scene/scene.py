@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar, cast
+from dataclasses import field
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import Range
+from lumisplat.config.setting import frozen, given
 from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, box_text
 from lumisplat.math.transforms import quaternions_from_matrices, transform_points
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
+from lumisplat.scene.checks import Vector, check_kind, items_of, take_scene_fields
 from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.placing import PlacedInstance, Placing
-from lumisplat.scene.up import UP_AXES, Vector, up_vector, y_up_from
+from lumisplat.scene.up import UP_AXES, up_vector, up_vector_or_none, y_up_from
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
@@ -32,7 +34,7 @@ _BINS = 2**14
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class SplatInstance(PlacedInstance):
     """A Gaussian set placed in the world by rotation, uniform scale and translation.
 
@@ -46,8 +48,8 @@ class SplatInstance(PlacedInstance):
     """Similarity transform, shape (4, 4); None: the identity, at the ``origin`` of the Gaussians."""
     material: Material | None = None
     """How it reflects light; None: it shines as captured, whatever the lights."""
-    sh_degree: int = field(default=SH_DEGREE_MAX, kw_only=True)
-    """Highest SH degree that is evaluated, 0..3. A lower degree removes view-dependent light that was baked in."""
+    sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = field(default=SH_DEGREE_MAX, kw_only=True)
+    """Highest SH degree that is evaluated. A lower degree removes view-dependent light that was baked in."""
     shadow_catcher: bool = field(default=False, kw_only=True)
     """Whether it is a shadow catcher: it shows its captured colours, lights do not brighten it, its own Gaussians do
     not shadow it, and it is darkened where something else blocks a light. By how much depends on its ambient light,
@@ -57,8 +59,7 @@ class SplatInstance(PlacedInstance):
         check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")
         if self.material is not None:
             check_kind("material", self.material, (MaterialPbr, MaterialSimple), "a MaterialPbr or MaterialSimple")
-        check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
-        check_flag("shadow_catcher", self.shadow_catcher)
+        take_scene_fields(self)
         self._place(self.world_from_object, Placing(*placing), self.gaussians.origin)
         check_similarity(self.transform[:3, :3])
 
@@ -83,7 +84,7 @@ class SplatInstance(PlacedInstance):
         return float(np.cbrt(np.linalg.det(self.transform[:3, :3])))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class MeshInstance(PlacedInstance):
     """A mesh placed in the world by any invertible affine transform.
 
@@ -102,7 +103,7 @@ class MeshInstance(PlacedInstance):
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
-        check_flag("shadow_catcher", self.shadow_catcher)
+        take_scene_fields(self)
         self._place(self.world_from_object, Placing(*placing), self.mesh.origin)
 
     def __repr__(self) -> str:
@@ -115,7 +116,44 @@ class MeshInstance(PlacedInstance):
         return points.min(axis=0), points.max(axis=0)
 
 
-@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+def checked_lights(lights: Iterable[Light], name: str = "lights") -> tuple[Light, ...]:
+    """The lights of a list that the user gives, as a tuple.
+
+    Raises:
+        SceneError: It is not a list, an entry is not a light, or two environments are enabled.
+    """
+    checked: list[Light] = []
+    for light in items_of(name, lights):
+        if not isinstance(light, Light):
+            raise SceneError(f"{name} holds a {type(light).__name__}, expected a LightPoint or another light")
+        checked.append(light)
+    if sum(isinstance(light, LightEnvironment) and light.enabled for light in checked) > 1:
+        raise SceneError(f"{name} holds two enabled environments, expected one")
+    return tuple(checked)
+
+
+def _splats(items: Iterable[SplatInstance | Gaussians], name: str = "splats") -> tuple[SplatInstance, ...]:
+    """Converts captures; bare ones are placed at the origin."""
+    return _instances(name, items, Gaussians, SplatInstance)
+
+
+def _meshes(items: Iterable[MeshInstance | Mesh], name: str = "meshes") -> tuple[MeshInstance, ...]:
+    """Converts meshes; bare ones are placed at the origin."""
+    return _instances(name, items, Mesh, MeshInstance)
+
+
+def _instances(name: str, items: Iterable[object], asset: type[Any], instance: type[_Placed]) -> tuple[_Placed, ...]:
+    """The entries of a list as instances; bare assets are placed at the origin."""
+    placed: list[_Placed] = []
+    for item in items_of(name, items):
+        one = instance(cast("Any", item)) if isinstance(item, asset) else item
+        if not isinstance(one, instance):
+            raise SceneError(f"{name} holds a {type(one).__name__}, expected {instance.__name__} or {asset.__name__}")
+        placed.append(one)
+    return tuple(placed)
+
+
+@frozen(weakref_slot=True)
 class Scene:
     """What a frame shows. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at the origin.
 
@@ -126,31 +164,15 @@ class Scene:
     UP_NAMES: ClassVar[tuple[str, ...]] = tuple(UP_AXES)
     """Names that ``up`` may have."""
 
-    splats: tuple[SplatInstance, ...] = field(default=())
-    meshes: tuple[MeshInstance, ...] = field(default=())
-    lights: tuple[Light, ...] = field(default=())
+    splats: tuple[SplatInstance, ...] = given(converter=_splats, default=())
+    meshes: tuple[MeshInstance, ...] = given(converter=_meshes, default=())
+    lights: tuple[Light, ...] = given(converter=checked_lights, default=())
     """At most one enabled light is a `LightEnvironment`."""
-    up: Vector | None = field(default=None, kw_only=True)
+    up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
     """Unit vector that points up; None: the files do not say it, see `up_direction`. The name of an axis
     (``"y-down"``, ``"z-up"``) or a direction of any length is accepted."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            splats: Iterable[SplatInstance | Gaussians] = (),
-            meshes: Iterable[MeshInstance | Mesh] = (),
-            lights: Iterable[Light] = (),
-            *,
-            up: str | npt.ArrayLike | None = None,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        if self.up is not None:
-            object.__setattr__(self, "up", up_vector(self.up))
-        object.__setattr__(self, "lights", checked_lights(self.lights))
-        object.__setattr__(self, "splats", _instances("splats", self.splats, Gaussians, SplatInstance))
-        object.__setattr__(self, "meshes", _instances("meshes", self.meshes, Mesh, MeshInstance))
+    __post_init__ = take_scene_fields
 
     def __repr__(self) -> str:
         bounds = f", bounds={box_text(*self.bounds())}" if self.splats or self.meshes else ""
@@ -317,30 +339,3 @@ def check_similarity(
     if reasons:
         listed = " and ".join(reasons)
         raise SceneError(f"{name} {listed}: {taker} takes rotation, uniform scale and translation only")
-
-
-def checked_lights(lights: Iterable[object]) -> tuple[Light, ...]:
-    """The lights of a list that the user gives, as a tuple.
-
-    Raises:
-        SceneError: It is not a list, an entry is not a light, or two environments are enabled.
-    """
-    checked: list[Light] = []
-    for light in items_of("lights", lights):
-        if not isinstance(light, Light):
-            raise SceneError(f"lights holds a {type(light).__name__}, expected a LightPoint or another light")
-        checked.append(light)
-    if sum(isinstance(light, LightEnvironment) and light.enabled for light in checked) > 1:
-        raise SceneError("lights holds two enabled environments, expected one")
-    return tuple(checked)
-
-
-def _instances(name: str, items: Iterable[object], asset: type[Any], instance: type[_Placed]) -> tuple[_Placed, ...]:
-    """The entries of a list as instances; bare assets are placed at the origin."""
-    placed: list[_Placed] = []
-    for item in items_of(name, items):
-        one = instance(cast("Any", item)) if isinstance(item, asset) else item
-        if not isinstance(one, instance):
-            raise SceneError(f"{name} holds a {type(one).__name__}, expected {instance.__name__} or {asset.__name__}")
-        placed.append(one)
-    return tuple(placed)

@@ -33,8 +33,8 @@ WrapsLike = Mapping[str, TextureWrap | str | Sequence[TextureWrap | str]]
 """What is taken for `Wraps`: also one value for both axes, and values of the enum."""
 
 
-def checked_texture(name: str, value: npt.ArrayLike | None) -> Texture | None:
-    """Texels of a material, read-only.
+def to_texture(value: npt.ArrayLike | None, name: str = "texture") -> Texture | None:
+    """Converts texels of a material to a read-only array.
 
     Raises:
         SceneError: They are not (H, W, 3 or 4) uint8.

@@ -7,8 +7,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers, unit_vector
-
-Vector = tuple[float, float, float]
+from lumisplat.scene.checks import Vector
 
 UP_AXES: dict[str, Vector] = {
     "y-down": (0.0, -1.0, 0.0),
@@ -29,6 +28,11 @@ _FRONTS: dict[str, Vector] = {
     "x-down": (0.0, 0.0, 1.0),
 }
 """Where the eye stands that looks at the front: before captures seen along +z, and before glTF files seen along -z."""
+
+
+def up_vector_or_none(up: str | npt.ArrayLike | None, name: str = "up") -> Vector | None:
+    """Converts a field to a unit vector that points up; None stays."""
+    return None if up is None else up_vector(up)
 
 
 def up_vector(up: str | npt.ArrayLike) -> Vector:

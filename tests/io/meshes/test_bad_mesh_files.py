@@ -222,11 +222,11 @@ def edit(collection: str, index: int, **values: object) -> Callable[[Gltf], None
         (edit("images", 0, bufferView=0), r"texture images\[0\] 'paint' is corrupt"),
         (edit("images", 0, bufferView=None), r"images\[0\] 'paint' has neither data nor a file"),
         (edit("textures", 0, source=3), r"refers to images\[3\]"),
-        (edit("materials", 0, pbrMetallicRoughness={"roughnessFactor": 7}), "roughness is 7.0, expected 0..1"),
+        (edit("materials", 0, pbrMetallicRoughness={"roughnessFactor": 7}), "roughness is 7.0, expected 0.0 to 1.0"),
         (edit("materials", 0, pbrMetallicRoughness={"metallicFactor": "very"}), "damaged, or not a glTF file"),
         (
             edit("materials", 0, extensions={"KHR_materials_transmission": {"transmissionFactor": 2}}),
-            "transmission is 2, expected 0..1",
+            "transmission is 2, expected 0.0 to 1.0",
         ),
         (edit("materials", 0, extensions={"KHR_materials_volume": 7}), "damaged, or not a glTF file"),
         (lambda gltf: primitive(gltf).update(material=4), r"refers to materials\[4\]"),

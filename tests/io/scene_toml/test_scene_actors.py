@@ -142,7 +142,7 @@ KEYS = "[[actors.keyframes]]\n"
         ("[[actors]]\npath = 'scene.toml'", "line 2, actors[0]: path is 'scene.toml', a scene file itself"),
         (FRAMES + "clip = 'bend'", "line 3, actors[0]: clip is 'bend', but the actor has no rig"),
         (FRAMES + "count = 5", "line 3, actors[0]: count is of a rig or a mesh as Gaussians, but path is 'frames'"),
-        (FRAMES + "fps = 0", "line 3, actors[0]: fps is 0, expected a positive number"),
+        (FRAMES + "fps = 0", "line 3, actors[0]: fps is 0, expected a number above 0"),
         (ACTOR + "keyframes = 3", "line 4, actors[0]: keyframes is 3, expected tables, written with double brackets"),
         (ACTOR + KEYS + "position = [0, 0, 0]", "line 4, actors[0].keyframes[0]: lacks time, a number"),
         (ACTOR + KEYS + "time = 0\nposition = [0, nan, 0]", "line 6, actors[0].keyframes[0]: position is"),

@@ -145,7 +145,7 @@ def test_a_scene_file_without_cameras(tmp_path: Path) -> None:
         (VIEW.replace("320", "3.5"), "line 8, cameras[0]: width is 3.5, expected a whole number"),
         (VIEW.replace("orthographic", "wide"), "line 10, cameras[0]: model is 'wide', expected pinhole or fisheye or"),
         (VIEW.replace("0.05", "-1"), "line 13, cameras[0]: camera aperture is -1"),
-        (VIEW.replace("1.5", "nan"), "line 12, cameras[0]: camera exposure is nan, expected a finite number"),
+        (VIEW.replace("1.5", "nan"), "line 12, cameras[0]: camera exposure is nan, expected -100.0 to 100.0"),
         ("[[cameras]]\npath = 'lost.json'", "line 2, cameras[0]: path is 'lost.json', no such file"),
         ("[[cameras]]\npath = 'scene.toml'", "line 2, cameras[0]: path is 'scene.toml', a scene file itself"),
         ("[[cameras]]\npath = 'x'\neye = [0, 0, 0]", "line 3, cameras[0]: unknown 'eye'"),

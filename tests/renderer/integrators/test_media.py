@@ -174,7 +174,7 @@ def test_open_glass_is_told_of(pipeline: ls.Pipeline, caplog: pytest.LogCaptureF
 @pytest.mark.parametrize("distance", [0.0, -1.0, float("nan"), "far"])
 def test_wrong_distances_are_refused(distance: Any) -> None:
     """In one line, with what was expected."""
-    with pytest.raises(ls.SceneError, match=r"attenuation_distance is .*, expected a length above 0, or inf"):
+    with pytest.raises(ls.SceneError, match=r"attenuation_distance is .*, expected a number above 0, or inf"):
         ls.MaterialPbr(attenuation_distance=distance)
 
 

@@ -157,7 +157,7 @@ def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
         (lambda g: ls.crop(g, box=((0, 0, 0), (1, 1))), "box has the point .*, expected three finite numbers"),
         (lambda g: ls.crop(g, box=cast(Any, (1, 2, 3))), "box is .*, expected two corners"),
         (lambda g: ls.crop(g, sphere=((0, 0, np.nan), 1.0)), "sphere has the point"),
-        (lambda g: ls.crop(g, sphere=((0, 0, 0), -1.0)), "radius of sphere is -1.0, expected a positive number"),
+        (lambda g: ls.crop(g, sphere=((0, 0, 0), -1.0)), "radius of sphere is -1.0, expected a number above 0"),
         (
             lambda g: ls.crop(g, sphere=((99, 0, 0), 1.0)),
             r"nothing is left of 100 Gaussians, whose means lie within \(",
@@ -169,7 +169,7 @@ def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
         (lambda g: ls.select(g, opacity=(2.0, None)), "nothing is left of 100"),
         (lambda g: ls.select(replace(g, roughness=None), roughness=(0, 1)), "cannot go by roughness: the capture has"),
         (lambda g: ls.remove_floaters(g, 0), "neighbours is 0"),
-        (lambda g: ls.remove_floaters(g, 3, 0.0), "reach is 0.0, expected a positive number"),
+        (lambda g: ls.remove_floaters(g, 3, 0.0), "reach is 0.0, expected a number above 0"),
         (lambda g: ls.remove_floaters(g, 1000, 1e-6), "nothing is left"),
         (lambda g: ls.limit_sh_degree(g, 4), "degree is 4"),
         (lambda g: ls.decimate(g, 0), "count is 0"),

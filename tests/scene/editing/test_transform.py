@@ -116,7 +116,7 @@ def test_scale_then_turn_then_move() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scale": 0.0}, "scale is 0.0, expected a positive number"),
+        ({"scale": 0.0}, "scale is 0.0, expected a number above 0"),
         ({"scale": 1e-60}, "scales"),
         ({"rotation_degrees": (0, 0)}, "rotation_degrees is"),
         ({"translation": (0, np.inf, 0)}, "translation is"),

@@ -68,7 +68,7 @@ def test_target_is_in_the_middle():
     [
         ({"azimuth": 30.0}, r"azimuth is 30.0, expected radians .*math.radians\(30\)"),
         ({"elevation": 2.0}, "elevation is 2.0, expected radians"),
-        ({"distance": 0.0}, "distance is 0.0, expected a positive number"),
+        ({"distance": 0.0}, "distance is 0.0, expected a number above 0"),
         ({"target": (0, 1)}, "target is .*three finite numbers"),
         ({"fov_y": 45.0}, "fov_y is 45.0, expected radians"),
         ({"azimuth": math.nan}, "azimuth is nan"),

@@ -31,6 +31,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
+from lumisplat.scene.checks import with_checked
 from lumisplat.scene.local_frame import LocalFrame, rendered_frame
 from lumisplat.scene.scene import Scene
 
@@ -212,7 +213,7 @@ class DeviceScene:
             self.motion.forget()
         self.frame = frame
         if camera.near == NEAR_PLANE != near:
-            camera = replace(camera, near=near)
+            camera = with_checked(camera, near=near)
         return frame.scene(scene), frame.camera(camera)
 
     def release(self) -> None:

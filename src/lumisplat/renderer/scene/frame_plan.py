@@ -38,6 +38,7 @@ from lumisplat.renderer.scene.materials import (
     is_relit,
     is_rough_glass,
 )
+from lumisplat.scene.checks import with_checked
 from lumisplat.scene.lights import AreaLight, Light, LightDirectional, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
@@ -259,8 +260,8 @@ class FramePlan:
         lighting = config.lighting
         if lighting is None:
             lighting = bool(scene.lights) or (is_path and shines(scene))
-        samples_only = replace(config, time_limit=None, noise=None, adaptive=False)
-        plan = cls.of(replace(samples_only, pipeline=pipeline, aovs=(), lighting=lighting), scene)
+        limits = {"time_limit": None, "noise": None, "adaptive": False}  # samples alone end a ray
+        plan = cls.of(with_checked(config, pipeline=pipeline, aovs=(), lighting=lighting, **limits), scene)
         has_headlight = plan.has_headlight and not (is_path and config.lighting is None)
         return replace(plan, for_camera=False, has_headlight=has_headlight, has_receivers=False)
 

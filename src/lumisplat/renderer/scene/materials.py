@@ -84,9 +84,13 @@ def absorbs(instance: MeshInstance) -> bool:
     return isinstance(material, MaterialPbr) and math.isfinite(material.attenuation_distance)
 
 
+_AS_CAPTURED = MaterialSimple()
+"""The material of a splat set that has none."""
+
+
 def material_of(instance: SplatInstance) -> Material:
     """The material of a splat set, or the default one."""
-    return instance.material or MaterialSimple()
+    return instance.material or _AS_CAPTURED
 
 
 def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, get_args
+from typing import Annotated, TypeVar, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import AvatarLightingConfig
-from lumisplat.config.checks import is_number, is_whole
+from lumisplat.config.checks import Range
+from lumisplat.config.setting import frozen, given
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
@@ -20,7 +21,7 @@ from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians
 from lumisplat.scene.animation.sequence import GaussianSequence
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.checks import check_flag, check_kind, check_positive, items_of
+from lumisplat.scene.checks import check_kind, items_of, take_scene_fields
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
@@ -56,9 +57,10 @@ class Deforming:
 
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
 """What an actor may be; a `Scene` stands for its captures and meshes, `Deforming` for those of a time."""
+_Item = TypeVar("_Item")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Actor:
     """Something that moves through a scene, by its own clip or frames and by keyframes.
 
@@ -84,18 +86,15 @@ class Actor:
     """Name of the rig's clip; None: the first."""
     loop: bool = field(default=True, kw_only=True)
     """Whether the clip or the frames repeat; otherwise the last pose stays. Keyframes never repeat."""
-    speed: float = field(default=1.0, kw_only=True)
-    """Seconds of the clip or the frames per second of the animation, at least 0."""
+    speed: Annotated[float, Range(0.0)] = field(default=1.0, kw_only=True)
+    """Seconds of the clip or the frames per second of the animation."""
 
     def __post_init__(self) -> None:
         subjects = "Gaussians, a GaussianSequence, RiggedGaussians, a Mesh, a Rig or a Scene"
         check_kind("an actor", self.subject, get_args(Subject), subjects)
         if self.motion is not None:
             check_kind("motion", self.motion, Keyframes, "Keyframes")
-        for name in ("casts_shadow", "relight", "loop"):
-            check_flag(name, getattr(self, name))
-        if not is_number(self.speed) or not 0.0 <= self.speed < np.inf:
-            raise SceneError(f"speed is {self.speed}, expected a number, at least 0")
+        take_scene_fields(self)
         rig = self.rig
         if self.clip is not None:
             if rig is None:
@@ -166,7 +165,24 @@ class Actor:
         return own % length if self.loop and length > 0.0 else own
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _actors(items: Iterable[Actor], name: str = "actors") -> tuple[Actor, ...]:
+    return _items(name, items, Actor)
+
+
+def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ...]:
+    return _items(name, items, Camera)
+
+
+def _items(name: str, items: Iterable[_Item], kind: type[_Item]) -> tuple[_Item, ...]:
+    """Returns a list that the user gives as a tuple; a `SceneError` if it holds something else."""
+    taken = tuple(items_of(name, items))
+    for item in taken:
+        if not isinstance(item, kind):
+            raise SceneError(f"{name} holds a {type(item).__name__}, expected {kind.__name__}")
+    return cast("tuple[_Item, ...]", taken)
+
+
+@frozen
 class Animation:
     """A scene, the actors that move through it, and the times of the frames.
 
@@ -176,45 +192,23 @@ class Animation:
 
     scene: Scene
     """The static captures, meshes and lights."""
-    actors: tuple[Actor, ...] = ()
-    cameras: tuple[Camera, ...] = ()
-    fps: float = 25.0
-    """Frames per second, above 0."""
-    frame_count: int = 1
+    actors: tuple[Actor, ...] = given(converter=_actors, default=())
+    cameras: tuple[Camera, ...] = given(converter=_cameras, default=())
+    fps: Annotated[float, Range(0.0, above=True)] = 25.0
+    """Frames per second."""
+    frame_count: Annotated[int, Range(1)] = 1
     """Number of frames, 1 to 1,000,000."""
     lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
     """How actors are lit and cast shadows."""
     camera_path: CameraPath | None = None
     """A camera that moves, in the animation's time; None: ``cameras`` stand still."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(  # noqa: PLR0917
-            self,
-            scene: Scene,
-            actors: Iterable[Actor] = (),
-            cameras: Iterable[Camera] = (),
-            fps: float = 25.0,
-            frame_count: int = 1,
-            lighting: AvatarLightingConfig = ...,
-            camera_path: CameraPath | None = None,
-        ) -> None: ...
-
     def __post_init__(self) -> None:
         check_kind("scene", self.scene, Scene, "a Scene")
-        for name, kind in (("actors", Actor), ("cameras", Camera)):
-            items = tuple(items_of(name, getattr(self, name)))
-            for item in items:
-                if not isinstance(item, kind):
-                    raise SceneError(f"{name} holds a {type(item).__name__}, expected {kind.__name__}")
-            object.__setattr__(self, name, items)
+        take_scene_fields(self)
         if self.camera_path is not None:
             check_kind("camera_path", self.camera_path, CameraPath, "a CameraPath")
-        check_kind("lighting", self.lighting, AvatarLightingConfig, "an AvatarLightingConfig")
-        check_positive("fps", self.fps)
         count = self.frame_count
-        if not is_whole(count) or count < 1:
-            raise SceneError(f"frame_count is {count}, expected a whole number, at least 1")
         if count > ANIMATION_FRAMES_MAX:
             raise SceneError(
                 f"frame_count is {count:,.10g} at {self.fps:g} frames a second, "

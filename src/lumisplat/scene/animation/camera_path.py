@@ -4,27 +4,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
+from lumisplat.config.setting import frozen, given
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import Doubles, finite_array
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.animation.keyframes import check_time
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.checks import items_of
+from lumisplat.scene.checks import items_of, take_scene_fields
 
 _SAME = ("width", "height", "model", "distortion")
 """What all cameras of a path have in common."""
 _BLENDED = ("cx", "cy", "near", "aperture", "focus_distance", "exposure")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ...]:
+    """Returns cameras that the user gives as a tuple; a `SceneError` if the list holds something else."""
+    cameras = tuple(items_of(name, items))
+    for camera in cameras:
+        if not isinstance(camera, Camera):
+            raise SceneError(f"{name} holds a {type(camera).__name__}, expected Cameras")
+    return cast("tuple[Camera, ...]", cameras)
+
+
+@frozen
 class CameraPath:
     """A camera that moves through K cameras: eye, rotation and focal length follow smooth cubics (Catmull-Rom 1974).
 
@@ -36,26 +46,16 @@ class CameraPath:
             not fit, or times do not rise.
     """
 
-    cameras: tuple[Camera, ...]
+    cameras: tuple[Camera, ...] = given(converter=_cameras)
     times: npt.ArrayLike | None = None
     """Seconds, rising, shape (K,); None: 0, 1, 2 and so on."""
     targets: npt.ArrayLike | None = None
     """World positions in the middle of the image at these times, shape (K, 3); None: rotations are interpolated."""
 
-    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
-
-        def __init__(
-            self,
-            cameras: Iterable[Camera],
-            times: npt.ArrayLike | None = None,
-            targets: npt.ArrayLike | None = None,
-        ) -> None: ...
-
     def __post_init__(self) -> None:
-        cameras = tuple(items_of("cameras", self.cameras))
+        take_scene_fields(self)
+        cameras = self.cameras
         for k, camera in enumerate(cameras):
-            if not isinstance(camera, Camera):
-                raise SceneError(f"cameras holds a {type(camera).__name__}, expected Cameras")
             if camera.camera_from_world_end is not None:
                 raise SceneError(f"camera {k} of the path has a rolling shutter, expected one pose each")
             for name in _SAME:
@@ -66,7 +66,6 @@ class CameraPath:
                     )
         if not cameras:
             raise SceneError("a path has at least one camera, this one has none")
-        object.__setattr__(self, "cameras", cameras)
         times = np.arange(float(len(cameras))) if self.times is None else finite_array("times", self.times, np.float64)
         targets = None if self.targets is None else finite_array("targets", self.targets, np.float64)
         check_shapes(cameras=(np.empty(len(cameras)), "K"), times=(times, "K"), targets=(targets, "K 3"))

@@ -6,13 +6,15 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
+from lumisplat.config.checks import Range
 from lumisplat.constants import SEQUENCE_TIME_SLACK
 from lumisplat.errors import SceneError
 from lumisplat.scene.animation.keyframes import check_time
-from lumisplat.scene.checks import check_positive
+from lumisplat.scene.checks import take_scene_fields
 from lumisplat.scene.gaussians import Gaussians
 
 SEQUENCE_FRAMES_KEPT = 2
@@ -33,8 +35,8 @@ class GaussianSequence:
 
     paths: Sequence[Path]
     """Files of the frames, in order of time."""
-    fps: float
-    """Frames per second, above 0."""
+    fps: Annotated[float, Range(0.0, above=True)]
+    """Frames per second."""
     load: Callable[[Path], Gaussians]
     """Reads the file of a frame."""
     _cache: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict[int, Gaussians], init=False)
@@ -44,7 +46,7 @@ class GaussianSequence:
         object.__setattr__(self, "paths", tuple(self.paths))
         if not self.paths:
             raise SceneError("a sequence of no frames: there is nothing to show")
-        check_positive("fps", self.fps)
+        take_scene_fields(self)
 
     def __repr__(self) -> str:
         return f"GaussianSequence(frames={self.frame_count}, fps={self.fps:g}, first={self.paths[0].name!r})"

@@ -1,4 +1,4 @@
-"""A control for each described field, and between the two the words and numbers that people see."""
+"""A control for each setting, and between the two the words and numbers that people see."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import lumisplat as ls
+from lumisplat.config.setting import Setting, settings_of
 from lumisplat.viewer.colors import linear_from_picked, picked_from_linear
-from lumisplat.viewer.panels.described import Described
 from lumisplat.viewer.server.turns import chosen
+from lumisplat.viewer.words import label
 
 if TYPE_CHECKING:
     import viser
@@ -24,6 +25,26 @@ _NUMBER_CHARACTERS, _VECTOR_CHARACTERS = 11, 8
 """Characters of a number, and of each number of a vector, that a control has room for."""
 _SLIDER_SPAN = 1e4
 """Ranges whose ends differ by a larger factor are typed, not dragged."""
+
+
+_UNIT_CHARACTERS = 7
+"""Longer units stand in the hint alone."""
+
+
+def shown_settings(cls: type) -> list[Setting]:
+    """Returns the fields of a dataclass that a control can show, in their order."""
+    return [one for one in settings_of(cls) if one.kind not in ("span", "names", "other")]
+
+
+def label_of(field: Setting) -> str:
+    """Returns the name in words, with a short unit."""
+    words, unit = label(field.name), field.range.unit
+    return f"{words} ({unit})" if unit and len(unit) <= _UNIT_CHARACTERS and "(" not in words else words
+
+
+def hint_of(field: Setting) -> str | None:
+    """Returns what a setting does and which values it takes; None: nothing is known."""
+    return f"{field.help} {field.limits}".strip() or None
 
 
 class Control:
@@ -41,7 +62,7 @@ class Control:
     def __init__(
         self,
         gui: viser.GuiApi,
-        field: Described,
+        field: Setting,
         value: Any,
         put: Callable[[Any], None],
         report: Callable[[str], None],
@@ -56,7 +77,7 @@ class Control:
         typed = _has_keys(field, value)
         self.handle.on_update(chosen(lambda shown: (shown,), lambda given: self._take(read, given[0]), is_typed=typed))
         if field.kind == "color" and field.is_optional:
-            self._none = gui.add_checkbox(f"no {field.label}", value is None, hint="Transparent.")
+            self._none = gui.add_checkbox(f"no {label_of(field)}", value is None, hint="Transparent.")
             self._none.on_update(chosen(lambda is_none: (is_none,), lambda given: self._take(self._color, given[0])))
 
     @property
@@ -75,7 +96,7 @@ class Control:
     def set_unused(self, reason: str | None) -> None:
         """Disables the control, and says what would give it an effect; None: it has one."""
         for handle in self.handles:
-            set_unused(handle, self.field.help or None, reason)
+            set_unused(handle, hint_of(self.field), reason)
 
     def _take(self, read: Callable[[Any], Any], shown: Any) -> None:
         try:
@@ -124,7 +145,7 @@ def set_if_changed(handle: Any, name: str, value: object) -> None:
         setattr(handle, name, value)
 
 
-def to_shown(field: Described, value: Any) -> Any:
+def to_shown(field: Setting, value: Any) -> Any:
     """A value as its control shows it."""
     if _is_typed(field):
         return AUTO if value is None else _text(field, value)
@@ -156,7 +177,7 @@ def shown_number(value: float, width: int = _NUMBER_CHARACTERS) -> float:
     return float(f"{value:.0f}")
 
 
-def from_shown(field: Described, shown: Any) -> Any:
+def from_shown(field: Setting, shown: Any) -> Any:
     """The value that a control shows.
 
     Raises:
@@ -175,45 +196,47 @@ def from_shown(field: Described, shown: Any) -> Any:
             return shown
 
 
-def _is_typed(field: Described) -> bool:
+def _is_typed(field: Setting) -> bool:
     """Whether a field is shown as a word or a text: it may be automatic, or infinite."""
     return (field.is_optional and field.kind != "color") or (field.kind == "number" and field.default == math.inf)
 
 
-def _has_keys(field: Described, value: Any) -> bool:
+def _has_keys(field: Setting, value: Any) -> bool:
     """Whether its control is a box to type in, which tells each key."""
     if _is_typed(field):
         return not field.is_optional or field.kind not in ("flag", "choice")
     return field.kind in ("text", "vector") or (field.kind in ("whole", "number") and not _is_slider(field, value))
 
 
-def _is_slider(field: Described, shown: Any) -> bool:
+def _is_slider(field: Setting, shown: Any) -> bool:
     """Whether the range of a number is short, and known."""
     low, high = field.low, field.high
     return low is not None and high is not None and low <= shown <= high <= _SLIDER_SPAN
 
 
-def _picked(field: Described, color: tuple[float, float, float] | None) -> tuple[int, ...]:
+def _picked(field: Setting, color: tuple[float, float, float] | None) -> tuple[int, ...]:
     """A colour as bytes of sRGB; black for none."""
     if color is None:
         return 0, 0, 0
     return picked_from_linear(color) if field.is_linear else tuple(round(255.0 * channel) for channel in color)
 
 
-def _choice(field: Described, value: object) -> Any:
+def _choice(field: Setting, value: object) -> Any:
     for choice in field.choices:
         if choice.value == value:
             return choice
-    raise ls.ConfigError(f"{field.label} is '{value}', expected {', '.join(choice.value for choice in field.choices)}")
+    raise ls.ConfigError(
+        f"{label_of(field)} is '{value}', expected {', '.join(choice.value for choice in field.choices)}"
+    )
 
 
-def _text(field: Described, value: Any) -> str:
+def _text(field: Setting, value: Any) -> str:
     if field.kind == "flag":
         return "on" if value else "off"
     return value.value if field.kind == "choice" else f"{value:g}" if field.kind == "number" else f"{value}"
 
 
-def _parsed(field: Described, text: str) -> Any:
+def _parsed(field: Setting, text: str) -> Any:
     """The value of a text, of a field that may be automatic or infinite."""
     word = text.strip().lower()
     if word in ("", AUTO) and field.is_optional:
@@ -229,12 +252,12 @@ def _parsed(field: Described, text: str) -> Any:
     except ValueError:
         what = "a whole number" if field.kind == "whole" else "a number"
         word = AUTO if field.is_optional else "inf"
-        raise ls.ConfigError(f"{field.label} is '{text}', expected {what}, or {word}") from None
+        raise ls.ConfigError(f"{label_of(field)} is '{text}', expected {what}, or {word}") from None
 
 
-def _handle(gui: viser.GuiApi, field: Described, value: Any) -> Any:  # noqa: PLR0911
+def _handle(gui: viser.GuiApi, field: Setting, value: Any) -> Any:  # noqa: PLR0911
     """The control itself."""
-    label, shown, hint = field.label, to_shown(field, value), field.help or None
+    label, shown, hint = label_of(field), to_shown(field, value), hint_of(field)
     if field.is_optional and field.kind in ("flag", "choice"):
         words = ("on", "off") if field.kind == "flag" else tuple(choice.value for choice in field.choices)
         return gui.add_dropdown(label, (AUTO, *words), initial_value=shown, hint=hint)
@@ -257,15 +280,15 @@ def _handle(gui: viser.GuiApi, field: Described, value: Any) -> Any:  # noqa: PL
             return _number_handle(gui, field, shown, hint)
 
 
-def _number_handle(gui: viser.GuiApi, field: Described, shown: Any, hint: str | None) -> Any:
+def _number_handle(gui: viser.GuiApi, field: Setting, shown: Any, hint: str | None) -> Any:
     """A slider where the range is short and known, else a box to type in."""
     whole, low, high = field.kind == "whole", field.low, field.high
     if low is not None and high is not None and _is_slider(field, shown):
         ends = (int(low), int(high)) if whole else (low, high)
-        step = field.step if whole else _step(high - low)
-        return gui.add_slider(field.label, ends[0], ends[1], step, shown, hint=hint)
+        step = field.range.step if whole else _step(high - low)
+        return gui.add_slider(label_of(field), ends[0], ends[1], step, shown, hint=hint)
     least = None if low is None else type(shown)(low)
-    handle = gui.add_number(field.label, shown, min=least, step=field.step if whole else 1e-4, hint=hint)
+    handle = gui.add_number(label_of(field), shown, min=least, step=field.range.step if whole else 1e-4, hint=hint)
     if not whole:
         handle.precision = _DIGITS
     return handle

@@ -8,8 +8,8 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import lumisplat as ls
-from lumisplat.viewer.panels.controls import Control, set_if_changed
-from lumisplat.viewer.panels.described import Described, described
+from lumisplat.config.setting import Setting
+from lumisplat.viewer.panels.controls import Control, label_of, set_if_changed, shown_settings
 
 if TYPE_CHECKING:
     import viser
@@ -50,12 +50,12 @@ class SettingsPanel(Generic[Settings]):
         self._groups: dict[str, SettingsPanel[Any]] = {}
         self._folders: dict[str, Any] = {}
         """Of the groups."""
-        for field in described(type(settings)):
+        for field in shown_settings(type(settings)):
             if field.name in without or (only is not None and field.name not in only):
                 continue
             value = getattr(settings, field.name)
             if field.kind == "group":
-                self._folders[field.name] = gui.add_folder(field.label, expand_by_default=False)
+                self._folders[field.name] = gui.add_folder(label_of(field), expand_by_default=False)
                 with self._folders[field.name]:
                     self._groups[field.name] = SettingsPanel(gui, value, self._group_changed(field.name), report)
             else:
@@ -89,7 +89,7 @@ class SettingsPanel(Generic[Settings]):
         for name, folder in self._folders.items():
             set_if_changed(folder, "visible", name not in unused)
 
-    def _field_changed(self, field: Described) -> Callable[[Any], None]:
+    def _field_changed(self, field: Setting) -> Callable[[Any], None]:
         name = field.name
         merge = name if field.kind in ("whole", "number", "color", "vector") else None
 
@@ -106,7 +106,7 @@ class SettingsPanel(Generic[Settings]):
         return put
 
 
-def _is_taken(settings: Any, field: Described, choice: Enum) -> bool:
+def _is_taken(settings: Any, field: Setting, choice: Enum) -> bool:
     """Whether settings may have a choice of a field."""
     try:
         replace(settings, **{field.name: choice})

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 import lumisplat as ls
+from lumisplat.config.setting import Range, Setting
 from lumisplat.viewer.colors import KELVIN_RANGE, color_of_temperature
-from lumisplat.viewer.panels.controls import Control, set_if_changed
-from lumisplat.viewer.panels.described import Described, described
+from lumisplat.viewer.panels.controls import Control, set_if_changed, shown_settings
 from lumisplat.viewer.server.turns import chosen
 from lumisplat.viewer.state.boxes import scale_of
 from lumisplat.viewer.state.session import Session
@@ -25,15 +25,14 @@ if TYPE_CHECKING:
 _WHITE_K = 6500.0
 """Temperature that is shown of a light whose colour is not of a temperature that was chosen here."""
 _SUN = (
-    Described(
+    Setting(
         "azimuth_degrees",
         "number",
         "About the vertical, counter-clockwise seen from above; 0 is the front.",
-        low=0,
-        high=360,
+        range=Range(0.0, 360.0),
     ),
-    Described("elevation_degrees", "number", "Above the horizon.", low=-90, high=90),
-    Described("hour", "number", "Solar time at the equinox, 45° north, with south in front.", low=0, high=24),
+    Setting("elevation_degrees", "number", "Above the horizon.", range=Range(-90.0, 90.0)),
+    Setting("hour", "number", "Solar time at the equinox, 45° north, with south in front.", range=Range(0.0, 24.0)),
 )
 """Fields of suns in place of their direction."""
 _CAPTURE_LOOKS: dict[str, dict[str, Any]] = {
@@ -58,26 +57,24 @@ _WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
 """Fields of materials that textures alone use, or that are shown elsewhere."""
 
 
-def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> list[tuple[Described, Any]]:
+def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> list[tuple[Setting, Any]]:
     """The fields of a light by their keys in a scene file, with their values; angles in degrees, suns by theirs.
 
     Args:
         light: The light.
         up: Of the scene.
     """
-    found: list[tuple[Described, Any]] = []
+    found: list[tuple[Setting, Any]] = []
     kind = cast("type[Any]", type(light))
-    for field in described(kind):
+    for field in shown_settings(kind):
         value = getattr(light, field.name)
         if field.name.endswith("angle"):
-            text = field.help.replace("radians", "degrees")
-            degrees = replace(field, name=f"{field.name}_degrees", help=text, low=0.0, high=90.0)
+            degrees = replace(field, name=f"{field.name}_degrees", range=Range(0.0, 90.0))
             found.append((degrees, math.degrees(value)))
         elif field.name == "direction" and isinstance(light, ls.LightDirectional):
             found += zip(_SUN, (round(angle, 2) for angle in sun_angles(value, up)), strict=True)
         else:
-            unit = light.unit if field.name == "intensity" else ""
-            found.append((replace(field, unit=unit), value))
+            found.append((field, value))
     return found
 
 
@@ -147,7 +144,7 @@ class Inspector:
         for follow in self._followers:
             follow(entry)
 
-    def _rebuild(self, entry: ls.SceneEntry | None, fields: list[tuple[Described, Any]]) -> None:
+    def _rebuild(self, entry: ls.SceneEntry | None, fields: list[tuple[Setting, Any]]) -> None:
         for part in reversed(self._parts):
             part.remove()
         self._parts, self._controls, self._crop, self._followers = [], {}, None, []
@@ -170,7 +167,7 @@ class Inspector:
                 self._material = self._gui.add_folder("material", expand_by_default=False)
                 self._parts.append(self._material)
 
-    def _rebuild_material(self, entry: ls.SceneEntry, fields: list[tuple[Described, Any]]) -> None:
+    def _rebuild_material(self, entry: ls.SceneEntry, fields: list[tuple[Setting, Any]]) -> None:
         """Makes the controls of another type of material, in the same folder."""
         for part in reversed(self._material_parts):
             part.remove()
@@ -182,7 +179,7 @@ class Inspector:
         with self._material:
             self._material_parts = self._add_fields(entry, fields)
 
-    def _add_fields(self, entry: ls.SceneEntry, fields: list[tuple[Described, Any]]) -> list[Any]:
+    def _add_fields(self, entry: ls.SceneEntry, fields: list[tuple[Setting, Any]]) -> list[Any]:
         """Adds controls of fields, and returns them."""
         handles: list[Any] = []
         for field, value in fields:
@@ -191,11 +188,11 @@ class Inspector:
             handles += control.handles
         return handles
 
-    def _fields(self, entry: ls.SceneEntry) -> list[tuple[Described, Any]]:
+    def _fields(self, entry: ls.SceneEntry) -> list[tuple[Setting, Any]]:
         """The fields of an entry, with their values."""
         if entry.kind in ("lights", "environment"):
             return light_fields(entry.lights[0], self._session.scene.up_direction)
-        fields: list[tuple[Described, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
+        fields: list[tuple[Setting, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
         if entry.world_from_file is not None:
             fields += _placement(np.asarray(entry.world_from_file))
         material: Any = None
@@ -207,11 +204,11 @@ class Inspector:
             material = entry.meshes[0].mesh.material
         if material is not None:
             kind = cast("type[Any]", type(material))
-            own = [field for field in described(kind) if field.name not in _WITHOUT]
+            own = [field for field in shown_settings(kind) if field.name not in _WITHOUT]
             fields += [(replace(field, name=f"material.{field.name}"), getattr(material, field.name)) for field in own]
         return fields
 
-    def _putter(self, entry: ls.SceneEntry, field: Described) -> Callable[[Any], None]:
+    def _putter(self, entry: ls.SceneEntry, field: Setting) -> Callable[[Any], None]:
         number, name = entry.id, field.name
         merge = f"{number} {name}" if field.kind in ("whole", "number", "color", "vector") else None
 
@@ -326,7 +323,7 @@ def turned_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degr
     return [w, x, y, z]
 
 
-def _placement(matrix: Any) -> list[tuple[Described, Any]]:
+def _placement(matrix: Any) -> list[tuple[Setting, Any]]:
     """Position, turns about x, y and z, and scale of a similarity."""
     from viser import transforms
 
@@ -334,9 +331,9 @@ def _placement(matrix: Any) -> list[tuple[Described, Any]]:
     angles = transforms.SO3.from_matrix(matrix[:3, :3] / scale).as_rpy_radians()
     degrees = tuple(math.degrees(float(angle)) for angle in (angles.roll, angles.pitch, angles.yaw))
     return [
-        (Described("position", "vector", "World position of its origin, scene units."), tuple(matrix[:3, 3])),
-        (Described("rotation_degrees", "vector", "Turns about the world's x, then y, then z axis."), degrees),
-        (Described("scale", "number", "Uniform scale factor.", low=1e-6), scale),
+        (Setting("position", "vector", "World position of its origin, scene units."), tuple(matrix[:3, 3])),
+        (Setting("rotation_degrees", "vector", "Turns about the world's x, then y, then z axis."), degrees),
+        (Setting("scale", "number", "Uniform scale factor.", range=Range(1e-6)), scale),
     ]
 
 
@@ -378,17 +375,17 @@ def _plain(value: Any) -> Any:
     return value.value if hasattr(value, "value") else value
 
 
-def _is_of_material(field: Described) -> bool:
+def _is_of_material(field: Setting) -> bool:
     return field.name.startswith("material.")
 
 
-def _text(name: str) -> Described:
-    return Described(name, "text", "")
+def _text(name: str) -> Setting:
+    return Setting(name, "text", "")
 
 
-def _flag(name: str) -> Described:
-    return Described(name, "flag", "")
+def _flag(name: str) -> Setting:
+    return Setting(name, "flag", "")
 
 
-def _whole(name: str, low: int, high: int) -> Described:
-    return Described(name, "whole", "", low=low, high=high)
+def _whole(name: str, low: int, high: int) -> Setting:
+    return Setting(name, "whole", "", range=Range(low, high))

@@ -1,0 +1,241 @@
+"""Declarations of settings: what they refuse, what they accept, and what follows from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from enum import Enum
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+from hypothesis import given as drawn
+from hypothesis import strategies as st
+
+import lumisplat as ls
+from lumisplat import config
+from lumisplat.config.checks import OneOf, Range, plain
+from lumisplat.config.setting import Setting, Span, all_settings, frozen, given, settings_of, take_fields
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import SplatInstance
+from support.scenes.raster_scenes import random_gaussians
+
+CONFIGS = [kind for kind in vars(config).values() if isinstance(kind, type) and is_dataclass(kind)]
+GIVEN: dict[type, dict[str, Any]] = {
+    ls.LightPoint: {"position": (0, 0, 0)},
+    ls.LightSpot: {"position": (0, 0, 0), "direction": (0, 0, 1), "outer_angle": 1.5707},
+    ls.LightDirectional: {"direction": (0, 0, 1)},
+    ls.LightSphere: {"position": (0, 0, 0), "radius": 1.0},
+    ls.LightRect: {"position": (0, 0, 0), "edge_u": (1, 0, 0), "edge_v": (0, 1, 0)},
+    ls.LightEnvironment: {},
+    ls.MaterialPbr: {},
+    ls.MaterialSimple: {},
+    Camera: dict(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0, camera_from_world=np.eye(4)),
+    SplatInstance: {"gaussians": random_gaussians(0, 1)},
+    ls.Animation: {"scene": ls.Scene()},
+    ls.Actor: {"subject": random_gaussians(0, 1)},
+}
+"""Classes of scenes, with what they need."""
+RELATED = {"inner_angle", "outer_angle", "window", "kernel_degree", "grow_turn", "flatness", "normals", "depth_spread",
+           "normal_smoothness", "projection", "frame_count"}  # fmt: skip
+"""Fields whose values other fields restrict further."""
+ALL = [*CONFIGS, *GIVEN]
+ERRORS = (ls.ConfigError, ls.SceneError)
+
+
+def numeric() -> Iterator[Any]:
+    """Every number that a class declares."""
+    for kind in ALL:
+        for one in settings_of(kind):
+            if one.kind in ("whole", "number"):
+                yield pytest.param(kind, one, id=f"{kind.__name__}.{one.name}")
+
+
+def made(kind: Any, one: Setting, value: object) -> Any:
+    """The field of an object that was made with a value."""
+    return getattr(kind(**{**GIVEN.get(kind, {}), one.name: value}), one.name)
+
+
+def good(one: Setting) -> float:
+    """A number that a setting takes."""
+    if one.numbers:
+        return one.numbers[0]
+    low = one.range.low if math.isfinite(one.range.low) else 1.0
+    high = one.range.high if math.isfinite(one.range.high) else low + 2.0
+    middle = 0.5 * (low + high)
+    if one.kind == "number":
+        return float(np.float32(middle))
+    return int(middle) - int(middle) % one.range.step
+
+
+@pytest.mark.parametrize(("kind", "one"), numeric())
+def test_numbers_of_every_kind_become_plain_ones(kind: Any, one: Setting) -> None:
+    """Scalars of NumPy, arrays without dimensions, and whole numbers for fractions; a bool is no number."""
+    plain_kind = int if one.kind == "whole" else float
+    value = 0 if one.name in RELATED and one.range.low == 0.0 else good(one)
+    if one.name == "outer_angle":
+        value = float(np.float32(1.25))
+    kinds = [np.int64, np.array] if plain_kind is int else [np.float32, np.float64, np.array]
+    for number in (make(value) for make in kinds):
+        taken = made(kind, one, number)
+        assert type(taken) is plain_kind and taken == value
+    for wrong in (True, np.True_, "1", [value], math.nan, np.array([value]), object()):
+        with pytest.raises(ERRORS, match=rf"{one.name} is .*, expected "):
+            made(kind, one, wrong)
+
+
+@pytest.mark.parametrize(("kind", "one"), numeric())
+def test_ranges_end_where_they_are_declared(kind: Any, one: Setting) -> None:
+    """The ends are accepted, unless they are excluded; what is just outside is refused."""
+    limits = one.range
+    whole = one.kind == "whole"
+    for end, out, excluded in ((one.low, -1, limits.above), (one.high, 1, limits.below)):
+        if end is None or one.numbers:
+            continue
+        outside = int(end) + out * limits.step if whole else math.nextafter(end, out * math.inf)
+        for value in (outside, *([end] if excluded else [])):
+            with pytest.raises(ERRORS, match=rf"{one.name} is .*, expected "):
+                made(kind, one, value)
+        inside = (int(end) if whole else end) if not excluded else math.nextafter(end, -out * math.inf)
+        if one.name not in RELATED:
+            assert made(kind, one, inside) == inside
+
+
+@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
+def test_every_setting_has_help(kind: Any) -> None:
+    """The docstring below it says what it is; ranges and units are declared, and not repeated there."""
+    undocumented = {"position", "color", "enabled", "casts_shadow", "name", "wrap_v", "scene", "subject", "gaussians",
+                    "actors", "cameras", "alpha", "alpha_mode", "alpha_cutoff"}  # fmt: skip
+    for one in settings_of(kind):
+        assert one.help or (kind in GIVEN and one.name in undocumented), one.name
+        assert ".." not in one.help.replace("...", "") or kind in GIVEN, one.name
+
+
+@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
+def test_defaults_are_what_they_would_become(kind: Any) -> None:
+    """They are not checked when an object is made: each passes the checks here, and stays what it is."""
+    for one, field in zip(settings_of(kind), fields(kind), strict=True):
+        if field.default is MISSING or one.kind == "other":
+            continue
+        default = field.default
+        again = tuple(list(default)) if isinstance(default, tuple) else default
+        if isinstance(again, float) and one.kind == "number":
+            again = np.float64(again)  # another object, which is checked
+        if isinstance(again, Enum):
+            again = again.value
+        if one.name in ("direction", "edge_u", "edge_v"):
+            continue  # (0, 0, 0): none is given
+        taken = made(kind, one, again)
+        assert taken == default and type(taken) is type(default), one.name
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Settings that this package does not have."""
+
+    whole: Annotated[int, Range(-5, 5)] = 0
+    """A whole number."""
+    share: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.5
+    """A number."""
+    few: Annotated[int, OneOf((1, 2, 4))] | None = None
+    """A few numbers."""
+    span: Annotated[Span, Range(-1.0, 1.0)] = (0.0, 0.0)
+    """Two numbers."""
+
+    __post_init__ = take_fields
+
+
+SCALARS = st.one_of(
+    st.integers(-10, 10),
+    st.floats(),
+    st.booleans(),
+    st.text(max_size=2),
+    st.none(),
+    st.integers(-10, 10).map(np.int8),
+    st.floats(width=32).map(np.float32),
+    st.floats(-2, 2).map(np.array),
+    st.lists(st.floats(-2, 2), max_size=3).map(np.array),
+)
+
+
+@drawn(SCALARS)
+def test_a_value_is_taken_if_and_only_if_it_is_in_the_range(value: Any) -> None:
+    """As stated here once more; else it is one line with name and value."""
+    number = plain(value)
+    is_whole, is_number = type(number) is int, type(number) in (int, float)
+    taken = {
+        "whole": is_whole and -5 <= number <= 5,
+        "share": is_number and 0.0 < number < 1.0,
+        "few": value is None or (is_whole and number in (1, 2, 4)),
+        "span": (is_number and -1.0 <= number <= 1.0)
+        or (isinstance(value, np.ndarray) and value.shape == (2,) and -1.0 <= value[0] <= value[1] <= 1.0),
+    }
+    for name, is_taken in taken.items():
+        if is_taken:
+            assert type(getattr(Numbers(**{name: value}), name)) in (int, float, tuple, type(None))
+        else:
+            with pytest.raises(ls.ConfigError, match=f"^{name} is .*, expected [^\n]*$"):
+                Numbers(**{name: value})
+
+
+@drawn(st.floats(0.0, 1.0, exclude_min=True, exclude_max=True))
+def test_numbers_are_taken_to_the_bit(value: float) -> None:
+    """Whatever carries them."""
+    for carried in (value, np.float64(value), np.array(value)):
+        assert Numbers(share=carried).share == value
+
+
+def test_what_arrays_of_other_packages_hold_is_a_number() -> None:
+    """By DLPack alone, as of packages that NumPy does not know."""
+
+    class Alien:
+        shape = ()
+
+        def __init__(self, value: object) -> None:
+            self._array = np.array(value)
+
+        def __dlpack__(self, **options: Any) -> Any:
+            return self._array.__dlpack__(**options)
+
+        def __dlpack_device__(self) -> tuple[int, int]:
+            return (1, 0)
+
+    assert ls.LightPoint((0, 0, 0), intensity=Alien(2.0)).intensity == 2.0
+    assert ls.RenderConfig(seed=Alien(3)).seed == 3
+
+
+def test_settings_of_groups_have_dotted_names() -> None:
+    """With kind, range, unit and default of each."""
+    named = all_settings(ls.RenderConfig)
+    assert named["trace.hits_per_pass"].expected == "4, 8, 16 or 32"
+    assert named["realtime.filter.frames"].range == Range(1, 1024)
+    assert (named["time_limit"].range.unit, named["time_limit"].is_optional) == ("seconds", True)
+    assert named["pipeline"].expected.startswith("'raster', 'trace'")
+    assert named["capture_gain"].limits == "Takes -16.0 to 16.0, in stops."
+
+
+def test_a_field_may_accept_more_than_it_becomes() -> None:
+    """Its converter is called with the value and the name, and its errors are the field's."""
+
+    def doubled(value: str | float, name: str = "number") -> float:
+        if value == "no":
+            raise ls.SceneError(f"{name} is no")
+        return 2.0 * float(value)
+
+    @frozen
+    class Taken:
+        number: float = given(converter=doubled, default=0.0)
+
+        __post_init__ = take_fields
+
+    assert (Taken("4").number, Taken().number) == (8.0, 0.0)
+    with pytest.raises(ls.SceneError, match="^number is no$"):
+        Taken("no")
+
+
+def test_the_page_of_settings_is_that_of_the_declarations() -> None:
+    """It is written by a tool, and as it would write it now."""
+    from tools.make_settings_page import PAGE, page
+
+    assert PAGE.read_text(encoding="utf-8") == page(), "run tools/make_settings_page.py"
