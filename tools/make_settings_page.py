@@ -28,7 +28,8 @@ HEAD = """# Settings
 
 <!-- Written by tools/make_settings_page.py from the declarations in src/lumisplat/config. -->
 
-Every setting by the name that it has in Python, in the tables of a scene file and behind `--set`. Where `auto` is a value, it is `None` in Python.
+Every setting by the name that it has in Python, in the tables of a scene file and behind `--set`. Where `auto` is a
+value, it is `None` in Python.
 Programs find the same in `lumisplat.config.setting`: `all_settings(RenderConfig)["trace.hits_per_pass"]`.
 """
 

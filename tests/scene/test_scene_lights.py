@@ -120,7 +120,7 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightEnvironment, {"image": NEGATIVE}, "image has 2 negative values"),
         (ls.LightEnvironment, {"image": np.full((2, 4, 3), np.inf)}, "24 non-finite values"),
         (ls.LightEnvironment, {"rotation_wxyz": (0, 0, 0, 0)}, "rotation_wxyz is .* not all 0"),
-        (ls.LightEnvironment, {"visible": "no"}, "visible is no, expected True or False"),
+        (ls.LightEnvironment, {"visible": "no"}, "visible is 'no', expected True or False"),
     ],
 )
 def test_wrong_lights_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:

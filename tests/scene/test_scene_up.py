@@ -41,7 +41,7 @@ def test_up_of_a_capture_is_checked() -> None:
     """A direction that is none is refused by name, and a first view is a camera."""
     with pytest.raises(ls.SceneError, match="up is 'sideways'"):
         replace(capture(1), up="sideways")
-    with pytest.raises(ls.SceneError, match="first_view is a str"):
+    with pytest.raises(ls.SceneError, match="first_view is 'front', expected a Camera"):
         replace(capture(1), first_view="front")
 
 

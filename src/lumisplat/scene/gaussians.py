@@ -27,7 +27,7 @@ from lumisplat.math.arrays import (
 )
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.camera import Camera, camera_pose
-from lumisplat.scene.checks import check_kind, take_scene_fields
+from lumisplat.scene.checks import take_scene_fields
 from lumisplat.scene.light_aims import to_vector
 from lumisplat.scene.up import Vector, up_vector, up_vector_or_none
 
@@ -110,8 +110,6 @@ class Gaussians:
         for name, values in (("sh", self.sh), ("incident", self.incident)):
             if values is not None and values.shape[1] not in SH_DEGREE_FROM_COUNT:
                 raise SceneError(f"{name} has {values.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
-        if self.first_view is not None:
-            check_kind("first_view", self.first_view, Camera, "a Camera")
         refuse_rows("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
             values = getattr(self, name)

@@ -33,6 +33,21 @@ from lumisplat.training.surfaces import surface_kernels
 from lumisplat.training.surfaces.surface_terms import SurfaceLoss
 
 
+class ShownSet:
+    """Scene and plan of the frames of one set: those of the frame before, unless something about them has changed."""
+
+    def __init__(self) -> None:
+        self._known: tuple[Gaussians, int, RenderConfig] | None = None
+        self._shown: tuple[Scene, FramePlan]
+
+    def of(self, gaussians: Gaussians, sh_degree: int, config: RenderConfig) -> tuple[Scene, FramePlan]:
+        """Returns the scene of a set, shown up to a degree of SH, and how it is rendered with settings."""
+        if self._known != (gaussians, sh_degree, config):
+            scene = Scene([SplatInstance(gaussians, sh_degree=sh_degree)])
+            self._known, self._shown = (gaussians, sh_degree, config), (scene, FramePlan.of(config, scene))
+        return self._shown
+
+
 class TrainingRaster:
     """Draws one Gaussian set, whose means and harmonics are those that are learnt.
 
@@ -52,7 +67,7 @@ class TrainingRaster:
             launcher, buffers, binning=binning, meshes=meshes, splats=self._splats, finds_depth=False
         )
         self._backward = SplatBackward(launcher, buffers)
-        self._launcher, self._buffers = launcher, buffers
+        self._launcher, self._buffers, self._shown = launcher, buffers, ShownSet()
         self.by_splat: DeviceArray
         """Derivatives by the splats of the last frame, ``SplatGradient``; written by ``backward``."""
 
@@ -81,9 +96,9 @@ class TrainingRaster:
         if background != self._config.background:
             self._config = replace(self._config, background=background)
             assign_table(self._splats.settings, raster_table(self._config))
-        scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
+        scene, plan = self._shown.of(self._gaussians, sh_degree, self._config)
         self._launcher.stage_ms = {}
-        self._scene.sync(scene, camera, FramePlan.of(self._config, scene))
+        self._scene.sync(scene, camera, plan)
         if self._is_placed:  # in place of copies in each step; no pass of training reads the scene's table of sets
             self.data.means, self.data.sh = self._learnt.means, self._learnt.sh
             self._is_placed = False

@@ -151,7 +151,7 @@ SPOT = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\n
         (POINT + "intensity = -3", "line 4, lights[0]: intensity is -3, expected a number at least 0"),
         (POINT + "intensity = nan", "line 4, lights[0]: intensity is nan"),
         (POINT + 'intensity = "bright"', "line 4, lights[0]: intensity is 'bright', expected a number"),
-        (POINT + "color = [1, 1]", "line 4, lights[0]: color is [1, 1], expected three numbers"),
+        (POINT + "color = [1, 1]", "line 4, lights[0]: color is [1, 1], expected a number or three"),
         (POINT + "color = [1, -1, 0]", "line 4, lights[0]: color is [1, -1, 0], expected three numbers of at least 0"),
         (POINT + "range = 0", "line 4, lights[0]: range is 0, expected a number above 0"),
         (POINT + "enabled = 1", "line 4, lights[0]: enabled is 1, expected true or false"),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, Field
 from typing import Any
 
+from lumisplat.config.setting import Setting, settings_of
 from lumisplat.io.scene_toml.toml_table import (
     COLOR,
     FLAG,
@@ -21,39 +22,35 @@ from lumisplat.io.scene_toml.toml_table import (
     Values,
 )
 
-_KINDS = {
-    "Vector": VECTOR,
-    "Color": COLOR,
-    "float": NUMBER,
-    "int": WHOLE,
-    "bool": FLAG,
-    "str": TEXT,
-    "npt.ArrayLike": QUATERNION,
-    "Texture | None": TEXT,
-    "TextureWrap": TEXT,
-    "AlphaMode": TEXT,
-    "Wraps | None": TABLE,
-    "FloatArray | None": TEXT,
+_KINDS: dict[str, Kind] = {
+    "vector": VECTOR,
+    "color": COLOR,
+    "number": NUMBER,
+    "whole": WHOLE,
+    "flag": FLAG,
+    "text": TEXT,
+    "choice": TEXT,
 }
-"""Kinds of values by the annotation of a field; images are given by file names."""
+_OTHERS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
+"""Kinds of values by that of a field; other fields are images, given by file names."""
 
 DEGREES = "_degrees"
 """End of the keys of angles, whose fields are in radians."""
 
 
-def key_of(field: Field[Any]) -> str:
+def key_of(field: Setting | Field[Any]) -> str:
     """The key of a field."""
     return field.name + (DEGREES if field.name.endswith("angle") else "")
 
 
 def schema(kind: type) -> dict[str, Kind]:
     """The keys of a scene dataclass in a scene file, with their kinds."""
-    return {key_of(field): _KINDS[str(field.type)] for field in fields(kind)}
+    return {key_of(one): _KINDS.get(one.kind, _OTHERS.get(one.name, TEXT)) for one in settings_of(kind)}
 
 
 def required_keys(kind: type) -> list[str]:
     """The keys of a scene dataclass that have no default."""
-    return [key_of(field) for field in fields(kind) if field.default is MISSING]
+    return [key_of(one) for one in settings_of(kind) if one.default is MISSING]
 
 
 def with_radians(table: TomlTable, values: Mapping[str, Any], largest: float = 90.0) -> Values:

@@ -19,7 +19,6 @@ from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.gradients.ray_backward import RayBackward, RaySums
 from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
@@ -27,8 +26,9 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.scene.scene import SplatInstance
 from lumisplat.training import optimizer_kernels
+from lumisplat.training.training_raster import ShownSet
 
 
 class TrainingRays:
@@ -42,6 +42,7 @@ class TrainingRays:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._shown = ShownSet()
         self._scene = DeviceScene(launcher, buffers, config)
         self._rays = CameraRays(launcher, buffers)
         self._tracer = RayTracer(launcher, buffers, config)
@@ -67,9 +68,9 @@ class TrainingRays:
             sh_degree: Of colours.
             background: Display-referred sRGB behind the Gaussians.
         """
-        scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
+        scene, plan = self._shown.of(self._gaussians, sh_degree, self._config)
         self._launcher.stage_ms = {}
-        self._scene.sync(scene, camera, FramePlan.of(self._config, scene))
+        self._scene.sync(scene, camera, plan)
         self.data.means, self.data.sh = self._learnt.means, self._learnt.sh
         self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._learnt, self.data)
         with self._launcher.stage("refit"):

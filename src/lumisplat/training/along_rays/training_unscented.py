@@ -19,15 +19,15 @@ from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
 from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward
 from lumisplat.renderer.raster.binning import binning_of
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays, UnscentedRaster
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.scene.scene import SplatInstance
 from lumisplat.training import optimizer_kernels, weight_kernels
+from lumisplat.training.training_raster import ShownSet
 
 
 class TrainingUnscented:
@@ -41,6 +41,7 @@ class TrainingUnscented:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._shown = ShownSet()
         self._scene = DeviceScene(launcher, buffers, config)
         self._binning = binning_of(launcher, buffers)
         self._rays = CameraRays(launcher, buffers)
@@ -64,9 +65,9 @@ class TrainingUnscented:
             sh_degree: Of colours.
             background: Display-referred sRGB behind the Gaussians.
         """
-        scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
+        scene, plan = self._shown.of(self._gaussians, sh_degree, self._config)
         self._launcher.stage_ms = {}
-        self._scene.sync(scene, camera, FramePlan.of(self._config, scene))
+        self._scene.sync(scene, camera, plan)
         self._raster.begin_frame(camera)
         self.data.means, self.data.sh = self._learnt.means, self._learnt.sh
         self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._learnt, self.data)
