@@ -142,7 +142,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("convert", "@capture.ply", "@out.ply", "--decimate", "few"), "--decimate: few, expected how many"),
         (("convert", "@capture.ply", "@out.ply", "--decimate", "-5%"), "--decimate: -5%, expected how many"),
         (("convert", "@capture.ply", "@out.ply", "--decimate", "0"), "--decimate: 0, expected how many"),
-        (("convert", "@capture.ply", "@out.ply", "--scale", "0"), "scale is 0.0, expected a positive number"),
+        (("convert", "@capture.ply", "@out.ply", "--scale", "0"), "scale is 0.0, expected a number above 0"),
         (("bench", "@missing.ply"), "missing.ply"),
         (("bench", "@capture.ply", "--repeats", "0"), "repeats"),
         (("bench", "--device", "cuda:7"), "cuda:7"),

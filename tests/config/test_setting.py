@@ -75,7 +75,7 @@ def test_numbers_of_every_kind_become_plain_ones(kind: Any, one: Setting) -> Non
     """Scalars of NumPy, arrays without dimensions, and whole numbers for fractions; a bool is no number."""
     plain_kind = int if one.kind == "whole" else float
     value = float(np.float32(one.default)) if one.name.endswith("_angle") else good(one)
-    if one.name in RELATED and plain_kind is int:
+    if one.name in RELATED and one.default is not None and not one.name.endswith("_angle"):
         value = one.default
     kinds = [np.int64, np.array] if plain_kind is int else [np.float32, np.float64, np.array]
     for number in (make(value) for make in kinds):

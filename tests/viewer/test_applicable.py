@@ -154,7 +154,7 @@ def test_each_choice_that_is_offered_is_accepted() -> None:
 def test_whole_numbers_go_by_the_steps_that_are_accepted() -> None:
     """A shadow map has a multiple of 8 texels."""
     fields = {field.name: field for field in shown_settings(ls.DeepShadowConfig)}
-    assert fields["resolution"].step == 8 and fields["resolution"].low == 8
+    assert fields["resolution"].range.step == 8 and fields["resolution"].low == 8
 
 
 def test_no_background_can_be_chosen_and_taken_back() -> None:
