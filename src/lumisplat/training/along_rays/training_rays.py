@@ -19,6 +19,7 @@ from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.gradients.ray_backward import RayBackward, RaySums
 from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
@@ -26,7 +27,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import SplatInstance
+from lumisplat.scene.scene import Scene, SplatInstance
 from lumisplat.training import optimizer_kernels
 from lumisplat.training.training_raster import ShownSet
 

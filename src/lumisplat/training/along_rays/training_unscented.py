@@ -19,13 +19,14 @@ from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
 from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward
 from lumisplat.renderer.raster.binning import binning_of
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays, UnscentedRaster
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import SplatInstance
+from lumisplat.scene.scene import Scene, SplatInstance
 from lumisplat.training import optimizer_kernels, weight_kernels
 from lumisplat.training.training_raster import ShownSet
 
