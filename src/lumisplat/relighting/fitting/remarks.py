@@ -46,7 +46,7 @@ def _held(given: Scene, options: FitOptions, guesser: Guesser, *, has_sky: bool)
     for name, kinds in sought.items():
         if getattr(options, name) and not any(move.kind in kinds for move in task.moves):
             yield f"{name} were asked for, and no light has any: nothing was looked for"
-    if options.exposure == "fit" and not task.exposed[0]:
+    if isinstance(options.exposure, str) and not task.exposed[0]:
         others = "; those of the others follow from it" if len(task.exposed) > 1 else ""
         yield (
             f"the exposure of {guesser.photographs[0].label} stays {np.log2(task.gains[0]):g} stops: nothing in the "

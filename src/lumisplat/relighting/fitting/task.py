@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -109,7 +109,7 @@ class FitTask:
             )
         ]
         paints = paints_of(start, options.base_colors)
-        fits_exposure = options.exposure == "fit"
+        fits_exposure = isinstance(options.exposure, str) and options.exposure == "fit"
         if not (options.intensities or moves or paints or fits_exposure or degree is not None):
             raise ConfigError(
                 "nothing is left to find: intensities are kept, and neither places, sizes, colours, an exposure nor an "
@@ -157,9 +157,9 @@ def _stops(exposure: Exposure, cameras: Sequence[float]) -> Doubles:
     Raises:
         ConfigError: It is neither a number, nor one a photograph, nor "fit".
     """
-    if exposure is None or exposure == "fit":
+    if exposure is None or (isinstance(exposure, str) and exposure == "fit"):
         return np.array(cameras, np.float64)
-    given = [exposure] * len(cameras) if isinstance(exposure, int | float) else list(exposure)
+    given = [exposure] * len(cameras) if is_number(exposure) else list(cast(Sequence[float], exposure))
     if len(given) != len(cameras) or not all(map(is_number, given)):
         raise ConfigError(
             f"exposure is {exposure!r}, expected stops, for all photographs or for each of the {len(cameras)}, or 'fit'"
