@@ -33,7 +33,7 @@ sys.path[:0] = [str(REPOSITORY / "tests"), str(REPOSITORY / "tools")]
 import lumisplat as ls  # noqa: E402
 from bench.presets import DATA  # noqa: E402
 from bench.timing import parser  # noqa: E402
-from lumisplat.baking.seen_together import SeenTogether  # noqa: E402
+from lumisplat.baking.joint_sh_fit import JointShFit  # noqa: E402
 from lumisplat.io.images.png import write_png  # noqa: E402
 from lumisplat.math.sh import sh_basis  # noqa: E402
 from lumisplat.math.tone_map import apply_tone_map  # noqa: E402
@@ -129,13 +129,13 @@ def main() -> None:
 def harmonics(scene: ls.Scene, degree: int, options: argparse.Namespace) -> tuple[Doubles, Doubles]:
     """Baked harmonics, of Gaussians alone and once they are seen together, (N, K, 3) each."""
     alone: list[Doubles] = []
-    changed = SeenTogether.changed
+    changed = JointShFit.changed
 
-    def noted(self: SeenTogether, sh: Doubles, *rest: Any) -> Doubles:
+    def noted(self: JointShFit, sh: Doubles, *rest: Any) -> Doubles:
         alone.append(np.array(sh))
         return changed(self, sh, *rest)
 
-    with patch.object(SeenTogether, "changed", noted):
+    with patch.object(JointShFit, "changed", noted):
         baked = ls.bake(
             scene,
             ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=options.samples, max_bounces=BOUNCES),

@@ -85,7 +85,7 @@ class CellClient:
             self._to_kernel({"method": "update", "state": {"_frame_feedback": seen}})
 
 
-_HOST = "lumisplat.viewer.notebook.host"
+_HOST = "lumisplat.viewer.notebook"
 
 
 class _Comm(BaseComm):

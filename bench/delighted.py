@@ -30,7 +30,7 @@ from lumisplat.constants.delight import SURE
 from lumisplat.io.images.png import write_png
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.relighting.albedo.outgoing import median_outgoing
+from lumisplat.relighting.irradiance import median_outgoing
 
 OUT = Path("/tmp/delighted")
 MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)

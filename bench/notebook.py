@@ -26,8 +26,8 @@ from bench.cell_client import CellClient
 from bench.page_client import PageClient
 from bench.timing import parser, quiet_warp
 from bench.viewer import HEIGHT, ORBIT_S, PAUSE_S, STEPS, WIDTH, Served, scene_of
-from lumisplat.viewer.frames.first_view import ASPECT, FOV_Y, FirstView
-from lumisplat.viewer.notebook.orbit import Orbit
+from lumisplat.viewer.frames.pose import ASPECT, FOV_Y, FirstView
+from lumisplat.viewer.orbit import Orbit
 
 LEVELS_S = 5.0
 """Time to make levels of the capture."""

@@ -25,16 +25,13 @@ from lumisplat.constants.delight import PAIRS, RADIANCE_LEAST
 from lumisplat.io.training_images.loading import load_photographs
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.color import albedo_in_range, decode_srgb
-from lumisplat.relighting.albedo.outgoing import median_outgoing
-from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, albedo_pairs, first_light
-from lumisplat.relighting.delight.captured import is_white, lamps_of
-from lumisplat.relighting.delight.delight import filled
+from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, SkyCells, albedo_pairs, first_light
+from lumisplat.relighting.delight.delight import filled, is_white, lamps_of
 from lumisplat.relighting.delight.incident import IncidentRays
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
-from lumisplat.relighting.delight.sky_cells import SkyCells
-from lumisplat.relighting.evaluation.compare import SeenView, albedo_scale, measured, normal_figures
-from lumisplat.relighting.evaluation.found import LayerRenderer, with_albedo
-from lumisplat.relighting.evaluation.truth import RelightableSet
+from lumisplat.relighting.evaluation import LayerRenderer, SeenView, albedo_scale, measured, normal_figures, with_albedo
+from lumisplat.relighting.irradiance import median_outgoing
+from lumisplat.relighting.relightable_set import RelightableSet
 from lumisplat.scene.ops.normals import estimate_normals
 
 NEAR = 0.2

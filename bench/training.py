@@ -17,7 +17,7 @@ import numpy as np
 import lumisplat as ls
 from bench.presets import synthetic
 from bench.timing import parser, quiet_warp
-from lumisplat.training.learnt import Learnt
+from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
 
@@ -86,7 +86,7 @@ def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
     view = TrainingView("random", camera, lambda: Picture(wanted))
     trainer = Trainer([view], config, points=gaussians.means, device=device)
     checkpoint = trainer.checkpoint
-    learnt = Learnt.new(
+    learnt = TrainedParameters.new(
         {
             "means": gaussians.means,
             "rotations": gaussians.rotations_wxyz,

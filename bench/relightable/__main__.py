@@ -21,9 +21,9 @@ import lumisplat as ls
 from bench.relightable.r3dg import R3dgFit, relit_pictures
 from bench.timing import device_name, parser, quiet_warp
 from lumisplat.math.arrays import FloatArray
-from lumisplat.relighting.evaluation.truth import RelightableSet
+from lumisplat.relighting.relightable_set import RelightableSet
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
-from lumisplat.training.materials.normals import seen_normals
+from lumisplat.training.materials.lit_gaussians import seen_normals
 from lumisplat.training.views import TrainingView
 
 SAMPLES = 64

@@ -9,7 +9,7 @@ from scipy import sparse
 
 import lumisplat as ls
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.training.materials.incident import ray_starts
+from lumisplat.training.materials.lit_gaussians import ray_starts
 
 HEIGHT, WIDTH = 16, 32
 """Of their environment map."""

@@ -18,7 +18,7 @@ from scipy.ndimage import binary_erosion
 
 import lumisplat as ls
 from bench.timing import device_name, parser, quiet_warp
-from lumisplat.relighting.evaluation.truth import RelightableSet
+from lumisplat.relighting.relightable_set import RelightableSet
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 
 FLAT = {"flatness": 0.3, "normals": 0.05, "depth_spread": 0.3}

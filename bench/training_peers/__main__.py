@@ -22,8 +22,8 @@ import numpy as np
 import lumisplat as ls
 from bench.timing import parser, quiet_warp
 from bench.training_peers.task import Task
-from lumisplat.training.held_out import masked_psnr
 from lumisplat.training.initial import Surroundings
+from lumisplat.training.run_folder import masked_psnr
 
 PEERS = {"torch autograd, gsplat's functions": "with_torch", "litesplat": "with_litesplat"}
 ROOT = Path(__file__).resolve().parents[2]

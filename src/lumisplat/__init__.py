@@ -51,13 +51,10 @@ if TYPE_CHECKING:
         TrainConfig,
     )
     from lumisplat.dataset.finish import DatasetSummary, finish_dataset
-    from lumisplat.dataset.render import render_dataset
-    from lumisplat.dataset.settings_file import load_dataset_config
-    from lumisplat.dataset.things import DatasetThing
-    from lumisplat.dataset.view import DatasetView
-    from lumisplat.dataset.views import DatasetViews
-    from lumisplat.demo.scene import demo_cameras, demo_scene
-    from lumisplat.demo.scene_lit import demo_scene_lit
+    from lumisplat.dataset.labels import DatasetThing, DatasetView
+    from lumisplat.dataset.views import DatasetViews, load_dataset_config, render_dataset
+    from lumisplat.demo.scene import demo_cameras, demo_scene, demo_scene_lit
+    from lumisplat.diagnostics import Diagnosis, diagnose
     from lumisplat.errors import (
         ConfigError,
         DeviceError,
@@ -105,17 +102,14 @@ if TYPE_CHECKING:
     from lumisplat.io.training_images.loading import Photograph, Photographs, load_photographs
     from lumisplat.io.training_images.poses import find_poses
     from lumisplat.io.training_images.video_frames import extract_frames
-    from lumisplat.machine.diagnosis import Diagnosis, diagnose
     from lumisplat.metrics.images import flip, ms_ssim, ms_ssim_scales, psnr, ssim
     from lumisplat.metrics.lighting import LitPoints, apf_y, ncm_ab, paa_y
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
+    from lumisplat.relighting.actors import shadowed
     from lumisplat.relighting.avatar_lighter import AvatarLighter
     from lumisplat.relighting.capture_gain import estimate_capture_gain
-    from lumisplat.relighting.captured_shadow import shadowed
-    from lumisplat.relighting.delight.delight import delight, estimate_materials
-    from lumisplat.relighting.delight.material_estimate import MaterialEstimate
-    from lumisplat.relighting.evaluation.evaluate import evaluate_materials
-    from lumisplat.relighting.evaluation.results import MaterialEvaluation, MaterialView, RelitFigures
+    from lumisplat.relighting.delight.delight import MaterialEstimate, delight, estimate_materials
+    from lumisplat.relighting.evaluation import MaterialEvaluation, MaterialView, RelitFigures, evaluate_materials
     from lumisplat.relighting.fitting.fit_lights import fit_lights
     from lumisplat.relighting.fitting.results import FittedView, LightFit
     from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
@@ -168,13 +162,11 @@ if TYPE_CHECKING:
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
     from lumisplat.scene.textures import TextureWrap
     from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
-    from lumisplat.training.held_out import HeldOutScore
     from lumisplat.training.materials.find_materials import FoundMaterials, find_materials
-    from lumisplat.training.run_folder import forget_training
+    from lumisplat.training.run_folder import HeldOutScore, forget_training
     from lumisplat.training.train import TrainResult, train
     from lumisplat.training.trainer import DivergedError
-    from lumisplat.viewer.view import view
-    from lumisplat.viewer.viewer import Viewer
+    from lumisplat.viewer.viewer import Viewer, view
 
 __version__ = "0.1.0"
 
@@ -199,8 +191,8 @@ _MODULE_OF = {
     "DatasetObjects": "config",
     "DatasetPoses": "config",
     "DatasetSummary": "dataset.finish",
-    "DatasetThing": "dataset.things",
-    "DatasetView": "dataset.view",
+    "DatasetThing": "dataset.labels",
+    "DatasetView": "dataset.labels",
     "DatasetViews": "dataset.views",
     "DeepFrame": "frame.deep",
     "DeepShadowConfig": "config",
@@ -208,7 +200,7 @@ _MODULE_OF = {
     "DelightConfig": "config",
     "Densification": "config",
     "DeviceError": "errors",
-    "Diagnosis": "machine.diagnosis",
+    "Diagnosis": "diagnostics",
     "DifferentiableRenderer": "renderer.splat_gradients",
     "DivergedError": "training.trainer",
     "EnvironmentProbe": "relighting.probe",
@@ -220,7 +212,7 @@ _MODULE_OF = {
     "GaussianSequence": "scene.animation.sequence",
     "GaussianSurface": "config",
     "Gaussians": "scene.gaussians",
-    "HeldOutScore": "training.held_out",
+    "HeldOutScore": "training.run_folder",
     "HitDistance": "config",
     "Keyframes": "scene.animation.keyframes",
     "LearningRates": "config",
@@ -236,11 +228,11 @@ _MODULE_OF = {
     "LightSpot": "scene.lights",
     "LitPoints": "metrics.lighting",
     "LumisplatError": "errors",
-    "MaterialEstimate": "relighting.delight.material_estimate",
-    "MaterialEvaluation": "relighting.evaluation.results",
+    "MaterialEstimate": "relighting.delight.delight",
+    "MaterialEvaluation": "relighting.evaluation",
     "MaterialPbr": "scene.materials",
     "MaterialSimple": "scene.materials",
-    "MaterialView": "relighting.evaluation.results",
+    "MaterialView": "relighting.evaluation",
     "MaterialsConfig": "config",
     "Matte": "frame.mattes",
     "Mattes": "frame.mattes",
@@ -269,7 +261,7 @@ _MODULE_OF = {
     "RealtimeQuality": "config",
     "ReceiverSampling": "config",
     "RelightConfig": "config",
-    "RelitFigures": "relighting.evaluation.results",
+    "RelitFigures": "relighting.evaluation",
     "RenderConfig": "config",
     "Renderer": "renderer.renderer",
     "ResponseConfig": "config",
@@ -312,14 +304,14 @@ _MODULE_OF = {
     "delight": "relighting.delight.delight",
     "demo_cameras": "demo.scene",
     "demo_scene": "demo.scene",
-    "demo_scene_lit": "demo.scene_lit",
-    "diagnose": "machine.diagnosis",
+    "demo_scene_lit": "demo.scene",
+    "diagnose": "diagnostics",
     "estimate_capture_gain": "relighting.capture_gain",
     "estimate_lights": "relighting.light_estimation",
     "estimate_materials": "relighting.delight.delight",
     "estimate_normals": "scene.ops.normals",
     "estimate_sun": "relighting.sun_estimation",
-    "evaluate_materials": "relighting.evaluation.evaluate",
+    "evaluate_materials": "relighting.evaluation",
     "extract_frames": "io.training_images.video_frames",
     "find_materials": "training.materials.find_materials",
     "find_poses": "io.training_images.poses",
@@ -341,7 +333,7 @@ _MODULE_OF = {
     "load_camera_path": "io",
     "load_cameras": "io",
     "load_config": "io",
-    "load_dataset_config": "dataset.settings_file",
+    "load_dataset_config": "dataset.views",
     "load_image": "io",
     "load_photographs": "io.training_images.loading",
     "load_radiance": "io",
@@ -362,7 +354,7 @@ _MODULE_OF = {
     "relight": "relighting.probe_transfer",
     "remove_floaters": "scene.editing.select",
     "render": "renderer.one_shot",
-    "render_dataset": "dataset.render",
+    "render_dataset": "dataset.views",
     "render_deep": "renderer.deep",
     "render_mattes": "renderer.mattes",
     "render_samples": "renderer.shared_samples",
@@ -374,7 +366,7 @@ _MODULE_OF = {
     "save_config": "io",
     "scale_light": "scene.ops.colors",
     "select": "scene.editing.select",
-    "shadowed": "relighting.captured_shadow",
+    "shadowed": "relighting.actors",
     "sm_iou": "metrics.shadows",
     "smooth_normals": "scene.ops.normals",
     "sort_morton": "scene.editing.morton",
@@ -389,7 +381,7 @@ _MODULE_OF = {
     "train": "training.train",
     "transform": "scene.editing.transform",
     "transmittance": "renderer.one_shot",
-    "view": "viewer.view",
+    "view": "viewer.viewer",
     "visible_blocks": "io.blocks.views",
     "write_blocks": "io.blocks.storage",
 }

@@ -11,7 +11,7 @@ import pytest
 from bench import baked as bench
 
 import lumisplat as ls
-from lumisplat.baking import seen_together
+from lumisplat.baking import joint_sh_fit
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions
 from support.scenes.path_scenes import ball
@@ -97,11 +97,11 @@ def test_borders_of_what_is_changed_together_cost_little(monkeypatch: pytest.Mon
         return float(np.mean([decibels(one, scene) for one in seeds]))
 
     whole = baked()
-    monkeypatch.setattr(seen_together, "TOGETHER_RAYS", 100 * 64)
+    monkeypatch.setattr(joint_sh_fit, "TOGETHER_RAYS", 100 * 64)
     parts = baked()
-    fit = seen_together.changed_to_fit
+    fit = joint_sh_fit.changed_to_fit
     monkeypatch.setattr(
-        seen_together, "changed_to_fit", lambda blend, some, sh, told: fit(blend, some, sh, np.zeros_like(told))
+        joint_sh_fit, "changed_to_fit", lambda blend, some, sh, told: fit(blend, some, sh, np.zeros_like(told))
     )
     heedless = baked()
     print(f"whole {whole:.2f} dB, in parts {parts:.2f} dB, if later rays undo what others have told {heedless:.2f} dB")

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.baking import seen_together
-from lumisplat.baking.met_gaussians import MetGaussians, clear_spans
-from lumisplat.baking.reflected_colors import reflected_colors
-from lumisplat.baking.seen_together import Pixels, SeenTogether
-from lumisplat.baking.sightlines import Sightlines
+from lumisplat.baking import joint_sh_fit
+from lumisplat.baking.joint_sh_fit import JointShFit, MetGaussians, Pixels, clear_spans, reflected_colors
+from lumisplat.baking.sample_rays import SampleRays
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.scenes.path_scenes import ball, diffuse
@@ -37,13 +35,13 @@ def patched_ball(*, shines: bool) -> ls.SplatInstance:
 def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.MonkeyPatch) -> Pixels:
     """What rays of a bake show."""
     found: list[Pixels] = []
-    pixels = SeenTogether.pixels
+    pixels = JointShFit.pixels
 
-    def noted(self: SeenTogether, ways: Sightlines, count: int) -> Pixels:
+    def noted(self: JointShFit, ways: SampleRays, count: int) -> Pixels:
         found.append(pixels(self, ways, count))
         return found[-1]
 
-    monkeypatch.setattr(SeenTogether, "pixels", noted)
+    monkeypatch.setattr(JointShFit, "pixels", noted)
     ls.bake(scene, config, degree=0, directions=8, device="cpu")
     return found[0]
 
@@ -57,7 +55,7 @@ def test_rays_across_edges_of_colour_show_what_frames_do(shines: bool, monkeypat
     """
     scene = ls.Scene([patched_ball(shines=shines)], lights=[SKY])
     shown = pixels_of(scene, DIRECT, monkeypatch)
-    monkeypatch.setattr(seen_together, "shared_light", lambda halves, found, *_: halves / np.maximum(found, 1e-12))
+    monkeypatch.setattr(joint_sh_fit, "denoised_by_rays", lambda halves, found, *_: halves / np.maximum(found, 1e-12))
     truth = pixels_of(scene, replace(DIRECT, samples=48), monkeypatch)
     green = reflected_colors(scene.splats[0])[:, 1]
     total = np.bincount(truth.ray, truth.weight)

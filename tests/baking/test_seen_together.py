@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.baking.seen_together import Blend, Pixels, changed_to_fit
-from lumisplat.baking.visible_lights import meets_light
+from lumisplat.baking.joint_sh_fit import Blend, Pixels, changed_to_fit, hits_light
 from lumisplat.constants import SH_C0
 from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.launcher import Launcher
@@ -133,9 +132,9 @@ def test_rays_meet_lights_where_frames_of_paths_show_them() -> None:
     ways = (ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(np.float32)
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
     for lamp in LAMPS:
-        found = meets_light([lamp], origins, ways)
+        found = hits_light([lamp], origins, ways)
         shown = ls.trace_rays(ls.Scene(lights=[lamp]), origins, ways, config, device="cpu").radiance.max(axis=1) > 0.0
         assert 0.02 < shown.mean() < 0.6
         assert (found == shown).mean() > 0.999
         for unseen in (replace(lamp, visible=False), replace(lamp, enabled=False)):
-            assert not meets_light([unseen], origins, ways).any()
+            assert not hits_light([unseen], origins, ways).any()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lumisplat.baking.sh_fit import fit_sh
-from lumisplat.baking.steadying import steadied
-from lumisplat.baking.view_weights import on_seen_sides, random_turns, turned_directions, view_weights
+from lumisplat.baking.bake import fit_sh
+from lumisplat.baking.bake_denoising import angularly_denoised
+from lumisplat.baking.sample_rays import on_seen_sides, random_turns, turned_directions, view_weights
 from lumisplat.math.sh import even_directions, sh_basis
 
 N, D = 50, 32
@@ -59,12 +59,12 @@ def test_steady_light_is_even_and_unbiased() -> None:
     front = directions()[..., 2] < 0.0
     weights = np.ones((N, D))
     even, odd = (np.where(front, 2.0, 0.5)[..., None] + 0.2 * rng.normal(size=(N, D, 3)) for _ in range(2))
-    a, b = steadied(even, odd, weights, front)
+    a, b = angularly_denoised(even, odd, weights, front)
     mean = 0.5 * (a + b)
     assert mean[front].std() < 0.6 * (0.5 * (even + odd))[front].std()
     assert abs(mean[front].mean() - 2.0) < 0.01 and abs(mean[~front].mean() - 0.5) < 0.01
     bright = np.where((np.arange(D) % 4 == 0)[None, :, None], 5.0, 0.0) + np.zeros((N, D, 3))
-    a, b = steadied(bright, bright, weights, front)
+    a, b = angularly_denoised(bright, bright, weights, front)
     np.testing.assert_allclose(a, bright, atol=1e-12)
     np.testing.assert_allclose(b, bright, atol=1e-12)
 

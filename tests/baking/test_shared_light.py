@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.baking.shared_light import SeenWeights, shared_light
+from lumisplat.baking.bake_denoising import SeenWeights, denoised_by_rays
 
 GAUSSIANS, RAYS = 30, 6000
 WEIGHTS = np.array([0.5, 0.3, 0.2])
@@ -49,11 +49,11 @@ def test_noise_of_even_light_goes_and_colours_stay():
     seen, colors = neighbours(rng), rng.uniform(0.1, 0.9, (GAUSSIANS, 3))
     truth = 0.7 * seen.blended(colors)
     noise = truth * rng.exponential(1.0, (2, RAYS, 1)) - truth  # as of paths: rare and bright
-    light = shared_light(truth + noise, ALL, base_of(seen, colors), seen, 1.0)
+    light = denoised_by_rays(truth + noise, ALL, base_of(seen, colors), seen, 1.0)
     assert np.abs(light - truth).mean() < 0.1 * np.abs(noise).mean()
     np.testing.assert_allclose(light.mean(axis=(0, 1)), truth.mean(axis=0), rtol=0.03)
     np.testing.assert_allclose(
-        shared_light(np.stack([truth, truth]), ALL, base_of(seen, colors), seen, 1.0)[0], truth, rtol=1e-9
+        denoised_by_rays(np.stack([truth, truth]), ALL, base_of(seen, colors), seen, 1.0)[0], truth, rtol=1e-9
     )
 
 
@@ -65,7 +65,7 @@ def test_dark_colours_keep_all_of_their_light():
         colors = np.broadcast_to(np.array(color), (GAUSSIANS, 3))
         truth = 0.7 * seen.blended(colors)
         halves = truth * rng.exponential(1.0, (2, RAYS, 1))
-        light = shared_light(halves, ALL, base_of(seen, colors), seen, 1.0)
+        light = denoised_by_rays(halves, ALL, base_of(seen, colors), seen, 1.0)
         np.testing.assert_allclose(light.mean(axis=(0, 1)) / halves.mean(axis=(0, 1)), 1.0, rtol=0.01)
         assert np.abs(light - truth).mean() < 0.2 * np.abs(halves - truth).mean()
 
@@ -78,7 +78,7 @@ def test_black_beside_white_stays_black():
     colors = np.where(white, 0.8, 0.0) * np.ones(3)
     base = base_of(seen, colors)
     truth = 0.7 * base
-    light = shared_light(truth * rng.exponential(1.0, (2, RAYS, 1)), ALL, base, seen, 1.0)
+    light = denoised_by_rays(truth * rng.exponential(1.0, (2, RAYS, 1)), ALL, base, seen, 1.0)
     black, bright = base[:, 0] == 0.0, base[:, 0] > 0.75
     assert black.sum() > 100 and (light[:, black] == 0.0).all()
     np.testing.assert_allclose(light[:, bright].mean(), truth[bright].mean(), rtol=0.03)
@@ -90,7 +90,7 @@ def test_edges_of_shadows_stay():
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.5)
     lit = rng.random((RAYS, 1)) < 0.5
     halves = np.where(lit, 0.4, 0.0) + rng.normal(0.0, 0.02, (2, RAYS, 3))
-    np.testing.assert_allclose(shared_light(halves, ALL, base_of(seen, colors), seen, 2.0), halves, atol=1e-12)
+    np.testing.assert_allclose(denoised_by_rays(halves, ALL, base_of(seen, colors), seen, 2.0), halves, atol=1e-12)
 
 
 def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
@@ -104,7 +104,7 @@ def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
     seen = SeenWeights(seen.ray, seen.gaussian, 0.5 * seen.weight, seen.rays, seen.gaussians)
     colors = np.full((GAUSSIANS, 3), 0.6)
     found = rng.binomial(4, 0.5, (2, RAYS, 1)) / 4.0
-    light = shared_light(found * 0.6 * np.array([0.5, 1.0, 2.0]), found, base_of(seen, colors), seen, 2.0)
+    light = denoised_by_rays(found * 0.6 * np.array([0.5, 1.0, 2.0]), found, base_of(seen, colors), seen, 2.0)
     np.testing.assert_allclose(light, np.broadcast_to(0.6 * np.array([0.5, 1.0, 2.0]), light.shape), rtol=1e-9)
 
 
@@ -114,7 +114,7 @@ def test_noise_of_what_is_met_by_chance_goes():
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.6)
     found = (rng.random((2, RAYS, 1)) < 0.4).astype(np.float64)
     halves = found * 0.35 * rng.exponential(1.0, (2, RAYS, 1)) * np.ones(3)
-    light = shared_light(halves, found, base_of(seen, colors), seen, 1.0)
+    light = denoised_by_rays(halves, found, base_of(seen, colors), seen, 1.0)
     met = found.sum(axis=0)
     alone = np.divide(halves.sum(axis=0), met, where=met > 0.0, out=np.full((RAYS, 3), 0.35))
     assert np.sqrt(np.square(light - 0.35).mean()) < 0.2 * np.sqrt(np.square(alone - 0.35).mean())
@@ -123,6 +123,6 @@ def test_noise_of_what_is_met_by_chance_goes():
 def test_what_no_ray_sees_is_no_trouble():
     """Rays without sights are dark, and Gaussians without rays give nothing."""
     seen = SeenWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)
-    light = shared_light(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((2, 3), 0.5), seen, 1.0)
+    light = denoised_by_rays(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((2, 3), 0.5), seen, 1.0)
     np.testing.assert_allclose(light[:, 0], 0.3)
     assert (light[:, 1] == 0.0).all()

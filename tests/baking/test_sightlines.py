@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.baking import seen_together
-from lumisplat.baking.seen_together import Pixels, SeenTogether
-from lumisplat.baking.sightlines import Lines, Sightlines
+from lumisplat.baking import joint_sh_fit
+from lumisplat.baking.joint_sh_fit import JointShFit, Pixels
+from lumisplat.baking.sample_rays import Lines, SampleRays
 from lumisplat.math.sh import even_directions
 from support.scenes.path_scenes import ball, diffuse
 
 
-def ways_of(instance: ls.SplatInstance) -> Sightlines:
+def ways_of(instance: ls.SplatInstance) -> SampleRays:
     """Of Gaussians that are seen from everywhere, up to a distance of 3."""
     total = instance.gaussians.count
     directions = np.broadcast_to(even_directions(8), (total, 8, 3))
-    return Sightlines.of_views(instance, directions, np.ones((total, 8)), np.full((total, 8), 3.0), first=0)
+    return SampleRays.of_views(instance, directions, np.ones((total, 8)), np.full((total, 8), 3.0), first=0)
 
 
 def lines_of(instance: ls.SplatInstance, count: int) -> Lines:
@@ -51,7 +51,7 @@ def test_ways_are_taken_by_their_shares() -> None:
     weights, distances = rng.uniform(0.0, 1.0, (total, 8)), rng.uniform(1.0, 3.0, (total, 8))
     weights[:, 3] = 0.0
     directions = np.broadcast_to(even_directions(8), (total, 8, 3))
-    ways = Sightlines.of_views(instance, directions, weights, distances, first=0)
+    ways = SampleRays.of_views(instance, directions, weights, distances, first=0)
     lines = ways.lines(0, 1000, seed=1)
     # From the eye to the middle of the Gaussian, whichever of its points the ray looks at.
     along = instance.gaussians.means[:, None] - lines.origins
@@ -81,10 +81,10 @@ def test_ways_are_put_where_they_stay() -> None:
     """Some at a time into room for all: nothing is held twice, and it is less than 16 rays along them."""
     part = ways_of(small())
     count = len(part.gaussian)
-    names = Sightlines.__slots__
+    names = SampleRays.__slots__
     size = sum(getattr(part, name).nbytes for name in names)
     tracemalloc.start()
-    ways = Sightlines.room(20 * count, 8)
+    ways = SampleRays.room(20 * count, 8)
     for number in range(20):
         ways.put(number * count, part)
     _, peak = tracemalloc.get_traced_memory()
@@ -104,15 +104,15 @@ def test_gaussians_in_corners_get_as_many_rays_as_others(monkeypatch: pytest.Mon
     scene = ls.Scene([inside], lights=[ls.LightPoint((0.0, 0.0, 0.0))])
     found: list[np.ndarray] = []
     origins: list[np.ndarray] = []
-    seen = SeenTogether._seen
+    seen = JointShFit._seen
 
-    def noted(self: SeenTogether, lines: Lines, wanted: np.ndarray) -> Any:
+    def noted(self: JointShFit, lines: Lines, wanted: np.ndarray) -> Any:
         rays, kept = seen(self, lines, wanted)
         found.append(wanted - kept)
         origins.append(rays.origins)
         return rays, kept
 
-    monkeypatch.setattr(SeenTogether, "_seen", noted)
+    monkeypatch.setattr(JointShFit, "_seen", noted)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
     ls.bake(scene, config, degree=0, directions=8, device="cpu")
     first, last = found[0], found[-1]
@@ -126,20 +126,20 @@ def test_gaussians_in_corners_get_as_many_rays_as_others(monkeypatch: pytest.Mon
 def test_the_more_rays_the_fewer_gaussians_are_changed_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory does not grow with the number of directions; nor does it with that of lines that are listed at once."""
     counts: list[int] = []
-    pixels = SeenTogether.pixels
+    pixels = JointShFit.pixels
 
-    def noted(self: SeenTogether, ways: Sightlines, count: int) -> Pixels:
+    def noted(self: JointShFit, ways: SampleRays, count: int) -> Pixels:
         counts.append(len(ways.gaussian) * count)
         return pixels(self, ways, count)
 
     scene = ls.Scene([small()], lights=[ls.LightDirectional((0.0, -1.0, 0.0))])
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
     whole = ls.bake(scene, config, degree=0, directions=16, device="cpu").splats[0].gaussians.sh
-    monkeypatch.setattr(seen_together, "LINES_AT_ONCE", 300)
+    monkeypatch.setattr(joint_sh_fit, "LINES_AT_ONCE", 300)
     parts = ls.bake(scene, config, degree=0, directions=16, device="cpu").splats[0].gaussians.sh
     np.testing.assert_array_equal(parts, whole)
-    monkeypatch.setattr(SeenTogether, "pixels", noted)
-    monkeypatch.setattr(seen_together, "TOGETHER_RAYS", 333)
+    monkeypatch.setattr(JointShFit, "pixels", noted)
+    monkeypatch.setattr(joint_sh_fit, "TOGETHER_RAYS", 333)
     for directions in (4, 16):
         counts.clear()
         ls.bake(scene, config, degree=0, directions=directions, device="cpu")

@@ -11,7 +11,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.cli.output.images import file_stems, plan_shots
-from lumisplat.frame.views import layer_pictures
+from lumisplat.frame.layers import layer_pictures
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, quad, random_gaussians
 
 

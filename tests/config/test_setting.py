@@ -251,7 +251,7 @@ def test_the_page_of_settings_is_that_of_the_declarations() -> None:
 @pytest.mark.parametrize("stops", [np.float32(0.5), np.array(0.5), [0.5, np.float64(0.5)], np.array([0.5, 0.5])])
 def test_exposures_of_photographs_are_numbers_of_any_kind(stops: Any) -> None:
     """One for all, or one for each."""
-    from lumisplat.relighting.fitting.task import _stops
+    from lumisplat.relighting.fitting.parameters import _stops
 
     assert _stops(stops, [1.0, 2.0]).tolist() == [0.5, 0.5]
     assert _stops("fit", [1.0, 2.0]).tolist() == [1.0, 2.0]

@@ -8,8 +8,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.dataset.draws import Draws, Purpose, split_of
 from lumisplat.dataset.objects import even_quaternion
-from lumisplat.dataset.solids import Solids, winding_number
-from lumisplat.dataset.space import even_directions, level_axes
+from lumisplat.dataset.space import Solids, even_directions, level_axes, winding_number
 from lumisplat.math.transforms import matrices_from_quaternions
 
 

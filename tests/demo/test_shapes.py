@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lumisplat.demo import shapes, shapes_swept
+from lumisplat.demo import shapes
 from lumisplat.errors import SceneError
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.surface_points import welded_indices
@@ -28,10 +28,10 @@ CLOSED: dict[str, tuple[Callable[[], Mesh], int, float | None, float | None]] = 
     "octahedron": (lambda: shapes.superellipsoid(north_south=2.0, east_west=2.0), 2, 4 / 3, None),
     "torus": (lambda: shapes.torus(1.0, 0.3), 0, 2 * np.pi**2 * 0.09, 4 * np.pi**2 * 0.3),
     "rounded box": (lambda: shapes.rounded_box((1.0, 0.8, 1.2), 0.1), 2, BOX_VOLUME, BOX_AREA),
-    "cone": (lambda: shapes_swept.lathe(CONE), 2, np.pi * 0.25 / 3, np.pi * (0.25 + 0.5 * 1.25**0.5)),
-    "column": (lambda: shapes_swept.fluted_lathe([(0, 1), (0.2, 1), (0.3, 0), (0, 0)], 16, 0.1), 2, None, None),
-    "torus knot": (shapes_swept.torus_knot, 0, None, None),
-    "gem": (shapes_swept.gem, 2, None, None),
+    "cone": (lambda: shapes.lathe(CONE), 2, np.pi * 0.25 / 3, np.pi * (0.25 + 0.5 * 1.25**0.5)),
+    "column": (lambda: shapes.fluted_lathe([(0, 1), (0.2, 1), (0.3, 0), (0, 0)], 16, 0.1), 2, None, None),
+    "torus knot": (shapes.torus_knot, 0, None, None),
+    "gem": (shapes.gem, 2, None, None),
 }
 
 
@@ -116,7 +116,7 @@ def shapes_ring(points: np.ndarray) -> np.ndarray:
 
 def test_turned_profile_is_smooth_across_its_seam_and_even_in_v() -> None:
     """First and last column share their normals, and v grows with the length of the profile, not with its rows."""
-    mesh = shapes_swept.lathe([(0.2, 1.0), (0.3, 0.9), (0.3, 0.0)], columns=8)
+    mesh = shapes.lathe([(0.2, 1.0), (0.3, 0.9), (0.3, 0.0)], columns=8)
     assert mesh.normals is not None and mesh.uvs is not None
     normals = mesh.normals.reshape(3, 9, 3)
     np.testing.assert_array_equal(normals[:, 0], normals[:, -1])
@@ -127,7 +127,7 @@ def test_turned_profile_is_smooth_across_its_seam_and_even_in_v() -> None:
 
 def test_spiral_shell_turns_its_outside_out() -> None:
     """The open shell's normals point away from the centre line of its tube."""
-    mesh = shapes_swept.spiral_shell()
+    mesh = shapes.spiral_shell()
     assert mesh.normals is not None
     rows = mesh.positions.reshape(33, -1, 3)
     outwards = rows - rows[:-1].mean(axis=0)
@@ -163,8 +163,8 @@ def test_transformed_scales_volume_and_keeps_normals_on_surface(scales: tuple[fl
 def test_profile_helpers_pass_through_their_ends() -> None:
     """Rounding keeps a profile's ends; a spline passes through its knots; radii never become negative."""
     knots = [(0.0, 1.0), (0.4, 0.9), (0.05, 0.5), (0.3, 0.0)]
-    np.testing.assert_allclose(shapes_swept.rounded_profile(knots, 0.1)[[0, -1]], [knots[0], knots[-1]])
-    spline = shapes_swept.smooth_profile(knots, segments=8)
+    np.testing.assert_allclose(shapes.rounded_profile(knots, 0.1)[[0, -1]], [knots[0], knots[-1]])
+    spline = shapes.smooth_profile(knots, segments=8)
     np.testing.assert_allclose(spline[::8], knots, atol=1e-12)
     assert spline[:, 0].min() >= 0.0
 
@@ -174,6 +174,6 @@ def test_impossible_shapes_are_refused() -> None:
     with pytest.raises(SceneError, match="cannot be rounded by"):
         shapes.rounded_box((1.0, 1.0, 0.1), 0.2)
     with pytest.raises(SceneError, match="profile"):
-        shapes_swept.lathe([(0.1, 1.0), (-0.1, 0.0)])
+        shapes.lathe([(0.1, 1.0), (-0.1, 0.0)])
     with pytest.raises(SceneError, match="uvs on all meshes or on none"):
         shapes.join_meshes([shapes.sphere(), shapes.icosphere()])

@@ -10,7 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.config import PATH_AOVS, REALTIME_AOVS
-from lumisplat.frame.views import layer_pictures
+from lumisplat.frame.layers import layer_pictures
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.files.image_files import read_image
 from support.scenes.lit_frames import ball_frame

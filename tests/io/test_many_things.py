@@ -18,7 +18,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli.output.images import file_stems
-from lumisplat.frame.aovs import light_labels
+from lumisplat.frame.layers import light_labels
 from lumisplat.io.cameras.common import unique_names
 from lumisplat.scene.camera import Camera
 

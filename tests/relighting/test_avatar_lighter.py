@@ -16,10 +16,10 @@ from lumisplat.constants import SH_C0
 from lumisplat.demo.shapes import icosphere
 from lumisplat.math.color import decode_srgb
 from lumisplat.relighting import avatar_lighter
-from lumisplat.relighting.sun_on_actors import sun_beyond
+from lumisplat.relighting.probe_transfer import sun_beyond
 from lumisplat.scene.lights import Light
 from lumisplat.scene.sampling.mesh_sampling import sample_surface
-from lumisplat.shadow_maps import casters
+from lumisplat.shadow_maps import casters_and_receivers
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 from support.scenes.light_room import captured, lamp
 from support.scenes.lit_places import meadow
@@ -31,7 +31,7 @@ LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
 @pytest.fixture(autouse=True)
 def few_discs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Meshes cast as 4,000 Gaussians: the maps here would not show more, and more take seconds a mesh."""
-    monkeypatch.setattr(casters, "sample_surface", partial(sample_surface, count=4000))
+    monkeypatch.setattr(casters_and_receivers, "sample_surface", partial(sample_surface, count=4000))
 
 
 def floor(x: float = 0.0, cells: int = 21) -> ls.Gaussians:

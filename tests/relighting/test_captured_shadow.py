@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb
-from lumisplat.relighting.actor_shadows import ActorShadows
+from lumisplat.relighting.actors import ActorShadows
 from lumisplat.scene.lights import facing_irradiance
 from support.scenes.light_room import captured
 

@@ -12,15 +12,12 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.transforms import rotation_matrix
-from lumisplat.relighting.albedo.irradiance import Irradiance
 from lumisplat.relighting.delight import delight as steps
-from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, first_light
-from lumisplat.relighting.delight.captured import is_white, lamps_of
-from lumisplat.relighting.delight.incident import IncidentRays
-from lumisplat.relighting.delight.material_estimate import MaterialEstimate
+from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, SkyCells, first_light
+from lumisplat.relighting.delight.delight import MaterialEstimate, is_white, lamps_of
+from lumisplat.relighting.delight.incident import IncidentRays, SurfacePoints, agreed_sides
 from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
-from lumisplat.relighting.delight.sky_cells import SkyCells
-from lumisplat.relighting.delight.surfaces import SurfacePoints, agreed_sides
+from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.relighting.surface_measure import measure_surface
 from lumisplat.scene.primitives import box, plane, sphere
 from lumisplat.scene.sampling.blue_noise import cross_pairs

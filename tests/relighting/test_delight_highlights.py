@@ -10,12 +10,20 @@ from lumisplat.constants.delight import BIN_RINGS, BIN_SECTORS, ROUGHNESS_GRID, 
 from lumisplat.constants.materials import SPREAD_SHARE
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
-from lumisplat.relighting.albedo.irradiance import Irradiance
-from lumisplat.relighting.delight.albedo_fit import Light
-from lumisplat.relighting.delight.lobes import Lobes, bin_samples, bins_of, frames_of, kept_by_harmonics
+from lumisplat.relighting.delight.albedo_fit import Light, SkyCells
 from lumisplat.relighting.delight.neighbours import neighbours_of, normal_variances
-from lumisplat.relighting.delight.roughness_fit import Roughness, RoughnessFit, arriving_light, widened
-from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.relighting.delight.roughness_fit import (
+    Lobes,
+    Roughness,
+    RoughnessFit,
+    arriving_light,
+    bin_samples,
+    bins_of,
+    frames_of,
+    kept_by_harmonics,
+    widened,
+)
+from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.scene.sampling.blue_noise import cross_pairs
 from support.oracles import bsdf_oracle
 

@@ -13,12 +13,10 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.math.directions import panorama_directions, panorama_lookup
 from lumisplat.math.sh import sh_basis
 from lumisplat.math.transforms import rotation_matrix
-from lumisplat.relighting.albedo.irradiance import Irradiance
-from lumisplat.relighting.albedo.outgoing import median_outgoing
-from lumisplat.relighting.delight.albedo_fit import Light, first_light, with_usual_albedos
-from lumisplat.relighting.delight.captured import is_white, lamps_of
+from lumisplat.relighting.delight.albedo_fit import Light, SkyCells, first_light, with_typical_albedos
+from lumisplat.relighting.delight.delight import is_white, lamps_of
 from lumisplat.relighting.delight.incident import IncidentRays
-from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.relighting.irradiance import Irradiance, median_outgoing
 
 LAMP, FLOOR = 60, 200
 
@@ -103,7 +101,7 @@ def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
     true = Light(rng.uniform(0.2, 2.0, (9, 3)), np.zeros((0, 3)))
     outgoing = rng.uniform(0.1, 1.0, (400, 3)) * some.total(true.sky, true.lamps)
     for start in (Light(5.0 * true.sky, true.lamps), Light(0.3 * true.sky, true.lamps)):
-        light = with_usual_albedos(start, outgoing, some)
+        light = with_typical_albedos(start, outgoing, some)
         lightest = (outgoing / some.total(light.sky, light.lamps)).max(axis=1)
         assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=1e-3)
         np.testing.assert_allclose(light.sky / true.sky, (light.sky / true.sky)[0, 0])

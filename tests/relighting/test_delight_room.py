@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.relighting.delight.material_estimate import MaterialEstimate
+from lumisplat.relighting.delight.delight import MaterialEstimate
 from support.scenes.captured_box import LAMP, PAINTS, CapturedBox, captured_box
 
 FACTOR = 3.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.relighting.fitting.smooth_light import SmoothLight
+from lumisplat.relighting.fitting.light_layers import SmoothLight
 from support.scenes.fit_rooms import DIRECT, assert_powers, closed, power, taken, three_lamps, unknown, view
 
 VIEW = view(48, 36)

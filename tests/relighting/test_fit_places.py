@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.relighting.fitting.guess import Guesser
-from lumisplat.relighting.fitting.layers import LightLayers
-from lumisplat.relighting.fitting.photographs import read_photographs
+from lumisplat.relighting.fitting.images import read_photographs
+from lumisplat.relighting.fitting.light_layers import LightLayers
+from lumisplat.relighting.fitting.parameters import FitOptions, FitTask
+from lumisplat.relighting.fitting.power_fit import PowerFitter
 from lumisplat.relighting.fitting.search import slopes_of
-from lumisplat.relighting.fitting.task import FitOptions, FitTask
 from support.kinds import expect_kind
 from support.scenes.fit_rooms import (
     DIRECT,
@@ -164,12 +164,14 @@ def test_slopes_are_those_of_finer_differences():
     lamp = replace(three_lamps()[0], intensity=1.0)
     scene, photographs = closed(lamp), read_photographs(view(), taken(closed(lamp), view()))
     task = FitTask.of(scene, FitOptions(positions=True, environment_degree=None), [0.0], shines=lambda: False)
-    guesser = Guesser(task, photographs, LightLayers(DIRECT, "cpu"))
-    guess = guesser.begin(task.scene, task.gains)
-    coarse = slopes_of(guesser, guess).pictures[0]
-    fine_task = replace(task, moves=tuple(replace(move, step=0.25 * move.step) for move in task.moves))
-    guesser.task = fine_task
-    fine = slopes_of(guesser, guess).pictures[0]
+    fitter = PowerFitter(task, photographs, LightLayers(DIRECT, "cpu"))
+    candidate = fitter.begin(task.scene, task.gains)
+    coarse = slopes_of(fitter, candidate).pictures[0]
+    fine_task = replace(
+        task, light_parameters=tuple(replace(move, step=0.25 * move.step) for move in task.light_parameters)
+    )
+    fitter.task = fine_task
+    fine = slopes_of(fitter, candidate).pictures[0]
     assert coarse.shape == (3, 96 * 72, 3)
     scale = np.abs(fine).mean(axis=(1, 2), keepdims=True)
     smooth = (np.abs(coarse) < 20.0 * scale) & (np.abs(fine) < 20.0 * scale)
@@ -180,8 +182,8 @@ def test_slopes_are_those_of_finer_differences():
     frame = ls.render(scene, view(), replace(DIRECT, aovs=("albedo",)), device="cpu")
     place, albedo = (np.asarray(image, np.float64).reshape(-1, 3) for image in (frame.position, frame.albedo))
     r, h = np.linalg.norm(place - lamp.position, axis=1), lamp.position[1]
-    by_hand = guess.powers[0] * albedo / np.pi * (r**-3 - 3.0 * h**2 * r**-5)[:, None]
-    lit = (np.abs(place[:, 1]) < 1e-3) & (guess.lights[0][0].min(axis=1) > 0.0) & smooth[1].all(axis=1)
+    by_hand = candidate.powers[0] * albedo / np.pi * (r**-3 - 3.0 * h**2 * r**-5)[:, None]
+    lit = (np.abs(place[:, 1]) < 1e-3) & (candidate.lights[0][0].min(axis=1) > 0.0) & smooth[1].all(axis=1)
     assert lit.sum() > 200
     off = np.abs(fine[1] - by_hand)[lit] / np.abs(by_hand[lit]).mean()
     assert np.median(off) < 0.02

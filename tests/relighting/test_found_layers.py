@@ -8,7 +8,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.constants import SH_C0
-from lumisplat.relighting.evaluation.found import LayerRenderer, with_albedo
+from lumisplat.relighting.evaluation import LayerRenderer, with_albedo
 
 ALBEDO, ROUGHNESS = (0.6, 0.3, 0.05), 0.35
 CAMERA = ls.Camera.look_at((0.3, 3.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=24, height=24, fov_y=0.3)

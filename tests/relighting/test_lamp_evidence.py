@@ -13,8 +13,7 @@ import lumisplat as ls
 from lumisplat.constants import LAMP_SIGNIFICANCE
 from lumisplat.math.sh import even_directions
 from lumisplat.relighting import sun_estimation
-from lumisplat.relighting.captured_surfaces import CapturedSurfaces, SolidCells
-from lumisplat.relighting.light_traces import Shading
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Shading, SolidCells
 from support.kinds import expect_kind
 from support.scenes.lit_places import Point, meadow, room
 

@@ -15,7 +15,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
-from lumisplat.relighting.local_contrast import surroundings
+from lumisplat.relighting.light_estimation import surroundings
 from lumisplat.scene.lights import facing_irradiance
 from lumisplat.scene.ops.colors import colors_along
 from support.scenes.light_room import SIZE, bright_wall, captured, lamp, room_with, sparkle, walls

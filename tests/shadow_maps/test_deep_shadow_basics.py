@@ -15,7 +15,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.demo.shapes import icosphere
 from lumisplat.scene.sampling.mesh_sampling import sample_surface
-from lumisplat.shadow_maps import casters
+from lumisplat.shadow_maps import casters_and_receivers
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
 
 LIGHT = (0.0, 0.0, -4.0)
@@ -88,7 +88,9 @@ def test_two_casters_multiply() -> None:
 def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
     """The meshes that Gaussians are made of, as they are: of fewer than usual, which is as good and quicker."""
     calls: list[ls.Mesh] = []
-    monkeypatch.setattr(casters, "sample_surface", lambda mesh: calls.append(mesh) or sample_surface(mesh, 4000))
+    monkeypatch.setattr(
+        casters_and_receivers, "sample_surface", lambda mesh: calls.append(mesh) or sample_surface(mesh, 4000)
+    )
     return calls
 
 
@@ -96,7 +98,7 @@ def test_meshes_cast_as_gaussians(sampled: list[ls.Mesh], monkeypatch: pytest.Mo
     """A mesh is opaque in its middle, also one that an instance stretches or mirrors."""
     sphere = icosphere(radius=0.5)
     with monkeypatch.context() as plain:
-        plain.setattr(casters, "sample_surface", sample_surface)
+        plain.setattr(casters_and_receivers, "sample_surface", sample_surface)
         assert behind(sphere)[0] < 0.01
     stretched = np.diag([-8.0, 1.0, 1.0, 1.0])
     seen = behind(ls.MeshInstance(sphere, stretched))
@@ -142,10 +144,10 @@ def test_mesh_that_was_away_casts_the_same_shadow(sampled: list[ls.Mesh]) -> Non
 
 def test_meshes_that_are_new_each_time_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only so many are remembered, those that came last."""
-    assert casters.SURFACES_HELD < 1000
-    monkeypatch.setattr(casters, "SURFACES_HELD", 3)
-    monkeypatch.setattr(casters, "sample_surface", partial(sample_surface, count=10))
-    turned = casters.MeshesAsGaussians()
+    assert casters_and_receivers.SURFACES_HELD < 1000
+    monkeypatch.setattr(casters_and_receivers, "SURFACES_HELD", 3)
+    monkeypatch.setattr(casters_and_receivers, "sample_surface", partial(sample_surface, count=10))
+    turned = casters_and_receivers.MeshesAsGaussians()
     tiny = ls.Mesh([[0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]], [[0, 1, 2]])
     shown = [replace(tiny, indices=tiny.indices.copy()) for _ in range(8)]
     for mesh in shown:

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from lumisplat.cli import main
-from lumisplat.training import held_out, run_folder, train
+from lumisplat.training import run_folder, train
 from lumisplat.training.materials import find_materials
 from lumisplat.training.materials.material_fit import MaterialFit
 from lumisplat.training.trainer import Trainer
@@ -85,7 +85,7 @@ def arm(moment: str, number: int) -> None:
         case "as metrics are written":
             run_folder._write = dying(run_folder._write, number, after=False)
         case "as pictures are written":
-            held_out.write_pair = dying(held_out.write_pair, number, after=True)
+            run_folder.write_pair = dying(run_folder.write_pair, number, after=True)
         case _:
             assert moment == "never", moment
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.training.curve import MARGIN, SIZE, Curve, round_step
+from lumisplat.training.run_folder import MARGIN, SIZE, Curve, round_step
 from support.scenes.training_scenes import folder_of
 
 WIDTH, HEIGHT = SIZE

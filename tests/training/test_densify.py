@@ -9,18 +9,18 @@ import pytest
 
 from lumisplat.config import Densification, TrainConfig
 from lumisplat.training.densify import Record, densified, grown, multiplied, pruned, relocated, reset, shared
-from lumisplat.training.learnt import NAMES, Learnt
+from lumisplat.training.parameters import NAMES, TrainedParameters
 from support.oracles.particle_oracle import response
 
 CONFIG = TrainConfig(densification=Densification.ADAPTIVE, cap=100)
 
 
-def learnt(opacities: list[float], scales: list[float] | None = None) -> Learnt:
+def learnt(opacities: list[float], scales: list[float] | None = None) -> TrainedParameters:
     """Gaussians with moments that are not 0."""
     count, rng = len(opacities), np.random.default_rng(1)
     o = np.array(opacities)
     scales = scales or [0.1] * count
-    found = Learnt.new(
+    found = TrainedParameters.new(
         {
             "means": rng.normal(size=(count, 3)).astype(np.float32),
             "rotations": rng.normal(size=(count, 4)).astype(np.float32),
@@ -98,7 +98,7 @@ def test_those_whose_normals_are_turned_are_cloned_or_split_too() -> None:
     record = Record(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
     settings = {"densification": Densification.ADAPTIVE, "normals": 0.05}
 
-    def after(**more: float) -> Learnt:
+    def after(**more: float) -> TrainedParameters:
         config = TrainConfig(**settings, **{"cap": 100, **more})  # pyright: ignore[reportArgumentType]
         return multiplied(before, record, config, np.random.default_rng(0))
 

@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.device.structs.film import PixelData
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.training.corrections.exposures import ExposedFrame, Exposures
+from lumisplat.training.exposure_and_pose import ExposedFrame, Exposures
 from lumisplat.training.photo_loss import PhotoLoss
 from lumisplat.training.trainer import Trainer
 from support.scenes.training_scenes import BACKGROUND, cameras, known, known_learnt, views

@@ -14,10 +14,9 @@ import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import even_directions
-from lumisplat.relighting.albedo.irradiance import Irradiance
-from lumisplat.training.materials.incident import ray_starts, traced_incident
-from lumisplat.training.materials.neighbours import near_pairs
-from lumisplat.training.materials.sky_fit import fitted_sky, lit_white
+from lumisplat.relighting.irradiance import Irradiance
+from lumisplat.training.materials.lit_gaussians import ray_starts, traced_incident
+from lumisplat.training.materials.material_fit import fitted_sky, lit_white, near_pairs
 from support.oracles.trace_oracle import trace_rays
 from support.scenes.lit_sphere import ball, matte, photographed
 

@@ -9,8 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.sh import even_directions
-from lumisplat.training.materials.incident import IncidentRadiance
-from lumisplat.training.materials.lit_gaussians import Materials
+from lumisplat.training.materials.lit_gaussians import IncidentRadiance, Materials
 from lumisplat.training.materials.material_fit import MaterialFit
 from lumisplat.training.views import TrainingView
 from support.scenes.lit_sphere import ball, matte, photographed

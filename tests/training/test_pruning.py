@@ -13,7 +13,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.transforms import rigid_from_twist
-from lumisplat.training.learnt import Learnt
+from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.trainer import Trainer
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
 
@@ -27,7 +27,7 @@ def test_largest_weights_are_those_of_frames(threads: int) -> None:
     learnt.values["logits"][5] = -4.0
     config = ls.TrainConfig(cap=30, sh_degree=1)
     one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu", threads=threads)
-    one._place(Learnt.new(learnt.values))
+    one._place(TrainedParameters.new(learnt.values))
     found = one.largest_weights()
     renderer, expected = ls.DifferentiableRenderer(ls.RenderConfig(), "cpu"), np.zeros(30)
     for view in given:
@@ -66,7 +66,7 @@ def test_largest_weights_of_rays_are_those_of_frames(
     learnt.values["means"][4] = (0.0, 50.0, 0.0)
     config = ls.TrainConfig(cap=8, sh_degree=1, **settings)
     one = Trainer(given, config, points=known().means[:8], device="cpu", threads=2)
-    one._place(Learnt.new(learnt.values))
+    one._place(TrainedParameters.new(learnt.values))
     found, expected = one.largest_weights(), np.zeros(8)
     renderer = ls.create_renderer(ls.RenderConfig(**frames, lighting=False), "cpu")
     for number in range(8):

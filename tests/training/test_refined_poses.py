@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.transforms import rigid_from_twist, twist_from_rigid
-from lumisplat.training.corrections.poses import Poses, twist_gradient
+from lumisplat.training.exposure_and_pose import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Lesson, TrainingView
 from support.files.photograph_files import change_frame, ring_cameras, write_transforms_photographs

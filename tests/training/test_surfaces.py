@@ -13,7 +13,7 @@ from bench import known_surfaces
 import lumisplat as ls
 from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_SPREAD, SURFACE_VARIANCE_MIN
 from lumisplat.device.structs.gradients import PixelGradient
-from lumisplat.training.learnt import Learnt
+from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Picture, TrainingView
@@ -52,7 +52,7 @@ def started(**settings: Any) -> Trainer:
     one = Trainer(views, config, points=gaussians.means, device="cpu")
     logits = np.log(gaussians.opacities / (1.0 - gaussians.opacities))
     values = {"means": gaussians.means, "rotations": gaussians.rotations_wxyz, "sh": gaussians.sh}
-    one._place(Learnt.new({**values, "log_scales": np.log(gaussians.scales), "logits": logits}))
+    one._place(TrainedParameters.new({**values, "log_scales": np.log(gaussians.scales), "logits": logits}))
     return one
 
 
@@ -171,7 +171,7 @@ def test_the_least_scale_counts_where_a_gaussian_is_drawn() -> None:
     one._place(one._learnt().rows(np.arange(len(scales))))
     means = one._learnt().values
     means["means"][3] = (0.0, 0.0, -9.0)  # behind the camera
-    one._place(Learnt.new(means))
+    one._place(TrainedParameters.new(means))
     _, found = found_by(one)
     assert not found["scales"][3].any() and found["scales"][2].any()
 

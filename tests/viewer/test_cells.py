@@ -21,12 +21,10 @@ from PIL import Image
 from test_viewer import HEIGHT, UP, difference, eventually, lit_scene, page_threads
 
 import lumisplat as ls
-from lumisplat.viewer.frames.picture import Shown
-from lumisplat.viewer.notebook import frame_buffer, host
-from lumisplat.viewer.notebook.frame_buffer import CellScreen
-from lumisplat.viewer.notebook.hand import Hand
-from lumisplat.viewer.notebook.notebook import Notebook
-from lumisplat.viewer.notebook.orbit import ELEVATION_MAX, Orbit
+from lumisplat.viewer import notebook as notebook_cells
+from lumisplat.viewer.frames.page import Shown
+from lumisplat.viewer.notebook import CellScreen, Notebook
+from lumisplat.viewer.orbit import ELEVATION_MAX, Hand, Orbit
 
 WIDGET = "application/vnd.jupyter.widget-view+json"
 CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
@@ -316,7 +314,7 @@ class Buffer:
 
 def test_a_frame_waits_for_the_answer_to_the_last_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """An answer to an older frame is none; closing ends the wait."""
-    monkeypatch.setattr(frame_buffer, "ANSWER_S", 60.0)
+    monkeypatch.setattr(notebook_cells, "ANSWER_S", 60.0)
     buffer: Any = Buffer()
     screen, shown = CellScreen(buffer), Shown(np.zeros((2, 2, 3), np.uint8), 80)
 
@@ -405,14 +403,14 @@ def test_without_a_kernel_there_is_a_picture(viewer: ls.Viewer) -> None:
 
 def test_a_program_that_runs_a_notebook_gets_a_picture(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     """As nbconvert: there is a kernel, but nobody who could type, or turn a camera."""
-    monkeypatch.setattr(host, "_shell", lambda: shell(allow_stdin=False))
+    monkeypatch.setattr(notebook_cells, "_shell", lambda: shell(allow_stdin=False))
     assert set(viewer._repr_mimebundle_()[0]) == {"image/png", "text/plain"}
 
 
 def test_a_terminal_gets_text_alone(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     """No frame is rendered for what cannot be seen."""
     formatter = SimpleNamespace(active_types=["text/plain"])
-    monkeypatch.setattr(host, "_shell", lambda: SimpleNamespace(display_formatter=formatter))
+    monkeypatch.setattr(notebook_cells, "_shell", lambda: SimpleNamespace(display_formatter=formatter))
     monkeypatch.setattr(Notebook, "_picture", None)
     assert viewer._repr_mimebundle_() == ({"text/plain": repr(viewer)}, {})
 
@@ -421,7 +419,7 @@ def test_a_missing_extra_is_named_once(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """In the log and in the text, beside the picture."""
-    monkeypatch.setattr(host, "_shell", lambda: shell(allow_stdin=True))
+    monkeypatch.setattr(notebook_cells, "_shell", lambda: shell(allow_stdin=True))
     monkeypatch.setitem(sys.modules, "jupyter_rfb", None)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         bundles = [viewer._repr_mimebundle_()[0] for _ in range(2)]

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.viewer.frames.levels import Levels
 from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step, first_step
-from lumisplat.viewer.frames.picture import page_depth, split_picture
+from lumisplat.viewer.frames.page import page_depth, split_picture
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.frames.renderers import THREAD, Renderers, frame_config
-from lumisplat.viewer.hands.outlines import box_outline, draw_outlines, light_outline
-from lumisplat.viewer.hands.picking import picked
-from lumisplat.viewer.state.boxes import world_corners
-from lumisplat.viewer.state.extent import Extent
+from lumisplat.viewer.frames.shown_scenes import Levels
+from lumisplat.viewer.gizmos_and_picking.overlays import box_outline, draw_outlines, light_outline
+from lumisplat.viewer.gizmos_and_picking.picking import picked
+from lumisplat.viewer.state.scene_extent import Extent, world_corners
 from lumisplat.viewer.thresholds import DEPTH_STRIDE, LEVEL_GAUSSIANS_MIN
 
 FACING = ls.Camera.look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=90)
@@ -110,7 +109,7 @@ def test_levels_are_made_once_and_stand_where_the_capture_stands() -> None:
 
 def test_levels_of_a_large_scene_have_thinned_ones_in_their_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are there at once, and fill as much; many small captures count as one large one."""
-    monkeypatch.setattr("lumisplat.viewer.frames.levels.GAUSSIANS_AT_ONCE", 4 * LEVEL_GAUSSIANS_MIN)
+    monkeypatch.setattr("lumisplat.viewer.frames.shown_scenes.GAUSSIANS_AT_ONCE", 4 * LEVEL_GAUSSIANS_MIN)
     made, busy = threading.Semaphore(0), threading.Event()
     busy.set()
     levels = Levels(made.release, is_busy=busy.is_set)
@@ -130,7 +129,7 @@ def test_levels_of_a_large_scene_have_thinned_ones_in_their_place(monkeypatch: p
 
 def test_levels_are_made_in_blocks_that_are_whole_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each Gaussian is merged within a box of space, and their progress is told up to the end."""
-    monkeypatch.setattr("lumisplat.viewer.frames.levels.LEVEL_BLOCK", 8192)
+    monkeypatch.setattr("lumisplat.viewer.frames.shown_scenes.LEVEL_BLOCK", 8192)
     made, told = threading.Semaphore(0), list[float]()
     levels = Levels(made.release, told.append)
     capture = many(4 * LEVEL_GAUSSIANS_MIN)

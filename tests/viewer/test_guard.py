@@ -16,10 +16,8 @@ import pytest
 import websockets
 
 import lumisplat as ls
-from lumisplat.viewer.server.guard import Guard, is_loopback
-from lumisplat.viewer.server.messages import Inbox
-from lumisplat.viewer.server.page_server import PageServer, listening_socket
-from lumisplat.viewer.server.wakeups import AnyThreadEvent
+from lumisplat.viewer.server.guard import Guard, Inbox, is_loopback
+from lumisplat.viewer.server.page_server import AnyThreadEvent, PageServer, listening_socket
 from lumisplat.viewer.thresholds import UPLOAD_BYTES_MAX
 
 GUARD = Guard("127.0.0.1", 8080, token="a" * 32)

@@ -13,12 +13,12 @@ from bench.page_client import PageClient
 from test_viewer import HEIGHT, settled
 
 import lumisplat as ls
-from lumisplat.viewer.frames.first_view import ASPECT, FirstView
 from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.pose import ASPECT, FirstView
+from lumisplat.viewer.outliner.adding import with_sky
+from lumisplat.viewer.outliner.level_panel import ground_normal
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.state.sun import sun_angles
-from lumisplat.viewer.things.adding import with_sky
-from lumisplat.viewer.things.level_panel import ground_normal
 from support.files.hdr_files import write_hdr
 
 TILT = math.radians(20.0)

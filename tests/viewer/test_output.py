@@ -14,7 +14,7 @@ from PIL import Image
 from test_viewer import HEIGHT, camera, cloud, eventually, lit_scene, settled
 
 import lumisplat as ls
-from lumisplat.viewer.output.capture_page import capture_page
+from lumisplat.viewer.output import capture_page
 
 CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
 

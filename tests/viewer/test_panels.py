@@ -15,14 +15,27 @@ import pytest
 from test_viewer import camera, cloud
 
 import lumisplat as ls
-from lumisplat.config.setting import Range, Setting, frozen, given
+from lumisplat.config.checks import Range
+from lumisplat.config.setting import Setting, frozen, given
 from lumisplat.io.formats import USD
 from lumisplat.scene.checks import UNIT_COLOR
 from lumisplat.viewer.colors import color_of_temperature, linear_from_picked, picked_from_linear
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.hands.gizmo import Drag, dragged, grip_of
-from lumisplat.viewer.hands.helpers import with_insets
-from lumisplat.viewer.hands.outlines import grid_outline
+from lumisplat.viewer.gizmos_and_picking.gizmo import Drag, dragged, grip_of
+from lumisplat.viewer.gizmos_and_picking.overlays import grid_outline, with_insets
+from lumisplat.viewer.outliner import adding
+from lumisplat.viewer.outliner.adding import AddPanel, free_name, light_tables, with_sky
+from lumisplat.viewer.outliner.inspector import (
+    crop_ends,
+    crop_reach,
+    crop_table,
+    cropped,
+    light_fields,
+    look_of,
+    put_field,
+)
+from lumisplat.viewer.outliner.outliner import on_ground, tree_html
+from lumisplat.viewer.panels.buttons import plain
 from lumisplat.viewer.panels.controls import (
     from_shown,
     hint_of,
@@ -33,18 +46,10 @@ from lumisplat.viewer.panels.controls import (
     unrounded,
 )
 from lumisplat.viewer.panels.files import command_line
-from lumisplat.viewer.panels.markdown import plain
-from lumisplat.viewer.panels.viewpoints import selected_ball
-from lumisplat.viewer.state.boxes import Boxes, pose_of, world_corners
-from lumisplat.viewer.state.extent import Extent
+from lumisplat.viewer.panels.viewing import selected_ball
+from lumisplat.viewer.state.scene_extent import Boxes, Extent, pose_of, world_corners
 from lumisplat.viewer.state.session import Options, Session, State, within_memory
 from lumisplat.viewer.state.sun import direction_of_angles, direction_of_hour, sun_angles
-from lumisplat.viewer.things import adding
-from lumisplat.viewer.things.adding import AddPanel, free_name, light_tables, with_sky
-from lumisplat.viewer.things.crop import crop_ends, crop_reach, crop_table, cropped
-from lumisplat.viewer.things.inspector import light_fields, look_of, put_field
-from lumisplat.viewer.things.things_panel import on_ground
-from lumisplat.viewer.things.tree import tree_html
 from support.files.hdr_files import write_hdr
 from support.scenes.raster_scenes import random_gaussians
 

@@ -10,8 +10,7 @@ import pytest
 from test_viewer import cloud
 
 import lumisplat as ls
-from lumisplat.viewer.frames.levels import Levels
-from lumisplat.viewer.frames.shown_scenes import ShownScenes
+from lumisplat.viewer.frames.shown_scenes import Levels, ShownScenes
 
 UP = (0.0, -1.0, 0.0)
 CONFIG = ls.RenderConfig()

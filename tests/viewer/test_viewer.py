@@ -21,10 +21,9 @@ from bench.page_client import PageClient
 
 import lumisplat as ls
 from lumisplat.cli import main
-from lumisplat.viewer.frames.browser_screen import BrowserScreen
-from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.page import BrowserScreen, Page
 from lumisplat.viewer.panels.files import command_line
-from lumisplat.viewer.server import turns
+from lumisplat.viewer.server import event_queue
 from lumisplat.viewer.state.session import State
 
 HEIGHT = 90
@@ -480,7 +479,7 @@ def test_numbers_that_are_typed_are_taken_when_they_are_whole(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not at each key, which would refuse, or do, what nobody has meant; at once if something else is asked for."""
-    monkeypatch.setattr(turns, "TYPING_S", 10.0)  # keys come slowly on a busy machine
+    monkeypatch.setattr(event_queue, "TYPING_S", 10.0)  # keys come slowly on a busy machine
     lamp, session = lamp_id(viewer), viewer._session
     session.select(lamp)
     seen: list[Any] = []

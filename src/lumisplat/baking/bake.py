@@ -1,4 +1,4 @@
-"""Lit scenes as captures that every viewer shows: ``bake``."""
+"""Bakes lit scenes into captures that every viewer shows: ``bake``."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
+from lumisplat.baking.bake_denoising import angularly_denoised
 from lumisplat.baking.gaussian_views import GaussianViewer, ShownLight
-from lumisplat.baking.seen_together import SeenTogether
-from lumisplat.baking.sh_fit import fit_sh
-from lumisplat.baking.sightlines import Sightlines
-from lumisplat.baking.steadying import steadied
-from lumisplat.baking.view_weights import on_seen_sides, plane_normals, random_turns, turned_directions, view_weights
+from lumisplat.baking.joint_sh_fit import JointShFit
+from lumisplat.baking.sample_rays import (
+    SampleRays,
+    on_seen_sides,
+    plane_normals,
+    random_turns,
+    turned_directions,
+    view_weights,
+)
 from lumisplat.config import Pipeline, RenderConfig, check_whole
 from lumisplat.constants import SAMPLES_MAX, SH_DEGREE_MAX
 from lumisplat.constants.baking import (
@@ -23,11 +29,14 @@ from lumisplat.constants.baking import (
     BAKE_DIRECTIONS_MAX,
     BAKE_SAMPLES,
     PILOT_DIRECTIONS,
+    RIDGE,
+    SIGNAL_MIN,
     VIEWS_AT_ONCE,
 )
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.color import decode_srgb
+from lumisplat.math.sh import sh_basis
 from lumisplat.math.tone_map import lit_picture
 from lumisplat.progress import Progress
 from lumisplat.renderer.checks import check_scene, checked_config
@@ -100,7 +109,7 @@ def bake(
     if not viewer.is_lit:
         raise SceneError("nothing to bake: the scene has no lights or environment, and nothing in it shines")
     together = sum(one.gaussians.count for one in scene.splats if is_relit(one))
-    ways = Sightlines.room(together, directions)
+    ways = SampleRays.room(together, directions)
     baker = _Baker(viewer, settings, progress, scene.gaussian_count, ways)
     splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
     back = LocalFrame(-frame.origin)
@@ -145,7 +154,7 @@ class _Baker:
     progress: Progress | None
     total: int
     """Gaussians of the scene."""
-    ways: Sightlines
+    ways: SampleRays
     """Along which eyes see the Gaussians of relit sets; of as many of them as are baked."""
     ways_put: int = 0
 
@@ -184,7 +193,7 @@ class _Baker:
             return splats
         terms = (self.settings.degree + 1) ** 2
         config = replace(self.settings.config, samples=self.settings.samples)
-        together = SeenTogether(scene, config, self.settings.exposure, self.viewer.launcher)
+        together = JointShFit(scene, config, self.settings.exposure, self.viewer.launcher)
         known = np.zeros((scene.gaussian_count, terms, 3))
         firsts = np.cumsum([0, *(one.gaussians.count for one in splats)])
         rows = [slice(*ends) for ends in itertools.pairwise(firsts)]
@@ -249,7 +258,7 @@ class _Views:
         front = self._front
         captured, kept = shown.captured.reshape(shape), shown.captured_weight.reshape(shape[:2])
         weights = self._weights(shown)
-        even, odd = steadied(even, odd, weights, front)
+        even, odd = angularly_denoised(even, odd, weights, front)
 
         def seen(light: Doubles) -> Doubles:
             return lit_picture(captured, kept, light, settings.exposure, settings.config.tone_map).astype(np.float64)
@@ -261,11 +270,11 @@ class _Views:
         colors = 2.0 * seen(0.5 * (even + odd)) - 0.5 * (halves[0] + halves[1])
         return fit_sh(self.directions, colors, (shares * noise).sum(axis=1), weights, settings.degree)
 
-    def ways(self, shown: ShownLight, instance: SplatInstance) -> Sightlines:
+    def ways(self, shown: ShownLight, instance: SplatInstance) -> SampleRays:
         """Along which eyes see these Gaussians of the instance, by what views show."""
         weights, distances = self._weights(shown), shown.distance.reshape(self.directions.shape[:2])
         some = replace(instance, gaussians=self.gaussians)
-        return Sightlines.of_views(some, self.directions, weights, distances, self.first)
+        return SampleRays.of_views(some, self.directions, weights, distances, self.first)
 
     def shadow(self, shown: ShownLight) -> FloatArray:
         """Factors of the light of captured colours, (N, 3); exactly 1 where nothing has changed."""
@@ -293,3 +302,41 @@ def _extent(scene: Scene) -> float:
     """How far away eyes may be: the diagonal of a box around the bulk of the scene."""
     low, high = scene.bulk_bounds()
     return max(float(np.linalg.norm(high - low)), 1e-6)
+
+
+def fit_sh(directions: Doubles, colors: Doubles, noise: Doubles, weights: Doubles, degree: int) -> FloatArray:
+    """The harmonics whose colours ``SH + 0.5`` are nearest to those that were seen.
+
+    Args:
+        directions: From the eye to the Gaussian, in its own space, unit, shape (N, D, 3).
+        colors: Display-referred, shape (N, D, 3).
+        noise: Variance of these, shape (N,).
+        weights: Of the views, at least 0, shape (N, D).
+        degree: 0 to 3.
+
+    Returns:
+        Coefficients, shape (N, K, 3), K = (degree + 1)^2.
+    """
+    basis = sh_basis(directions, degree)
+    shares = weights / weights.sum(axis=1, keepdims=True)
+    weighted = shares[..., None] * basis
+    matrix = 4.0 * np.pi * np.swapaxes(weighted, 1, 2) @ basis
+    right = 4.0 * np.pi * np.swapaxes(weighted, 1, 2) @ (colors - 0.5)
+    matrix += _penalties(colors, noise, shares, degree)[:, :, None] * np.eye(basis.shape[2])
+    sh = cast("Doubles", np.linalg.solve(matrix, right))
+    return sh.astype(np.float32)
+
+
+def _penalties(colors: Doubles, noise: Doubles, shares: Doubles, degree: int) -> Doubles:
+    """What is added to the diagonal of each system, shape (N, K).
+
+    As much as the noise of a coefficient is of the variance that is to be expected of it (Wiener): what colours vary
+    with the direction but for noise, shared among the degrees as 1 / l^2. And a little, so that all is determined.
+    """
+    mean = (shares[..., None] * colors).sum(axis=1, keepdims=True)
+    spread = (shares * np.square(colors - mean).mean(axis=2)).sum(axis=1)
+    signal = np.maximum(spread - noise, SIGNAL_MIN)
+    ratio = noise * np.square(shares).sum(axis=1) / signal
+    level = np.floor(np.sqrt(np.arange((degree + 1) ** 2) + 0.5))
+    even = sum((2 * one + 1) / one**2 for one in range(1, degree + 1))
+    return ratio[:, None] * (even * level**2) + RIDGE * np.square(level * (level + 1.0))

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.dataset import DatasetConfig
-from lumisplat.dataset.things import DatasetThing, id_images
-from lumisplat.dataset.view import DatasetView
+from lumisplat.config import DatasetConfig
+from lumisplat.dataset.labels import DatasetThing, DatasetView, id_images
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.io.files.atomic import atomic_write

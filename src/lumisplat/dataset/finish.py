@@ -1,24 +1,32 @@
-"""What a data set has beside its views: cameras for all of them, tables of ids and layers, a sheet, shards."""
+"""Writes what a data set has beside its views: cameras, tables of ids and layers, a contact sheet, shards.
+
+Shards are those of WebDataset: tar files whose members belong together by the first part of their names.
+"""
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import tarfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lumisplat.config.checks import check_kind
-from lumisplat.config.dataset import DatasetConfig
-from lumisplat.dataset.files import LAYER_FILES, view_file
-from lumisplat.dataset.shards import remove_shards, write_shards
-from lumisplat.dataset.sheet import write_sheet
+from lumisplat.config import DatasetConfig, check_kind
+from lumisplat.dataset.files import LAYER_FILES, view_file, view_name
 from lumisplat.errors import FormatError
 from lumisplat.io.cameras.json_cameras import OPENGL_FROM_OPENCV
 from lumisplat.io.files.atomic import atomic_write
+from lumisplat.math.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from PIL import Image
+
 
 _AXES = "cameras: x right, y down, z forward (OpenCV); camera_from_world takes column vectors; lengths in scene units"
 
@@ -64,11 +72,11 @@ def finish_dataset(folder: str | os.PathLike[str], config: DatasetConfig) -> Dat
     missing = config.views - len(records)
     shards: list[Path] = []
     if not missing:
-        write_sheet(place / "contact_sheet.png", place, records)
+        _write_sheet(place / "contact_sheet.png", place, records)
         if config.shard_views:
-            shards = write_shards(place, records, config.shard_views)
+            shards = _write_shards(place, records, config.shard_views)
         else:
-            remove_shards(place, ())
+            _remove_shards(place, ())
         _write_json(place / "layers.json", _layers(config, records))
         _write_json(place / "transforms.json", _transforms(records))
     counts = {split: sum(record["split"] == split for record in records) for split in ("train", "val", "test")}
@@ -129,3 +137,139 @@ def _layers(config: DatasetConfig, records: Sequence[Mapping[str, Any]]) -> dict
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
     with atomic_write(path) as temporary:
         Path(temporary).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+SHARD_FOLDER = "shards"
+
+
+def _write_shards(folder: Path, records: Sequence[Mapping[str, Any]], views: int) -> list[Path]:
+    """Writes the views of each part into shards ``train-000000.tar`` and so on, the same bytes each time.
+
+    A view has the members ``view_000012.png``, ``view_000012.depth.npy`` and so on, ``view_000012.json`` last. Shards
+    that are there from before and have no views any more are removed.
+
+    Args:
+        folder: The data set's.
+        records: What is known of the views, in order.
+        views: How many views a shard has, at most.
+
+    Raises:
+        FormatError: A file cannot be read or written.
+    """
+    shards: list[Path] = []
+    for split in ("train", "val", "test"):
+        chosen = [record for record in records if record["split"] == split]
+        for number, first in enumerate(range(0, len(chosen), views)):
+            path = folder / SHARD_FOLDER / f"{split}-{number:06d}.tar"
+            with atomic_write(path) as temporary:
+                _write_shard(temporary, folder, chosen[first : first + views])
+            shards.append(path)
+    _remove_shards(folder, shards)
+    return shards
+
+
+def _remove_shards(folder: Path, kept: Sequence[Path]) -> None:
+    """Removes shards that are of views from before."""
+    for path in (folder / SHARD_FOLDER).glob("*-??????.tar"):
+        if path not in kept:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _write_shard(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
+    """Writes one tar file, without times and owners."""
+    with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
+        for record in records:
+            for member, file in _members(folder, record).items():
+                try:
+                    content = file.read_bytes()
+                except OSError as error:
+                    raise FormatError(file, f"cannot be read: {error.strerror or error}") from None
+                entry = tarfile.TarInfo(member)
+                entry.size, entry.mode = len(content), 0o644
+                tar.addfile(entry, io.BytesIO(content))
+
+
+def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
+    """The files of a view by the names of members: the layer and the extension follow the view's name."""
+    name, files = view_name(record["view"]), record["files"]
+    members: dict[str, Path] = {}
+    for layer, file in files.items():
+        suffix = Path(file).suffix
+        members[f"{name}{suffix}" if layer == "color" else f"{name}.{layer}{suffix}"] = folder / file
+    members[f"{name}.json"] = folder / "views" / f"{name}.json"
+    return members
+
+
+_TILES = 48
+"""Pictures of a sheet, at most."""
+_ACROSS = 8
+"""Pictures in a row, about."""
+_WIDTH = 200
+"""Of a picture, pixels."""
+_FAR, _NEAR = 0.1, 1.0
+"""Grey of the farthest and the nearest surface of a view."""
+_NOT_SHOWN = ("exr",)
+
+
+def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
+    """Writes a sheet: each view with its layers side by side. Depth is grey, near is white; ids have colours.
+
+    Args:
+        path: The PNG.
+        folder: The data set's.
+        records: What is known of the views, in order.
+
+    Raises:
+        FormatError: A file cannot be read or written.
+    """
+    from PIL import Image
+
+    layers = [layer for layer in records[0]["files"] if layer not in _NOT_SHOWN]
+    shown = records[: max(1, _TILES // len(layers))]
+    size = records[0]["camera"]["width"], records[0]["camera"]["height"]
+    width, height = _WIDTH, max(1, round(_WIDTH * size[1] / size[0]))
+    together = max(1, _ACROSS // len(layers))
+    rows = -(-len(shown) // together)
+    sheet = Image.new("RGB", (min(together, len(shown)) * len(layers) * width, rows * height))
+    for number, record in enumerate(shown):
+        left, top = number % together * len(layers) * width, number // together * height
+        for column, layer in enumerate(layers):
+            tile = _tile(folder / record["files"][layer], layer)
+            how = Image.Resampling.NEAREST if layer in ("instance", "category") else Image.Resampling.BOX
+            sheet.paste(tile.resize((width, height), how), (left + column * width, top))
+    with atomic_write(path) as temporary:
+        sheet.save(temporary, format="PNG")
+
+
+def _tile(path: Path, layer: str) -> Image.Image:
+    """A layer as a picture."""
+    from PIL import Image
+
+    try:
+        if layer == "depth":
+            return Image.fromarray(_gray(np.load(path, allow_pickle=False)))
+        with Image.open(path, formats=("PNG",)) as image:
+            if layer in ("instance", "category"):
+                return Image.fromarray(_colors(np.asarray(image)))
+            if image.mode == "RGBA":
+                return Image.alpha_composite(Image.new("RGBA", image.size, (90, 90, 90, 255)), image).convert("RGB")
+            return image.convert("RGB")
+    except (OSError, ValueError) as error:
+        raise FormatError(path, f"cannot be read: {error}") from None
+
+
+def _gray(depth: FloatArray) -> np.ndarray:
+    """Depth as bytes, near is white; black: there is no surface."""
+    surface = depth > 0.0
+    near, far = (depth[surface].min(), depth[surface].max()) if surface.any() else (0.0, 1.0)
+    share = (far - depth) / max(float(far - near), 1e-9)
+    gray = np.where(surface, _FAR + (_NEAR - _FAR) * share, 0.0)
+    return np.repeat((255.0 * np.clip(gray, 0.0, 1.0)).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def _colors(ids: np.ndarray) -> np.ndarray:
+    """A colour for each id, shape (H, W, 3); black: 0."""
+    hashed = ids.astype(np.uint32) * np.uint32(2654435761)
+    colors = np.stack([(hashed >> shift) & 0xFF for shift in (8, 16, 24)], axis=-1) / 255.0
+    return (255.0 * np.where(ids[..., None] > 0, 0.25 + 0.75 * colors, 0.0)).astype(np.uint8)

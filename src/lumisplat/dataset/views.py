@@ -1,4 +1,4 @@
-"""The views of a data set, each made of its number alone."""
+"""Makes the views of a data set, each from its number alone; reads its settings, and renders all of it by one call."""
 
 from __future__ import annotations
 
@@ -8,19 +8,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lumisplat.config.checks import check_kind, check_whole
-from lumisplat.config.dataset import DatasetConfig
+from lumisplat.config import DatasetConfig, RenderConfig, check_kind, check_whole
 from lumisplat.dataset.draws import Draws, Purpose, split_of
-from lumisplat.dataset.files import id_type, write_view
+from lumisplat.dataset.files import id_type, view_file, write_view
+from lumisplat.dataset.finish import DatasetSummary, finish_dataset
+from lumisplat.dataset.labels import Catalogue, DatasetView
 from lumisplat.dataset.lights import Lighter
 from lumisplat.dataset.objects import Asset, Placement, Placer
 from lumisplat.dataset.poses import Poser
 from lumisplat.dataset.space import Space
-from lumisplat.dataset.things import Catalogue
-from lumisplat.dataset.view import DatasetView
-from lumisplat.errors import SceneError
+from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.io import load, load_radiance
+from lumisplat.io.files.source import PathLike
+from lumisplat.io.scene_toml.config_file import read_settings
+from lumisplat.io.scene_toml.toml_table import TomlTable
+from lumisplat.renderer.checks import checked_config
+from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
@@ -191,3 +195,103 @@ def _loaded_assets(files: Sequence[str], loader: Loader | None) -> list[Asset]:
 def _receiving(splats: SplatInstance) -> SplatInstance:
     """A capture that keeps its look, and receives shadows."""
     return splats if splats.material is not None else replace(splats, shadow_catcher=True)
+
+
+def render_dataset(
+    scene: Scene,
+    folder: str | os.PathLike[str],
+    config: DatasetConfig | None = None,
+    *,
+    render: RenderConfig | None = None,
+    cameras: Sequence[Camera] = (),
+    device: str = "auto",
+    progress: Callable[[float], None] | None = None,
+) -> DatasetSummary:
+    """Renders views of a scene from random places, in random light, with objects put into it, as training data.
+
+    Views that are there stay, whatever they are of: ``lumisplat dataset`` checks that, and shares the work among
+    processes; `DatasetViews` has the views one by one.
+
+    Args:
+        scene: The scene.
+        folder: Where files go (docs/guide/dataset.md): ``images``, a folder for each layer, ``views`` with what is
+            known of each, and what `finish_dataset` writes.
+        config: Settings of the data set; None: the defaults.
+        render: Settings of frames; None: the defaults.
+        cameras: Given ones, of ``PosePlaces.CAMERAS``.
+        device: As for ``create_renderer``.
+        progress: Called after each view with the fraction done, 0..1.
+
+    Raises:
+        ConfigError: A setting is wrong, or ``albedo`` is wanted of views without light.
+        DeviceError: There is no such device, or it is out of memory.
+        FormatError: A file cannot be read or written.
+        SceneError: As of `DatasetViews` and `DatasetViews.view`.
+    """
+    frame_config = _frame_config(checked_config(render), config or DatasetConfig())
+    views = DatasetViews(scene, config, cameras=cameras, device=device)
+    renderer = create_renderer(frame_config, device)
+    place = Path(folder)
+    for index in range(views.config.views):
+        if not (place / view_file(index)).is_file():
+            view = views.view(index)
+            views.save(view, renderer.render(view.scene, view.camera), place)
+        if progress:
+            progress((index + 1) / views.config.views)
+    return finish_dataset(place, views.config)
+
+
+def _frame_config(render: RenderConfig, config: DatasetConfig) -> RenderConfig:
+    """Settings of frames that have what the layers need.
+
+    Raises:
+        ConfigError: The pipeline is in real time: its frames follow from each other, and views do not.
+    """
+    if render.pipeline.is_sequence:
+        raise ConfigError(
+            "Pipeline.REALTIME is of frames that follow from each other, and views do not: "
+            "use Pipeline.PATH or Pipeline.HYBRID"
+        )
+    return replace(render, aovs=(*render.aovs, "albedo")) if "albedo" in config.layers else render
+
+
+def load_dataset_config(path: PathLike) -> DatasetConfig:
+    """Loads the settings of a data set from TOML: keys are the names of settings, groups are tables.
+
+    views = 1000
+    layers = ["depth", "instance"]
+
+    [poses]
+    where = "inside"
+
+    [objects]
+    files = ["chair.glb"]                   # relative to the settings file
+
+    Args:
+        path: A TOML file, whose keys are the settings of `DatasetConfig`, with tables ``[poses]``, ``[lights]`` and
+            ``[objects]``; what it does not name has its default. Paths in it begin at its folder.
+
+    Raises:
+        FormatError: The file cannot be read, has an unknown or invalid setting, or names a file that is not there.
+    """
+    document = TomlTable.read(path, "settings of a data set")
+    config = read_settings(document, DatasetConfig)
+    lights, objects = config.lights, config.objects
+    return replace(
+        config,
+        lights=replace(lights, environments=_files(document.table("lights"), "environments", lights.environments)),
+        objects=replace(objects, files=_files(document.table("objects"), "files", objects.files)),
+    )
+
+
+def _files(table: TomlTable, key: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Paths from the folder of the settings file.
+
+    Raises:
+        FormatError: One of them is not there.
+    """
+    paths = [table.path.parent / name for name in names]
+    for name, path in zip(names, paths, strict=True):
+        if not path.exists():
+            raise table.error(f"{key} has {name!r}, no such file", key)
+    return tuple(map(os.fspath, paths))

@@ -13,8 +13,8 @@ import numpy as np
 from lumisplat.config import PathPrimary, RasterStrategy, RenderConfig, TraceStrategy
 from lumisplat.constants import DENOISE_TOUCH_REACH, WEIGHT_ROUNDING
 from lumisplat.errors import ConfigError, MissingExtraError
-from lumisplat.frame.aovs import check_layer
 from lumisplat.frame.frame_data import FrameData
+from lumisplat.frame.layers import check_layer
 from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
 

@@ -14,13 +14,23 @@ import numpy.typing as npt
 
 from lumisplat.config import AOVS, EVERY_FRAME, ToneMap
 from lumisplat.errors import ConfigError, FormatError, SceneError
-from lumisplat.frame.aovs import COUNTS, LAYERS, RADIANCE, Image, exr_channels, layer_names, present_layers
 from lumisplat.frame.denoise import check_denoiser, denoised_light
-from lumisplat.frame.depth_png import depth_range, write_depth_png
+from lumisplat.frame.encoding import MimeBundle, depth_range, encoded, mime_bundle, mime_type, write_depth_png
 from lumisplat.frame.frame_data import FrameData, unpremultiplied
+from lumisplat.frame.layers import (
+    COUNTS,
+    LAYERS,
+    RADIANCE,
+    VIEWS,
+    Image,
+    exr_channels,
+    layer_names,
+    layer_pictures,
+    present_layers,
+    view_limits,
+    view_picture,
+)
 from lumisplat.frame.mattes import Mattes
-from lumisplat.frame.notebook import MimeBundle, encoded, mime_bundle, mime_type
-from lumisplat.frame.views import VIEWS, layer_pictures, view_limits, view_picture
 from lumisplat.io.files.arrays import write_npz
 from lumisplat.io.images.exr import write_exr
 from lumisplat.io.images.png import to_bytes, write_png

@@ -13,14 +13,11 @@ from lumisplat.config import AvatarLightingConfig, check_kind
 from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.errors import SceneError
 from lumisplat.progress import Progress
-from lumisplat.relighting.actor_shadows import ActorShadows, casting_lights
-from lumisplat.relighting.actors import PlacedActor, actor_flags, centroid, placed_actors
+from lumisplat.relighting.actors import ActorShadows, PlacedActor, actor_flags, casting_lights, centroid, placed_actors
 from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
-from lumisplat.relighting.probe import EnvironmentProbe
-from lumisplat.relighting.probe_cache import ProbeCache
-from lumisplat.relighting.probe_transfer import light_scales
+from lumisplat.relighting.probe import EnvironmentProbe, ProbeCache
+from lumisplat.relighting.probe_transfer import SunOnActors, light_scales
 from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
-from lumisplat.relighting.sun_on_actors import SunOnActors
 from lumisplat.renderer.scene.materials import emits_capture_only
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment

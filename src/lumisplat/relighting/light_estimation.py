@@ -6,8 +6,10 @@ docs/adr/0014-light-estimation.md says why.
 
 from __future__ import annotations
 
+import itertools
 import logging
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,22 +17,34 @@ import numpy.typing as npt
 from lumisplat.config import LightEstimationConfig, check_kind
 from lumisplat.constants import (
     LAMP_CANDIDATES,
+    LAMP_DOUBT,
+    LAMP_ELSEWHERE,
+    LAMP_SIGNIFICANCE,
     LIGHT_SEARCH_BROAD,
+    LIGHT_SEARCH_CLIP,
     LIGHT_SEARCH_EMITTER,
+    LIGHT_SEARCH_PRIOR,
     LIGHT_SEARCH_REACH,
     LIGHT_SEARCH_SEPARATION,
     LIGHT_SEARCH_STRAYS,
     LIGHT_SEARCH_VIEWPOINTS,
+    LUMINANCE,
+    SH_C0,
     SURFACE_REACH,
+    TRACE_CASING,
+    TRACE_DIRECTIONS,
+    TRACE_GROUND_MIN,
+    TRACE_NEAREST,
+    TRACE_SURFACES_MIN,
 )
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, three_numbers
-from lumisplat.relighting.captured_surfaces import CapturedSurfaces, captured_surfaces
-from lumisplat.relighting.lamp_evidence import lamps_among
-from lumisplat.relighting.light_evidence import Evidence, gathered_evidence
-from lumisplat.relighting.local_contrast import surroundings
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.sh import even_directions
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Shading, Trace, captured_surfaces, ground_direction
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightPoint
+from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.scene import Scene, SplatInstance
 
 _log = logging.getLogger("lumisplat")
@@ -139,7 +153,7 @@ def estimate_lights(
     splats = splats_of(scene)
     worlds = [instance.world_means for instance in splats]
     sizes = _Sizes.of(settings, worlds, middle)
-    evidence = gathered_evidence(splats, worlds, middle, sizes.viewpoints, sizes.radius)
+    evidence = _gathered_evidence(splats, worlds, middle, sizes.viewpoints, sizes.radius)
     candidates = _candidates(evidence, settings, sizes.emitter)
     if settings.evidence > 0.0:
         surfaces = captured_surfaces(splats, worlds, middle, SURFACE_REACH * sizes.extent)
@@ -177,7 +191,7 @@ def _lamps(
     # Broad ones, too, such as a lamp close to a ceiling that it makes as bright as itself.
     everything = replace(candidates, is_compact=np.ones(candidates.rows.size, np.bool_))
     bright = _choose(evidence, everything, LAMP_CANDIDATES, settings.weakest, sizes.emitter)
-    lamps = lamps_among(
+    lamps = _lamps_among(
         evidence.means[candidates.rows[bright]],
         candidates.is_compact[bright],
         surfaces,
@@ -272,3 +286,267 @@ def _lights(evidence: Evidence, rows: Rows, irradiance: float) -> tuple[LightPoi
             zip(evidence.means[rows].tolist(), colors.tolist(), candela, strict=True), 1
         )
     )
+
+
+_TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]) / np.sqrt(3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """The Gaussians of the search region, of all instances together."""
+
+    instances: Rows
+    """Splat instance of each, shape (N,)."""
+    indices: Rows
+    """Gaussian of that instance, shape (N,)."""
+    means: Doubles
+    """World space, shape (N, 3)."""
+    distances: Doubles
+    """To the character's centre, shape (N,)."""
+    colors: FloatArray
+    """Linear, towards the centre, shape (N, 3)."""
+    scores: FloatArray
+    """Base scores, shape (N,)."""
+
+
+class _Luminance(NamedTuple):
+    """Luminance of each Gaussian over the viewpoints, shape (M,) each."""
+
+    mean: FloatArray
+    maximum: FloatArray
+    steadiness: FloatArray
+    """How little it depends on the viewpoint, 0..1."""
+
+
+def _gathered_evidence(
+    splats: tuple[SplatInstance, ...],
+    worlds: list[Doubles],
+    center: Doubles,
+    viewpoint_distance: float,
+    radius: float,
+) -> Evidence:
+    """Scores of all Gaussians around a character.
+
+    Args:
+        splats: The capture.
+        worlds: Means of each instance in the world.
+        center: Of the character, shape (3,): one of the viewpoints.
+        viewpoint_distance: From the centre to the four others, scene units.
+        radius: Gaussians farther from the centre are ignored, scene units.
+
+    Raises:
+        SceneError: No Gaussian is within the radius.
+    """
+    viewpoints = center + viewpoint_distance * np.concatenate([np.zeros((1, 3)), _TETRAHEDRON])
+    parts: list[tuple[Rows, Rows, Doubles, Doubles, FloatArray]] = []
+    luminances: list[_Luminance] = []
+    trusts: list[FloatArray] = []
+    nearest = np.inf
+    for number, (instance, world) in enumerate(zip(splats, worlds, strict=True)):
+        distances = np.linalg.norm(world - center, axis=1)
+        nearest = min(nearest, float(distances.min()))
+        near = np.flatnonzero(distances <= radius)
+        if near.size == 0:
+            continue
+        gaussians = instance.gaussians.subset(near)
+        colors, luminance = _colors_and_luminance(instance, gaussians, viewpoints)
+        parts.append((np.full(near.size, number), near, world[near], distances[near], colors))
+        luminances.append(luminance)
+        trusts.append(luminance.steadiness * _constant_share(gaussians, instance.sh_degree) * gaussians.opacities)
+    if not parts:
+        place = ", ".join(f"{x:.3g}" for x in center)
+        raise SceneError(
+            f"no Gaussians within {radius:.3g} of ({place}): the nearest is {nearest:.3g} away, give a larger radius"
+        )
+    scores = np.concatenate(trusts) * _brightness(luminances)
+    return Evidence(*(np.concatenate(column) for column in zip(*parts, strict=True)), scores=scores)
+
+
+def _colors_and_luminance(
+    instance: SplatInstance, gaussians: Gaussians, viewpoints: Doubles
+) -> tuple[FloatArray, _Luminance]:
+    """Linear colours towards the first viewpoint, shape (M, 3), and luminance over all."""
+    first = _colors_from(viewpoints[0], instance, gaussians)
+    others = (_colors_from(viewpoint, instance, gaussians) for viewpoint in viewpoints[1:])
+    luminance = [colors @ np.array(LUMINANCE, dtype=np.float32) for colors in itertools.chain([first], others)]
+    mean, maximum = np.mean(luminance, axis=0), np.max(luminance, axis=0)
+    steadiness = mean / np.maximum(mean + np.std(luminance, axis=0), 1e-12)
+    return first, _Luminance(mean, maximum, steadiness)
+
+
+def _colors_from(viewpoint: Doubles, instance: SplatInstance, gaussians: Gaussians) -> FloatArray:
+    """Linear colours as seen from a place in the world, shape (M, 3)."""
+    object_from_world = np.linalg.inv(instance.transform)
+    eye = (object_from_world[:3, :3] @ viewpoint + object_from_world[:3, 3]).astype(np.float32)
+    directions = gaussians.means - eye
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+    return decode_srgb(colors_along(gaussians, directions, instance.sh_degree))
+
+
+def _brightness(luminances: list[_Luminance]) -> FloatArray:
+    """Mean of mean and maximum luminance of the Gaussians of all instances, clipped softly."""
+    mean = np.concatenate([luminance.mean for luminance in luminances])
+    maximum = np.concatenate([luminance.maximum for luminance in luminances])
+    level = float(np.quantile(mean, LIGHT_SEARCH_CLIP))
+    return 0.5 * (_softly_clipped(mean, level) + _softly_clipped(maximum, level))
+
+
+def _constant_share(gaussians: Gaussians, degree: int) -> FloatArray:
+    """Of a colour's mean square over all directions, the part of its mean colour (Parseval), 0..1, shape (M,)."""
+    constant = np.sum(np.maximum(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0) ** 2, axis=1)
+    bands = gaussians.sh[:, 1 : (degree + 1) ** 2]
+    varying = np.einsum("nkc,nkc->n", bands, bands) / (4.0 * np.pi)
+    return constant / np.maximum(constant + varying, 1e-12)
+
+
+def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
+    """Values up to ``level``, beyond it their logarithm, with the same slope there."""
+    if level <= 0.0:
+        return values
+    return np.where(values <= level, values, level * (1.0 + np.log(np.maximum(values, level) / level)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lamps:
+    """Bright things that light their surroundings, in the order in which they were found."""
+
+    rows: Rows
+    """Which of the candidates, shape (k,)."""
+    shares: Doubles
+    """Share of what nothing else explains that each explains, shape (k,)."""
+
+
+def _lamps_among(
+    places: Doubles,
+    is_compact: Flags,
+    surfaces: CapturedSurfaces,
+    *,
+    center: Doubles,
+    emitter: float,
+    separation: float,
+    count: int,
+    evidence: float,
+) -> Lamps:
+    """The candidates whose light is seen on the surfaces around, found one after the other.
+
+    Each step takes the candidate that explains most of what is left. It must explain ``evidence`` of it, significantly,
+    and about as well as the places around it do; twice as much if it is level with the character or below, or if it
+    does not stand out.
+
+    Args:
+        places: Of the candidates, world space, shape (R, 3).
+        is_compact: Whether each stands out from its surroundings, shape (R,).
+        surfaces: Of the capture.
+        center: Of the character, shape (3,).
+        emitter: Largest size of a lamp, scene units.
+        separation: Least distance between two lamps, scene units.
+        count: Lamps wanted.
+        evidence: Least share of what nothing else explains.
+    """
+    directions = even_directions(TRACE_DIRECTIONS)
+    if not len(places) or surfaces.luminance.size < TRACE_SURFACES_MIN:
+        return Lamps(np.zeros(0, np.int64), np.zeros(0))
+    cosines = np.stack([surfaces.cosines(direction) for direction in directions], axis=1)
+    shading = Shading.of(surfaces, directions, cosines)
+    lights = [_lamp_light(surfaces, place, emitter) for place in places]
+    doubt = np.where(_is_low(places, surfaces, center, emitter) | ~is_compact, LAMP_DOUBT, 1.0)
+    left = np.ones(len(places), np.bool_)
+    found: list[tuple[int, float]] = []
+    while len(found) < count and left.any():
+        traces = {row: _trace(shading, *lights[row]) for row in np.flatnonzero(left).tolist()}
+        best = max(traces, key=lambda row: (traces[row].share, -row))
+        if traces[best].share < evidence:
+            break
+        left[best] = False
+        if _is_lamp(traces[best], doubt[best], evidence) and _is_there(shading, places[best], traces[best], emitter):
+            found.append((best, traces[best].share))
+            left &= np.linalg.norm(places - places[best], axis=1) >= separation
+            shading = shading.with_light(lights[best][0])
+    return Lamps(np.array([row for row, _ in found], np.int64), np.array([share for _, share in found]))
+
+
+def _is_lamp(trace: Trace, doubt: float, evidence: float) -> bool:
+    return trace.share >= doubt * evidence and trace.significance >= LAMP_SIGNIFICANCE
+
+
+def _is_there(shading: Shading, place: Doubles, trace: Trace, emitter: float) -> bool:
+    """Whether a lamp at this place explains the light about as well as one a few sizes beside it."""
+    steps = TRACE_NEAREST * emitter * np.concatenate([np.eye(3), -np.eye(3)])
+    beside = [_trace(shading, *_lamp_light(shading.surfaces, place + step, emitter)).share for step in steps]
+    return trace.share >= LAMP_ELSEWHERE * max(beside)
+
+
+def _is_low(places: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
+    """Which places are on the character's level or below, shape (R,); none where the ground is not known."""
+    down = ground_direction(surfaces, center)
+    length = float(np.linalg.norm(down))
+    if length < TRACE_GROUND_MIN:
+        return np.zeros(len(places), np.bool_)
+    return (places - center) @ (down / length) > -emitter
+
+
+def _lamp_light(surfaces: CapturedSurfaces, place: Doubles, emitter: float) -> tuple[Doubles, Flags]:
+    """Irradiance of surfaces by a lamp of 1 at an emitter's distance, and which of them count, shape (M,) each.
+
+    What is near may be the lamp itself, and is bright where a bright patch is taken for a lamp.
+    """
+    away = place - surfaces.positions
+    distances = np.linalg.norm(away, axis=1)
+    unit = away / np.maximum(distances, 1e-12)[:, None]
+    cosines = surfaces.cosines(unit, np.maximum(distances - TRACE_CASING * emitter, 0.0))
+    return cosines * (emitter / np.maximum(distances, emitter)) ** 2, distances > TRACE_NEAREST * emitter
+
+
+def _trace(shading: Shading, irradiance: Doubles, counted: Flags) -> Trace:
+    return shading.traces(irradiance[:, None], counted)[0]
+
+
+_RING = [offset for offset in itertools.product(range(-2, 3), repeat=3) if max(map(abs, offset)) == 2]
+"""Offsets of the cells around the 3 x 3 x 3 that hold a candidate's own emitter."""
+
+_CELL_BITS = 21
+
+
+def surroundings(
+    means: npt.NDArray[np.floating], scores: npt.NDArray[np.floating], rows: npt.NDArray[np.integer], size: float
+) -> npt.NDArray[np.float64]:
+    """Root mean square score around some Gaussians, in the direction where it is highest.
+
+    Space is cut into cubic cells of side ``size``. A Gaussian's own cell and its neighbours hold its emitter, if that
+    is no larger than ``size``; the ring of cells around these is its surroundings, divided into octants. The brightest
+    octant counts: even the corner of a bright wall has more of the wall in one of them. Squares let a wall count as
+    bright despite dark pictures on it.
+
+    Args:
+        means: Shape (N, 3).
+        scores: Shape (N,).
+        rows: The Gaussians whose surroundings are returned, shape (R,).
+        size: Scene units, > 0.
+
+    Returns:
+        Shape (R,), above 0 if any score is.
+    """
+    cells = np.floor((means - means.min(axis=0)) / size).astype(np.int64) + 2
+    keys, inverse = np.unique(_keys(cells), return_inverse=True)
+    counts = np.bincount(inverse, minlength=keys.size).astype(np.float64)
+    squares = np.asarray(scores, dtype=np.float64) ** 2
+    sums = np.bincount(inverse, weights=squares, minlength=keys.size)
+    _, firsts, back = np.unique(inverse[rows], return_index=True, return_inverse=True)
+    centers = cells[rows[firsts]]
+    # Each octant starts with some Gaussians of median score, so that a single neighbour does not decide it.
+    octant_counts = np.full((8, len(centers)), LIGHT_SEARCH_PRIOR)
+    octant_sums = octant_counts * np.median(squares)
+    for offset in _RING:
+        neighbours = _keys(centers + np.array(offset))
+        slots = np.minimum(np.searchsorted(keys, neighbours), keys.size - 1)
+        occupied = keys[slots] == neighbours
+        for octant, signs in enumerate(itertools.product((-1, 1), repeat=3)):
+            if all(step * sign >= 0 for step, sign in zip(offset, signs, strict=True)):
+                octant_counts[octant] += np.where(occupied, counts[slots], 0.0)
+                octant_sums[octant] += np.where(occupied, sums[slots], 0.0)
+    return np.sqrt((octant_sums / octant_counts).max(axis=0))[back]
+
+
+def _keys(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    x, y, z = cells.T
+    return (x << 2 * _CELL_BITS) | (y << _CELL_BITS) | z

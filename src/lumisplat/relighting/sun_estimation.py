@@ -27,9 +27,8 @@ from lumisplat.constants import (
 from lumisplat.math.arrays import Doubles, Flags, three_numbers
 from lumisplat.math.sh import even_directions
 from lumisplat.progress import Progress
-from lumisplat.relighting.captured_surfaces import CapturedSurfaces, captured_surfaces
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Shading, Trace, captured_surfaces, ground_direction
 from lumisplat.relighting.light_estimation import capture_extent, splats_of
-from lumisplat.relighting.light_traces import Shading, Trace, ground_direction
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.scene import Scene, SplatInstance

@@ -24,18 +24,28 @@ from lumisplat.scene.local_frame import LocalFrame, rendered_frame
 from lumisplat.scene.ops.world_space import PlacedGaussians, distance_from_body
 from lumisplat.scene.scene import Scene
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
-from lumisplat.shadow_maps.atlas import Source, atlas_of, shadow_bound, source_of
-from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians
-from lumisplat.shadow_maps.culling import BANDS_PER_THREAD, OneList, TileLists
-from lumisplat.shadow_maps.map_files import StoredMap, read_map, write_map
-from lumisplat.shadow_maps.receivers import (
+from lumisplat.shadow_maps.atlas import (
+    Region,
+    Source,
+    all_tiles,
+    atlas_of,
+    region_of_casters,
+    region_of_receivers,
+    shadow_bound,
+    source_of,
+    whole_region,
+)
+from lumisplat.shadow_maps.casters_and_receivers import (
+    Content,
+    MeshesAsGaussians,
     Receiving,
     footprint_sampling,
     placed_points,
     placed_receivers,
     upload_receivers,
 )
-from lumisplat.shadow_maps.region import Region, all_tiles, region_of_casters, region_of_receivers, whole_region
+from lumisplat.shadow_maps.culling import BANDS_PER_THREAD, OneList, TileLists
+from lumisplat.shadow_maps.map_files import StoredMap, read_map, write_map
 
 _log = logging.getLogger("lumisplat")
 

@@ -20,8 +20,7 @@ from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.lights import LightDirectional
-from lumisplat.shadow_maps.atlas import Source
-from lumisplat.shadow_maps.region import Region, texel_count
+from lumisplat.shadow_maps.atlas import Region, Source, texel_count
 
 _VERSION = 1
 _ENUMS: dict[str, type[Enum]] = {"layout": AtlasLayout, "absorption": Absorption, "sampling": ReceiverSampling}

@@ -16,8 +16,8 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.training.curve import Curve
-from lumisplat.training.learnt import NAMES, Learnt
+from lumisplat.training.parameters import NAMES, TrainedParameters
+from lumisplat.training.run_folder import Curve
 
 _log = logging.getLogger("lumisplat")
 
@@ -38,7 +38,7 @@ class Checkpoint:
 
     iteration: int
     """Steps that were made."""
-    learnt: Learnt
+    learnt: TrainedParameters
     record: dict[str, FloatArray]
     """What was noted of each Gaussian since their number changed last."""
     of_photographs: dict[str, Doubles] = field(default_factory=dict[str, Doubles])
@@ -97,7 +97,7 @@ def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[
             for name, array in arrays.items()
             if name.startswith(_OF_PHOTOGRAPHS)
         }
-        state = Checkpoint(int(told["iteration"]), Learnt(*parts), record, of_photographs)
+        state = Checkpoint(int(told["iteration"]), TrainedParameters(*parts), record, of_photographs)
         if state.iteration < 0 or count == 0:
             raise ValueError("no state of a training")
         return state, Curve.of(told["curve"])

@@ -25,7 +25,7 @@ from lumisplat.constants.training import (
     TOO_LARGE_AFTER,
 )
 from lumisplat.math.transforms import matrices_from_quaternions
-from lumisplat.training.learnt import Learnt
+from lumisplat.training.parameters import TrainedParameters
 
 Doubles = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -54,7 +54,9 @@ class Record:
         return np.maximum(by_pull, self.turn / config.grow_turn) if config.grow_turn > 0.0 else by_pull
 
 
-def densified(learnt: Learnt, record: Record, config: TrainConfig, rng: np.random.Generator) -> Learnt:
+def densified(
+    learnt: TrainedParameters, record: Record, config: TrainConfig, rng: np.random.Generator
+) -> TrainedParameters:
     """What there is after a change.
 
     Args:
@@ -75,7 +77,7 @@ def densified(learnt: Learnt, record: Record, config: TrainConfig, rng: np.rando
 # --- Markov chain Monte Carlo (Kheradmand et al. 2024) ---
 
 
-def relocated(learnt: Learnt, config: TrainConfig, rng: np.random.Generator) -> Learnt:
+def relocated(learnt: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
     """Dead Gaussians take the places of others, which share what they show with them."""
     opacities = learnt.opacities
     dead, alive = np.flatnonzero(opacities <= DEAD_OPACITY), np.flatnonzero(opacities > DEAD_OPACITY)
@@ -89,7 +91,7 @@ def relocated(learnt: Learnt, config: TrainConfig, rng: np.random.Generator) -> 
     return learnt
 
 
-def grown(learnt: Learnt, config: TrainConfig, rng: np.random.Generator) -> Learnt:
+def grown(learnt: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
     """A few per cent more of them, at the places of others, up to a number."""
     more = min(config.cap, max(learnt.count + 1, int(GROWTH * learnt.count))) - learnt.count
     if more <= 0:
@@ -101,7 +103,7 @@ def grown(learnt: Learnt, config: TrainConfig, rng: np.random.Generator) -> Lear
     return learnt.joined(learnt.fresh(sources))
 
 
-def share(learnt: Learnt, sources: Indices, degree: int) -> None:
+def share(learnt: TrainedParameters, sources: Indices, degree: int) -> None:
     """Makes Gaussians such that each, with as many copies of itself as it is listed, shows what it showed alone."""
     unique, counts = np.unique(sources, return_counts=True)
     opacity, factor = shared(learnt.opacities[unique], counts + 1, degree)
@@ -134,7 +136,9 @@ def narrowing(degree: int, power: int) -> float:
 # --- Adaptive density control (Kerbl et al. 2023, section 5; Ye et al. 2024; normals: Gao et al. 2024) ---
 
 
-def multiplied(learnt: Learnt, record: Record, config: TrainConfig, rng: np.random.Generator) -> Learnt:
+def multiplied(
+    learnt: TrainedParameters, record: Record, config: TrainConfig, rng: np.random.Generator
+) -> TrainedParameters:
     """Small Gaussians at which the loss pulls, or whose normals it turns, are cloned, large ones are split in two."""
     wanted = record.wanted(config)
     strongest = np.argsort(-wanted, kind="stable")[: max(config.cap - learnt.count, 0)]
@@ -153,12 +157,12 @@ def multiplied(learnt: Learnt, record: Record, config: TrainConfig, rng: np.rand
     return learnt.rows(kept).joined(learnt.fresh(cloned)).joined(halves)
 
 
-def pruned(learnt: Learnt, extent: float) -> Learnt:
+def pruned(learnt: TrainedParameters, extent: float) -> TrainedParameters:
     """Without those that are transparent, or too large for the scene."""
     return learnt.rows((learnt.opacities >= DEAD_OPACITY) & (learnt.scales.max(axis=1) <= TOO_LARGE * extent))
 
 
-def reset(learnt: Learnt) -> None:
+def reset(learnt: TrainedParameters) -> None:
     """Makes all almost transparent: what the photographs need comes back, and the rest is pruned."""
     logits = learnt.values["logits"]
     np.minimum(logits, np.float32(math.log(RESET_OPACITY / (1.0 - RESET_OPACITY))), out=logits)

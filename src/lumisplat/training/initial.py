@@ -26,7 +26,7 @@ from lumisplat.io.training_images.pixels import is_bent
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.local_frame import camera_extent
-from lumisplat.training.learnt import Learnt
+from lumisplat.training.parameters import TrainedParameters
 
 _log = logging.getLogger("lumisplat")
 
@@ -132,7 +132,7 @@ def _seen(camera: Camera, pixels: Doubles) -> Doubles:
 
 def first_gaussians(
     points: npt.NDArray[np.floating], colors: FloatArray | None, config: TrainConfig, rng: np.random.Generator
-) -> Learnt:
+) -> TrainedParameters:
     """A Gaussian at each point, as wide as its neighbours are far.
 
     Args:
@@ -146,7 +146,7 @@ def first_gaussians(
     opacity = INITIAL_OPACITY[kind]
     sh = np.zeros((count, (config.sh_degree + 1) ** 2, 3))
     sh[:, 0] = ((rng.uniform(size=(count, 3)) if colors is None else colors) - 0.5) / SH_C0
-    return Learnt.new(
+    return TrainedParameters.new(
         {
             "means": points.astype(np.float32),
             "rotations": rng.normal(size=(count, 4)).astype(np.float32),

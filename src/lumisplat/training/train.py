@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.config import TrainConfig
-from lumisplat.config.checks import check_kind, check_positive, check_whole
+from lumisplat.config import TrainConfig, check_kind, check_whole
+from lumisplat.config.checks import check_positive
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.constants.training import TRAINING_EXTENT
 from lumisplat.errors import ConfigError, FormatError
@@ -27,10 +27,8 @@ from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.local_frame import LocalFrame
 from lumisplat.scene.ops.views import first_view_of, up_of_cameras
 from lumisplat.training.checkpoint import check_images, read_checkpoint, write_checkpoint
-from lumisplat.training.curve import Curve
-from lumisplat.training.held_out import HeldOut, HeldOutScore
 from lumisplat.training.initial import enough_points, say_if_few
-from lumisplat.training.run_folder import RunFolder
+from lumisplat.training.run_folder import Curve, HeldOut, HeldOutScore, RunFolder
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
 

@@ -39,19 +39,22 @@ from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.training import loss_kernels, optimizer_kernels, weight_kernels
-from lumisplat.training.along_rays.training_rays import TrainingRays
-from lumisplat.training.along_rays.training_unscented import TrainingUnscented
+from lumisplat.training import (
+    exposure_kernels,
+    loss_kernels,
+    optimizer_kernels,
+    smoothness_kernels,
+    surface_kernels,
+    weight_kernels,
+)
 from lumisplat.training.checkpoint import RECORD, Checkpoint
-from lumisplat.training.corrections import exposure_kernels
-from lumisplat.training.corrections.exposures import ExposedFrame, Exposures
-from lumisplat.training.corrections.poses import Poses
 from lumisplat.training.densify import Record, densified
+from lumisplat.training.exposure_and_pose import ExposedFrame, Exposures, Poses
+from lumisplat.training.geometry_regularizers import SurfaceLoss
 from lumisplat.training.initial import Surroundings, first_gaussians, random_points
-from lumisplat.training.learnt import Learnt, LearntOnDevice
+from lumisplat.training.parameters import DeviceParameters, TrainedParameters
 from lumisplat.training.photo_loss import Loss, PhotoLoss
-from lumisplat.training.surfaces import smoothness_kernels, surface_kernels
-from lumisplat.training.surfaces.surface_terms import SurfaceLoss
+from lumisplat.training.ray_backends import TrainingRays, TrainingUnscented
 from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Lesson, TrainingView
 
@@ -102,7 +105,7 @@ class Trainer:
         of_alpha = {"alpha": config.alpha, "entropy": config.mask_entropy}
         self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, **of_alpha)
         self._surfaces = self._surface_loss()
-        self._device_splats = LearntOnDevice(self._buffers)
+        self._device_splats = DeviceParameters(self._buffers)
         self.exposures = Exposures.neutral(len(views)) if config.exposures else None
         """Those of the photographs, in their order; None: they are not learnt."""
         self.poses = Poses.of([view.camera for view in views], self.around.distance) if config.refine_poses else None
@@ -312,7 +315,7 @@ class Trainer:
             )
         self._place(learnt)
 
-    def _learnt(self) -> Learnt:
+    def _learnt(self) -> TrainedParameters:
         """What the device has.
 
         Raises:
@@ -328,7 +331,7 @@ class Trainer:
                 )
         return learnt
 
-    def _place(self, learnt: Learnt) -> None:
+    def _place(self, learnt: TrainedParameters) -> None:
         """Goes on with parameters from the host."""
         self._device_splats.upload(learnt)
         self._count = learnt.count

@@ -24,13 +24,13 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.splat_gradients import pose_gradient
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
-from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.runtime.kernel_cache import KernelModule
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
-from lumisplat.training import optimizer_kernels, weight_kernels
-from lumisplat.training.surfaces import surface_kernels
-from lumisplat.training.surfaces.surface_terms import SurfaceLoss
+from lumisplat.training import optimizer_kernels, surface_kernels, weight_kernels
+from lumisplat.training.geometry_regularizers import SurfaceLoss
 
 
 class ShownSet:

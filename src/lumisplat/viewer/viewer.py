@@ -1,48 +1,46 @@
-"""The viewer: a page on a scene, and the threads behind it."""
+"""The viewer: a page on a scene, the threads behind it, and ``lumisplat.view`` that opens one."""
 
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import traceback
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.viewer.frames.browser_screen import BrowserScreen
-from lumisplat.viewer.frames.first_view import ASPECT, FirstView
 from lumisplat.viewer.frames.loop import RenderLoop
-from lumisplat.viewer.frames.page import Page
-from lumisplat.viewer.frames.picture import Picture
-from lumisplat.viewer.frames.pose import Pose, look_through
-from lumisplat.viewer.hands.gizmo import Gizmo
-from lumisplat.viewer.hands.helpers import decorated
-from lumisplat.viewer.hands.picking import select
-from lumisplat.viewer.notebook.notebook import Bundle, Notebook
-from lumisplat.viewer.output.stills import Studio
+from lumisplat.viewer.frames.page import BrowserScreen, Page, Picture
+from lumisplat.viewer.frames.pose import ASPECT, FirstView, Pose, look_through
+from lumisplat.viewer.gizmos_and_picking.gizmo import Gizmo
+from lumisplat.viewer.gizmos_and_picking.overlays import decorated
+from lumisplat.viewer.gizmos_and_picking.picking import select
+from lumisplat.viewer.notebook import Bundle, Notebook
+from lumisplat.viewer.outliner.outliner import Outliner
+from lumisplat.viewer.output import Studio
+from lumisplat.viewer.panels.background_jobs import BackgroundJobs, JobContext
 from lumisplat.viewer.panels.buttons import add_buttons
-from lumisplat.viewer.panels.desk import Desk
-from lumisplat.viewer.panels.errands import Errands
-from lumisplat.viewer.panels.files import FilesPanel
-from lumisplat.viewer.panels.notes import QUIET_LOG, Notes
-from lumisplat.viewer.panels.pictures import PicturesPanel
+from lumisplat.viewer.panels.files import FilesPanel, PicturesPanel
+from lumisplat.viewer.panels.notifications import QUIET_LOG, Notifications
 from lumisplat.viewer.panels.rendering import RenderingPanel
 from lumisplat.viewer.panels.status import StatusPanel
-from lumisplat.viewer.panels.timeline import Timeline
 from lumisplat.viewer.panels.video import VideoPanel
-from lumisplat.viewer.panels.view_options import ViewPanel
-from lumisplat.viewer.panels.viewpoints import Viewpoints
+from lumisplat.viewer.panels.viewing import Timeline, ViewPanel, Viewpoints
+from lumisplat.viewer.server.event_queue import pressed
 from lumisplat.viewer.server.page_server import PageServer
-from lumisplat.viewer.server.turns import pressed
 from lumisplat.viewer.state.session import Options, Session, State
-from lumisplat.viewer.things.things_panel import ThingsPanel
 from lumisplat.viewer.thresholds import INTERRUPT_S
 
 if TYPE_CHECKING:
     import viser
+
 
 _log = logging.getLogger("lumisplat")
 
@@ -81,7 +79,7 @@ class Viewer:
         """Why there is nothing to see."""
         self._first_view = FirstView()
         self._viser.initial_camera.position, self._viser.initial_camera.look_at = self._first_view.at(ASPECT)
-        self._notes = Notes(self._viser)
+        self._notifications = Notifications(self._viser)
         self._status = StatusPanel(self._viser.gui)
         self._loop = RenderLoop(
             self._session,
@@ -94,7 +92,7 @@ class Viewer:
         self._notebook = Notebook(self._session, self._loop, self.url)
         self._build_panels(device)
         self._gizmo = Gizmo(self._viser.scene, self._session)
-        self._session.errors.append(self._notes.problem)
+        self._session.errors.append(self._notifications.problem)
         self._session.on_change(self._follow_up)
         self._viser.on_client_connect(self._open_page)
         self._viser.on_client_disconnect(self._close_page)
@@ -167,18 +165,20 @@ class Viewer:
         self._notebook.close()
         self._loop.close()
         self._server.close()
-        self._notes.close()
+        self._notifications.close()
         self._closed_or_failed.set()
 
     def _build_panels(self, device: str) -> None:
         gui = self._viser.gui
         gui.set_panel_label("Lumisplat")
         studio = Studio(self._loop.scenes, device, self._loop.is_wanted)
-        desk = Desk(self._session, self._pages, Errands(gui, self._loop.do), studio, self._loop.thumbnail)
+        context = JobContext(
+            self._session, self._pages, BackgroundJobs(gui, self._loop.do), studio, self._loop.thumbnail
+        )
         add_buttons(gui, ["undo", "redo"], self._step)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Scene"):
-            self._things = ThingsPanel(gui, self._session, self._pages, self._notes.tell)
+            self._things = Outliner(gui, self._session, self._pages, self._notifications.tell)
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
         with tabs.add_tab("View"):
@@ -188,11 +188,11 @@ class Viewer:
             self._status.add_details(gui)
         with tabs.add_tab("Video"):
             self._timeline = Timeline(gui, self._session, self._fly)
-            VideoPanel(gui, desk)
+            VideoPanel(gui, context)
         with tabs.add_tab("Save"):
-            self._files = FilesPanel(gui, self._notes, self._session, self._pages)
+            self._files = FilesPanel(gui, self._notifications, self._session, self._pages)
             with gui.add_folder("images"):
-                PicturesPanel(gui, desk)
+                PicturesPanel(gui, context)
         self._add_keys()
 
     def _add_keys(self) -> None:
@@ -225,7 +225,7 @@ class Viewer:
     def _step(self, direction: str) -> None:
         moved = self._session.undo() if direction == "undo" else self._session.redo()
         if not moved:
-            self._notes.tell(direction, f"there is nothing to {direction}")
+            self._notifications.tell(direction, f"there is nothing to {direction}")
 
     def _load(self, load: Load) -> None:
         try:
@@ -317,7 +317,7 @@ class Viewer:
         page = Page(BrowserScreen(client), self._session.changed)
         self._pages[client.client_id] = page
         self._status.open(page, client.gui)
-        self._notes.open(client)
+        self._notifications.open(client)
         if client.camera.aspect < ASPECT and _is_at(client, self._viser.initial_camera.position):
             self._stand_back(client)
         client.camera.on_update(lambda _: self._look(client))
@@ -349,7 +349,7 @@ class Viewer:
             return
         seen = select(self._session, page.frame, across, down, is_level=not page.frames_at_rest)
         if seen is not None:
-            self._notes.tell(*seen)
+            self._notifications.tell(*seen)
 
 
 def _import_ahead() -> None:
@@ -366,3 +366,93 @@ def _looks_along(client: viser.ClientHandle, up: tuple[float, float, float]) -> 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:
     """Whether a page still looks from where it was put at first."""
     return bool(np.linalg.norm(np.asarray(client.camera.position) - position) < 0.05 * np.linalg.norm(position))
+
+
+Viewable = ls.Scene | ls.Animation | ls.SceneDocument | ls.Gaussians | ls.Mesh | str | os.PathLike[str]
+"""What `view` shows; also a list of files."""
+
+
+def view(
+    scene: Viewable | Sequence[str | os.PathLike[str]],
+    *,
+    config: ls.RenderConfig | Callable[[ls.RenderConfig], ls.RenderConfig] | None = None,
+    port: int = 0,
+    host: str = "127.0.0.1",
+    device: str = "auto",
+    height: int = 720,
+    budget_ms: float = 40.0,
+    up: str | npt.ArrayLike | None = None,
+    drop_invalid: bool = False,
+    lod: int | None = None,
+    lod_budget: int | None = None,
+    keep_coordinates: bool = False,
+) -> Viewer:
+    """Opens a page on which people fly through a scene, edit it and see it lit.
+
+    Returns at once; the page is served until the viewer is closed or the program ends::
+
+        viewer = ls.view(scene)
+        print(viewer.url)
+        viewer.wait()
+
+    Args:
+        scene: What is seen: a scene, an animation, a document, an asset, or a file or several of these.
+        config: Settings of frames; None: those of the scene file, else ``Pipeline.HYBRID`` if the scene has lights or
+            is of meshes alone, and as captured otherwise. A function makes them of those.
+        port: Port to listen on; 0: a free one.
+        host: Address to listen on. Others than a loopback address let other machines in, if they have the token.
+        device: As of `lumisplat.create_renderer`.
+        height: Rows of frames of views at rest, 90 to 2160.
+        budget_ms: Milliseconds that a frame of a view that moves may take, 10 to 500: fewer Gaussians are drawn first,
+            then fewer pixels.
+        up: Up of files that do not say it; None: as of `lumisplat.Scene`.
+        drop_invalid: Of files, as of `lumisplat.load`.
+        lod: Of streamed SOGs, as of `lumisplat.load`.
+        lod_budget: Of streamed SOGs, ``budget`` of `lumisplat.load`.
+        keep_coordinates: Of files, as of `lumisplat.SceneDocument.open`.
+
+    Raises:
+        ConfigError: ``height`` or ``budget_ms`` is out of its range.
+        MissingFileError: None of the files is there. What else is wrong with files is told on the page.
+        MissingExtraError: The extra ``view`` is not installed.
+        DeviceError: The port cannot be opened.
+    """
+
+    def load(progress: Progress) -> State:
+        loading = partial(ls.load, drop_invalid=drop_invalid, lod=lod, budget=lod_budget)
+        document = _document(scene, up, loading, progress, keep_coordinates=keep_coordinates)
+        if isinstance(config, ls.RenderConfig):
+            return State(document, config)
+        settings = document.config
+        if "render" not in document.top and document.scene().is_lit_by_default:
+            settings = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID)
+        return State(document, settings if config is None else config(settings))
+
+    given = {"--drop-invalid": drop_invalid or None, "--lod ": lod, "--lod budget=": lod_budget}
+    words = (name if value is True else f"{name}{value}" for name, value in given.items() if value is not None)
+    options = Options(height=height, budget_ms=budget_ms, loading=tuple(words))
+    _refuse_missing(scene)
+    return Viewer(load, host=host, port=port, device=device, options=options)
+
+
+def _refuse_missing(scene: Any) -> None:
+    """Raises a MissingFileError if files are to be seen of which none is there."""
+    files: list[Any] = list(cast("list[Any]", scene)) if isinstance(scene, list | tuple) else [scene]
+    paths = [Path(os.fspath(file)) for file in files if isinstance(file, str | os.PathLike)]
+    if paths and len(paths) == len(files) and not any(path.exists() for path in paths):
+        raise ls.MissingFileError(paths[0], "no such file")
+
+
+def _document(
+    scene: Any, up: Any, loading: Callable[..., Any], progress: Progress, *, keep_coordinates: bool
+) -> ls.SceneDocument:
+    """The document of what is to be seen."""
+    if isinstance(scene, ls.SceneDocument):
+        return scene
+    if not isinstance(scene, str | os.PathLike | list | tuple):
+        return ls.SceneDocument.of(scene)
+
+    def load(path: Path, **levels: int | None) -> Any:
+        return loading(path, progress=partial(progress, f"loading {path.name}"), **levels)
+
+    return ls.SceneDocument.open(cast(Any, scene), load, up=up, keep_coordinates=keep_coordinates)

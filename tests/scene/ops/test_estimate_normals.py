@@ -10,7 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import NORMAL_NEIGHBOURS
-from lumisplat.demo import shapes, shapes_swept
+from lumisplat.demo import shapes
 from lumisplat.scene.ops.normals import _pairs_within
 from lumisplat.scene.sampling.blue_noise import pairs_of_about
 from support.kinds import present
@@ -29,7 +29,7 @@ def _bowl() -> ls.Mesh:
     """Inside of a bowl is outside, too: it is concave, and faces its own centre."""
     angle = np.linspace(0.0, 0.5 * np.pi, 24)
     outer = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    return shapes_swept.lathe(np.concatenate([0.85 * outer, outer[::-1]]))
+    return shapes.lathe(np.concatenate([0.85 * outer, outer[::-1]]))
 
 
 def bare(mesh: ls.Mesh, count: int = 6000) -> tuple[ls.Gaussians, np.ndarray]:
@@ -42,7 +42,7 @@ def bare(mesh: ls.Mesh, count: int = 6000) -> tuple[ls.Gaussians, np.ndarray]:
 SHAPES = {
     "sphere": shapes.sphere(),
     "torus": shapes.torus(1.0, 0.3),
-    "knot": shapes_swept.torus_knot(),
+    "knot": shapes.torus_knot(),
     "plate": _plate(),
     "bowl": _bowl(),
 }

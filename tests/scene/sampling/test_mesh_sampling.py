@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import lumisplat as ls
 from lumisplat.constants import ALPHA_MAX, SH_C0
-from lumisplat.demo import shapes, shapes_swept
+from lumisplat.demo import shapes
 from lumisplat.demo.textures import marble
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.transforms import quaternions_from_matrices
@@ -264,7 +264,7 @@ def test_creases_are_sharp_and_open_edges_only() -> None:
     outline = creases_of(shapes.plane(1.0, 1.0))
     assert np.allclose(np.abs(outline).max(axis=1), 0.5)
     assert len(outline) >= 4 / 0.02
-    rim = creases_of(shapes_swept.lathe([(0, 1), (0.5, 0), (0.5, 0), (0, 0)]))
+    rim = creases_of(shapes.lathe([(0, 1), (0.5, 0), (0.5, 0), (0, 0)]))
     assert np.allclose(np.linalg.norm(rim, axis=1), 0.5, atol=1e-3)
     assert len(rim) >= np.pi / 0.02
 
@@ -299,8 +299,8 @@ SHAPES = {
             base_color_texture=marble((0.7, 0.5, 0.3), (0.1, 0.1, 0.3), np.random.default_rng(0), cells=2),
         ),
     ),
-    "cone with a rim": lambda: shapes_swept.lathe([(0, 0.5), (0.5, -0.4), (0.5, -0.4), (0, -0.4)]),
-    "knot": lambda: shapes_swept.torus_knot(major=0.35, minor=0.15, radius=0.08),
+    "cone with a rim": lambda: shapes.lathe([(0, 0.5), (0.5, -0.4), (0.5, -0.4), (0, -0.4)]),
+    "knot": lambda: shapes.torus_knot(major=0.35, minor=0.15, radius=0.08),
 }
 
 

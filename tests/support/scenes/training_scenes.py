@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.training.learnt import Learnt
+from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.views import Picture, TrainingView
 
 BACKGROUND = (0.1, 0.2, 0.3)
@@ -28,13 +28,13 @@ def known(count: int = 30) -> ls.Gaussians:
     )
 
 
-def known_learnt() -> Learnt:
+def known_learnt() -> TrainedParameters:
     """The same as it is learnt, before it has moved."""
     gaussians = known()
     logits = np.log(gaussians.opacities / (1.0 - gaussians.opacities))
     log_scales = np.log(gaussians.scales)
     values = {"means": gaussians.means, "rotations": gaussians.rotations_wxyz, "sh": gaussians.sh}
-    return Learnt.new({**values, "log_scales": log_scales, "logits": logits})
+    return TrainedParameters.new({**values, "log_scales": log_scales, "logits": logits})
 
 
 def cameras(count: int, size: int = 40) -> list[ls.Camera]:

@@ -11,7 +11,7 @@ from lumisplat.cli.options.command import Command, Flag
 from lumisplat.cli.output.console import byte_size, counted, print_table, quiet_warp
 
 if TYPE_CHECKING:
-    from lumisplat.machine.diagnosis import ExtraFacts
+    from lumisplat.diagnostics import ExtraFacts
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -492,7 +492,7 @@ def palette_size(count: int) -> int:
 def _palette(gaussians: Gaussians, add: Callable[..., str]) -> dict[str, Any]:
     """The entry of the SH above degree 0, and their images."""
     # Imported here: nothing else in files needs kernels.
-    from lumisplat.palettes.palette import fit_palette
+    from lumisplat.palette import fit_palette
 
     rest = gaussians.sh.shape[1] - 1
     palette = fit_palette(gaussians.sh[:, 1:].reshape(gaussians.count, -1), palette_size(gaussians.count))

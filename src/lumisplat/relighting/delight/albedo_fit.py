@@ -1,4 +1,7 @@
-"""Light of which surfaces get albedos that are as alike as can be: Gauss-Newton over pairs of Gaussians."""
+"""Fits the light for which surfaces get the most similar albedos: Gauss-Newton over pairs of Gaussians.
+
+The environment is a set of cells of equal area, finer where it is bright.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lumisplat.constants.delight import (
+    CELL_REACH,
     CHROMA_WIDTH,
     EDGE_WIDTHS,
     FAR_LEAST,
@@ -20,10 +24,66 @@ from lumisplat.constants.delight import (
     SKY_SMOOTHNESS,
 )
 from lumisplat.math.arrays import Doubles, Rows
-from lumisplat.relighting.albedo.irradiance import Irradiance
-from lumisplat.relighting.albedo.usual import even_radiance, lit_evenly, usual_factor
-from lumisplat.relighting.delight.sky_cells import SkyCells
+from lumisplat.math.directions import directions_of_square
+from lumisplat.relighting.irradiance import Irradiance, even_radiance, lit_evenly, typical_albedo_factor
 from lumisplat.scene.sampling.blue_noise import Pairs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkyCells:
+    """K squares of the map of all directions (`directions_of_square`), in which areas are solid angles."""
+
+    corners: Doubles
+    """The lowest ones, 0..1, shape (K, 2)."""
+    sides: Doubles
+    """Their lengths, shape (K,)."""
+
+    @staticmethod
+    def even(across: int) -> SkyCells:
+        """``across`` times ``across`` of one size."""
+        v, u = np.divmod(np.arange(across * across), across)
+        return SkyCells(np.stack([u, v], axis=1) / across, np.full(across * across, 1.0 / across))
+
+    def __len__(self) -> int:
+        return len(self.sides)
+
+    @property
+    def solid_angles(self) -> Doubles:
+        """In sr, shape (K,)."""
+        return 4.0 * np.pi * self.sides**2
+
+    @property
+    def directions(self) -> Doubles:
+        """Of their centres, unit, shape (K, 3)."""
+        return directions_of_square(self.corners + 0.5 * self.sides[:, None])
+
+    @property
+    def neighbours(self) -> Rows:
+        """Pairs of cells beside each other, shape (S, 2)."""
+        radii = np.sqrt(self.solid_angles / np.pi)
+        angles = np.arccos(np.clip(self.directions @ self.directions.T, -1.0, 1.0))
+        first, second = np.nonzero(np.triu(angles < CELL_REACH * (radii[:, None] + radii), 1))
+        return np.stack([first, second], axis=1)
+
+    def of(self, rows: Rows) -> SkyCells:
+        """Some of them."""
+        return SkyCells(self.corners[rows], self.sides[rows])
+
+    def joined(self, others: SkyCells) -> SkyCells:
+        """These, and others after them."""
+        return SkyCells(np.concatenate([self.corners, others.corners]), np.concatenate([self.sides, others.sides]))
+
+    def parts(self, across: int) -> SkyCells:
+        """Each in ``across`` times ``across``, one after the other."""
+        v, u = np.divmod(np.arange(across * across), across)
+        within = np.stack([u, v], axis=1)[None] * (self.sides[:, None, None] / across)
+        return SkyCells(
+            (self.corners[:, None] + within).reshape(-1, 2), np.repeat(self.sides / across, across * across)
+        )
+
+    def directions_within(self, cell: int, count: int, rng: np.random.Generator) -> Doubles:
+        """Random directions of a cell, even in solid angle, unit, shape (count, 3)."""
+        return directions_of_square(self.corners[cell] + self.sides[cell] * rng.random((count, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,10 +182,10 @@ def first_light(outgoing: Doubles, incident: Irradiance) -> Light:
     return Light(np.full((incident.sky.shape[1], 3), radiance), np.full((incident.lamps.shape[1], 3), radiance))
 
 
-def with_usual_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:
+def with_typical_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:
     """The light, brighter or darker by one factor, so that the lightest surfaces have a usual albedo."""
     lit = incident.total(light.sky, light.lamps) - incident.observed
-    factor = usual_factor(outgoing, incident.observed, lit, np.ones(len(lit)))
+    factor = typical_albedo_factor(outgoing, incident.observed, lit, np.ones(len(lit)))
     return Light(factor * light.sky, factor * light.lamps)
 
 

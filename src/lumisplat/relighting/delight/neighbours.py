@@ -10,7 +10,7 @@ import numpy as np
 
 from lumisplat.constants.delight import NEIGHBOURS, NORMAL_SHARPNESS
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
-from lumisplat.relighting.albedo.irradiance import Irradiance
+from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs, pairs_of_about
 

@@ -10,21 +10,20 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import RenderConfig, ToneMap, check_whole
-from lumisplat.config.checks import check_kind, enum_member
+from lumisplat.config import RenderConfig, ToneMap, check_kind, check_whole
+from lumisplat.config.checks import enum_member
 from lumisplat.constants.light_fit import COARSE_SAMPLES, COARSE_SIZE, FIT_SIZE, PLACES_A_SIDE, STEPS_EXPECTED
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Pace, Progress, say_nothing
-from lumisplat.relighting.fitting.columns import huber_cost
-from lumisplat.relighting.fitting.guess import Guesser
-from lumisplat.relighting.fitting.layers import LightLayers
-from lumisplat.relighting.fitting.photographs import read_photographs
-from lumisplat.relighting.fitting.places import elsewhere
+from lumisplat.relighting.fitting.identifiability import certainty_of
+from lumisplat.relighting.fitting.images import read_photographs
+from lumisplat.relighting.fitting.light_layers import LightLayers
+from lumisplat.relighting.fitting.normal_equations import huber_cost
+from lumisplat.relighting.fitting.parameters import Exposure, FitOptions, FitTask
+from lumisplat.relighting.fitting.power_fit import PowerFitter
 from lumisplat.relighting.fitting.results import LightFit, result_of
-from lumisplat.relighting.fitting.search import search
-from lumisplat.relighting.fitting.task import Exposure, FitOptions, FitTask
-from lumisplat.relighting.fitting.told_apart import certainty_of
+from lumisplat.relighting.fitting.search import elsewhere, search
 from lumisplat.relighting.surface_measure import surface_remark
 from lumisplat.renderer.checks import check_scene
 from lumisplat.scene.camera import Camera
@@ -139,26 +138,26 @@ def fit_lights(
     tiny = [view.scaled(min(size, COARSE_SIZE)) for view in views]
     tiny_cost = COARSE_SAMPLES * sum(one.light.size for one in tiny) / sum(one.light.size for one in small)
     pace.plan(_costs(task, tiny_cost))
-    guesser = Guesser(task, small, layers)
-    if not guesser.observed.counts.any():
+    fitter = PowerFitter(task, small, layers)
+    if not fitter.observed.counts.any():
         raise SceneError(
             "the photographs show nothing that the lights light, but what is clipped or masked: captures "
             "without a material keep their look, whatever the light; give them one"
         )
     start, gains = task.scene, task.gains
-    if any(move.kind == "position" for move in task.moves):
+    if any(move.kind == "position" for move in task.light_parameters):
         pace.begin(_LOOKING)
         quick = LightLayers(config, device, COARSE_SAMPLES, rendered=lambda: pace.add(tiny_cost))
-        coarse = Guesser(task, tiny, quick)
+        coarse = PowerFitter(task, tiny, quick)
         if not coarse.observed.counts.any():  # large pixels that are whole: what is clipped may lie everywhere
-            coarse = guesser
+            coarse = fitter
         start, gains = _looked_for(coarse)
     pace.begin(_PICTURES)
-    first = guesser.begin(start, gains)
+    first = fitter.begin(start, gains)
     pace.begin(_STEPS)
-    found = guesser.settled(search(guesser, first))
+    found = fitter.settled(search(fitter, first))
     pace.begin(_ERRORS)
-    result = result_of(scene, options, guesser, found, certainty_of(guesser, found))
+    result = result_of(scene, options, fitter, found, certainty_of(fitter, found))
     report(_LABEL, 1.0)
     return result
 
@@ -170,23 +169,23 @@ def _costs(task: FitTask, tiny: float) -> dict[str, float]:
         task: What is unknown.
         tiny: What a picture costs in which lamps are looked for, of one of the fit's size.
     """
-    moved = {move.light for move in task.moves}
-    placed = {move.light for move in task.moves if move.kind == "position"}
+    moved = {move.light for move in task.light_parameters}
+    placed = {move.light for move in task.light_parameters if move.kind == "position"}
     every = 1 + len(task.lights) + (0 if task.degree is None else (task.degree + 1) ** 2)
-    slopes = 2 * (len(task.moves) + len(task.paints))
-    steps = STEPS_EXPECTED * (slopes + (every if task.paints else len(moved))) if slopes else 0
+    slopes = 2 * (len(task.light_parameters) + len(task.base_colors))
+    steps = STEPS_EXPECTED * (slopes + (every if task.base_colors else len(moved))) if slopes else 0
     searches = every + (1 + len(PLACES_A_SIDE)) * steps + sum(side**3 for side in PLACES_A_SIDE) * len(placed)
     return {_LOOKING: tiny * searches if placed else 0.0, _PICTURES: every, _STEPS: steps, _ERRORS: slopes}
 
 
-def _looked_for(guesser: Guesser) -> tuple[Scene, Doubles]:
+def _looked_for(fitter: PowerFitter) -> tuple[Scene, Doubles]:
     """Where lamps are about, by small pictures, and exposures: the best of searches from several places."""
-    best = search(guesser, guesser.begin(guesser.task.scene, guesser.task.gains))
+    best = search(fitter, fitter.begin(fitter.task.scene, fitter.task.gains))
     for side in PLACES_A_SIDE:
-        scene = elsewhere(guesser, best, side)
+        scene = elsewhere(fitter, best, side)
         if scene is best.scene:
             continue
-        other = search(guesser, guesser.moved(best, scene, best.gains))
-        costs = [huber_cost(guesser.observed, one.solution.model, best.solution.deviation) for one in (best, other)]
+        other = search(fitter, fitter.moved(best, scene, best.gains))
+        costs = [huber_cost(fitter.observed, one.solution.model, best.solution.deviation) for one in (best, other)]
         best = other if costs[1] < _SURE * costs[0] else best
     return best.scene, best.gains

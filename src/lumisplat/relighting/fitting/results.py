@@ -1,7 +1,8 @@
-"""What a fit of lights returns: the scene in the light that was found, and how well that explains the photographs."""
+"""The result of a fit of lights: the scene in the light that was found, residuals, and remarks for people."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,14 +11,12 @@ from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.constants.light_fit import SKY_ERRORS_MIN, SKY_SHARE_MIN
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import encode_srgb
-from lumisplat.relighting.fitting.guess import Guess, Guesser
-from lumisplat.relighting.fitting.paints import colors_of
-from lumisplat.relighting.fitting.remarks import remarks_of
-from lumisplat.relighting.fitting.task import FitOptions
-from lumisplat.relighting.fitting.told_apart import Certainty
+from lumisplat.relighting.fitting.identifiability import Certainty, light_name
+from lumisplat.relighting.fitting.parameters import FitOptions, colors_of, share_at_white
+from lumisplat.relighting.fitting.power_fit import NAME, Candidate, PowerFitter
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.lights import Light
+from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
 
 
@@ -73,76 +72,175 @@ class LightFit:
         return f"LightFit(lights={len(self.lights)}, views={len(self.views)}, residuals=[{residuals}])"
 
 
-def result_of(given: Scene, options: FitOptions, guesser: Guesser, guess: Guess, certainty: Certainty) -> LightFit:
-    """What the last guess means for the caller.
+def result_of(
+    given: Scene, options: FitOptions, fitter: PowerFitter, candidate: Candidate, certainty: Certainty
+) -> LightFit:
+    """What the last candidate means for the caller.
 
     Args:
         given: The caller's scene.
         options: What was asked for.
-        guesser: Has the photographs.
-        guess: The last guess.
+        fitter: Has the photographs.
+        candidate: The last candidate.
         certainty: What it knows.
     """
-    task, lit = guesser.task, guess.lit
+    task, lit = fitter.task, candidate.lit
     kept = list(lit.lights)
     for number in certainty.dark:  # nothing is known of it
         kept[number] = task.scene.lights[number]
-    shares = _shares(guesser, guess)
-    has_sky = _has_sky(guess, shares, certainty)
-    if guess.harmonics.shape[1] and not has_sky:  # a scene with a black one would pass for lit by a sky
+    shares = _shares(fitter, candidate)
+    has_sky = _has_sky(candidate, shares, certainty)
+    if candidate.harmonics.shape[1] and not has_sky:  # a scene with a black one would pass for lit by a sky
         del kept[-1]
     lights = tuple(kept[number] for number in task.lights) + ((kept[-1],) if has_sky else ())
-    colors = colors_of(guess.scene, task.paints)
-    views = _views(guesser, guess)
+    colors = colors_of(candidate.scene, task.base_colors)
+    views = _views(fitter, candidate)
     return LightFit(
         scene=replace(lit, lights=tuple(kept)),
         lights=lights,
         shares=shares[: len(lights)],
         standard_errors=certainty.powers[: len(lights)],
         position_errors=certainty.positions[: len(lights)],
-        environment=EnvironmentProbe(guess.coefficients) if has_sky else None,
+        environment=EnvironmentProbe(candidate.coefficients) if has_sky else None,
         base_colors={
             paint.name: (float(color[0]), float(color[1]), float(color[2]))
-            for paint, color in zip(task.paints, colors, strict=True)
+            for paint, color in zip(task.base_colors, colors, strict=True)
         },
-        exposures=np.log2(guess.gains),
+        exposures=np.log2(candidate.gains),
         views=views,
-        remarks=remarks_of(given, options, guesser, guess, certainty, has_sky=has_sky),
+        remarks=_remarks_of(given, options, fitter, candidate, certainty, has_sky=has_sky),
     )
 
 
-def _has_sky(guess: Guess, shares: Doubles, certainty: Certainty) -> bool:
+def _has_sky(candidate: Candidate, shares: Doubles, certainty: Certainty) -> bool:
     """Whether harmonics are more than what noise is taken for."""
-    if not guess.harmonics.shape[1]:
+    if not candidate.harmonics.shape[1]:
         return False
-    mean = SH_C0 * np.abs(guess.coefficients[0])
+    mean = SH_C0 * np.abs(candidate.coefficients[0])
     return bool(shares[-1] >= SKY_SHARE_MIN or (mean > SKY_ERRORS_MIN * certainty.powers[-1]).any())
 
 
-def _views(guesser: Guesser, guess: Guess) -> tuple[FittedView, ...]:
+def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
     """The photographs beside what explains them."""
     views: list[FittedView] = []
-    solution, observed = guess.solution, guesser.observed
+    solution, observed = candidate.solution, fitter.observed
     shares = solution.weights * observed.noise**2
-    for number, one in enumerate(guesser.photographs):
-        own = guesser.view == number
+    for number, one in enumerate(fitter.photographs):
+        own = fitter.view == number
         weights, fitted = (values[own].reshape(one.light.shape) for values in (shares, solution.model))
         difference = encode_srgb(one.light) - encode_srgb(np.maximum(fitted, 0.0))
         square = float((weights * difference**2).sum() / max(float(weights.sum()), 1e-12))
-        camera = replace(one.camera, exposure=float(np.log2(guess.gains[number])))
+        camera = replace(one.camera, exposure=float(np.log2(candidate.gains[number])))
         views.append(FittedView(camera, one.light, fitted, weights, float(np.sqrt(square)), one.clipped, one.masked))
     return tuple(views)
 
 
-def _shares(guesser: Guesser, guess: Guess) -> Doubles:
+def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
     """Luminance that each light gives to what counts, of all that is explained there."""
-    counts = guesser.observed.counts
+    counts = fitter.observed.counts
 
     def brightness(picture: Doubles) -> float:
-        return float(((guesser.exposed(picture, guess.gains) * counts) @ np.array(LUMINANCE)).sum())
+        return float(((fitter.exposed(picture, candidate.gains) * counts) @ np.array(LUMINANCE)).sum())
 
-    parts = [brightness(guess.powers[number] * picture.mean(axis=0)) for number, picture in guess.lights.items()]
-    if guess.harmonics.shape[1]:
-        parts.append(brightness(np.einsum("knc,kc->nc", guess.harmonics.mean(axis=0), guess.coefficients)))
-    whole = sum(parts) + brightness(guess.fixed.mean(axis=0))
+    parts = [
+        brightness(candidate.powers[number] * picture.mean(axis=0)) for number, picture in candidate.lights.items()
+    ]
+    if candidate.harmonics.shape[1]:
+        parts.append(brightness(np.einsum("knc,kc->nc", candidate.harmonics.mean(axis=0), candidate.coefficients)))
+    whole = sum(parts) + brightness(candidate.fixed.mean(axis=0))
     return np.array(parts) / whole if whole > 0.0 else np.zeros(len(parts))
+
+
+_CLIPPED = 0.2
+"""Share of a photograph's pixels from which on it is said that they are clipped: at an end of its range."""
+_UNEXPLAINED = 0.1
+"""Share of what counts from which on it is said that nothing explains it."""
+_WHITE = 0.01
+"""Share of a capture's Gaussians from which on it is said that they have become white."""
+_OFF = 1e-6
+"""Share of the light below which a light is off."""
+
+
+def _remarks_of(
+    given: Scene, options: FitOptions, fitter: PowerFitter, candidate: Candidate, certainty: Certainty, *, has_sky: bool
+) -> tuple[str, ...]:
+    """The lines; arguments as of ``result_of``, and whether light of harmonics was found."""
+    return (
+        *_held(given, options, fitter, has_sky=has_sky),
+        *_colors(fitter, candidate),
+        *_lights(fitter, candidate, certainty, has_sky=has_sky),
+        *_photographs(fitter, candidate),
+    )
+
+
+def _held(given: Scene, options: FitOptions, fitter: PowerFitter, *, has_sky: bool) -> Iterator[str]:
+    """What was fixed, as only products are seen."""
+    task = fitter.task
+    if task.degree is not None and any(isinstance(one, LightEnvironment) and one.enabled for one in given.lights):
+        instead = f"replaced by harmonics of degree {task.degree}" if has_sky else "taken out"
+        yield f"the scene's environment was {instead}"
+    sought = {"positions": ("position", "direction"), "radii": ("radius",), "angles": ("inner", "outer")}
+    for name, kinds in sought.items():
+        if getattr(options, name) and not any(move.kind in kinds for move in task.light_parameters):
+            yield f"{name} were asked for, and no light has any: nothing was looked for"
+    if isinstance(options.exposure, str) and not task.exposed[0]:
+        others = "; those of the others follow from it" if len(task.exposed) > 1 else ""
+        yield (
+            f"the exposure of {fitter.photographs[0].label} stays {np.log2(task.gains[0]):g} stops: nothing in the "
+            f"scene shines by itself, so that only the product of light and exposure is seen{others}"
+        )
+    if task.anchors:
+        yield (
+            "base colours and lights are known up to a factor in each channel: the product of the base colours stays "
+            "as the scene has it (name those that are unknown, and the others fix it)"
+        )
+
+
+def _colors(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
+    """Captures that cannot be as bright as asked for."""
+    for paint in fitter.task.base_colors:
+        share = share_at_white(candidate.scene, paint)
+        if share > _WHITE:
+            yield f"{paint.name}: {share:.0%} of its Gaussians have become white, and can be no brighter"
+
+
+def _lights(fitter: PowerFitter, candidate: Candidate, certainty: Certainty, *, has_sky: bool) -> Iterator[str]:
+    """What cannot be told of lights."""
+    for number in certainty.dark:
+        yield f"{light_name(candidate, number)}: none of its light is in the photographs, it stays as it was"
+    for number, power in candidate.powers.items():
+        if number not in certainty.dark and fitter.task.scales and not (power > _OFF * _brightest(candidate)).any():
+            yield f"{light_name(candidate, number)}: it is off"
+    if candidate.harmonics.shape[1] and not has_sky:
+        yield f"{NAME}: none of its light was found in the photographs, and the scene has none"
+    for names in certainty.alike:
+        if NAME in names and not has_sky:
+            continue
+        if names == (NAME,):
+            yield f"{NAME}: some of its harmonics cannot be told from the photographs, and follow from the others"
+        elif len(names) == 1:
+            yield f"{names[0]}: its numbers cannot all be told from the photographs, as some changes look alike"
+        else:
+            yield f"{' and '.join(names)} cannot be told apart in the photographs: only their sum is known"
+
+
+def _brightest(candidate: Candidate) -> float:
+    return max(float(power.max()) for power in candidate.powers.values())
+
+
+def _photographs(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
+    """What was left out of photographs."""
+    weights = candidate.solution.weights * fitter.observed.noise**2
+    for number, one in enumerate(fitter.photographs):
+        own = fitter.view == number
+        pixels = one.full_size
+        if one.clipped > _CLIPPED * pixels:
+            share = one.clipped / pixels
+            yield f"{one.label}: {share:.0%} of its pixels are clipped (a channel is black or white), and left out"
+        counts = fitter.observed.counts[own]
+        if not counts.any():
+            yield f"{one.label}: nothing of it counts"
+            continue
+        unexplained = float((weights[own][counts] < 0.05).mean())
+        if unexplained > _UNEXPLAINED:
+            yield f"{one.label}: nothing in the scene explains {unexplained:.0%} of it, which was left out"

@@ -1,4 +1,7 @@
-"""Where lamps are, and other numbers that pictures are not proportional to: Gauss-Newton, damped (Marquardt 1963)."""
+"""Searches light parameters that images do not depend on linearly: damped Gauss-Newton (Marquardt 1963).
+
+A lattice of positions in the box of the scene gives other starts.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lumisplat.constants.light_fit import (
-    COLOR_STEP,
-    DAMPING_MAX,
-    DAMPING_START,
-    MOVE_MAX,
-    MOVED_LEAST,
-    SEARCH_STEPS,
-)
+from lumisplat.constants.light_fit import COLOR_STEP, DAMPING_MAX, DAMPING_START, MOVE_MAX, MOVED_LEAST, SEARCH_STEPS
 from lumisplat.math.arrays import Doubles, Rows
-from lumisplat.math.nonnegative import bounded_least_squares
-from lumisplat.relighting.fitting.columns import Columns, huber_cost, normal_equations, spread_of
-from lumisplat.relighting.fitting.guess import Guess, Guesser
-from lumisplat.relighting.fitting.moves import Move
-from lumisplat.relighting.fitting.paints import Paint, colors_of, painted
+from lumisplat.math.nonnegative import bounded_least_squares, nonnegative_least_squares
+from lumisplat.relighting.fitting.light_layers import unit
+from lumisplat.relighting.fitting.normal_equations import Columns, huber_cost, lifted, normal_equations, spread_of
+from lumisplat.relighting.fitting.parameters import BaseColor, LightParameter, colors_of, with_base_colors
+from lumisplat.relighting.fitting.power_fit import Candidate, PowerFitter
 from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
 
@@ -33,82 +29,84 @@ _BETTER = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
-    """How the photographs change with the numbers of a guess."""
+    """How the photographs change with the numbers of a candidate."""
 
     pictures: Doubles
-    """Derivatives, exposed, (2, J, N, 3): of moves, of exposures, of paints."""
+    """Derivatives, exposed, (2, J, N, 3): of light parameters, of exposures, of base colours."""
     tints: tuple[Doubles | None, ...]
-    """Moves and exposures are one number for all channels, paints one a channel."""
+    """Light parameters and exposures are one number for all channels, base colours one a channel."""
 
 
-def search(guesser: Guesser, guess: Guess) -> Guess:
-    """The best guess near one."""
-    task, damping = guesser.task, DAMPING_START
-    if not (task.moves or task.paints or any(task.exposed)):
-        return guess
+def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
+    """The best candidate near one."""
+    task, damping = fitter.task, DAMPING_START
+    if not (task.light_parameters or task.base_colors or any(task.exposed)):
+        return candidate
     for _ in range(SEARCH_STEPS):
-        slopes = slopes_of(guesser, guess)
-        cost = huber_cost(guesser.observed, guess.solution.model, guess.solution.deviation)
+        slopes = slopes_of(fitter, candidate)
+        cost = huber_cost(fitter.observed, candidate.solution.model, candidate.solution.deviation)
         while True:
-            change = _change(guesser, guess, slopes, damping)
-            other = guesser.moved(guess, *_applied(guesser, guess, change))
-            new_cost = huber_cost(guesser.observed, other.solution.model, guess.solution.deviation)
+            change = _change(fitter, candidate, slopes, damping)
+            other = fitter.moved(candidate, *_applied(fitter, candidate, change))
+            new_cost = huber_cost(fitter.observed, other.solution.model, candidate.solution.deviation)
             if new_cost < cost:
                 break
             damping *= 6.0
             if damping > DAMPING_MAX:
-                return guess
+                return candidate
         damping = max(damping / 6.0, 1e-7)
-        guess = other
-        if new_cost > (1.0 - _BETTER) * cost or _is_short(guesser, change):
+        candidate = other
+        if new_cost > (1.0 - _BETTER) * cost or _is_short(fitter, change):
             break
-    return guess
+    return candidate
 
 
-def slopes_of(guesser: Guesser, guess: Guess) -> Slopes:
+def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
     """By central differences of pictures."""
-    task = guesser.task
-    powers = guess.powers
-    pictures = [powers[move.light] * _slope_of_move(guesser, guess, move) for move in task.moves]
-    columns = [guesser.exposed(picture, guess.gains) for picture in pictures]
+    task = fitter.task
+    powers = candidate.powers
+    pictures = [powers[move.light] * _slope_of_move(fitter, candidate, move) for move in task.light_parameters]
+    columns = [fitter.exposed(picture, candidate.gains) for picture in pictures]
     tints: list[Doubles | None] = [np.ones(3)] * len(columns)
     for view, is_unknown in enumerate(task.exposed):
         if is_unknown:
-            own = (guesser.view == view)[:, None]
-            columns.append(np.stack([own * guess.solution.model] * 2))
+            own = (fitter.view == view)[:, None]
+            columns.append(np.stack([own * candidate.solution.model] * 2))
             tints.append(np.ones(3))
-    if task.paints:
-        lit = guess.lit
-        columns += [guesser.exposed(_slope_of_paint(guesser, lit, paint), guess.gains) for paint in task.paints]
-        tints += [None] * len(task.paints)
-    empty = np.zeros((2, 0, *guess.solution.model.shape))
+    if task.base_colors:
+        lit = candidate.lit
+        columns += [fitter.exposed(_slope_of_paint(fitter, lit, paint), candidate.gains) for paint in task.base_colors]
+        tints += [None] * len(task.base_colors)
+    empty = np.zeros((2, 0, *candidate.solution.model.shape))
     return Slopes(np.stack(columns, axis=1) if columns else empty, tuple(tints))
 
 
-def _slope_of_move(guesser: Guesser, guess: Guess, move: Move) -> Doubles:
+def _slope_of_move(fitter: PowerFitter, candidate: Candidate, move: LightParameter) -> Doubles:
     """Of a light of power 1."""
-    light = guess.scene.lights[move.light]
+    light = candidate.scene.lights[move.light]
     ends = [move.applied(light, sign * move.step) for sign in (-1.0, 1.0)]
     way = 2.0 * move.step
     if move.kind not in ("position", "direction"):  # it may be at its bound
         way = _value(move, ends[1]) - _value(move, ends[0])
-    scenes = [_with_light(guess.scene, move.light, end) for end in ends]
-    before, after = (guesser.picture_of(guess, move.light, scene) for scene in scenes)
+    scenes = [_with_light(candidate.scene, move.light, end) for end in ends]
+    before, after = (fitter.picture_of(candidate, move.light, scene) for scene in scenes)
     return (after - before) / way if way > 0.0 else np.zeros_like(after)
 
 
-def _slope_of_paint(guesser: Guesser, lit: Scene, paint: Paint) -> Doubles:
+def _slope_of_paint(fitter: PowerFitter, lit: Scene, paint: BaseColor) -> Doubles:
     """Of all light."""
     color = colors_of(lit, [paint])[0]
     ends = [np.clip(color + sign * COLOR_STEP, 0.0, 1.0) for sign in (-1.0, 1.0)]
     lights = [light for light in lit.lights if light.enabled]
-    before, after = (guesser.layers.picture(painted(lit, {paint: end}), lights, guesser.photographs) for end in ends)
+    before, after = (
+        fitter.layers.picture(with_base_colors(lit, {paint: end}), lights, fitter.photographs) for end in ends
+    )
     return (after - before) / (ends[1] - ends[0])
 
 
-def joint_columns(guess: Guess, slopes: Slopes) -> Columns:
-    """The pictures of a guess, and after them how they change."""
-    columns = guess.columns
+def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
+    """The pictures of a candidate, and after them how they change."""
+    columns = candidate.columns
     added = spread_of(slopes.tints).shape[2]
     return Columns(
         pictures=np.concatenate([columns.pictures, slopes.pictures], axis=1),
@@ -120,32 +118,32 @@ def joint_columns(guess: Guess, slopes: Slopes) -> Columns:
     )
 
 
-def _change(guesser: Guesser, guess: Guess, slopes: Slopes, damping: float) -> Doubles:
-    """The damped step of moves, exposures and paints, with the powers that go with it, shape (J',)."""
-    task, joint = guesser.task, joint_columns(guess, slopes)
-    gram, moments = normal_equations(guesser.observed, joint, guess.solution.weights)
+def _change(fitter: PowerFitter, candidate: Candidate, slopes: Slopes, damping: float) -> Doubles:
+    """The damped step of light parameters, exposures and base colours, with the powers that go with it, shape (J',)."""
+    task, joint = fitter.task, joint_columns(candidate, slopes)
+    gram, moments = normal_equations(fitter.observed, joint, candidate.solution.weights)
     if task.anchors:
-        gram = gram + anchor_of(guess, task.paints, gram)
-    first = guess.columns.spread.shape[2]
+        gram = gram + anchor_of(candidate, task.base_colors, gram)
+    first = candidate.columns.spread.shape[2]
     rows: Rows = np.arange(first, len(moments), dtype=np.int64)
     # Relative to what is left of a column once powers have taken their part: a radius changes a light's power, too.
     by_powers = np.linalg.solve(gram[:first, :first], gram[:first, first:])
     left = np.diag(gram)[first:] - np.einsum("ij,ij->j", gram[:first, first:], by_powers)
     gram[rows, rows] += damping * np.maximum(left, 0.0)
     bounded, least = joint.bounded, joint.least
-    if task.paints:  # base colours stay within 0..1
-        color = colors_of(guess.scene, task.paints).ravel()
+    if task.base_colors:  # base colours stay within 0..1
+        color = colors_of(candidate.scene, task.base_colors).ravel()
         ends = np.zeros((color.size, len(moments)))
         ends[:, len(moments) - color.size :] = np.eye(color.size)
         bounded, least = np.vstack([bounded, ends, -ends]), np.concatenate([least, -color, color - 1.0])
     return bounded_least_squares(gram, moments, bounded, least)[first:]
 
 
-def anchor_of(guess: Guess, paints: tuple[Paint, ...], gram: Doubles) -> Doubles:
+def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Doubles) -> Doubles:
     """Holds the product of all base colours, by channel: lights could else be stronger and surfaces darker."""
-    colors = np.maximum(colors_of(guess.scene, paints), 1e-3)
+    colors = np.maximum(colors_of(candidate.scene, base_colors), 1e-3)
     anchor = np.zeros_like(gram)
-    first = len(gram) - 3 * len(paints)
+    first = len(gram) - 3 * len(base_colors)
     for channel in range(3):
         row = np.zeros(len(gram))
         row[first + channel :: 3] = 1.0 / colors[:, channel]
@@ -153,45 +151,47 @@ def anchor_of(guess: Guess, paints: tuple[Paint, ...], gram: Doubles) -> Doubles
     return anchor
 
 
-def _applied(guesser: Guesser, guess: Guess, change: Doubles) -> tuple[Scene, Doubles]:
+def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tuple[Scene, Doubles]:
     """The scene and the exposures after a step, which is cut where it is too long."""
-    task, scene, gains = guesser.task, guess.scene, guess.gains.copy()
-    moves = _shortened(guesser, change[: len(task.moves)])
+    task, scene, gains = fitter.task, candidate.scene, candidate.gains.copy()
+    light_parameters = _shortened(fitter, change[: len(task.light_parameters)])
     lights: dict[int, Light] = {number: scene.lights[number] for number in task.lights}
-    for move, amount in zip(task.moves, moves, strict=True):
+    for move, amount in zip(task.light_parameters, light_parameters, strict=True):
         lights[move.light] = move.applied(lights[move.light], float(amount))
         if move.kind == "position":
             lights[move.light] = _inside(lights[move.light], task.low, task.high)
     for number, light in lights.items():
         scene = scene if light is scene.lights[number] else _with_light(scene, number, light)
-    rest = change[len(task.moves) :]
+    rest = change[len(task.light_parameters) :]
     for view in np.flatnonzero(task.exposed):
         gains[view] *= np.exp(np.clip(rest[0], -_STOPS_MAX, _STOPS_MAX))
         rest = rest[1:]
-    if task.paints:
-        colors = colors_of(scene, task.paints) + rest.reshape(-1, 3)
-        scene = painted(scene, dict(zip(task.paints, colors, strict=True)))
+    if task.base_colors:
+        colors = colors_of(scene, task.base_colors) + rest.reshape(-1, 3)
+        scene = with_base_colors(scene, dict(zip(task.base_colors, colors, strict=True)))
     return scene, gains
 
 
-def _shortened(guesser: Guesser, amounts: Doubles) -> Doubles:
-    """Amounts of the moves, none of which is too long."""
-    task = guesser.task
+def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
+    """Amounts of the light parameters, none of which is too long."""
+    task = fitter.task
     result = amounts.copy()
     for number in task.lights:
-        rows = [row for row, move in enumerate(task.moves) if move.light == number and move.kind == "position"]
+        rows = [
+            row for row, move in enumerate(task.light_parameters) if move.light == number and move.kind == "position"
+        ]
         length = float(np.linalg.norm(amounts[rows]))
         result[rows] *= min(1.0, MOVE_MAX * task.size / length) if length > 0.0 else 1.0
-    for row, move in enumerate(task.moves):
+    for row, move in enumerate(task.light_parameters):
         if move.kind in ("direction", "inner", "outer"):
             result[row] = np.clip(result[row], -_ANGLE_MAX, _ANGLE_MAX)
     return result
 
 
-def _is_short(guesser: Guesser, change: Doubles) -> bool:
+def _is_short(fitter: PowerFitter, change: Doubles) -> bool:
     """Whether a step hardly changed anything."""
-    task = guesser.task
-    units = [task.size if move.kind in ("position", "radius") else 1.0 for move in task.moves]
+    task = fitter.task
+    units = [task.size if move.kind in ("position", "radius") else 1.0 for move in task.light_parameters]
     scaled = np.abs(change) / np.concatenate([units, np.ones(len(change) - len(units))])
     return bool(scaled.max(initial=0.0) < MOVED_LEAST)
 
@@ -210,6 +210,91 @@ def _with_light(scene: Scene, number: int, light: Light) -> Scene:
     return replace(scene, lights=tuple(lights))
 
 
-def _value(move: Move, light: Light) -> float:
+def _value(move: LightParameter, light: Light) -> float:
     """The number that a move of a radius or a cone changes."""
     return float(getattr(light, "radius" if move.kind == "radius" else f"{move.kind}_angle"))
+
+
+_SWEEPS = 3
+"""How often each lamp chooses among all places, the others being where they have chosen to be."""
+
+
+def elsewhere(fitter: PowerFitter, candidate: Candidate, side: int) -> Scene:
+    """The scene with its lamps at those places, of a lattice and where they are, that explain the photographs best.
+
+    It is the same object if they are best where they are.
+
+    Args:
+        fitter: Of small pictures.
+        candidate: Where lamps are.
+        side: Places along each side of the lattice.
+    """
+    task = fitter.task
+    movable = [
+        number
+        for number in task.lights
+        if any(each.light == number and each.kind == "position" for each in task.light_parameters)
+    ]
+    choices = {
+        number: [candidate.scene.lights[number], *_placed(candidate.scene.lights[number], _lattice(fitter, side))]
+        for number in movable
+    }
+    steady = [picture.mean(axis=0) for number, picture in candidate.lights.items() if number not in movable]
+    steady += list(candidate.harmonics.mean(axis=0)[:1])
+    pictures = list(steady)
+    first: dict[int, int] = {}
+    for number, lights in choices.items():
+        first[number] = len(pictures)
+        for light in lights:
+            rows = fitter.layers.alone(candidate.scene, unit(light), fitter.photographs, candidate.fixed)
+            pictures.append(rows.mean(axis=0))
+    gram, moments = _products(fitter, candidate, np.array(pictures))
+    chosen = dict.fromkeys(movable, 0)
+    for _ in range(_SWEEPS):
+        before = dict(chosen)
+        for number in movable:
+            others = [first[other] + row for other, row in chosen.items() if other != number]
+            gains = [
+                _explained(gram, moments, [*range(len(steady)), *others, first[number] + row])
+                for row in range(len(choices[number]))
+            ]
+            chosen[number] = int(np.argmax(gains))
+        if chosen == before:
+            break
+    if not any(chosen.values()):
+        return candidate.scene
+    lights = list(candidate.scene.lights)
+    for number, row in chosen.items():
+        lights[number] = choices[number][row]
+    return replace(candidate.scene, lights=tuple(lights))
+
+
+def _lattice(fitter: PowerFitter, side: int) -> Doubles:
+    """Places in the box for lamps, shape (P, 3)."""
+    shares = (np.arange(side) + 0.5) / side
+    grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(fitter.task.low + grid * (fitter.task.high - fitter.task.low))
+
+
+def _placed(light: Light, places: Doubles) -> list[Light]:
+    return [replace(light, position=place) for place in places]  # pyright: ignore[reportCallIssue]
+
+
+def _products(fitter: PowerFitter, candidate: Candidate, pictures: Doubles) -> tuple[Doubles, Doubles]:
+    """Products of all pictures with each other and with the photographs, a matrix a channel."""
+    observed = fitter.observed
+    exposed = fitter.exposed(pictures, candidate.gains)
+    weights = observed.counts / observed.noise**2
+    left = observed.target - fitter.exposed(candidate.fixed.mean(axis=0), candidate.gains)
+    gram = np.einsum("inc,nc,jnc->cij", exposed, weights, exposed, optimize=True)
+    return gram, np.einsum("inc,nc,nc->ci", exposed, weights, left, optimize=True)
+
+
+def _explained(gram: Doubles, moments: Doubles, rows: list[int]) -> float:
+    """How much of the squares some pictures explain, by channel with powers of its own."""
+    total = 0.0
+    for channel in range(3):
+        part, toward = gram[channel][np.ix_(rows, rows)], moments[channel][rows]
+        powers = nonnegative_least_squares(lifted(part, np.zeros(0)), toward)
+        total += float(2.0 * toward @ powers - powers @ part @ powers)
+    return total

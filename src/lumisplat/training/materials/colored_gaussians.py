@@ -16,7 +16,7 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training import loss_kernels, optimizer_kernels
-from lumisplat.training.learnt import Learnt, LearntOnDevice
+from lumisplat.training.parameters import DeviceParameters, TrainedParameters
 from lumisplat.training.trainer import frame_settings
 from lumisplat.training.training_raster import TrainingRaster
 
@@ -51,7 +51,7 @@ class ColoredGaussians:
         own = (optimizer_kernels, loss_kernels, *kernels)
         self._raster = TrainingRaster(launcher, buffers, settings)
         launcher.load([*self._raster.modules(), *own], progress)
-        self._drawn = LearntOnDevice(buffers)
+        self._drawn = DeviceParameters(buffers)
         learnt = _unlit(gaussians)
         self._drawn.upload(learnt)
         self._raster.place(learnt.gaussians(flat), self._drawn.values)
@@ -75,12 +75,12 @@ class ColoredGaussians:
         return self._raster.by_splats(pixels, gradient)
 
 
-def _unlit(gaussians: Gaussians) -> Learnt:
+def _unlit(gaussians: Gaussians) -> TrainedParameters:
     """The Gaussians as training has them, with one colour each."""
     with np.errstate(divide="ignore"):  # of 0 and 1
         opacities = gaussians.opacities.astype(np.float64)
         logits = np.log(opacities) - np.log1p(-opacities)
-    return Learnt.new(
+    return TrainedParameters.new(
         {
             "means": gaussians.means,
             "rotations": gaussians.rotations_wxyz,

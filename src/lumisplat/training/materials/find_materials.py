@@ -1,49 +1,47 @@
-"""What a capture is made of, and the light that it was photographed in: ``lumisplat.find_materials``."""
+"""Finds the materials of a capture and the light that its images were taken in: ``lumisplat.find_materials``."""
 
 from __future__ import annotations
 
 import logging
+import math
 import os
+import random
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig
-from lumisplat.config.checks import check_kind
-from lumisplat.constants.materials import EXPOSURES_DIFFER
+from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig, check_kind
+from lumisplat.constants.materials import EXPOSURE_PIXELS, EXPOSURE_RANGE, EXPOSURE_VIEWS, EXPOSURES_DIFFER
 from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.frame.frame import Frame
 from lumisplat.io import save
 from lumisplat.io.files.atomic import atomic_write, check_can_be_written
 from lumisplat.io.images.radiance import write_radiance
 from lumisplat.io.training_images.loading import Photographs, load_photographs
 from lumisplat.io.training_images.pixels import is_bent
 from lumisplat.math.arrays import Doubles, FloatArray
-from lumisplat.math.color import albedo_in_range
+from lumisplat.math.color import albedo_in_range, decode_srgb
 from lumisplat.math.sh import even_directions
 from lumisplat.progress import Progress, say_nothing
-from lumisplat.relighting.albedo.outgoing import mean_outgoing
-from lumisplat.renderer.renderer import create_renderer
+from lumisplat.relighting.irradiance import mean_outgoing
+from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.local_frame import LocalFrame
-from lumisplat.training.materials.exposure_spread import exposure_spread
-from lumisplat.training.materials.incident import IncidentRadiance, traced_incident
-from lumisplat.training.materials.lit_gaussians import Materials
+from lumisplat.scene.scene import Scene
+from lumisplat.training.materials.lit_gaussians import IncidentRadiance, Materials, seen_normals, traced_incident
 from lumisplat.training.materials.material_checkpoint import FoundSoFar, MaterialFiles
-from lumisplat.training.materials.material_fit import MaterialFit, materials_of
-from lumisplat.training.materials.normals import seen_normals
-from lumisplat.training.materials.sky_fit import fitted_sky, lit_white
-from lumisplat.training.materials.sky_image import sky_image
+from lumisplat.training.materials.material_fit import MaterialFit, fitted_sky, lit_white, materials_of, sky_image
 from lumisplat.training.run_folder import RunFolder
 from lumisplat.training.train import CHECKPOINT_EVERY_S
-from lumisplat.training.views import TrainingView
+from lumisplat.training.views import Picture, TrainingView
 
 _log = logging.getLogger("lumisplat")
 
@@ -275,3 +273,47 @@ def _write(output: Path, found: FoundMaterials) -> None:
         except FormatError as error:  # of the temporary file, which nobody has named
             raise FormatError(output, error.problem) from None
         write_radiance(environment_path(output), image)
+
+
+_INSIDE = 0.99
+"""Alpha, or weight, from which on a pixel shows nothing else, or counts."""
+
+
+def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], renderer: Renderer, report: Progress) -> float:
+    """Standard deviation of how bright photographs are relative to what the capture shows, stops.
+
+    Args:
+        gaussians: The capture.
+        views: The photographs.
+        renderer: Rasterises without light.
+        report: Progress.
+
+    Returns:
+        0 where fewer than three photographs tell.
+    """
+    scene, stops = Scene([gaussians]), list[float]()
+    # In no order: bracketed exposures come again every few photographs.
+    chosen = random.Random(0).sample(views, min(len(views), EXPOSURE_VIEWS))
+    for number, view in enumerate(chosen):
+        report("comparing exposures", number / len(chosen))
+        stops += _stops_beyond(view.read(), renderer.render(scene, view.camera))
+    return float(np.std(stops)) if len(stops) >= 3 else 0.0
+
+
+def _stops_beyond(picture: Picture, frame: Frame) -> list[float]:
+    """By how many stops a photograph is brighter: the ratio of medians over pixels that neither end has cut off.
+
+    Returns:
+        Nothing where these are few.
+    """
+    photograph, shown = picture.color.mean(axis=2), frame.color.mean(axis=2)
+    inside = frame.alpha > _INSIDE
+    for brightness in (photograph, shown):
+        inside = inside & (brightness > EXPOSURE_RANGE[0]) & (brightness < EXPOSURE_RANGE[1])
+    for share in (picture.weight, picture.alpha):
+        if share is not None:
+            inside = inside & (share > _INSIDE)
+    if inside.sum() < EXPOSURE_PIXELS:
+        return []
+    medians = [float(np.median(decode_srgb(one[inside]))) for one in (photograph, shown)]
+    return [math.log2(medians[0] / medians[1])]

@@ -17,8 +17,7 @@ from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.training.materials.incident import IncidentRadiance
-from lumisplat.training.materials.lit_gaussians import Materials
+from lumisplat.training.materials.lit_gaussians import IncidentRadiance, Materials
 
 _log = logging.getLogger("lumisplat")
 

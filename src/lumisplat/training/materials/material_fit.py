@@ -1,35 +1,48 @@
-"""Steps that refine materials and sky: Gaussians are lit, drawn and compared with a photograph; what they are moves."""
+"""Steps that refine materials and environment: Gaussians are lit, drawn and compared with an image.
+
+Neighbours are paired, so that similar Gaussians keep similar materials.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lumisplat.config import MaterialsConfig
 from lumisplat.constants.delight import RADIANCE_LEAST
 from lumisplat.constants.materials import (
     ALBEDO_RATE,
     ALBEDO_SMOOTHNESS,
+    CHROMA_WIDTH,
+    EDGE_WIDTH,
+    NEIGHBOURS,
     PHOTO_SSIM,
     ROUGHNESS_MIN,
     ROUGHNESS_RATE,
     ROUGHNESS_SMOOTHNESS,
     SKY_FINE_RATE,
+    SKY_NEIGHBOURS,
+    SKY_PAIRS,
+    SKY_PRIOR,
+    SKY_RATE,
+    SKY_SEEN,
+    SKY_SMOOTHNESS,
 )
 from lumisplat.math.adam import Adam
-from lumisplat.math.arrays import Doubles
+from lumisplat.math.arrays import Doubles, FloatArray, Rows
+from lumisplat.math.directions import panorama_directions
 from lumisplat.progress import Progress
+from lumisplat.relighting.irradiance import Irradiance, even_radiance, typical_albedo_factor
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.training.materials import material_gradient_kernels, material_kernels
 from lumisplat.training.materials.colored_gaussians import ColoredGaussians
-from lumisplat.training.materials.incident import IncidentRadiance
-from lumisplat.training.materials.lit_gaussians import LitGaussians, Materials
-from lumisplat.training.materials.neighbours import near_pairs
-from lumisplat.training.materials.sky_fit import nearest_directions, smoothness_gradient
+from lumisplat.training.materials.lit_gaussians import IncidentRadiance, LitGaussians, Materials
 from lumisplat.training.photo_loss import Loss, PhotoLoss
 from lumisplat.training.views import TrainingView
 
@@ -169,3 +182,145 @@ def _logits(shares: Doubles) -> Doubles:
     least = 1.0 / (1.0 + math.exp(_LOGIT_MAX))
     inside = np.clip(shares, least, 1.0 - least)
     return np.log(inside / (1.0 - inside))
+
+
+def lit_white(white: Irradiance, sky: Doubles) -> Doubles:
+    """Radiance of white, matte Gaussians under a sky of radiances, shape (K, 3): shape (N, 3)."""
+    return np.maximum(white.total(sky.astype(np.float32), np.zeros((0, 3))), RADIANCE_LEAST)
+
+
+def sees_sky(white: Irradiance) -> bool:
+    """Whether there is a sky to be found."""
+    return float(np.median(white.sky.sum(axis=1))) > SKY_SEEN
+
+
+def fitted_sky(
+    outgoing: Doubles,
+    white: Irradiance,
+    weights: Doubles,
+    directions: Doubles,
+    *,
+    steps: int,
+    rng: np.random.Generator,
+    report: Progress,
+) -> Doubles:
+    """Radiances of the sky in K directions, shape (K, 3).
+
+    The albedo of a matte surface is its radiance over that of a white one. What light does to a capture goes by its
+    normals and by what is open to the sky, what albedo does goes by neither: so of all skies that one is right under
+    which pairs of surfaces, anywhere, that may have one albedo, have it. A brighter sky over darker surfaces looks the
+    same: the lightest surfaces have a usual albedo.
+
+    Args:
+        outgoing: Radiance of Gaussians, shape (N, 3).
+        white: What shines on them.
+        weights: How often each is in a pair, shape (N,).
+        directions: Of the sky, shape (K, 3).
+        steps: How many are made.
+        rng: Chooses pairs.
+        report: Called with what is being done and the fraction done, 0..1.
+    """
+    if not sees_sky(white):
+        return np.ones((len(directions), 3))
+    start = np.full((len(directions), 3), np.log(even_radiance(outgoing, white, weights)))
+    chosen = rng.choice(len(outgoing), (2, SKY_PAIRS), p=weights / weights.sum())
+    rows, compact = np.unique(chosen, return_inverse=True)
+    first, second = compact.reshape(2, SKY_PAIRS)
+    pairs, part = AlikePairs(first, second), Irradiance(white.observed[rows], white.sky[rows], white.lamps[rows])
+    shown = np.log(np.maximum(outgoing[rows], RADIANCE_LEAST))
+    neighbours = nearest_directions(directions)
+    moved, adam = start.copy(), Adam.still(start.shape)
+    for step in range(steps):
+        report("finding the sky", step / steps)
+        sky = np.exp(moved)
+        light = lit_white(part, sky)
+        _, by_log_albedo = pairs.albedo_term(shown - np.log(light))
+        by_sky = -(part.sky.T @ (by_log_albedo / light).astype(np.float32)).astype(np.float64) * sky
+        by_sky += smoothness_gradient(moved, neighbours) + SKY_PRIOR / len(directions) * (moved - start)
+        moved += adam.step(by_sky, SKY_RATE * (1.0 - step / steps))
+        moved += start.mean(axis=0) - moved.mean(axis=0)
+    sky = np.exp(moved)
+    lit = (white.sky @ sky.astype(np.float32)).astype(np.float64)
+    return typical_albedo_factor(outgoing, white.observed, lit, weights) * sky
+
+
+def nearest_directions(directions: Doubles) -> np.ndarray:
+    """The neighbours of each direction, shape (K, 6)."""
+    return np.argsort(-(directions @ directions.T), axis=1, kind="stable")[:, 1 : 1 + SKY_NEIGHBOURS]
+
+
+def smoothness_gradient(log_sky: Doubles, neighbours: np.ndarray) -> Doubles:
+    """Derivatives of the roughness of a sky, shape (K, 3); neighbours are held where they are."""
+    return SKY_SMOOTHNESS / len(log_sky) * (log_sky[:, None] - log_sky[neighbours]).sum(axis=1)
+
+
+HEIGHT, WIDTH = 16, 32
+
+
+def sky_image(directions: Doubles, sky: Doubles) -> FloatArray:
+    """The image of a `LightEnvironment`, shape (16, 32, 3).
+
+    A pixel is the mean of the directions around it, by a Gaussian of half the angle between neighbours.
+
+    Args:
+        directions: Even, unit, shape (K, 3).
+        sky: Radiances, shape (K, 3).
+    """
+    ways = panorama_directions(HEIGHT, WIDTH).reshape(-1, 3)
+    sharpness = len(directions) / np.pi  # 1 / (half of the angle)^2
+    weights = np.exp(sharpness * (ways @ directions.T - 1.0))
+    image = weights @ sky / weights.sum(axis=1, keepdims=True)
+    return image.reshape(HEIGHT, WIDTH, 3).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlikePairs:
+    """P pairs, each of two rows."""
+
+    first: Rows
+    """Shape (P,)."""
+    second: Rows
+
+    def albedo_term(self, log_albedo: Doubles) -> tuple[float, Doubles]:
+        """How much albedos differ, and the derivatives by their logarithms, shape (N, 3).
+
+        A difference of a pair counts as ``w^2 log(1 + (d / w)^2) / 2``, so that edges of textures count little, and
+        less the more the two differ in chromaticity; that weight is held as it is.
+        """
+        difference = log_albedo[self.first] - log_albedo[self.second]
+        chroma = difference - difference.mean(axis=1, keepdims=True)
+        alike = np.exp(-0.5 * np.square(np.abs(chroma).max(axis=1, keepdims=True) / CHROMA_WIDTH))
+        ratio = np.square(difference / EDGE_WIDTH)
+        share = 1.0 / max(len(self.first), 1)
+        term = float((alike * np.log1p(ratio)).sum() * 0.5 * EDGE_WIDTH**2 * share)
+        return term, self._scattered(alike * difference / (1.0 + ratio) * share, len(log_albedo))
+
+    def square_term(self, values: Doubles) -> tuple[float, Doubles]:
+        """Half the mean squared difference of a number, and the derivatives by it, shape (N,)."""
+        difference = values[self.first] - values[self.second]
+        share = 1.0 / max(len(self.first), 1)
+        return 0.5 * share * float(difference @ difference), self._scattered(difference[:, None] * share, len(values))[
+            :, 0
+        ]
+
+    def _scattered(self, by_difference: Doubles, count: int) -> Doubles:
+        """From derivatives by differences to those by what differs."""
+        columns = [
+            np.bincount(self.first, column, count) - np.bincount(self.second, column, count)
+            for column in by_difference.T
+        ]
+        return np.stack(columns, axis=1).astype(np.float64)
+
+
+def near_pairs(means: FloatArray) -> AlikePairs:
+    """Returns pairs of each Gaussian with its `NEIGHBOURS` nearest others, fewer if there are not as many."""
+    count = len(means)
+    most = min(NEIGHBOURS, count - 1)
+    if most < 1:
+        return AlikePairs(np.empty(0, np.int64), np.empty(0, np.int64))
+    _, near = cKDTree(means).query(means, k=most + 1, workers=-1)
+    own = np.arange(count)[:, None]
+    # Where means coincide, another may come before the Gaussian itself, and even push it off the list.
+    is_own = near == own
+    is_own[:, -1] |= ~is_own.any(axis=1)
+    return AlikePairs(np.repeat(own, most), near[~is_own].astype(np.int64))

@@ -12,13 +12,11 @@ from collections.abc import Callable, Generator, Hashable
 from dataclasses import dataclass, replace
 
 import lumisplat as ls
-from lumisplat.viewer.frames.levels import Levels
 from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step, first_step
-from lumisplat.viewer.frames.page import Page
-from lumisplat.viewer.frames.picture import Picture, Shown, page_depth, picture_of, split_picture
+from lumisplat.viewer.frames.page import Page, Picture, Shown, page_depth, picture_of, split_picture
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.frames.renderers import THREAD, Progress, Renderers, frame_config
-from lumisplat.viewer.frames.shown_scenes import ShownScenes
+from lumisplat.viewer.frames.shown_scenes import Levels, ShownScenes
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.thresholds import (
     BEFORE_SAMPLES,

@@ -1,14 +1,75 @@
-"""One open page: where it looks from, what it has been shown, and what it is sent next."""
+"""One open page: where it looks from, the frames that it was sent, and the browser that shows them."""
 
 from __future__ import annotations
 
 import threading
-from typing import Protocol
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.frames.pace import Pace
-from lumisplat.viewer.frames.picture import Picture, Shown
 from lumisplat.viewer.frames.pose import Pose
+from lumisplat.viewer.thresholds import ANSWER_S, DEPTH_STRIDE, PATIENCE_S
+
+if TYPE_CHECKING:
+    import viser
+
+
+Picture = npt.NDArray[np.uint8]
+
+_BEHIND = 32
+"""Grey behind transparent frames."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page is to show next."""
+
+    picture: Picture
+    """(H, W, 3), sRGB."""
+    quality: int
+    """Of the JPEG."""
+    depth: npt.NDArray[np.float32] | None = None
+    """View depth in units of the page, of every `DEPTH_STRIDE`-th pixel; None: of a view that moves."""
+
+
+def picture_of(frame: ls.Frame, view: str) -> Picture:
+    """The bytes of a frame.
+
+    Args:
+        frame: The frame.
+        view: ``color``, or one of `lumisplat.Frame.VIEWS`.
+
+    Raises:
+        ConfigError: The frame was rendered without what the view needs.
+    """
+    if view != "color":
+        return (255.0 * frame.view(view) + 0.5).astype(np.uint8)
+    pixels = np.asarray(frame, np.uint8)
+    if pixels.shape[2] == 3:
+        return pixels
+    share = pixels[..., 3:].astype(np.uint16)
+    return ((pixels[..., :3] * share + _BEHIND * (255 - share) + 127) // 255).astype(np.uint8)
+
+
+def page_depth(frame: ls.Frame, page_from_scene: float) -> npt.NDArray[np.float32]:
+    """Depth that a page hides its own handles behind."""
+    half = DEPTH_STRIDE // 2
+    depth = frame.depth_z[half::DEPTH_STRIDE, half::DEPTH_STRIDE] * page_from_scene
+    return np.nan_to_num(depth, nan=1e3, posinf=1e3).astype(np.float32)
+
+
+def split_picture(before: Picture, after: Picture, share: float) -> Picture:
+    """Two pictures of one size as one: ``before`` in the left share of the width, and a line between them."""
+    column = min(max(round(share * after.shape[1]), 0), after.shape[1] - 1)
+    joined = after.copy()
+    joined[:, :column] = before[:, :column]
+    joined[:, column] = 255
+    return joined
 
 
 class Screen(Protocol):
@@ -107,3 +168,47 @@ class Page:
                 self._changed.notify_all()
             self._screen.show(shown)
             self._is_sending = False
+
+
+_POLL_S = 0.2
+
+
+class BrowserScreen:
+    """Sends pictures to a page of viser, and asks whether they are there.
+
+    Args:
+        client: The page's connection.
+    """
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
+        self._is_open = True
+        self._has_answered = False
+        self._answers = True
+
+    def show(self, shown: Shown) -> None:
+        """Sends a picture, and waits for the page's answer."""
+        self._client.scene.set_background_image(
+            shown.picture, format="jpeg", jpeg_quality=shown.quality, depth=shown.depth
+        )
+        self._client.flush()
+        self._await_answer()
+
+    def close(self) -> None:
+        """Ends the wait."""
+        self._is_open = False
+
+    def _await_answer(self) -> None:
+        """Waits until the page has taken what it was sent: it answers in order, and viser's pages answer this."""
+        until = time.monotonic() + (PATIENCE_S if self._has_answered else ANSWER_S)
+        while self._answers and self._is_open:
+            try:
+                self._client.local_storage.get_item("frame", timeout=_POLL_S)
+                self._has_answered = True
+                return
+            except TimeoutError:
+                if time.monotonic() >= until:
+                    self._answers = self._has_answered
+                    return
+            except RuntimeError:  # it has gone, or keeps nothing, which is an answer, too
+                return

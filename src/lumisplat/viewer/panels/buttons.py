@@ -1,11 +1,12 @@
-"""Rows of buttons that do what they were pressed for, however soon the next is pressed, and buttons in lists."""
+"""Rows of buttons and buttons in lists: presses are handled one after the other."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from lumisplat.viewer.server.turns import in_turn
+from lumisplat.viewer.server.event_queue import in_turn
 
 if TYPE_CHECKING:
     import viser
@@ -105,3 +106,8 @@ def button(say: str, drawn: str, title: str, *, is_on: bool = False) -> str:
         is_on: Whether it stands out.
     """
     return f'<span role="button" data-say="{say}" class="{"on" * is_on}" title="{title}">{icon(drawn)}</span>'
+
+
+def plain(text: str) -> str:
+    """A text without anything that Markdown, HTML or a table would take for more than words."""
+    return re.sub(r"[|<>`*_\[\]{}\\&#~!]", " ", text)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import lumisplat as ls
 from lumisplat.config.setting import Setting, settings_of
 from lumisplat.viewer.colors import linear_from_picked, picked_from_linear
-from lumisplat.viewer.server.turns import chosen
+from lumisplat.viewer.server.event_queue import chosen
 from lumisplat.viewer.words import label
 
 if TYPE_CHECKING:

@@ -1,10 +1,12 @@
-"""Out of the viewer: the scene file, and the command that renders the same."""
+"""Exports files: the scene file, the command that renders the same, and images of any size."""
 
 from __future__ import annotations
 
 import html
 import re
 import shlex
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +15,15 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.panels.desk import pose_of_page
-from lumisplat.viewer.panels.notes import Notes
-from lumisplat.viewer.server.turns import pressed
+from lumisplat.viewer.output import capture_page, still_config
+from lumisplat.viewer.panels.background_jobs import JobContext, Steps, file_bytes, pose_of_page
+from lumisplat.viewer.panels.notifications import Notifications
+from lumisplat.viewer.server.event_queue import pressed
 from lumisplat.viewer.state.session import Session
 
 if TYPE_CHECKING:
     import viser
+
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,80}\.toml")
 _ROWS = 1080
@@ -31,13 +35,15 @@ class FilesPanel:
 
     Args:
         gui: The pages' controls.
-        notes: Tells pages what was saved.
+        notifications: Tells pages what was saved.
         session: Has the scene.
         pages: Open pages by the id of their connection.
     """
 
-    def __init__(self, gui: viser.GuiApi, notes: Notes, session: Session, pages: dict[int, Page]) -> None:
-        self._notes, self._session, self._pages = notes, session, pages
+    def __init__(
+        self, gui: viser.GuiApi, notifications: Notifications, session: Session, pages: dict[int, Page]
+    ) -> None:
+        self._notifications, self._session, self._pages = notifications, session, pages
         self._name = gui.add_text("scene file", "edited.toml", hint="Beside the scene that was opened.")
         self._overwrite = gui.add_checkbox("overwrite", False, hint="Replace a file of that name.")
         gui.add_button("save the scene").on_click(pressed(lambda _: self.save()))
@@ -68,7 +74,9 @@ class FilesPanel:
             self._session.report(str(error))
             return
         self._overwrite.value = False
-        self._notes.tell("saved", f"{target}{f', without {left_out} things that could not be read' * bool(left_out)}")
+        self._notifications.tell(
+            "saved", f"{target}{f', without {left_out} things that could not be read' * bool(left_out)}"
+        )
 
     def _target(self) -> Path | None:
         """The file of the name that was typed, beside the scene; None: it is no plain name."""
@@ -113,3 +121,95 @@ def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
         number = min(round(session.options.time * animation.fps), animation.frame_count - 1)
         return " ".join([*words, f"--frames {number}", "-o frames"])
     return " ".join([*words, "-o view.png"])
+
+
+FORMATS = ("png", "exr")
+HEIGHTS = (16, 8192)
+_LAYERS_HINT = (
+    "Of an EXR, besides depth, normals, positions and indices, which it always has: some of albedo, emission, "
+    "reflection, lights, hits, sample_count; of paths and in real time direct_diffuse, indirect_diffuse, "
+    "direct_glossy, indirect_glossy, too. With commas."
+)
+
+
+class PicturesPanel:
+    """Controls that make pictures, in the present folder; a page gets what it asked for as a download.
+
+    Args:
+        gui: The pages' controls.
+        context: Its session has the scene.
+    """
+
+    def __init__(self, gui: viser.GuiApi, context: JobContext) -> None:
+        self._context, self._session = context, context.session
+        self._height = gui.add_number("height (px)", 1080, min=HEIGHTS[0], max=HEIGHTS[1], step=1)
+        hint = "0: as wide as the page shows it."
+        self._width = gui.add_number("width (px)", 0, min=0, max=HEIGHTS[1], step=1, hint=hint)
+        self._samples = gui.add_number("samples per pixel", 64, min=1, max=65536, step=1)
+        self._format = gui.add_dropdown("format", FORMATS, hint="PNG: as shown. EXR: linear light, with layers.")
+        self._layers = gui.add_text("layers", "", hint=_LAYERS_HINT)
+        gui.add_button("render image").on_click(pressed(self._for_page(self._picture)))
+        hint = "One file with the captures as captured, without lights: it opens in any browser, without a server."
+        gui.add_button("export captures as HTML", hint=hint).on_click(pressed(self._for_page(self._capture_page)))
+
+    def _for_page(self, start: Callable[[viser.ClientHandle, Pose], None]) -> Callable[[Any], None]:
+        def on_click(event: Any) -> None:
+            pose = pose_of_page(self._context.pages, event)
+            if pose is None:
+                return
+            try:
+                start(event.client, pose)
+            except ls.LumisplatError as error:
+                self._session.report(str(error))
+
+        return on_click
+
+    def _picture(self, client: viser.ClientHandle, pose: Pose) -> None:
+        """Renders a page's view at any size."""
+        state, suffix = self._session.state, str(self._format.value)
+        height, studio = int(np.clip(self._height.value, *HEIGHTS)), self._context.studio
+        if self._width.value:
+            pose = replace(pose, aspect=int(np.clip(self._width.value, *HEIGHTS)) / height)
+        layers = listed(str(self._layers.value)) if suffix == "exr" else ()
+        config = still_config(state.config, layers)
+        camera, samples = pose.camera(height, state.exposure), int(self._samples.value)
+        time = self._session.options.time
+
+        def steps() -> Steps:
+            scene = studio.scene(state.document, config, time)
+            renderer = studio.renderer(config)
+            _as_file(renderer.render(scene, camera.scaled(height=HEIGHTS[0])), suffix, layers)  # fails now, not at last
+            renderer.reset()
+            frame = yield from studio.still(renderer, scene, camera, samples)
+            client.send_file_download(f"view.{suffix}", _as_file(frame, suffix, layers), save_immediately=True)
+
+        self._context.jobs.start(f"image of {camera.width} × {camera.height}", steps())
+
+    def _capture_page(self, client: viser.ClientHandle, _: Pose) -> None:
+        """Makes a page of the captures, as captured."""
+        document = self._session.state.document
+        scene = document.scene() if document.animation is None else document.animation.scene
+        if not scene.splats:
+            raise ls.SceneError("export captures as HTML: there is no capture that stands still")
+
+        def steps() -> Steps:
+            yield 0.0
+            client.send_file_download("capture.html", capture_page(scene).encode(), save_immediately=True)
+
+        self._context.jobs.start("captures as HTML", steps())
+
+
+def listed(layers: str) -> tuple[str, ...]:
+    """Names that were typed with commas."""
+    return tuple(name.strip() for name in layers.split(",") if name.strip())
+
+
+def _as_file(frame: ls.Frame, suffix: str, layers: tuple[str, ...]) -> bytes:
+    """The bytes of a frame's file; an EXR has layers besides those of every frame.
+
+    Raises:
+        ConfigError: The frame has no such layer.
+    """
+    always = tuple(name for name in ls.Frame.LAYERS if name not in ls.Frame.NEEDS)
+    wanted = dict.fromkeys((*always, *layers)) if suffix == "exr" else None
+    return file_bytes(f"view.{suffix}", lambda path: frame.save(path, wanted))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import lumisplat as ls
 from lumisplat.viewer.panels.controls import set_unused
 from lumisplat.viewer.panels.settings import SettingsPanel
-from lumisplat.viewer.server.turns import chosen
+from lumisplat.viewer.server.event_queue import chosen
 from lumisplat.viewer.state.applicable import unused_settings
 from lumisplat.viewer.state.session import Session
 

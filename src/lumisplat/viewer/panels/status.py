@@ -12,7 +12,7 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.frames.pace import Step
 from lumisplat.viewer.frames.page import Page
-from lumisplat.viewer.panels.markdown import plain
+from lumisplat.viewer.panels.buttons import plain
 from lumisplat.viewer.thresholds import LEVEL_FRACTIONS
 
 if TYPE_CHECKING:

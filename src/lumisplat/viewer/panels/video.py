@@ -16,14 +16,13 @@ import numpy.typing as npt
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.viewer.frames.picture import Picture, picture_of
+from lumisplat.viewer.frames.page import Picture, picture_of
 from lumisplat.viewer.frames.pose import look_through
-from lumisplat.viewer.output.stills import still_config
+from lumisplat.viewer.output import still_config
+from lumisplat.viewer.panels.background_jobs import JobContext, Steps, file_bytes, pose_of_page
 from lumisplat.viewer.panels.buttons import Channel, button
-from lumisplat.viewer.panels.desk import Desk, file_bytes, pose_of_page
-from lumisplat.viewer.panels.errands import Steps
-from lumisplat.viewer.panels.pictures import HEIGHTS
-from lumisplat.viewer.server.turns import chosen, pressed
+from lumisplat.viewer.panels.files import HEIGHTS
+from lumisplat.viewer.server.event_queue import chosen, pressed
 from lumisplat.viewer.state.flight import Key, camera_of, keys_of, with_key, with_key_moved, without_flight, without_key
 
 if TYPE_CHECKING:
@@ -41,11 +40,11 @@ class VideoPanel:
 
     Args:
         gui: The pages' controls.
-        desk: Its session has the scene, whose first camera with keyframes is the flight.
+        context: Its session has the scene, whose first camera with keyframes is the flight.
     """
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk, self._session = desk, desk.session
+    def __init__(self, gui: viser.GuiApi, context: JobContext) -> None:
+        self._context, self._session = context, context.session
         self._list = gui.add_html("")
         self._channel = Channel(
             gui, {"sooner": self._sooner, "later": self._later, "delete": self._delete}, {"look": self._look}
@@ -85,7 +84,7 @@ class VideoPanel:
             if name not in self._thumbnails:
                 self._thumbnails[name] = ""
                 camera = camera_of(key, self._session.scene.up_direction, _THUMBNAIL)
-                self._desk.thumbnail(camera, partial(self._take_thumbnail, name))
+                self._context.thumbnail(camera, partial(self._take_thumbnail, name))
         images = [self._thumbnails[name] for name in names]
         self._list.content = keys_html(keys, images, self._channel.id)
 
@@ -99,7 +98,7 @@ class VideoPanel:
         self._session.apply(lambda document: document.with_animation(fps=fps), merge="fps")
 
     def _add(self, event: Any) -> None:
-        pose = pose_of_page(self._desk.pages, event)
+        pose = pose_of_page(self._context.pages, event)
         if pose is None:
             return
         key = Key(pose.camera(_KEY_ROWS, self._session.state.exposure), pose.target)
@@ -127,7 +126,7 @@ class VideoPanel:
             self._session.apply(without_flight)
 
     def _render(self, event: Any) -> None:
-        pose, studio = pose_of_page(self._desk.pages, event), self._desk.studio
+        pose, studio = pose_of_page(self._context.pages, event), self._context.studio
         if pose is None:
             return
         state, suffix = self._session.state, str(self._format.value)
@@ -153,7 +152,7 @@ class VideoPanel:
 
         try:
             video_file([np.zeros((16, 16, 3), np.float32)], animation.fps, suffix)  # now, not after an hour of frames
-            self._desk.errands.start(f"video of {len(cameras)} frames", steps())
+            self._context.jobs.start(f"video of {len(cameras)} frames", steps())
         except ls.LumisplatError as error:
             self._session.report(" ".join(str(error).split()))
 

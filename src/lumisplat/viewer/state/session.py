@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.state.applicable import shown_views
-from lumisplat.viewer.state.boxes import Boxes
-from lumisplat.viewer.state.extent import Extent
+from lumisplat.viewer.state.scene_extent import Boxes, Extent
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, MERGE_S, UNDO_BYTES_MAX, UNDO_MAX
 from lumisplat.viewer.words import page_words
 

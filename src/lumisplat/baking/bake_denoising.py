@@ -1,0 +1,109 @@
+"""Reduces the noise of baked light: rays share it among Gaussians, and directions share what is constant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants.baking import SHARED_COLOR_MIN
+from lumisplat.math.arrays import Doubles, Flags
+
+_Rows = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenWeights:
+    """With which weights P rays blend N Gaussians, in S sights."""
+
+    ray: _Rows
+    """Of each sight, shape (S,)."""
+    gaussian: _Rows
+    """Shape (S,)."""
+    weight: Doubles
+    """Shape (S,)."""
+    rays: int
+    gaussians: int
+
+    def blended(self, values: Doubles) -> Doubles:
+        """Sums over the Gaussians of each ray, (N, C) to (P, C)."""
+        return _sums(self.ray, self.weight, self.gaussian, values, self.rays)
+
+    def mean_of(self, values: Doubles) -> Doubles:
+        """Means over the rays that see each Gaussian, (P, C) to (N, C); 0 where none does."""
+        total = np.maximum(np.bincount(self.gaussian, self.weight, self.gaussians), 1e-12)
+        return _sums(self.gaussian, self.weight, self.ray, values, self.gaussians) / total[:, None]
+
+
+def _sums(to: _Rows, weight: Doubles, of: _Rows, values: Doubles, count: int) -> Doubles:
+    """Weighted sums, column by column, which takes the least memory."""
+    return np.stack([np.bincount(to, weight * column[of], count) for column in values.T], axis=1).astype(np.float64)
+
+
+def denoised_by_rays(halves: Doubles, found: Doubles, base: Doubles, seen: SeenWeights, slope: float) -> Doubles:
+    """Light of what rays meet, drawn towards that of the same Gaussians on other rays.
+
+    Divided by what a ray would show of even light, light changes little along a surface; so it is averaged over the
+    rays that see a Gaussian, and blended on each, as a ratio of sums: dark rays tell little of it. Rays differ from
+    that by their noise, which the difference of halves tells, and by edges of shadows and reflections, which stay.
+    Where samples meet something or nothing by chance, light is that of those that do.
+
+    Args:
+        halves: Linear light by every other sample, and by the others, shape (2, P, 3).
+        found: Share of these samples that met something, shape (2, P, 1).
+        base: What rays that meet something show of even light of radiance 1, shape (P, 3).
+        seen: Which Gaussians rays see.
+        slope: How fast rays keep more of their own light the more they differ by more than their noise; by 1, as
+            James and Stein (1961) have it.
+
+    Returns:
+        Of what is met alone, shape (2, P, 3), each half by itself: rays of which no sample has met anything show what
+        others see there.
+    """
+    weight = np.maximum(seen.blended(np.ones((seen.gaussians, 1))), 1e-12)
+    shared = np.stack([_averaged(*of_half, base, seen, weight) for of_half in zip(halves, found, strict=True)])
+    both = found.sum(axis=0)
+    own = np.where(found > 0.0, halves / np.maximum(found, 1e-12), halves.sum(axis=0) / np.maximum(both, 1e-12))
+    own = np.where(both > 0.0, own, shared)
+    told = (found > 0.0).all(axis=0).astype(np.float64)  # by the difference of halves, where each has met something
+    least = np.maximum(base, SHARED_COLOR_MIN)
+    unlike, difference = (own - shared).mean(axis=0) / least, 0.5 * (own[0] - own[1]) / least
+    squares = told * np.stack([np.square(one).sum(axis=1) for one in (difference, unlike)], axis=1)
+    noise, spread = seen.mean_of(squares).T
+    kept = np.clip(slope * (1.0 - noise / np.maximum(spread, 1e-300)), 0.0, 1.0)[:, None]
+    return shared + seen.blended(kept) / weight * (own - shared)
+
+
+def _averaged(light: Doubles, found: Doubles, base: Doubles, seen: SeenWeights, weight: Doubles) -> Doubles:
+    """What rays show of the mean light of the Gaussians that they see, (P, 3); ``weight`` of all of these, (P, 1)."""
+    sent, received = (seen.blended(seen.mean_of(one / weight)) for one in (light, found * base))
+    return base * np.divide(sent, received, out=np.zeros_like(sent), where=received > 0.0)
+
+
+def angularly_denoised(even: Doubles, odd: Doubles, weights: Doubles, front: Flags) -> tuple[Doubles, Doubles]:
+    """Both halves of the samples, drawn towards the mean of their side as much as noise spreads them.
+
+    The spread of directions around their mean is that of what they show and of noise, which the difference of halves
+    tells: the factor 1 - noise / spread leaves what they show (James and Stein 1961). Matte sides become even, those
+    that reflect highlights stay. Shown light is linear here, so that means are unbiased.
+
+    Args:
+        even: Linear light by every other sample, shape (N, D, 3).
+        odd: By the others.
+        weights: Of the directions, shape (N, D).
+        front: Which show the front, shape (N, D).
+    """
+    mean = 0.5 * (even + odd)
+    steady_even, steady_odd = even.copy(), odd.copy()
+    for side in (front, ~front):
+        shares = weights * side
+        total = np.maximum(shares.sum(axis=1, keepdims=True), 1e-300)
+        shares = (shares / total)[..., None]
+        middle = (shares * mean).sum(axis=1, keepdims=True)
+        spread = (shares * np.square(mean - middle)).sum(axis=(1, 2))
+        noise = (shares * np.square(0.5 * (even - odd))).sum(axis=(1, 2))
+        kept = np.clip(1.0 - noise / np.maximum(spread, 1e-300), 0.0, 1.0)[:, None, None]
+        for half, out in ((even, steady_even), (odd, steady_odd)):
+            np.copyto(out, middle + kept * (half - middle), where=side[..., None])
+    return steady_even, steady_odd

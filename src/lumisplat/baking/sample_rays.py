@@ -1,0 +1,194 @@
+"""Chooses the rays along which Gaussians are viewed, from free space, and their weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import LUMINANCE
+from lumisplat.constants.baking import BACK_SHARE, DARK_SIDE_MIN, GOLDEN_STEP, SIDE_MIN, SIGHT_REACH
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
+from lumisplat.math.sh import even_directions
+from lumisplat.math.transforms import matrices_from_quaternions, transform_points
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.normals import shortest_axes
+from lumisplat.scene.scene import SplatInstance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Rays, world space, R to each of N Gaussians."""
+
+    origins: FloatArray
+    """The eyes, (N, R, 3)."""
+    directions: FloatArray
+    """Unit, (N, R, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleRays:
+    """Ways along which eyes may see N Gaussians, D each, world space: rays are drawn from them when they are needed."""
+
+    gaussian: IntArray
+    """Which Gaussians of the scene, shape (N,)."""
+    means: FloatArray
+    """Shape (N, 3)."""
+    axes: FloatArray
+    """Those of the Gaussians, times standard deviations, in columns, shape (N, 3, 3)."""
+    directions: FloatArray
+    """From the eye, unit, shape (N, D, 3)."""
+    distances: FloatArray
+    """Up to which eyes see the Gaussian, scene units, shape (N, D)."""
+    shares: FloatArray
+    """Of rays along each way and the ways before it, up to 1, shape (N, D)."""
+
+    @classmethod
+    def room(cls, gaussians: int, ways: int) -> SampleRays:
+        """Room for so many ways to each of so many Gaussians."""
+        shapes = (3,), (3, 3), (ways, 3), (ways,), (ways,)
+        return cls(np.empty(gaussians, np.int32), *(np.empty((gaussians, *shape), np.float32) for shape in shapes))
+
+    @classmethod
+    def of_views(
+        cls, instance: SplatInstance, directions: Doubles, weights: Doubles, distances: Doubles, first: int
+    ) -> SampleRays:
+        """Those of views of an instance's Gaussians: the more rays, the more a view counts and the farther it sees.
+
+        Eyes that are in free space anywhere would be spread evenly along a view, each with as many pixels of the
+        Gaussian as it shows; but people look across rooms, and not at the wall beside them.
+
+        Args:
+            instance: The Gaussians, in their place.
+            directions: From the eye, object space, unit, shape (N, D, 3).
+            weights: Of these, shape (N, D).
+            distances: Up to which it is seen, scene units, shape (N, D).
+            first: Number of the first Gaussian in the scene.
+        """
+        gaussians = instance.gaussians
+        across = weights * distances
+        linear = instance.transform[:3, :3]
+        axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64)) * gaussians.scales[:, None]
+        return cls(
+            np.arange(first, first + gaussians.count, dtype=np.int32),
+            transform_points(instance.transform, gaussians.means.astype(np.float64)).astype(np.float32),
+            (linear @ axes).astype(np.float32),
+            (directions @ (linear.T / instance.scale)).astype(np.float32),
+            distances.astype(np.float32),
+            np.cumsum(across / across.sum(axis=1, keepdims=True), axis=1).astype(np.float32),
+        )
+
+    def put(self, first: int, some: SampleRays) -> None:
+        """Writes those of some Gaussians, from this row on."""
+        rows = slice(first, first + len(some.gaussian))
+        for name in self.__slots__:
+            getattr(self, name)[rows] = getattr(some, name)
+
+    def of(self, rows: npt.NDArray[np.int64]) -> SampleRays:
+        """Those of some of the Gaussians."""
+        return SampleRays(*(getattr(self, name)[rows] for name in self.__slots__))
+
+    def lines(self, number: int, count: int, seed: int) -> Lines:
+        """Rays to each Gaussian, through points drawn from it: those of a round, evenly spread over the ways.
+
+        Eyes are spread along the distance up to which the Gaussian is seen, the farther the more.
+
+        Args:
+            number: Of the round, from 0 on: each has other rays.
+            count: Of the rays to each Gaussian; the same in all rounds.
+            seed: By which, and by the number of the Gaussian, points and distances are drawn.
+        """
+        even, point = self._draws(number, count, seed)
+        wanted = (GOLDEN_STEP * np.arange(number * count, (number + 1) * count) + even[:, :1]) % 1.0
+        # With the row added, the shares of all Gaussians ascend, and are searched at once.
+        row = np.arange(len(wanted))[:, None]
+        below = np.searchsorted((row + self.shares[:, :-1].astype(np.float64)).ravel(), row + wanted)
+        way = below - row * (self.shares.shape[1] - 1)
+        along = np.take_along_axis(self.directions, way[:, :, None], axis=1).astype(np.float64)
+        away = np.take_along_axis(self.distances, way, axis=1) * np.sqrt(even[:, 1:])
+        point *= np.minimum(1.0, SIGHT_REACH / np.maximum(np.linalg.norm(point, axis=2, keepdims=True), 1e-12))
+        # From the eye; one within the very point that it looks at looks past it.
+        towards = away[..., None] * along + point @ np.swapaxes(self.axes, 1, 2)
+        length = np.linalg.norm(towards, axis=2, keepdims=True)
+        towards = np.where(length > 0.0, towards / np.maximum(length, 1e-300), along)
+        eyes = self.means[:, None] - away[..., None] * along
+        return Lines(eyes.astype(np.float32), towards.astype(np.float32))
+
+    def _draws(self, number: int, count: int, seed: int) -> tuple[Doubles, Doubles]:
+        """Even numbers, the first of a Gaussian the same in all rounds, (N, 1 + R), and normal ones, (N, R, 3)."""
+        even, normal = np.empty((len(self.gaussian), 1 + count)), np.empty((len(self.gaussian), count, 3))
+        for row, gaussian in enumerate(self.gaussian):
+            start, rng = (
+                np.random.Generator(np.random.Philox(key=(seed, int(gaussian)), counter=(0, 0, 0, first)))
+                for first in (0, 1 + number)
+            )
+            even[row, 0] = start.random()
+            rng.random(out=even[row, 1:])
+            rng.standard_normal(out=normal[row])
+        return even, normal
+
+
+def random_turns(count: int, rng: np.random.Generator) -> Doubles:
+    """Rotations, uniform, as unit quaternions, wxyz, shape (count, 4)."""
+    turns = rng.standard_normal((count, 4))
+    return turns / np.linalg.norm(turns, axis=1, keepdims=True)
+
+
+def turned_directions(count: int, turns: Doubles) -> Doubles:
+    """Even directions, turned for each Gaussian, so that neighbours are seen from others: shape (N, count, 3)."""
+    return even_directions(count) @ np.swapaxes(matrices_from_quaternions(turns), 1, 2)
+
+
+def plane_normals(gaussians: Gaussians) -> Doubles:
+    """Normals, object space, shape (N, 3): those that are stored, else the smallest axes, of either sign."""
+    if gaussians.normals is not None:
+        return gaussians.normals.astype(np.float64)
+    return shortest_axes(gaussians)
+
+
+def on_seen_sides(directions: Doubles, normals: Doubles, weights: Doubles, front: Flags) -> Doubles:
+    """Directions, mirrored at the planes of the Gaussians onto the side that alone counts, where one does.
+
+    Args:
+        directions: To be looked along, shape (N, D, 3).
+        normals: Of the planes, shape (N, 3).
+        weights: Of views that have been looked at already, shape (N, E).
+        front: Which of those show the front, shape (N, E).
+    """
+    share = side_means(weights, front.astype(np.float64))[:, None]
+    across = (directions * normals[:, None]).sum(axis=2)
+    unseen = ((share < SIDE_MIN) & (across < 0.0)) | ((share > 1.0 - SIDE_MIN) & (across > 0.0))
+    mirrored = directions - 2.0 * across[..., None] * normals[:, None]
+    return np.where(unseen[..., None], mirrored, directions)
+
+
+def view_weights(front: Flags, light: Doubles, distance: Doubles, *, knows_front: bool) -> Doubles:
+    """How much views count, shape (N, D).
+
+    The share of all pixels that show a Gaussian from a direction, if eyes are anywhere in free space, is as the
+    distance up to which they see it: there are more of them farther away, by its square, but it is smaller to them by
+    as much. Harmonics cannot show two sides of a sheet that are lit differently. So the side counts that is lit: the
+    other one is the inside of something closed, or the outside of a room. And of Gaussians with normals, their front.
+
+    Args:
+        front: Whether the front is seen, shape (N, D).
+        light: Linear radiance, shape (N, D, 3).
+        distance: Up to which it is seen, shape (N, D).
+        knows_front: Whether the front is the outside.
+    """
+    weights = np.maximum(distance, 1e-6 * distance.max(initial=1e-30))
+    luminance = light @ np.array(LUMINANCE)
+    front_light, back_light = (side_means(weights * side, luminance) for side in (front, ~front))
+    brighter = np.maximum(np.maximum(front_light, back_light), 1e-30)
+    of_front = np.maximum(np.square(front_light / brighter), DARK_SIDE_MIN)
+    of_back = np.maximum(np.square(back_light / brighter), DARK_SIDE_MIN)
+    if knows_front:
+        of_back *= BACK_SHARE
+    return weights * np.where(front, of_front[:, None], of_back[:, None])
+
+
+def side_means(weights: Doubles, values: Doubles) -> Doubles:
+    """Weighted means over directions, shape (N, D) to (N,); 0 where nothing counts."""
+    total = weights.sum(axis=1)
+    return np.divide((weights * values).sum(axis=1), total, out=np.zeros(len(total)), where=total > 0.0)

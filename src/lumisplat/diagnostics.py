@@ -1,0 +1,256 @@
+"""What this machine has for Lumisplat: devices that are tried, the cache of kernels, packages and extras."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.errors import DeviceError, LumisplatError
+from lumisplat.memory import usable_memory
+from lumisplat.runtime import trial_kernels
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.kernel_cache import OTHER_CACHE, cache_error
+from lumisplat.runtime.launcher import Launcher, usable_cores
+from lumisplat.runtime.start import start_warp
+
+_DISTRIBUTION = "lumisplat"
+_FOR_DEVELOPERS = ("dev", "docs", "bench")
+"""Extras that no feature asks for."""
+
+_TRIAL_SIZE = 1_000
+_FREE_BYTES_MIN = 2**29
+"""Free space below which compiled kernels may not fit: those of one version took 186 MB where all tests had run."""
+
+_SIGNS_OF_A_GPU = ("/dev/nvidia0", "/dev/dxg", "/proc/driver/nvidia/version")
+"""Files that the driver of a GPU brings (the second one in WSL)."""
+
+
+@dataclass(frozen=True)
+class DeviceFacts:
+    """A device that Lumisplat can be told to use."""
+
+    name: str
+    """As ``device`` takes it: ``cpu``, ``cuda:0``."""
+    description: str
+    """What it is, such as ``NVIDIA H100 80GB HBM3``."""
+    memory_bytes: int
+    """0: not known."""
+    problem: str | None
+    """Why a small kernel did not run on it; None: it ran, and its results were right."""
+
+
+@dataclass(frozen=True)
+class CacheFacts:
+    """The folder of compiled kernels."""
+
+    folder: Path
+    used_bytes: int
+    free_bytes: int
+    problem: str | None
+    """Why kernels cannot be kept there; None: they can."""
+
+
+@dataclass(frozen=True)
+class PackageFacts:
+    """A package that is needed."""
+
+    name: str
+    needed: str
+    """Which versions, such as ``>=1.19``; empty: any."""
+    installed: str | None
+    """Version; None: it is not installed."""
+    is_right: bool
+    """Whether a version that is needed is installed."""
+
+
+@dataclass(frozen=True)
+class ExtraFacts:
+    """An optional part of Lumisplat, and the packages it needs."""
+
+    name: str
+    packages: tuple[PackageFacts, ...]
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether all of its packages are there."""
+        return all(package.is_right for package in self.packages)
+
+    @property
+    def install(self) -> str:
+        """The command that installs it."""
+        return f"pip install 'lumisplat[{self.name}]'"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What `lumisplat.diagnose` has found."""
+
+    version: str
+    """Of Lumisplat."""
+    python: str
+    """Version and path of the interpreter."""
+    system: str
+    """Operating system and architecture."""
+    cores: int
+    """CPU cores that this process may use."""
+    packages: tuple[PackageFacts, ...]
+    """What Lumisplat cannot do without."""
+    devices: tuple[DeviceFacts, ...]
+    cache: CacheFacts
+    extras: tuple[ExtraFacts, ...]
+    remarks: tuple[str, ...]
+    """What is not wrong, but may surprise, such as a GPU that cannot be used."""
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What has to be mended before all works, a line each; empty: nothing."""
+        lines = [
+            f"{package.name} is {package.installed or 'not installed'}, expected {package.needed or 'any version'}: "
+            f"pip install '{package.name}{package.needed}'"
+            for package in self.packages
+            if not package.is_right
+        ]
+        lines += [f"{device.name}: {device.problem}" for device in self.devices if device.problem]
+        return (*lines, *([self.cache.problem] if self.cache.problem else []))
+
+
+def diagnose() -> Diagnosis:
+    """Looks at what this machine has for Lumisplat, and runs a small kernel on each device.
+
+    Takes some seconds on a machine whose cache of kernels is empty. Nothing is installed or changed but for that
+    kernel in the cache.
+
+    Returns:
+        What was found. Nothing of it is raised.
+    """
+    cache = _cache()
+    with _room_for_kernels(cache):
+        devices = tuple(_tried(device) for device in wp.get_devices())
+    return Diagnosis(
+        version=metadata.version(_DISTRIBUTION),
+        python=f"{platform.python_version()}, {sys.executable}",
+        system=f"{platform.system()} {platform.release()}, {platform.machine()}",
+        cores=usable_cores(),
+        packages=_packages(extra=""),
+        devices=devices,
+        cache=cache,
+        extras=tuple(ExtraFacts(name, _packages(name)) for name in _extras() if name not in _FOR_DEVELOPERS),
+        remarks=tuple(_remarks(devices)),
+    )
+
+
+@contextlib.contextmanager
+def _room_for_kernels(cache: CacheFacts) -> Generator[None]:
+    """Where the cache cannot hold kernels, a folder that goes afterwards does: devices are tried all the same."""
+    if cache.problem is None:
+        yield
+        return
+    before = wp.config.kernel_cache_dir
+    with tempfile.TemporaryDirectory() as folder:
+        wp.config.kernel_cache_dir = folder
+        try:
+            start_warp()
+            yield
+        finally:
+            wp.config.kernel_cache_dir = before
+
+
+def _tried(device: Any) -> DeviceFacts:
+    """A device, on which a kernel has been run."""
+    try:
+        problem = _trial(device)
+    except (LumisplatError, OSError) as error:
+        problem = " ".join(str(error).split())
+    except Exception as error:  # Warp raises bare exceptions for whatever a driver or a compiler says
+        problem = f"a kernel cannot be compiled or run ({' '.join(str(error).split())})"
+    if device.is_cpu:
+        return DeviceFacts(device.alias, _processor(), usable_memory() or 0, problem)
+    return DeviceFacts(device.alias, device.name, int(device.total_memory), problem)
+
+
+def _processor() -> str:
+    """The name of the CPU; of its architecture where the system does not tell."""
+    with contextlib.suppress(OSError):
+        found = re.search(r"^model name\s*: (.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+        if found:
+            return found[1]
+    return platform.processor() or platform.machine()
+
+
+def _trial(device: Any) -> str | None:
+    """Runs a kernel; what is wrong with its results."""
+    launcher = Launcher(device.alias)
+    launcher.load([trial_kernels])
+    squares = Buffers(device.alias).upload("squares", wp.float32, np.full(_TRIAL_SIZE, np.nan, dtype=np.float32))
+    launcher.run(trial_kernels.trial_kernel, _TRIAL_SIZE, squares)
+    expected = np.arange(_TRIAL_SIZE, dtype=np.float32) ** 2
+    return None if np.array_equal(squares.numpy(), expected) else "a kernel that squares numbers gives wrong results"
+
+
+def _cache() -> CacheFacts:
+    """Where compiled kernels are kept, and whether more can be."""
+    problem, free = None, 0
+    try:
+        start_warp()
+        folder = Path(wp.config.kernel_cache_dir or "")
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        free = shutil.disk_usage(folder).free
+        if free < _FREE_BYTES_MIN:
+            problem = f"{folder}: {free / 2**20:.0f} MiB are free for compiled kernels, expected 512: {OTHER_CACHE}"
+    except OSError as error:
+        problem = str(cache_error(error))
+    except DeviceError as error:
+        problem = str(error)
+    folder = Path(wp.config.kernel_cache_dir or "")
+    used = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
+    return CacheFacts(folder, used, free, problem)
+
+
+def _remarks(devices: tuple[DeviceFacts, ...]) -> Iterator[str]:
+    has_cuda = any(device.name != "cpu" for device in devices)
+    sign = next(filter(os.path.exists, _SIGNS_OF_A_GPU), None) or shutil.which("nvidia-smi")
+    if sign is not None and not has_cuda:
+        needed = ".".join(map(str, wp.get_cuda_toolkit_version() or ()))
+        yield (
+            f"there is a GPU ({sign}), which cannot be used: Warp {wp.config.version} needs a driver for CUDA {needed} "
+            "or its minor versions, and nvidia-smi shows which one the driver has"
+        )
+
+
+def _extras() -> list[str]:
+    return sorted(metadata.metadata(_DISTRIBUTION).get_all("Provides-Extra") or [])
+
+
+def _packages(extra: str) -> tuple[PackageFacts, ...]:
+    """What Lumisplat needs by itself (``extra`` is empty), or for an extra."""
+    from packaging.requirements import Requirement
+
+    found: list[PackageFacts] = []
+    for line in metadata.requires(_DISTRIBUTION) or []:
+        needed = Requirement(line)
+        is_general = needed.marker is None or needed.marker.evaluate({"extra": ""})
+        is_asked = needed.marker is None or needed.marker.evaluate({"extra": extra})
+        if needed.name == _DISTRIBUTION or not is_asked or (extra and is_general):
+            continue
+        try:
+            installed = metadata.version(needed.name)
+        except metadata.PackageNotFoundError:
+            installed = None
+        is_right = installed is not None and needed.specifier.contains(installed, prereleases=True)
+        found.append(PackageFacts(needed.name, str(needed.specifier), installed, is_right))
+    return tuple(found)

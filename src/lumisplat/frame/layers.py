@@ -1,0 +1,450 @@
+"""Layers of a frame: their names, their channels in an EXR, and images and views that show them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config import AOVS, PATH_PARTS, listed_names
+from lumisplat.config.checks import quoted
+from lumisplat.constants import LUMINANCE
+from lumisplat.errors import ConfigError
+from lumisplat.frame.frame_data import FrameData
+from lumisplat.math.arrays import FloatArray
+from lumisplat.math.color import encode_srgb
+
+Image = npt.NDArray[Any]
+"""Pixels of any dtype, shape (H, W, ...)."""
+
+_MATTE = "shadow_matte"
+
+LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS, _MATTE)
+"""Names of layers. A frame has those of `AOVS` if ``RenderConfig.aovs`` asked for them, ``shadow_matte`` if it asked
+for ``shadow_ratio``, the others always."""
+
+RADIANCE = (
+    "albedo",
+    "emission",
+    "reflection",
+    "hits",
+    "shadow_ratio",
+    "light_direct",
+    "light_shadow",
+    "light_total",
+    "variance",
+    *PATH_PARTS[:4],
+    "bounces",
+    "motion",
+    "history",
+    "cache",
+)
+"""Fields of a frame that hold the layers of `AOVS`, as floats."""
+
+COUNTS = ("sample_count", "motion_known", "probes", "cache_cells")
+"""Those that hold them as integers."""
+
+_UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
+_LABEL_MAX = 60
+"""Longest name of a light in a layer's name, characters: file names and EXR channels end at 255 bytes."""
+
+
+class LightLayers(NamedTuple):
+    """The layers of one light."""
+
+    label: str
+    """Its name, fit for channels and file names."""
+    direct: FloatArray
+    """Radiance if nothing blocked it, (H, W, 3)."""
+    shadow: FloatArray
+    """Share of ``direct`` that arrives, 0..1, (H, W, 3)."""
+    total: FloatArray | None
+    """All of its light in frames of paths, bounces included, (H, W, 3)."""
+
+
+def present_layers(frame: FrameData) -> tuple[str, ...]:
+    """The layers that ``frame`` has, in the order of `LAYERS`."""
+    asked = (*AOVS, _MATTE)
+    return tuple(layer for layer in LAYERS if layer not in asked or frame.has(_field(layer)))
+
+
+def layer_names(layers: object) -> tuple[str, ...]:
+    """Names of layers, given as a list or as a text with commas.
+
+    Raises:
+        ConfigError: It is neither; whether there are such layers is not checked.
+    """
+    names = listed_names(layers)
+    if names is None:
+        raise ConfigError(f"layers is {quoted(layers)}, expected some of {', '.join(LAYERS)}")
+    return names
+
+
+def check_layer(frame: FrameData, layer: str) -> None:
+    """Raises ConfigError unless ``frame`` has the layer."""
+    if layer not in LAYERS:
+        raise ConfigError(f"unknown layer '{layer}', expected some of {', '.join(LAYERS)}")
+    if layer not in present_layers(frame):
+        wanted = _field(layer) if layer == _MATTE else layer
+        asked = frame.config is not None and wanted in frame.config.aovs
+        name = "it" if wanted == layer else wanted
+        why = "only lit frames have it (RenderConfig.lighting=True)" if asked else f"RenderConfig.aovs asks for {name}"
+        raise ConfigError(f"the frame has no '{layer}': {why}")
+
+
+def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
+    """Channels of layers, named so that Nuke groups them; radiance that is not finite is 0.
+
+    Raises:
+        ConfigError: The frame has no such layer.
+    """
+    channels: dict[str, Image] = {}
+    for layer in layers:
+        check_layer(frame, layer)
+        if layer == "depth":
+            channels["depth.Z"] = frame.depth
+        elif layer in ("normal", "position"):
+            channels |= _planes(layer, getattr(frame, layer), "XYZ")
+        elif layer in ("gaussian_index", "instance_index"):
+            channels[f"index.{layer.removesuffix('_index')}"] = getattr(frame, layer)
+        elif layer == "lights":
+            channels |= _light_channels(frame)
+        elif layer == "bounces":
+            assert frame.bounces is not None
+            for number, image in enumerate(frame.bounces):
+                channels |= _planes(f"bounce.{number}", _finite(image), "RGB")
+        elif layer == "motion":
+            assert frame.motion is not None and frame.motion_known is not None
+            channels |= _planes(layer, frame.motion, "XYZ") | {"motion.known": frame.motion_known}
+        elif layer == _MATTE:
+            channels |= _planes(layer, _finite(getattr(frame, layer)), "RGBA")
+        elif layer in COUNTS:
+            channels[f"{layer}.Y"] = getattr(frame, layer)
+        elif layer in ("hits", "history"):
+            channels[f"{layer}.Y"] = _finite(getattr(frame, layer))
+        else:
+            channels |= _planes(layer, _finite(getattr(frame, layer)), "RGB")
+    return channels
+
+
+def _light_channels(frame: FrameData) -> dict[str, Image]:
+    """Channels of the layers of each light."""
+    channels: dict[str, Image] = {}
+    for light in light_layers(frame):
+        channels |= _planes(f"light.{light.label}.direct", _finite(light.direct), "RGB")
+        channels |= _planes(f"light.{light.label}.shadow", _finite(light.shadow), "RGB")
+        if light.total is not None:
+            channels |= _planes(f"light.{light.label}.total", _finite(light.total), "RGB")
+    if frame.light_total is not None:
+        channels |= _planes("light_other", _finite(frame.light_total[-1]), "RGB")
+    return channels
+
+
+def light_layers(frame: FrameData) -> list[LightLayers]:
+    """The layers of each light, of a frame that has them, see `check_layer`."""
+    assert frame.light_direct is not None and frame.light_shadow is not None
+    labels = light_labels(frame.light_names or ("",) * len(frame.light_direct))
+    totals = [None] * len(labels) if frame.light_total is None else list(frame.light_total[:-1])
+    return [LightLayers(*row) for row in zip(labels, frame.light_direct, frame.light_shadow, totals, strict=True)]
+
+
+def light_labels(names: Sequence[str]) -> list[str]:
+    """A label for each light, fit for channels and file names: its name, else its number; no two are equal."""
+    taken: set[str] = set()
+    copies: dict[str, int] = {}
+    labels: list[str] = []
+    for index, name in enumerate(names):
+        safe = _UNSAFE.sub("_", name)[:_LABEL_MAX].strip("_") or str(index)
+        label = safe
+        while label.casefold() in taken:
+            copies[safe] = copies.get(safe, 1) + 1
+            label = f"{safe}_{copies[safe]}"
+        taken.add(label.casefold())
+        labels.append(label)
+    return labels
+
+
+def _field(layer: str) -> str:
+    return {"lights": "light_direct", _MATTE: "shadow_ratio"}.get(layer, layer)
+
+
+def _planes(layer: str, values: Image, axes: str) -> dict[str, Image]:
+    return {f"{layer}.{axis}": values[..., index] for index, axis in enumerate(axes)}
+
+
+def _finite(values: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(values), values, np.float32(0.0))
+
+
+Limits = tuple[float, float]
+"""Values at the two ends of a colour map."""
+
+_KEPT = ("motion", "history", "probes", "cache", "cache_cells")
+"""Views of motion, and of what frames in real time keep."""
+
+VIEWS = ("normal", "depth", "index", "shadow", "hits", "transmittance", *PATH_PARTS, *_KEPT)
+
+_DEPTH_RAMP = np.array(
+    [
+        [0.19, 0.07, 0.23],
+        [0.27, 0.45, 0.95],
+        [0.12, 0.86, 0.73],
+        [0.72, 0.95, 0.23],
+        [0.98, 0.55, 0.14],
+        [0.55, 0.05, 0.03],
+    ]
+)
+"""Dark blue over green to red: steps of depth are easier to tell apart than on a grey ramp."""
+
+_HEAT_RAMP = np.array(
+    [
+        [0.078, 0.000, 0.285],
+        [0.251, 0.004, 0.399],
+        [0.455, 0.004, 0.440],
+        [0.660, 0.086, 0.374],
+        [0.821, 0.241, 0.242],
+        [0.940, 0.405, 0.124],
+        [0.999, 0.594, 0.128],
+        [0.998, 0.789, 0.401],
+        [0.999, 0.957, 0.696],
+    ]
+)
+"""Dark violet over red to pale yellow, in equal steps of OKLab: equal differences are seen as equal."""
+
+_HITS_TOP = 255.0
+"""Gaussians a ray at the hot end of the colour map; more have the same colour."""
+_MOTION_TOP = 16.0
+"""Pixels a frame that have the full colour."""
+_REFRESHES_TOP = 64.0
+"""Refreshes of a probe at the hot end of the colour map."""
+_PROBE_PX = 2
+"""Pixels to each side of a probe that show it."""
+_DIMMED = 0.35
+"""Of the frame behind probes."""
+_UNLIT = (0.09, 0.13, 0.32)
+"""Colour of pixels that no light would reach without shadows either: a blue, as shadows are shades of grey."""
+
+
+_SHOWN_AS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "albedo": encode_srgb,
+    "shadow_ratio": lambda ratio: ratio,
+    "shadow_matte": lambda matte: matte[..., 3:].repeat(3, axis=2),
+}
+"""How layers that are no radiance become pictures."""
+
+
+def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
+    """Display-referred colours of one layer, by the names of the pictures, each of shape (H, W, 3), 0..1.
+
+    Depth runs from red (near) to blue (far) over its own range, normals are mapped from -1..1, positions from their
+    bounding box, each index has a colour of its own. Radiance is exposed and encoded as sRGB, and clipped to white; of
+    ``variance`` its root is. ``sample_count`` runs from violet (none) to yellow (the most). Pixels without a surface
+    are black. A layer has one picture of its own name, but ``lights`` has two for each light, ``light.NAME.direct`` and
+    ``light.NAME.shadow``, and in frames of paths ``light.NAME.total`` and ``light_other`` too, and ``bounces`` has
+    ``bounce.0`` and so on. ``shadow_matte`` shows its alpha.
+
+    Args:
+        frame: The rendered frame.
+        layer: One of ``Frame.LAYERS``.
+
+    Raises:
+        ConfigError: The frame has no such layer.
+    """
+    check_layer(frame, layer)
+    if layer == "lights":
+        pictures: dict[str, Image] = {}
+        for light in light_layers(frame):
+            pictures[f"light.{light.label}.direct"] = _radiance_picture(frame, light.direct)
+            pictures[f"light.{light.label}.shadow"] = light.shadow
+            if light.total is not None:
+                pictures[f"light.{light.label}.total"] = _radiance_picture(frame, light.total)
+        if frame.light_total is not None:
+            pictures["light_other"] = _radiance_picture(frame, frame.light_total[-1])
+    elif layer == "bounces":
+        assert frame.bounces is not None
+        pictures = {f"bounce.{number}": _radiance_picture(frame, image) for number, image in enumerate(frame.bounces)}
+    elif layer in ("depth", "normal", "hits", *_KEPT):
+        pictures = {layer: view_picture(frame, layer)}
+    elif layer == "position":
+        pictures = {layer: _position_picture(frame)}
+    elif layer == "variance":
+        pictures = {layer: _radiance_picture(frame, np.sqrt(getattr(frame, layer)))}
+    elif layer == "sample_count":
+        pictures = {layer: _sample_count_picture(frame)}
+    elif layer in _SHOWN_AS:
+        pictures = {layer: _SHOWN_AS[layer](getattr(frame, layer))}
+    elif layer in ("gaussian_index", "instance_index"):
+        indices: Image = getattr(frame, layer)
+        pictures = {layer: _index_picture(indices, indices >= 0)}
+    else:
+        pictures = {layer: _radiance_picture(frame, getattr(frame, layer))}
+    return {name: _displayable(picture) for name, picture in pictures.items()}
+
+
+def view_limits(frame: FrameData, view: str) -> Limits:
+    """Values at the ends of a view's colour map: of depth its percentiles 1 and 99, of the others always the same.
+
+    Of the history it is the most frames that the settings allow.
+
+    Raises:
+        ConfigError: There is no such view.
+    """
+    _check_view(view)
+    if view == "hits":
+        return 0.0, _HITS_TOP
+    if view == "motion":
+        return 0.0, _MOTION_TOP
+    if view == "probes":
+        return 0.0, _REFRESHES_TOP
+    if view == "history" and frame.config is not None:
+        return 0.0, float(frame.config.realtime.of_quality.filter.frames)
+    surface = frame.depth[np.isfinite(frame.depth)]
+    if view != "depth" or not surface.size:
+        return 0.0, 1.0
+    near, far = np.percentile(surface, (1, 99))
+    return float(near), float(far)
+
+
+def view_picture(frame: FrameData, view: str, limits: Limits | None = None) -> FloatArray:
+    """Display-referred colours of one view, shape (H, W, 3), 0..1.
+
+    Args:
+        frame: The rendered frame.
+        view: One of `VIEWS`, see ``Frame.view``.
+        limits: Values at the ends of the colour map of ``depth``, ``hits``, ``motion``, ``history`` and ``probes``;
+            None: those of `view_limits`.
+
+    Raises:
+        ConfigError: There is no such view, or the frame was rendered without what it needs.
+    """
+    low, high = view_limits(frame, view) if limits is None else limits
+    if view == "depth":
+        picture = _depth_picture(frame.depth, low, high)
+    elif view == "normal":
+        picture = np.where(frame.normal.any(axis=2, keepdims=True), 0.5 + 0.5 * frame.normal, 0.0)
+    elif view == "index":
+        # The instance counts, too: Gaussian 0 of two captures, and two meshes, which have no Gaussian, differ.
+        indices = frame.gaussian_index + 1 + 8191 * frame.instance_index.astype(np.int64)
+        picture = _index_picture(indices, frame.instance_index >= 0)
+    elif view == "shadow":
+        picture = _shadow_picture(frame)
+    elif view == "hits":
+        picture = _hits_picture(frame, low, high)
+    elif view in (*PATH_PARTS, "cache"):
+        check_layer(frame, view)
+        picture = _radiance_picture(frame, getattr(frame, view))
+    elif view == "motion":
+        picture = _motion_picture(frame, low, high)
+    elif view == "history":
+        picture = _history_picture(frame, low, high)
+    elif view == "probes":
+        picture = _probes_picture(frame, low, high)
+    elif view == "cache_cells":
+        check_layer(frame, view)
+        cells: Image = np.asarray(frame.cache_cells)
+        picture = _index_picture(cells, cells >= 0)
+    else:
+        _check_view(view)
+        picture = _ramp(_HEAT_RAMP, 1.0 - frame.alpha)
+    return _displayable(picture)
+
+
+def _check_view(view: str) -> None:
+    if view not in VIEWS:
+        raise ConfigError(f"unknown view '{view}', expected one of {', '.join(VIEWS)}")
+
+
+def _displayable(picture: Image) -> FloatArray:
+    return np.clip(np.nan_to_num(picture), 0.0, 1.0).astype(np.float32)
+
+
+def _ramp(stops: npt.NDArray[Any], values: Image) -> Image:
+    """Colours at 0..1 along equally spaced stops, shape (..., 3)."""
+    stops_at = np.linspace(0.0, 1.0, len(stops))
+    return np.stack([np.interp(values, stops_at, stops[:, channel]) for channel in range(3)], axis=-1)
+
+
+def _depth_picture(depth: FloatArray, near: float, far: float) -> Image:
+    hit = np.isfinite(depth)
+    closeness = (far - np.where(hit, depth, far)) / max(far - near, 1e-9)
+    return np.where(hit[..., None], _ramp(_DEPTH_RAMP, closeness), 0.0)
+
+
+def _hits_picture(frame: FrameData, low: float, high: float) -> Image:
+    check_layer(frame, "hits")
+    hits = np.maximum(np.nan_to_num(np.asarray(frame.hits, np.float64)), 0.0)
+    start, end = np.log2(1.0 + low), np.log2(1.0 + high)
+    heat = _ramp(_HEAT_RAMP, (np.log2(1.0 + hits) - start) / max(end - start, 1e-9))
+    return np.where(hits[..., None] > 0.0, heat, 0.0)
+
+
+def _motion_picture(frame: FrameData, low: float, high: float) -> Image:
+    """A hue for each direction, red to the right, yellow-green up, and the paler the slower; not known: black."""
+    check_layer(frame, "motion")
+    x, y, _ = np.moveaxis(np.asarray(frame.motion, np.float64), -1, 0)
+    strength = np.clip((np.hypot(x, y) - low) / max(high - low, 1e-9), 0.0, 1.0)[..., None]
+    hue = np.arctan2(-y, x)[..., None] / (2.0 * np.pi) * 6.0 + np.array([0.0, 4.0, 2.0])
+    colour = np.clip(np.abs(hue % 6.0 - 3.0) - 1.0, 0.0, 1.0)
+    return np.where(np.asarray(frame.motion_known)[..., None] > 0, 1.0 + strength * (colour - 1.0), 0.0)
+
+
+def _history_picture(frame: FrameData, low: float, high: float) -> Image:
+    check_layer(frame, "history")
+    history = np.nan_to_num(np.asarray(frame.history, np.float64))
+    heat = _ramp(_HEAT_RAMP, (history - low) / max(high - low, 1e-9))
+    return np.where(history[..., None] > 0.0, heat, 0.0)
+
+
+def _probes_picture(frame: FrameData, low: float, high: float) -> Image:
+    """Squares around probes, by how often these have been refreshed, on the frame in grey."""
+    check_layer(frame, "probes")
+    refreshes = np.asarray(frame.probes)
+    grey = encode_srgb(
+        _DIMMED * np.exp2(np.float32(frame.camera.exposure)) * (frame.color @ np.array(LUMINANCE, np.float32))
+    )
+    picture = np.repeat(np.clip(grey, 0.0, 1.0)[..., None], 3, axis=2)
+    height, width = refreshes.shape
+    start, end = np.log2(1.0 + low), np.log2(1.0 + high)
+    for y, x in np.argwhere(refreshes >= 0):
+        heat = _ramp(_HEAT_RAMP, (np.log2(1.0 + refreshes[y, x]) - start) / max(end - start, 1e-9))
+        rows = slice(max(y - _PROBE_PX, 0), min(y + _PROBE_PX + 1, height))
+        picture[rows, max(x - _PROBE_PX, 0) : min(x + _PROBE_PX + 1, width)] = heat
+    return picture
+
+
+def _sample_count_picture(frame: FrameData) -> Image:
+    counts = np.asarray(frame.sample_count, np.float64)
+    return _ramp(_HEAT_RAMP, counts / max(counts.max(initial=0.0), 1.0))
+
+
+def _position_picture(frame: FrameData) -> Image:
+    hit, position = np.isfinite(frame.depth), frame.position
+    if not hit.any():
+        return np.zeros_like(position)
+    low, high = np.percentile(position[hit], (1, 99), axis=0)
+    return np.where(hit[..., None], (position - low) / np.maximum(high - low, 1e-9), 0.0)
+
+
+def _index_picture(indices: Image, hit: Image) -> Image:
+    """A colour for each index, the same in every frame (Knuth's multiplicative hash); black: nothing was hit."""
+    hashed = indices.astype(np.uint32) * np.uint32(2654435761)
+    colors = np.stack([(hashed >> shift) & 0xFF for shift in (8, 16, 24)], axis=-1) / 255.0
+    return np.where(hit[..., None], 0.2 + 0.8 * colors, 0.0)
+
+
+def _shadow_picture(frame: FrameData) -> Image:
+    check_layer(frame, "lights")
+    direct = np.zeros(frame.alpha.shape)
+    arriving = np.zeros_like(direct)
+    for light in light_layers(frame):
+        direct += np.nan_to_num(light.direct) @ np.array(LUMINANCE)
+        arriving += np.nan_to_num(light.direct * light.shadow) @ np.array(LUMINANCE)
+    share = np.divide(arriving, direct, out=np.zeros_like(direct), where=direct > 0.0)
+    return np.where((direct > 0.0)[..., None], share[..., None], np.array(_UNLIT))
+
+
+def _radiance_picture(frame: FrameData, radiance: FloatArray) -> Image:
+    return encode_srgb(np.clip(radiance, 0.0, None) * np.exp2(np.float32(frame.camera.exposure)))

@@ -1,0 +1,155 @@
+"""A palette of vectors by k-means (Lloyd 1982) on two levels.
+
+The vectors are first divided into some hundreds of groups by k-means; then each group gets entries of its own. A vector
+is compared with the entries of its group only: 2 sqrt(K) comparisons for K entries instead of K. Groups with more error
+get more entries, which more than makes up for it; see docs/adr/0065-sog-written.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat import palette_kernels
+from lumisplat.palette_kernels import LANES, GroupedVectors, Lanes, find_nearest
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+
+LLOYD_STEPS = 10
+"""Steps of k-means on each level."""
+
+BANDS_A_THREAD = 8
+"""Bands of the comparisons: groups take more and less time."""
+
+_FAR = 1e15
+"""Component of entries that are not used: the sum of its squares is far above all others, and finite."""
+
+Floats = npt.NDArray[np.float32]
+Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Palette:
+    """K vectors that stand for N."""
+
+    entries: Floats
+    """Shape (K, D)."""
+    labels: Indices
+    """The entry of each of the N vectors."""
+
+
+def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
+    """Finds a palette that stands for vectors with little squared error; the same one in each run on a device.
+
+    Args:
+        values: Finite vectors, shape (N, D), at least one.
+        count: Largest number of entries, at least 1. If there are no more different vectors, these are the palette.
+        device: Where to compare vectors with entries.
+
+    Raises:
+        DeviceError: There is no such device.
+    """
+    values = np.ascontiguousarray(values, dtype=np.float32)
+    rows = values.view(np.dtype((np.void, values.itemsize * values.shape[1]))).reshape(-1)
+    _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
+    if len(first) <= count:  # as in captures that had a palette before
+        return Palette(values[first], inverse.astype(np.int64))
+    launcher = Launcher(device)
+    launcher.load([palette_kernels])
+    groups = min(round(count**0.5), len(values))
+    coarse, errors = _lloyd(launcher, values, np.zeros(len(values), dtype=np.int64), np.array([groups]))
+    fine, _ = _lloyd(launcher, values, coarse.labels, group_shares(coarse.labels, errors, count))
+    return fine
+
+
+def group_shares(group: Indices, errors: Floats, count: int) -> Indices:
+    """How many of ``count`` entries each group gets, by the root of the product of its size and its squared error.
+
+    By size alone, many entries would stand for vectors that are alike anyway. A group has at least one entry, and no
+    more than vectors.
+
+    Args:
+        group: Group of each vector, shape (N,).
+        errors: Squared distance of each vector to its group's mean, shape (N,).
+        count: Entries to give away.
+    """
+    sizes = np.bincount(group)
+    demand = np.sqrt(sizes * np.bincount(group, errors.astype(np.float64)))
+    if not demand.any():
+        return np.minimum(sizes, 1)
+    shares = np.floor(count * demand / demand.sum()).astype(np.int64)
+    return np.clip(shares, np.minimum(sizes, 1), sizes)
+
+
+def _lloyd(launcher: Launcher, values: Floats, group: Indices, shares: Indices) -> tuple[Palette, Floats]:
+    """K-means within each group, and the squared distance of each vector to its entry.
+
+    Args:
+        launcher: Launches the comparisons.
+        values: Shape (N, D).
+        group: Group of each vector, shape (N,).
+        shares: Number of entries of each group.
+    """
+    entries = _Entries(values, group, shares)
+    search = _Search(launcher, values, group, entries.first_row)
+    for _ in range(LLOYD_STEPS):
+        labels, distances = search.nearest(entries.values)
+        entries.move(labels, distances)
+    labels, distances = search.nearest(entries.values)
+    kept, labels = np.unique(labels, return_inverse=True)
+    return Palette(entries.values[kept], labels), distances
+
+
+class _Entries:
+    """The entries of groups: each group's begin with a row of their own, whose last ones may be unused."""
+
+    def __init__(self, vectors: Floats, group: Indices, shares: Indices) -> None:
+        self._vectors, self._group = vectors, group
+        self.first_row: Indices = np.concatenate([[0], np.cumsum(-(-shares // LANES))])
+        owner = self._owner = np.repeat(np.arange(len(shares)), shares)
+        rank = np.arange(len(owner)) - (np.cumsum(shares) - shares)[owner]
+        self._used: Indices = LANES * self.first_row[owner] + rank
+        self.values = np.full((self.first_row[-1] * LANES, vectors.shape[1]), _FAR, dtype=np.float32)
+        """Shape (16 rows, D)."""
+        # They begin at vectors spread evenly over those of the group: with captures in Morton order, over space.
+        members = np.argsort(group, kind="stable")
+        sizes = np.bincount(group, minlength=len(shares))
+        places = (np.cumsum(sizes) - sizes)[owner] + rank * sizes[owner] // shares[owner]
+        self.values[self._used] = vectors[members[places]]
+
+    def move(self, labels: Indices, distances: Floats) -> None:
+        """Moves entries to the means of their vectors, and those without to the vectors farthest from their entries."""
+        order = np.argsort(labels, kind="stable")
+        found, starts, counts = np.unique(labels[order], return_index=True, return_counts=True)
+        sums = np.add.reduceat(self._vectors[order], starts, axis=0, dtype=np.float64)
+        self.values[found] = sums / counts[:, None]
+        idle = np.bincount(labels, minlength=len(self.values))[self._used] == 0
+        for g in np.unique(self._owner[idle]):
+            slots = self._used[idle & (self._owner == g)]
+            inside = np.nonzero(self._group == g)[0]
+            farthest = inside[np.argsort(-distances[inside], kind="stable")[: len(slots)]]
+            self.values[slots] = self._vectors[farthest]
+
+
+class _Search:
+    """Vectors on the device, to be compared with entries."""
+
+    def __init__(self, launcher: Launcher, values: Floats, group: Indices, first_row: Indices) -> None:
+        self._launcher, self._buffers, self._count = launcher, Buffers(launcher.device), len(values)
+        self._vectors = GroupedVectors()
+        self._vectors.components = values.shape[1]
+        self._vectors.values = self._buffers.upload("values", float, values.reshape(-1))
+        self._vectors.group = self._buffers.upload("group", int, group.astype(np.int32))
+        self._vectors.first_row = self._buffers.upload("first_row", int, first_row.astype(np.int32))
+
+    def nearest(self, entries: Floats) -> tuple[Indices, Floats]:
+        """The entry of each vector, and its squared distance."""
+        rows = entries.reshape(-1, LANES, entries.shape[1]).transpose(0, 2, 1).reshape(-1, LANES)
+        self._vectors.entries = self._buffers.upload("entries", Lanes, rows)
+        entry = self._buffers.get("entry", int, self._count)
+        distance = self._buffers.get("distance", float, self._count)
+        bands = BANDS_A_THREAD * self._launcher.threads
+        self._launcher.run_banded(find_nearest, self._count, self._vectors, entry, distance, bands=bands)
+        return entry.numpy().astype(np.int64), distance.numpy().copy()

@@ -1,1 +1,0 @@
-"""Palettes: a few vectors that stand for many, found by k-means."""

@@ -1,0 +1,439 @@
+"""Evaluates estimated materials and light against a known truth: ``lumisplat.evaluate_materials``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config import Pipeline, RenderConfig, Shadows, check_kind
+from lumisplat.constants import SH_C0
+from lumisplat.constants.materials_measured import RELIT_SAMPLES
+from lumisplat.errors import MissingExtraError, SceneError
+from lumisplat.frame.frame_data import unpremultiplied
+from lumisplat.io.files.source import PathLike
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, float_array
+from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.metrics.images import flip, psnr, ssim
+from lumisplat.metrics.materials import Channels, channel_scale, environment_psnr, normal_errors
+from lumisplat.progress import Progress, say_nothing
+from lumisplat.relighting.relightable_set import RelightableSet
+from lumisplat.renderer.renderer import Renderer, create_renderer
+from lumisplat.renderer.scene.instance_tables import footprint_of
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.lights import Light
+from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.scene import Scene, SplatInstance
+
+
+def evaluate_materials(
+    gaussians: Gaussians,
+    folder: PathLike,
+    *,
+    environment: npt.ArrayLike | None = None,
+    config: RenderConfig | None = None,
+    samples: int | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> MaterialEvaluation:
+    """Compares a capture's materials, normals and looks in new light with the truth of a set, where the object is.
+
+    The capture is seen by the cameras of the photographs held out. Its albedo gets one scale a channel, the median
+    ratio to the truth over all of them, and with that it is relit in light that photographs were not made in;
+    figures are defined in the guide (docs/guide/materials.md#figures).
+
+    Args:
+        gaussians: The capture, with ``albedo``, ``normals`` and ``roughness`` as far as they were found. Without
+            albedo, its captured colours stand for it, decoded and without view dependence.
+        folder: A set as of tools/make_relightable_set.py or make_relightable_room.py.
+        environment: The light of the photographs that was found, linear radiance, shape (H, W, 3), with the axes of
+            `LightEnvironment`; None: none was.
+        config: How the capture is relit; None: ``Pipeline.HYBRID``, which has shadows and no bounces, and where lamps
+            light a room ``Pipeline.PATH``, which has both. Whatever it says, without a background, and with samples
+            through the centres of pixels: Gaussians were learnt as they are seen there, and spread samples would blur
+            them once more. Rays that find antialiased captures as narrow as they are have theirs spread.
+        samples: Of each pixel of relit pictures, in place of those of ``config``; None: those, and 64 if neither says
+            it, so that grain is a small part of the error (docs/guide/materials.md#grain).
+        device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
+        progress: Called with what is being done and the fraction done, 0..1.
+
+    Raises:
+        ConfigError: ``config`` is something else.
+        DeviceError: There is no such device.
+        FormatError: The folder is no such set, or a file of it is missing or damaged; names it.
+        SceneError: ``gaussians`` or ``environment`` are something else.
+    """
+    if config is not None:
+        check_kind("config", config, RenderConfig)
+    if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise SceneError(f"gaussians is {type(gaussians).__name__}, expected Gaussians")
+    found_light = None if environment is None else _panorama(environment)
+    truth, report = RelightableSet.open(folder), progress or say_nothing
+    given = with_albedo(gaussians)
+    seen = list(_seen(truth, given, device, report))
+    scale = albedo_scale(seen)
+    renderer = create_renderer(_relighting(config, samples, gaussians, has_lamps=truth.has_lamps), device)
+    relit = _relit(truth, given, scale, renderer, report)
+    seen = [replace(view, relit=pictures) for view, pictures in zip(seen, relit, strict=True)]
+    views, problems = zip(*(measured(view, scale) for view in seen), strict=True)
+    light_psnr, unlike = _environment_figure(found_light, truth)
+    normal_mean, normal_median = normal_figures(seen)
+    return MaterialEvaluation(
+        albedo_scale=scale,
+        albedo_psnr=_mean([view.albedo_psnr for view in views]),
+        albedo_psnr_unscaled=_mean([view.albedo_psnr_unscaled for view in views]),
+        albedo_psnr_linear=_mean([view.albedo_psnr_linear for view in views]),
+        normal_mean=normal_mean,
+        normal_median=normal_median,
+        roughness_rmse=roughness_rmse(seen),
+        environment_psnr=light_psnr,
+        relit={
+            name: RelitFigures(*map(_mean, zip(*(view.relit[name] for view in views), strict=True)))
+            for name in truth.unseen
+        },
+        views=tuple(views),
+        remarks=(*_remarks(gaussians, truth), *unlike, *dict.fromkeys(line for lines in problems for line in lines)),
+    )
+
+
+def _relighting(
+    config: RenderConfig | None, samples: int | None, gaussians: Gaussians, *, has_lamps: bool
+) -> RenderConfig:
+    """How relit pictures are made."""
+    settings = config or RenderConfig(pipeline=Pipeline.PATH if has_lamps else Pipeline.HYBRID)
+    if samples is None and settings.time_limit is None and settings.noise is None:
+        samples = settings.samples or RELIT_SAMPLES
+    # Splats show Gaussians through the centres of pixels as they were learnt, and so do rays that widen them.
+    pipeline = settings.pipeline
+    wide = not pipeline.is_sequence and (pipeline.rasterises or footprint_of(gaussians, settings) > 0.0)
+    return replace(settings, background=None, samples=samples, jitter=settings.jitter and not wide)
+
+
+def _panorama(environment: npt.ArrayLike) -> FloatArray:
+    """The environment that was found, checked."""
+    image = float_array("environment", environment)
+    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+        raise SceneError(f"environment has shape {image.shape}, expected (H, W, 3)")
+    if (image < 0.0).any():
+        raise SceneError("environment has negative values")
+    return image
+
+
+def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tuple[float, list[str]]:
+    """How near the environment is that was found, dB, and why it was not compared."""
+    if found is None:
+        return math.nan, []
+    true = truth.environment()
+    if true is None:
+        return math.nan, [
+            f"the environment that was found is not compared: lamps made the photographs of {truth.folder}"
+        ]
+    return environment_psnr(found, true), []
+
+
+def _seen(truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress) -> Iterator[SeenView]:
+    """The views with the layers that both have."""
+    layers = LayerRenderer.of(gaussians, device)
+    for number, view in enumerate(truth.views):
+        report("comparing layers", number / len(truth.views))
+        region, found = truth.region(view), layers.draw(view.camera)
+        pairs = {name: (found[name], truth.layer(name, view)) for name in truth.layers if name in found}
+        yield SeenView(view.name, region, pairs, {})
+    report("comparing layers", 1.0)
+
+
+def _relit(
+    truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress
+) -> list[dict[str, Pair]]:
+    """What is seen of the capture and of the truth in all unseen light, view by view."""
+    pictures: list[dict[str, Pair]] = [{} for _ in truth.views]
+    for number, name in enumerate(truth.unseen):
+        scene = relit_scene(gaussians, truth.lights(name), scale, truth.specular)
+        for index, view in enumerate(truth.views):
+            report("relighting", (number + index / len(truth.views)) / len(truth.unseen))
+            wanted = truth.relit(name, view)
+            pictures[index][name] = over_black(renderer, scene, view.camera), wanted
+    report("relighting", 1.0)
+    return pictures
+
+
+def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
+    """What was not compared, and what stands for something else."""
+    for name in ("albedo", "normal", "roughness"):
+        if name not in truth.layers:
+            yield f"no truth of {name}: {truth.folder / 'truth' / name} is not there"
+    if not truth.unseen:
+        yield f"nothing is relit: {truth.folder / 'relit'} has neither an .exr nor a .toml"
+    if gaussians.albedo is None:
+        yield "the capture has no albedo: its captured colours, decoded, stand for it"
+    if gaussians.normals is None:
+        yield "the capture has no normals of its own: those of its Gaussians' shapes are compared"
+    if gaussians.roughness is None and truth.specular > 0.0:
+        yield "the capture has no roughness: it is relit with 0.5"
+
+
+def _mean(values: Sequence[float]) -> float:
+    """The mean of those that are there."""
+    existing = [value for value in values if not math.isnan(value)]
+    return sum(existing) / len(existing) if existing else math.nan
+
+
+class RelitFigures(NamedTuple):
+    """How near relit pictures are to true ones, where the object is."""
+
+    psnr: float
+    """Decibels."""
+    ssim: float
+    """At most 1; NaN: pictures are too small, or scikit-image is not installed."""
+    flip: float
+    """0..1, the lower the better; NaN: flip-evaluator is not installed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaterialView:
+    """A view held out: figures and pictures of what was found. Figures are NaN where there is nothing to compare."""
+
+    name: str
+    coverage: float
+    """Share of its pixels that the object covers by half or more, 0..1: what is compared."""
+    albedo_psnr: float
+    """Of sRGB-encoded albedo after one scale a channel, dB."""
+    albedo_psnr_unscaled: float
+    """The same without a scale, dB."""
+    albedo_psnr_linear: float
+    """Of linear albedo after the scale, dB."""
+    normal_mean: float
+    """Mean angle between normals, degrees."""
+    normal_median: float
+    """Median angle between normals, degrees."""
+    roughness_rmse: float
+    """Root mean square error of perceptual roughness, 0..1."""
+    relit: Mapping[str, RelitFigures]
+    """By the names of the light that photographs were not made in."""
+    region: Flags
+    """What is compared, shape (H, W)."""
+    pictures: Mapping[str, tuple[FloatArray, FloatArray]]
+    """What was found and the truth, display colours, shape (H, W, 3) each, by ``albedo``, ``normal``, ``roughness`` and
+    the names of the light: ``relit/sunny``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaterialEvaluation:
+    """How near found materials and light are to the truth, as `evaluate_materials` measures it.
+
+    Figures are NaN where the set has no truth, or the capture nothing that was found; ``remarks`` say which. PSNR, SSIM
+    and FLIP are means over the views, the others are of all their pixels together.
+    """
+
+    albedo_scale: tuple[float, float, float]
+    """The factor of each channel by which found albedo is as bright as the truth; 1 without a truth."""
+    albedo_psnr: float
+    """Of sRGB-encoded albedo after that scale, dB."""
+    albedo_psnr_unscaled: float
+    """The same without a scale, dB."""
+    albedo_psnr_linear: float
+    """Of linear albedo after the scale, dB."""
+    normal_mean: float
+    """Mean angle between normals, degrees."""
+    normal_median: float
+    """Median angle between normals, degrees."""
+    roughness_rmse: float
+    """Root mean square error of perceptual roughness, 0..1."""
+    environment_psnr: float
+    """Of the environment after one scale a channel, dB (see the guide)."""
+    relit: Mapping[str, RelitFigures]
+    """By the names of the light that photographs were not made in; albedo is scaled as above."""
+    views: tuple[MaterialView, ...]
+    """The views held out, by name."""
+    remarks: tuple[str, ...]
+    """What was not compared, or stands for something that was not found, a line each."""
+
+    def __repr__(self) -> str:
+        relit = ", ".join(f"{name} {figures.psnr:.2f}" for name, figures in self.relit.items())
+        return (
+            f"MaterialEvaluation(views={len(self.views)}, albedo_psnr={self.albedo_psnr:.2f}, "
+            f"normal_mean={self.normal_mean:.2f}, roughness_rmse={self.roughness_rmse:.4f}, relit_psnr={{{relit}}})"
+        )
+
+
+Pair = tuple[FloatArray, FloatArray]
+"""What was found, and the truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenView:
+    """A view's layers and pictures, found and true, shape (H, W, C)."""
+
+    name: str
+    region: Flags
+    """What counts, shape (H, W)."""
+    layers: Mapping[str, Pair]
+    """Those that both have."""
+    relit: Mapping[str, Pair]
+    """By environment, display colours over black."""
+
+    def counted(self, layer: str) -> tuple[Doubles, Doubles]:
+        """A layer's pixels that count, shape (N, C) each; N is 0 if there is no such layer."""
+        if layer not in self.layers:
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        found, truth = self.layers[layer]
+        return found[self.region].astype(np.float64), truth[self.region].astype(np.float64)
+
+
+def albedo_scale(views: Sequence[SeenView]) -> Channels:
+    """The one scale a channel of all views; 1 if there is no albedo to compare."""
+    pairs = [view.counted("albedo") for view in views]
+    found, truth = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
+    return channel_scale(found, truth) if len(found) else (1.0, 1.0, 1.0)
+
+
+def normal_figures(views: Sequence[SeenView]) -> tuple[float, float]:
+    """Mean and median angle between normals over all views' pixels, degrees."""
+    errors = np.concatenate([normal_errors(*view.counted("normal")) for view in views])
+    return (float(errors.mean()), float(np.median(errors))) if len(errors) else (math.nan, math.nan)
+
+
+def roughness_rmse(views: Sequence[SeenView]) -> float:
+    """Root mean square error of roughness over all views' pixels."""
+    pairs = [view.counted("roughness") for view in views]
+    errors = np.concatenate([(found - truth)[:, 0] for found, truth in pairs])
+    return float(np.sqrt(np.mean(errors**2))) if len(errors) else math.nan
+
+
+def measured(view: SeenView, scale: Channels) -> tuple[MaterialView, list[str]]:
+    """The figures and pictures of a view, and why figures are missing.
+
+    Args:
+        view: The view; its relit pictures have the scaled albedo already.
+        scale: Of the albedo.
+    """
+    problems: list[str] = []
+    mean, median = normal_figures([view])
+    result = MaterialView(
+        name=view.name,
+        coverage=float(view.region.mean()),
+        albedo_psnr=_albedo_psnr(view, scale),
+        albedo_psnr_unscaled=_albedo_psnr(view, (1.0, 1.0, 1.0)),
+        albedo_psnr_linear=_albedo_psnr(view, scale, linear=True),
+        normal_mean=mean,
+        normal_median=median,
+        roughness_rmse=roughness_rmse([view]),
+        relit={name: _relit_figures(pair, view.region, problems) for name, pair in view.relit.items()},
+        region=view.region,
+        pictures=_pictures(view, scale),
+    )
+    return result, problems
+
+
+def _albedo_psnr(view: SeenView, scale: Channels, *, linear: bool = False) -> float:
+    if "albedo" not in view.layers:
+        return math.nan
+    found, truth = _albedo_pictures(view, scale, linear=linear)
+    return psnr(found, truth, region=view.region)
+
+
+def _albedo_pictures(view: SeenView, scale: Channels, *, linear: bool = False) -> Pair:
+    found, truth = view.layers["albedo"]
+    pair = np.clip(found * np.array(scale, np.float32), 0.0, 1.0), np.clip(truth, 0.0, 1.0)
+    return pair if linear else (_displayed(pair[0]), _displayed(pair[1]))
+
+
+def _displayed(linear: FloatArray) -> FloatArray:
+    return np.clip(encode_srgb(linear), 0.0, 1.0).astype(np.float32)
+
+
+def _relit_figures(pair: Pair, region: Flags, problems: list[str]) -> RelitFigures:
+    figures: list[float] = []
+    for name, metric in {"psnr": psnr, "ssim": ssim, "flip": flip}.items():
+        try:
+            figures.append(metric(*pair, region=region))
+        except (MissingExtraError, SceneError) as error:
+            figures.append(math.nan)
+            problems.append(f"no {name}: {error}")
+    return RelitFigures(*figures)
+
+
+def _pictures(view: SeenView, scale: Channels) -> dict[str, Pair]:
+    """Display pictures of layers and relit views, black where nothing counts."""
+    shown: dict[str, Pair] = {}
+    if "albedo" in view.layers:
+        shown["albedo"] = _albedo_pictures(view, scale)
+    if "normal" in view.layers:
+        found, truth = view.layers["normal"]
+        shown["normal"] = 0.5 + 0.5 * found, 0.5 + 0.5 * truth
+    if "roughness" in view.layers:
+        found, truth = (np.repeat(values, 3, axis=2) for values in view.layers["roughness"])
+        shown["roughness"] = found, truth
+    shown |= {f"relit/{name}": pair for name, pair in view.relit.items()}
+    inside = view.region[..., None].astype(np.float32)
+    return {name: (np.clip(a, 0.0, 1.0) * inside, np.clip(b, 0.0, 1.0) * inside) for name, (a, b) in shown.items()}
+
+
+def with_albedo(gaussians: Gaussians) -> Gaussians:
+    """The Gaussians with an albedo: theirs, else their captured colours without view dependence, decoded."""
+    if gaussians.albedo is not None:
+        return gaussians
+    captured = np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0.0, 1.0)
+    return replace(gaussians, albedo=decode_srgb(captured))
+
+
+@dataclass(frozen=True, slots=True)
+class LayerRenderer:
+    """Draws albedo, normals and roughness as relit frames have them."""
+
+    renderer: Renderer
+    unlit: Renderer
+    lit_scene: Scene
+    roughness_scene: Scene | None
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, device: str) -> LayerRenderer:
+        """Of Gaussians with an albedo."""
+        lit = RenderConfig(
+            background=None, lighting=True, shadows=Shadows.OFF, samples=1, aovs=("albedo",), pipeline=Pipeline.RASTER
+        )
+        with_base_colors = None
+        if gaussians.roughness is not None:
+            # Roughness as a colour that is blended as it is.
+            values = np.repeat((gaussians.roughness[:, None, None] - 0.5) / SH_C0, 3, axis=2)
+            with_base_colors = Scene(splats=(SplatInstance(replace(gaussians, sh=values)),))
+        return cls(
+            create_renderer(lit, device),
+            create_renderer(RenderConfig(background=None, lighting=False), device),
+            Scene(splats=(SplatInstance(gaussians, material=MaterialPbr()),)),
+            with_base_colors,
+        )
+
+    def draw(self, camera: Camera) -> dict[str, FloatArray]:
+        """Linear albedo (H, W, 3), unit normals (H, W, 3), zero where nothing is, and roughness (H, W, 1) if known."""
+        frame = self.renderer.render(self.lit_scene, camera)
+        assert frame.albedo is not None
+        layers = {"albedo": unpremultiplied(frame.albedo, frame.alpha), "normal": frame.normal}
+        if self.roughness_scene is not None:
+            layers["roughness"] = self.unlit.render(self.roughness_scene, camera).straight()[..., :1]
+        return layers
+
+
+def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[float, ...], specular: float) -> Scene:
+    """The capture in other light, its albedo scaled and clipped.
+
+    Args:
+        gaussians: With an albedo.
+        lights: All that there are.
+        scale: Of the albedo, a factor a channel.
+        specular: Strength of the highlights.
+    """
+    assert gaussians.albedo is not None
+    scaled = replace(gaussians, albedo=np.clip(gaussians.albedo * np.array(scale), 0.0, 1.0))
+    return Scene(splats=(SplatInstance(scaled, material=MaterialPbr(specular=specular)),), lights=lights)
+
+
+def over_black(renderer: Renderer, scene: Scene, camera: Camera) -> FloatArray:
+    """A frame without background as display colours over black, shape (H, W, 3), blended as photographs are."""
+    pixels = renderer.render(scene, camera).pixels_srgb()
+    return pixels[..., :3] * pixels[..., 3:]

@@ -1,1 +1,0 @@
-"""Found materials and light against a known truth."""

@@ -1,0 +1,149 @@
+"""Irradiance and outgoing radiance of captured Gaussians, and the typical albedo that fixes their scale.
+
+Only the product of light and albedo is visible, so the lightest albedos are taken to be typical.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants.delight import (
+    ALBEDO_HIGH,
+    ALPHA_LEAST,
+    LIGHTEST,
+    LIT_LEAST,
+    RADIANCE_LEAST,
+    SCALE_STEPS,
+    SKY_LEAST,
+    VIEW_DIRECTIONS,
+    VIEW_TILT,
+)
+from lumisplat.constants.materials import OUTGOING_COSINE, OUTGOING_DIRECTIONS
+from lumisplat.math.arrays import Doubles, FloatArray, weighted_quantile
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.sh import even_directions, sh_basis
+from lumisplat.renderer.ray_queries import RayHits
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.colors import colors_along
+
+HalfArray = npt.NDArray[np.float16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Irradiance:
+    """Irradiance over pi of N Gaussians: what a white surface would show. Linear, in units of display white."""
+
+    observed: Doubles
+    """Of what the capture shows, without its lamps, shape (N, 3)."""
+    sky: FloatArray
+    """Of each of K cells of a sky of radiance 1, shape (N, K)."""
+    lamps: FloatArray
+    """Of each of L lamps of radiance 1, shape (N, L)."""
+    ways: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
+    """Directions in which what the capture shows was kept apart, unit, shape (W, 3); none if it was not."""
+    by_way: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
+    """The share of ``observed`` that comes from each, shape (W, N, 3)."""
+
+    def total(self, sky: Doubles | FloatArray, lamps: Doubles) -> Doubles:
+        """That of a sky and lamps, shape (N, 3).
+
+        Args:
+            sky: Radiances, shape (K, 3); float32 are multiplied as such, in half the memory.
+            lamps: Likewise, shape (L, 3).
+        """
+        return self.observed + self.sky @ sky + self.lamps @ lamps
+
+
+BLOCK = 4096
+"""Gaussians whose colours from all sides are in memory at once."""
+
+
+def median_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
+    """What Gaussians send to most directions before them, shape (N, 3): highlights, which few see, are not in it.
+
+    Args:
+        gaussians: A capture.
+        normals: Unit, towards the side from which they are seen, shape (N, 3).
+    """
+    found = np.empty((gaussians.count, 3))
+    for first in range(0, gaussians.count, BLOCK):
+        rows = np.arange(first, min(first + BLOCK, gaussians.count))
+        found[rows] = np.median(_before(gaussians.subset(rows), normals[rows]), axis=0)
+    return found
+
+
+def mean_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
+    """The mean over views above each Gaussian, by their cosines, shape (N, 3): photographs then tell highlights.
+
+    Args:
+        gaussians: A capture.
+        normals: As of `median_outgoing`.
+    """
+    views = even_directions(OUTGOING_DIRECTIONS)
+    basis = sh_basis(-views, gaussians.sh_degree)  # of where eyes look
+    found = np.empty((gaussians.count, 3))
+    for first in range(0, gaussians.count, BLOCK):
+        rows = slice(first, first + BLOCK)
+        cosines = normals[rows] @ views.T
+        weights = np.where(cosines > OUTGOING_COSINE, cosines, 0.0)
+        shown = np.clip(np.einsum("vk,nkc->nvc", basis, gaussians.sh[rows]) + 0.5, 0.0, 1.0)
+        found[rows] = np.einsum("nv,nvc->nc", weights, decode_srgb(shown)) / weights.sum(axis=1, keepdims=True)
+    return np.maximum(found, RADIANCE_LEAST)
+
+
+def radiance_met(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Doubles:
+    """Radiance of what rays meet, without their share that passes it, shape (N, 3); ``alpha`` is the rest."""
+    return decode_srgb(np.clip(hits.radiance / np.maximum(alpha, ALPHA_LEAST)[:, None], 0.0, 1.0))
+
+
+def _before(gaussians: Gaussians, normals: Doubles) -> Doubles:
+    """Radiance into directions before Gaussians, which are bent towards their normals, shape (M, N, 3)."""
+    seen: list[FloatArray] = []
+    for direction in even_directions(VIEW_DIRECTIONS):
+        way = np.where(normals @ direction > 0.0, 1.0, -1.0)[:, None] * direction + VIEW_TILT * normals
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        seen.append(decode_srgb(np.clip(colors_along(gaussians, -way), 0.0, 1.0)))
+    return np.array(seen, dtype=np.float64)
+
+
+def lit_evenly(incident: Irradiance) -> Doubles:
+    """Irradiance over pi of the sky and lamps, each of radiance 1, shape (N,)."""
+    return incident.sky.sum(axis=1, dtype=np.float64) + incident.lamps.sum(axis=1, dtype=np.float64)
+
+
+def even_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> float:
+    """Of a sky and lamps that are grey and the same everywhere; 1 if hardly any of their light arrives anywhere.
+
+    Args:
+        outgoing: Radiance of Gaussians, shape (N, 3).
+        incident: What shines on them.
+        weights: How much they count, at least 0, shape (N,).
+    """
+    lit = lit_evenly(incident)
+    rows = (lit > max(LIT_LEAST * float(np.median(lit)), 1e-9)) & (weights > 0.0)
+    if not rows.any():
+        return 1.0
+    wanted = (outgoing[rows] / ALBEDO_HIGH - incident.observed[rows]).max(axis=1) / lit[rows]
+    return max(weighted_quantile(wanted, weights[rows], LIGHTEST), SKY_LEAST)
+
+
+def typical_albedo_factor(outgoing: Doubles, observed: Doubles, lit: Doubles, weights: Doubles) -> float:
+    """By what a light is too dark; what Gaussians show each other stays as it was captured.
+
+    In a few rounds, each of which comes nearer by the light's share: where Gaussians are lit mostly by each other, the
+    lightest albedos stay between what they were and what is usual.
+
+    Args:
+        outgoing: Radiance of Gaussians, shape (N, 3).
+        observed: Irradiance over pi of what the capture shows, shape (N, 3).
+        lit: Of the light, shape (N, 3).
+        weights: How much Gaussians count, at least 0, shape (N,).
+    """
+    factor = 1.0
+    for _ in range(SCALE_STEPS):
+        irradiance = np.maximum(observed + factor * lit, RADIANCE_LEAST)
+        factor *= weighted_quantile((outgoing / irradiance).max(axis=1), weights, LIGHTEST) / ALBEDO_HIGH
+    return factor

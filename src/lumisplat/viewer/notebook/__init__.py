@@ -1,1 +1,0 @@
-"""Live frames in the cells of notebooks."""

@@ -1,0 +1,1 @@
+"""The outliner of scene objects, the properties of the selected one, and how new ones are added."""

@@ -1,1 +1,0 @@
-"""What leaves the viewer: pictures with all their samples, and captures as a page."""

@@ -1,0 +1,240 @@
+"""Chooses how the scene is viewed: layer, resolution, overlays, viewpoint, and the time of an animation."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.viewer.frames.pose import look_through
+from lumisplat.viewer.server.event_queue import chosen, pressed
+from lumisplat.viewer.state.scene_extent import Extent, pose_of, world_corners
+from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, PLAY_STEPS_PER_S
+
+if TYPE_CHECKING:
+    import viser
+
+
+class ViewPanel:
+    """Controls of the options, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the options.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session) -> None:
+        self._session = session
+        options = session.options
+        self._view = gui.add_dropdown("view", session.views, initial_value=options.view)
+        self._height = gui.add_slider("height (px)", *HEIGHTS, 10, options.height, hint="Of images at rest.")
+        self._budget = gui.add_slider(
+            "frame time (ms)",
+            *BUDGETS_MS,
+            5.0,
+            options.budget_ms,
+            hint="What a frame may take while the view moves: fewer Gaussians are drawn first, then fewer pixels.",
+        )
+        hint = "Lines where lights are, and how far they reach."
+        self._outlines = gui.add_checkbox("outlines", options.outlines, hint=hint)
+        self._grid = gui.add_checkbox("grid", options.grid, hint="Lines on the ground, a power of ten apart.")
+        self._insets = gui.add_checkbox("insets", options.insets, hint="Depth and normals in the corner.")
+        self._splits = gui.add_checkbox(
+            "compare", False, hint="The left part shows the scene as it was opened, or marked."
+        )
+        self._share = gui.add_slider("compare at", 0.0, 1.0, 0.01, 0.5, visible=False)
+        self._mark = gui.add_button("mark as before", visible=False, hint="Compare with the scene as it is now.")
+        self._splits.on_update(lambda _: self._split())
+        self._share.on_update(lambda _: self._split())
+        self._mark.on_click(pressed(lambda _: session.mark()))
+        for handle, name in (
+            (self._view, "view"),
+            (self._height, "height"),
+            (self._budget, "budget_ms"),
+            (self._outlines, "outlines"),
+            (self._grid, "grid"),
+            (self._insets, "insets"),
+        ):
+            handle.on_update(chosen(lambda value: (value,), self._putter(handle, name)))
+        session.on_change(self._show)
+
+    def _show(self) -> None:
+        """Lists the views that there are, and shows the present one."""
+        views = self._session.views
+        if tuple(self._view.options) != views:
+            self._view.options = views
+        if self._view.value != self._session.options.view:
+            self._view.value = self._session.options.view
+
+    def _split(self) -> None:
+        splits = bool(self._splits.value)
+        self._share.visible = self._mark.visible = splits
+        self._session.set_options(split=float(self._share.value) if splits else None)
+
+    def _putter(self, handle: Any, name: str) -> Callable[[tuple[Any]], None]:
+        def put(shown: tuple[Any]) -> None:
+            try:
+                self._session.set_options(**{name: shown[0]})
+            except ls.LumisplatError as error:
+                self._session.report(str(error))
+                handle.value = getattr(self._session.options, name)
+
+        return put
+
+
+_ALL = "all of it"
+_SELECTED = "what is selected"
+
+
+class Viewpoints:
+    """A list of viewpoints and a button that goes there, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the scene.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session) -> None:
+        self._session = session
+        self._place = gui.add_dropdown("look at", [_ALL, _SELECTED], hint="Or through a camera of the scene file.")
+        gui.add_button("go there").on_click(pressed(self._go))
+        self._cameras: dict[str, ls.Camera] = {}
+        self._shown: object = None
+        session.on_change(self._show)
+
+    def look_at_all(self, event: Any) -> None:
+        """Moves a page so that it sees all, from the side from which it looks."""
+        if event.client is not None:
+            extent = Extent.of(self._session.scene)  # also of what was added or moved
+            self._look_at(event.client, np.array(extent.center), 0.5 * extent.size)
+
+    def look_at_selected(self, event: Any) -> None:
+        """Moves a page so that it sees what is selected."""
+        with self._session.changed:
+            ball = selected_ball(self._session)
+        if ball is None:
+            self._session.report("nothing is selected that is anywhere: click a thing, or choose it in the list")
+        elif event.client is not None:
+            self._look_at(event.client, *ball)
+
+    def _show(self) -> None:
+        """Lists the cameras of the scene file."""
+        document = self._session.state.document
+        if self._shown is not document.top.get("cameras"):
+            self._shown = document.top.get("cameras")
+            self._cameras = {camera.name: camera for camera in document.cameras}
+            self._place.options = [_ALL, _SELECTED, *self._cameras]
+
+    def _go(self, event: Any) -> None:
+        camera = self._cameras.get(str(self._place.value))
+        if self._place.value == _ALL:
+            self.look_at_all(event)
+        elif self._place.value == _SELECTED:
+            self.look_at_selected(event)
+        elif camera is not None and event.client is not None:
+            session = self._session
+            look_through(event.client, camera, session.extent.page_from_scene, session.scene.up_direction)
+
+    def _look_at(self, client: viser.ClientHandle, center: np.ndarray, radius: float) -> None:
+        """Moves a page along the line of its sight so that a ball fills it."""
+        scale, camera = self._session.extent.page_from_scene, client.camera
+        backward = np.asarray(camera.position) - np.asarray(camera.look_at)
+        backward = backward / max(float(np.linalg.norm(backward)), 1e-9)
+        narrow = math.atan(math.tan(0.5 * camera.fov) * min(camera.aspect, 1.0))
+        with client.atomic():
+            camera.up_direction = self._session.scene.up_direction
+            camera.position = scale * (center + backward * radius / math.sin(narrow))
+            camera.look_at = scale * center  # last, for the position takes it along
+
+
+def selected_ball(session: Session) -> tuple[np.ndarray, float] | None:
+    """The middle and the radius of what is selected; None: nothing that is anywhere."""
+    entry, time = session.selected_entry, session.options.time
+    if entry is None:
+        return None
+    if entry.kind == "lights" and (position := getattr(entry.lights[0], "position", None)) is not None:
+        return np.array(position, np.float64), 0.2 * session.extent.size
+    box, pose = session.boxes.of(entry, time), pose_of(entry, time)
+    if box is None or pose is None:
+        return None
+    corners = world_corners(box, pose)
+    middle = corners.mean(axis=0)
+    return middle, float(np.linalg.norm(corners[0] - middle))
+
+
+class Timeline:
+    """Controls of the time, hidden unless something moves, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the time.
+        fly: Moves all pages to a camera and what it looks at.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session, fly: Callable[[ls.Camera], None]) -> None:
+        self._session, self._fly = session, fly
+        self._time = gui.add_slider("time", 0.0, 1.0, 0.001, 0.0, visible=False, hint="Seconds.")
+        self._plays = gui.add_checkbox("play", False, visible=False)
+        hint = "Pages follow the camera path as time goes on."
+        self._flies = gui.add_checkbox("fly along", False, visible=False, hint=hint)
+        self._time.on_update(chosen(float, self._go))
+        self._plays.on_update(lambda _: self._wake.set())
+        self._animation: ls.Animation | None = None
+        self._shown: tuple[object, ...] = ()
+        """What the animation follows from, as it was seen last."""
+        self._wake = threading.Event()
+        self._is_open = True
+        self._thread = threading.Thread(target=self._play, name="lumisplat play", daemon=True)
+        self._thread.start()
+        session.on_change(self._show)
+
+    def toggle(self) -> None:
+        """Plays, or stops."""
+        self._plays.value = not self._plays.value
+        self._wake.set()
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._is_open = False
+        self._wake.set()
+        self._thread.join()
+
+    def _show(self) -> None:
+        """Shows the time of the animation, if there is one."""
+        document = self._session.state.document
+        shown = document.top, *(entry.actor for entry in document.entries if not entry.hidden)
+        if len(shown) == len(self._shown) and all(a is b for a, b in zip(shown, self._shown, strict=True)):
+            return
+        self._shown, self._animation = shown, document.animation
+        self._time.visible = self._plays.visible = self._animation is not None
+        self._flies.visible = self._animation is not None and self._animation.camera_path is not None
+        if self._animation is not None:
+            self._time.max = max(self._animation.duration, 1e-3)
+        self._wake.set()
+
+    def _go(self, seconds: float) -> None:
+        path = None if self._animation is None else self._animation.camera_path
+        self._session.set_options(time=seconds)
+        if path is not None and self._flies.value:
+            self._fly(path.at(seconds))
+
+    def _play(self) -> None:
+        """While it plays, the time goes on as fast as that of a clock, and begins again at its end."""
+        while self._is_open:
+            animation = self._animation
+            if not self._plays.value or animation is None:
+                self._wake.wait()
+                self._wake.clear()
+                continue
+            started, first = time.monotonic(), self._session.options.time
+            while self._is_open and self._plays.value and self._animation is animation:
+                now = (first + time.monotonic() - started) % animation.duration
+                self._time.value = now
+                self._go(now)
+                time.sleep(1.0 / PLAY_STEPS_PER_S)

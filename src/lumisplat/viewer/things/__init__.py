@@ -1,1 +1,0 @@
-"""The things of the scene beside the picture: their list, the selected one, new ones."""

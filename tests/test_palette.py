@@ -1,0 +1,105 @@
+"""Palettes: the kernel against float64, and what k-means must do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lumisplat import palette_kernels
+from lumisplat.palette import _Entries, _lloyd, _Search, fit_palette, group_shares
+from lumisplat.runtime.launcher import Launcher
+from support.oracles import palette_oracle
+
+
+def clusters(count: int, components: int, centers: int = 12, seed: int = 3) -> np.ndarray:
+    """Vectors around a few places, float32."""
+    rng = np.random.default_rng(seed)
+    places = rng.normal(0.0, 1.0, (centers, components))
+    return (places[rng.integers(0, centers, count)] + rng.normal(0.0, 0.1, (count, components))).astype(np.float32)
+
+
+def squared_error(values: np.ndarray, entries: np.ndarray, labels: np.ndarray) -> float:
+    """Summed over all components."""
+    return float(((values.astype(np.float64) - entries[labels]) ** 2).sum())
+
+
+@pytest.mark.parametrize("components", [9, 24, 45])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_nearest_entries_are_those_of_float64(components: int, threads: int) -> None:
+    """Each vector gets the nearest entry of its own group, and the distance to it; of no other, nearer group."""
+    values = clusters(500, components)
+    group = np.random.default_rng(1).integers(0, 4, len(values))
+    shares = np.array([1, 16, 17, 40])
+    launcher = Launcher("cpu", threads=threads)
+    launcher.load([palette_kernels])
+    entries = _Entries(values, group, shares)
+    labels, distances = _Search(launcher, values, group, entries.first_row).nearest(entries.values)
+    for g, (row, share) in enumerate(zip(entries.first_row, shares, strict=False)):
+        inside = group == g
+        own = entries.values[16 * row : 16 * row + share]
+        expected, squares = palette_oracle.nearest(values[inside], own)
+        np.testing.assert_allclose(distances[inside], squares, rtol=1e-5, atol=1e-10)
+        np.testing.assert_array_equal(labels[inside] - 16 * row, expected)
+
+
+@pytest.mark.parametrize("count", [1, 5, 16, 40])
+def test_one_level_is_k_means(count: int) -> None:
+    """K-means within one group ends at the error of its float64 twin, from the same start."""
+    values = clusters(300, 9)
+    launcher = Launcher("cpu")
+    launcher.load([palette_kernels])
+    palette, distances = _lloyd(launcher, values, np.zeros(300, dtype=np.int64), np.array([count]))
+    expected = squared_error(values, *palette_oracle.one_level(values, count, 10))
+    assert squared_error(values, palette.entries, palette.labels) == pytest.approx(expected, rel=1e-4)
+    assert distances.sum() == pytest.approx(expected, rel=1e-4)
+
+
+def test_idle_entries_go_where_the_error_is() -> None:
+    """An entry without vectors moves to the one that is farthest from its own, in its group."""
+    values = np.array([[0.0], [1.0], [7.0], [2.0], [90.0]], np.float32)
+    group = np.array([0, 0, 0, 0, 1])
+    entries = _Entries(values, group, np.array([2, 1]))
+    entries.move(np.array([0, 0, 0, 0, 16]), np.array([6.25, 2.25, 20.25, 0.25, 0.0], np.float32))
+    np.testing.assert_array_equal(entries.values[[0, 1, 16], 0], [2.5, 7.0, 90.0])
+
+
+def test_two_levels_are_no_worse_than_one() -> None:
+    """A palette on two levels has at most the error of ten steps of k-means that compare with all entries."""
+    values = clusters(1200, 24, centers=50)
+    palette = fit_palette(values, 256, "cpu")
+    assert len(palette.entries) <= 256
+    expected = squared_error(values, *palette_oracle.one_level(values, 256, 10))
+    assert squared_error(values, palette.entries, palette.labels) < 1.02 * expected
+
+
+def test_few_different_vectors_are_kept() -> None:
+    """Where there are no more different vectors than entries, the palette is exact, however often each is there."""
+    values = np.repeat(clusters(37, 45), np.arange(1, 38), axis=0)
+    palette = fit_palette(np.random.default_rng(0).permutation(values), 256, "cpu")
+    assert len(palette.entries) == 37
+    np.testing.assert_array_equal(np.sort(palette.entries[:, 0]), np.unique(values[:, 0]))
+
+
+@pytest.mark.parametrize("count", [1, 2, 64])
+def test_a_single_vector(count: int) -> None:
+    """One vector, or many of the same, make a palette of one entry."""
+    for values in (np.ones((1, 9), np.float32), np.ones((50, 9), np.float32)):
+        palette = fit_palette(values, count, "cpu")
+        np.testing.assert_array_equal(palette.entries, np.ones((1, 9)))
+        np.testing.assert_array_equal(palette.labels, np.zeros(len(values)))
+
+
+def test_same_bits_every_time() -> None:
+    """Neither chance nor the number of threads has a say."""
+    values = clusters(700, 24)
+    first, second = (fit_palette(values, 64, "cpu") for _ in range(2))
+    np.testing.assert_array_equal(first.entries, second.entries)
+    np.testing.assert_array_equal(first.labels, second.labels)
+
+
+def test_groups_with_more_error_get_more_entries() -> None:
+    """Shares go by the root of size times error; none is empty, none larger than its group."""
+    group = np.repeat([0, 1, 2, 3], [100, 100, 400, 2])
+    errors = np.repeat([1.0, 4.0, 1.0, 0.0], [100, 100, 400, 2]).astype(np.float32)
+    np.testing.assert_array_equal(group_shares(group, errors, 70), [10, 20, 40, 1])
+    np.testing.assert_array_equal(group_shares(group, errors, 700)[:3], [100, 100, 400])
