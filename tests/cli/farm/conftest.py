@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,5 +18,7 @@ def ray() -> Iterator[Any]:
     """A cluster on this machine for all tests of a process, whose commands use it: to start it takes seconds."""
     if importlib.util.find_spec("ray") is None:  # not imported: it reads its settings then
         pytest.skip("Ray is not installed: pip install 'lumisplat[farm]'")
-    with connected("local", 4) as found:
-        yield found
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))  # workers import tests' helpers
+        with connected("local", 4) as found:
+            yield found
