@@ -200,7 +200,8 @@ def check_kind(name: str, value: object, kind: type[_Kind], error: type[Lumispla
         LumisplatError: It is something else.
     """
     if not isinstance(value, kind):
-        raise error(f"{name} is {quoted(value)}, expected a {kind.__name__}")
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise error(f"{name} is {quoted(value)}, expected {article} {kind.__name__}")
     return value
 
 

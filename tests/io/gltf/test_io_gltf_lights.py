@@ -121,7 +121,10 @@ def test_a_range_of_nothing_is_none(tmp_path: Path, kind: str, reach: float, cap
         ({"type": "point", "intensity": -3.0}, r"lights\[0\] 'bulb': intensity is -3.0, expected a number at least 0"),
         ({"type": "point", "intensity": "bright"}, r"lights\[0\] 'bulb': intensity is 'bright'"),
         ({"type": "point", "intensity": math.nan}, r"lights\[0\] 'bulb': intensity is nan"),
-        ({"type": "point", "color": [1, -1, 0]}, r"lights\[0\] 'bulb': color is .* expected three numbers of at least 0"),
+        (
+            {"type": "point", "color": [1, -1, 0]},
+            r"lights\[0\] 'bulb': color is .* expected three numbers of at least 0",
+        ),
         ({"type": "point", "color": [1, 1]}, r"lights\[0\] 'bulb': color is \[1, 1\], expected three numbers"),
         ({"type": "point", "range": "far"}, r"lights\[0\] 'bulb': range is 'far', expected a number above 0"),
         ({"type": "area"}, r"lights\[0\] 'bulb': type is 'area', expected point, spot or directional"),

@@ -90,9 +90,9 @@ def test_an_animation_has_its_times(rig: ls.Rig) -> None:
         ({"motion": TURN}, "motion is a ndarray, expected Keyframes"),
         ({"world_from_object": np.diag([1.0, 2.0, 1.0, 1.0])}, "scales the axes by 1, 2 and 1"),
         ({"world_from_object": np.full((4, 4), np.nan)}, "world_from_object has non-finite values"),
-        ({"speed": -1.0}, "speed is -1.0, expected a number, at least 0"),
+        ({"speed": -1.0}, "speed is -1.0, expected a number at least 0"),
         ({"speed": float("nan")}, "speed is nan"),
-        ({"loop": "yes"}, "loop is yes, expected True or False"),
+        ({"loop": "yes"}, "loop is 'yes', expected True or False"),
         ({"casts_shadow": 2}, "casts_shadow is 2"),
         ({"clip": "walk"}, "clip is 'walk', but the actor has no rig"),
     ],
@@ -118,7 +118,7 @@ def test_a_clip_that_is_not_there_is_refused(rig: ls.Rig) -> None:
         ({"frame_count": 0}, "frame_count is 0"),
         ({"frame_count": 2.5}, "frame_count is 2.5"),
         ({"frame_count": 1_000_001}, "frame_count is 1,000,001 at 25 frames a second, expected at most 1,000,000"),
-        ({"lighting": 1}, "lighting is a int"),
+        ({"lighting": 1}, "lighting is 1, expected an AvatarLightingConfig"),
     ],
 )
 def test_bad_animations_are_refused(settings, problem):
