@@ -173,17 +173,19 @@ def test_a_value_is_taken_if_and_only_if_it_is_in_the_range(value: Any) -> None:
         or (isinstance(value, np.ndarray) and value.shape == (2,) and -1.0 <= value[0] <= value[1] <= 1.0),
     }
     for name, is_taken in taken.items():
+        given: dict[str, Any] = {name: value}
         if is_taken:
-            assert type(getattr(Numbers(**{name: value}), name)) in (int, float, tuple, type(None))
+            assert type(getattr(Numbers(**given), name)) in (int, float, tuple, type(None))
         else:
             with pytest.raises(ls.ConfigError, match=f"^{name} is "):
-                Numbers(**{name: value})
+                Numbers(**given)
 
 
 @drawn(st.floats(0.0, 1.0, exclude_min=True, exclude_max=True))
 def test_numbers_are_taken_to_the_bit(value: float) -> None:
     """Whatever carries them."""
-    for carried in (value, np.float64(value), np.array(value)):
+    every: tuple[Any, ...] = (value, np.float64(value), np.array(value))
+    for carried in every:
         assert Numbers(share=carried).share == value
 
 
@@ -202,8 +204,9 @@ def test_what_arrays_of_other_packages_hold_is_a_number() -> None:
         def __dlpack_device__(self) -> tuple[int, int]:
             return (1, 0)
 
-    assert ls.LightPoint((0, 0, 0), intensity=Alien(2.0)).intensity == 2.0
-    assert ls.RenderConfig(seed=Alien(3)).seed == 3
+    alien: Any = Alien
+    assert ls.LightPoint((0, 0, 0), intensity=alien(2.0)).intensity == 2.0
+    assert ls.RenderConfig(seed=alien(3)).seed == 3
 
 
 @pytest.mark.parametrize("kind", [kind for kind in GIVEN if kind.__name__.startswith("Light")])
