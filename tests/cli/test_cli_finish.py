@@ -104,7 +104,7 @@ def test_pixels_are_focused(work: Workplace, monkeypatch: pytest.MonkeyPatch) ->
         (("--focus", "1.5,2"), "--focus is '1.5,2', expected the column and the row of a pixel"),
         (("--focus", "48,0", "--aperture", "1"), "pixel x is 48, expected a whole number from 0 to 47"),
         (("--focus", "0,0", "--aperture", "1"), "pixel (0, 0) shows no surface to focus on"),
-        (("--aperture", "-1"), "--aperture is -1.0, expected the radius of a lens"),
+        (("--aperture", "-1"), "--aperture is -1.0, expected a number at least 0"),
         (
             ("--focus", "1,1", "--aperture", "1", "--pipeline", "raster"),
             "rays are traced by a renderer with --pipeline trace or --pipeline path",
