@@ -76,7 +76,7 @@ def test_cameras_are_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_lines_of_a_camera() -> None:
-    """Making a camera takes 361 lines, most of them of its checks; two calls of np.allclose added 202."""
+    """Making a camera takes 387 lines, most of them of its checks; two calls of np.allclose added 202."""
     camera = ls.Camera.look_at((0, 0, -1), (0, 0, 0), (0, 1, 0), width=4, height=4)
     lines = _lines(lambda: camera.scaled(8, 8))
     assert lines < 420, lines

@@ -101,15 +101,17 @@ class Range:
             return "a finite number"
         return f"a number {'above' if self.above else 'at least'} {low:g}{', or inf' if self.infinite else ''}"
 
-    def taken(self, name: str, value: object, kind: type, error: type[LumisplatError] = ConfigError) -> Any:
+    def taken(self, name: str, value: Any, kind: type, error: type[LumisplatError] = ConfigError) -> Any:
         """Returns a value as a plain number of a kind, ``int`` or ``float``.
 
         Raises:
             LumisplatError: It is no such number, or outside the range; of the type ``error``.
         """
+        if type(value) is kind and self.holds(value):  # most are: cameras are made in loops
+            return value
         number = plain(value)
         is_kind = type(number) is int or (kind is float and type(number) is float)
-        if not is_kind or not self.holds(cast(float, number)):
+        if not is_kind or not self.holds(number):
             raise error(f"{name} is {quoted(value)}, expected {self.expected(kind)}")
         return kind(number)
 

@@ -119,11 +119,8 @@ def take_fields(settings: DataclassInstance, prefix: str = "", error: type[Lumis
         LumisplatError: A value is of the wrong kind or outside its range.
     """
     for name, default, take in _takes(type(settings), error):
-        value = getattr(settings, name)
-        if value is default:  # which tests take once
-            continue
-        taken = take(value, prefix + name)
-        if taken is not value:
+        # Tests take the default once.
+        if (value := getattr(settings, name)) is not default and (taken := take(value, prefix + name)) is not value:
             object.__setattr__(settings, name, taken)
 
 
