@@ -126,13 +126,13 @@ def test_finding_materials_may_be_killed_at_any_moment(tmp_path: Path) -> None:
 
 def test_the_time_to_stop_after_is_that_of_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels that take long to compile do not count."""
-    clock, load = [0.0], Launcher.load
+    clock, load = [0.0], Launcher._load
 
     def slow(self: Launcher, *arguments: object) -> None:
         clock[0] += 100.0
         load(self, *arguments)  # pyright: ignore[reportArgumentType]
 
-    monkeypatch.setattr(Launcher, "load", slow)
+    monkeypatch.setattr(Launcher, "_load", slow)
     monkeypatch.setattr(train.time, "monotonic", lambda: clock[0])
     config = ls.TrainConfig(iterations=8, cap=150, initial=80, sh_degree=1)
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
