@@ -8,13 +8,15 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.training import train
 from lumisplat.training.checkpoint import read_checkpoint
 from support.scenes.training_scenes import folder_of
@@ -126,13 +128,14 @@ def test_finding_materials_may_be_killed_at_any_moment(tmp_path: Path) -> None:
 
 def test_the_time_to_stop_after_is_that_of_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels that take long to compile do not count."""
-    clock, load = [0.0], Launcher._load
+    clock, load = [0.0], Launcher.load
 
-    def slow(self: Launcher, *arguments: object) -> None:
-        clock[0] += 100.0
-        load(self, *arguments)  # pyright: ignore[reportArgumentType]
+    def slow(self: Launcher, modules: Sequence[KernelModule], *arguments: Any) -> None:
+        if any(id(module) not in self._loaded for module in modules):
+            clock[0] += 100.0
+        load(self, modules, *arguments)
 
-    monkeypatch.setattr(Launcher, "_load", slow)
+    monkeypatch.setattr(Launcher, "load", slow)
     monkeypatch.setattr(train.time, "monotonic", lambda: clock[0])
     config = ls.TrainConfig(iterations=8, cap=150, initial=80, sh_degree=1)
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
