@@ -265,11 +265,14 @@ def test_transparent_frames_resume(way: str) -> None:
 def test_progress_counts_the_samples() -> None:
     """Called once a sample of this call, also of one that resumes, with how many there are; the last call says 1."""
     calls: list[tuple[str, float]] = []
-    frame = renderer("cpu", 4).render(scene(), view(), progress=lambda *call: calls.append(call))
+    first, second = renderer("cpu", 4), renderer("cpu", 2)
+    for one in (first, second):  # loading kernels is progress, too
+        one.prepare(scene())
+    frame = first.render(scene(), view(), progress=lambda *call: calls.append(call))
     words = ["tracing, 1 sample", *(f"tracing, {n} samples" for n in (2, 3, 4))]
     assert calls == list(zip(words, (0.25, 0.5, 0.75, 1.0), strict=True))
     calls.clear()
-    renderer("cpu", 2).render(scene(), view(), resume=frame, progress=lambda *call: calls.append(call))
+    second.render(scene(), view(), resume=frame, progress=lambda *call: calls.append(call))
     assert calls == [("tracing, 5 samples", 0.5), ("tracing, 6 samples", 1.0)]
 
 
