@@ -84,6 +84,7 @@ def test_a_highlight_is_within_a_decibel_of_the_best_harmonics() -> None:
     assert found[3] > found[0] + 4.0
 
 
+@pytest.mark.deep
 def test_borders_of_what_is_changed_together_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """A large capture cannot be changed as a whole: of 300 Gaussians, 100 at a time, most are at a border.
 

@@ -28,6 +28,7 @@ def _log_level(monkeypatch) -> None:
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
 
 
+@pytest.mark.deep
 def test_captures_are_the_same(ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """By two workers, to the bit; what came of each is printed; the same command finds all there."""
     folders = [str(folder_of(tmp_path / name)) for name in ("one", "two")]
