@@ -23,14 +23,14 @@ from bench.shadow_report import lines, write_section
 from bench.shadow_stage import Shot, Stage
 from bench.timing import parser, quiet_warp
 
-DEFAULT = ls.DeepShadowConfig()
+DEFAULT = ls.config.DeepShadowConfig()
 
 
 @dataclass(frozen=True)
 class Variant:
     """What a row of a table is measured with."""
 
-    config: ls.DeepShadowConfig = DEFAULT
+    config: ls.config.DeepShadowConfig = DEFAULT
     footprint: float = 1.0
     """Receivers sample the map within this share of their scales."""
     unit: float = 1.0
@@ -48,17 +48,17 @@ def with_settings(**changes) -> Variant:
     return Variant(replace(DEFAULT, **changes))
 
 
-SIMPLE, MASS = ls.Absorption.SIMPLE, ls.Absorption.MASS
+SIMPLE, MASS = ls.config.Absorption.SIMPLE, ls.config.Absorption.MASS
 # kappa at which a middling Gaussian of the figure blocks as much as with `avg`.
 SIMPLE_FITTED = Variant(replace(DEFAULT, absorption=SIMPLE, strength=1.1), unit=1e-3)
 MASS_FITTED = with_settings(absorption=MASS, strength=6.7e-5)
 SAMPLING = {
-    "center": with_settings(sampling=ls.ReceiverSampling.CENTER),
-    "stencil": with_settings(sampling=ls.ReceiverSampling.STENCIL),
+    "center": with_settings(sampling=ls.config.ReceiverSampling.CENTER),
+    "stencil": with_settings(sampling=ls.config.ReceiverSampling.STENCIL),
     "monte-carlo": Variant(),
     "monte-carlo, half the footprint": Variant(footprint=0.5),
-    "center, wide receivers": Variant(replace(DEFAULT, sampling=ls.ReceiverSampling.CENTER), coarse=True),
-    "stencil, wide receivers": Variant(replace(DEFAULT, sampling=ls.ReceiverSampling.STENCIL), coarse=True),
+    "center, wide receivers": Variant(replace(DEFAULT, sampling=ls.config.ReceiverSampling.CENTER), coarse=True),
+    "stencil, wide receivers": Variant(replace(DEFAULT, sampling=ls.config.ReceiverSampling.STENCIL), coarse=True),
     "monte-carlo, wide receivers": Variant(coarse=True),
 }
 PICTURE = {"raster": Variant(), "trace": Variant(pipeline=ls.Pipeline.TRACE)}
@@ -66,13 +66,13 @@ ABSORPTION = {
     "simple": with_settings(absorption=SIMPLE),
     "avg": Variant(),
     "mass": with_settings(absorption=MASS),
-    "diag": with_settings(absorption=ls.Absorption.DIAGONAL),
+    "diag": with_settings(absorption=ls.config.Absorption.DIAGONAL),
     "simple, kappa fitted": SIMPLE_FITTED,
     "mass, kappa fitted": MASS_FITTED,
 }
-CUBES_256 = with_settings(layout=ls.AtlasLayout.CUBEMAP, resolution=256)
+CUBES_256 = with_settings(layout=ls.config.AtlasLayout.CUBEMAP, resolution=256)
 LAYOUT = {
-    "cubemap": with_settings(layout=ls.AtlasLayout.CUBEMAP),
+    "cubemap": with_settings(layout=ls.config.AtlasLayout.CUBEMAP),
     "octahedral": Variant(),
     "cubemap, 256 texels": CUBES_256,
     "octahedral, 256 texels": with_settings(resolution=256),
@@ -165,9 +165,9 @@ def frame_of(variant: Variant, shot: Shot) -> np.ndarray:
 def scores(picture: np.ndarray, shot: Shot) -> dict[str, float]:
     """SAE, SM-IoU and BF at 2 pixels."""
     return {
-        "sae": ls.sae(picture, shot.truth, region=shot.region),
-        "iou": float(ls.sm_iou(picture, shot.truth, region=shot.region)),
-        "bf": float(ls.boundary_f(picture, shot.truth, region=shot.region)),
+        "sae": ls.metrics.sae(picture, shot.truth, region=shot.region),
+        "iou": float(ls.metrics.sm_iou(picture, shot.truth, region=shot.region)),
+        "bf": float(ls.metrics.boundary_f(picture, shot.truth, region=shot.region)),
     }
 
 
@@ -196,7 +196,7 @@ def timings(device: str) -> dict:
     return found | {"build": builds}
 
 
-def build(shot: Shot, scenery: ls.Gaussians, config: ls.DeepShadowConfig, device: str) -> ls.DeepShadowMap:
+def build(shot: Shot, scenery: ls.Gaussians, config: ls.config.DeepShadowConfig, device: str) -> ls.DeepShadowMap:
     """The map of one moment."""
     return ls.DeepShadowMap.build(shot.casters, shot.lamp, scenery, config, device=device)
 

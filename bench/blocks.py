@@ -52,7 +52,7 @@ def main() -> None:
 # --- A billion, planned ---
 
 
-def city(side: int = 45, count: int = 10**9) -> ls.BlockIndex:
+def city(side: int = 45, count: int = 10**9) -> ls.io.BlockIndex:
     """An index of square blocks of buildings: as many Gaussians in each, and four coarser levels."""
     edge, share = SIDE / side, count // side**2
     blocks: list[Block] = []
@@ -62,7 +62,7 @@ def city(side: int = 45, count: int = 10**9) -> ls.BlockIndex:
         scale = 0.03  # a Gaussian every 5 cm, on 4 times the ground's area
         levels = [BlockLevel("none", share // 4**n, 20 * scale * 2**n, scale * 2**n) for n in range(5)]
         blocks.append(Block(low, high, tuple(levels)))
-    return ls.BlockIndex(Path("nowhere"), 4, False, tuple(blocks))
+    return ls.io.BlockIndex(Path("nowhere"), 4, False, tuple(blocks))
 
 
 def flight(frames: int = 96) -> list[ls.Camera]:
@@ -87,7 +87,7 @@ def simulate() -> None:
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for pixels in (0.5, 1.0, 2.0):
         for workers in (1, 4, 16):
-            plans = ls.plan_views(index, cameras, workers, int(MEMORY_GIB * GIB), pixels=pixels)
+            plans = ls.io.plan_views(index, cameras, workers, int(MEMORY_GIB * GIB), pixels=pixels)
             print(
                 f"| {pixels:g} | {workers} | {sum(plan.tiles for plan in plans)} "
                 f"| {max(plan.held_bytes for plan in plans) / GIB:.1f} GiB "
@@ -143,13 +143,13 @@ def show(folder: Path, millions: int, device: str) -> None:
 
 def write(folder: Path, millions: int) -> None:
     """Writes the plain in blocks."""
-    index = ls.write_blocks(folder, plain(millions), 62.5)
+    index = ls.io.write_blocks(folder, plain(millions), 62.5)
     report("write", gaussians=index.count, blocks=len(index.blocks), gib=index.count * index.row_bytes / GIB)
 
 
 def render(folder: Path, view: str, device: str) -> None:
     """Renders a view of the blocks that it sees, in windows where these have too many Gaussians to load at once."""
-    index, camera = ls.open_blocks(folder), VIEWS[view]
+    index, camera = ls.io.open_blocks(folder), VIEWS[view]
     renderer = ls.create_renderer(None, device)
     cuts = 1
     while max(count(index, one) for one in cut(camera, cuts)) > AT_ONCE:
@@ -157,13 +157,13 @@ def render(folder: Path, view: str, device: str) -> None:
     files: dict[tuple[int, int, int, int], str] = {}
     loaded: list[int] = []
     for number, part in enumerate(cut(camera, cuts)):
-        seen = ls.visible_blocks(index, part)
-        scene = ls.Scene([ls.load_blocks(index, seen)] if seen else [])
+        seen = ls.io.visible_blocks(index, part)
+        scene = ls.Scene([ls.io.load_blocks(index, seen)] if seen else [])
         loaded.append(scene.gaussian_count)
         name = f"{folder}/{view}_{number}.png"
         renderer.render(scene, part).save(name)
         files[part.window or (0, 0, camera.width, camera.height)] = name
-    ls.join_windows(f"{folder}/{view}.png", files)
+    ls.io.join_windows(f"{folder}/{view}.png", files)
     report(view, windows=cuts**2, gaussians=sum(loaded), most_at_once=max(loaded))
 
 
@@ -172,9 +172,9 @@ def cut(camera: ls.Camera, cuts: int) -> list[ls.Camera]:
     return [camera] if cuts == 1 else camera.windows(cuts, cuts)
 
 
-def count(index: ls.BlockIndex, camera: ls.Camera) -> int:
+def count(index: ls.io.BlockIndex, camera: ls.Camera) -> int:
     """Gaussians of the blocks that a camera sees."""
-    return sum(index.blocks[part.block].levels[part.level].count for part in ls.visible_blocks(index, camera))
+    return sum(index.blocks[part.block].levels[part.level].count for part in ls.io.visible_blocks(index, camera))
 
 
 def report(name: str, **numbers: float) -> None:

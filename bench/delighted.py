@@ -34,7 +34,7 @@ from lumisplat.relighting.irradiance import median_outgoing
 
 OUT = Path("/tmp/delighted")
 MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)
-AS_TRAINED = ls.RenderConfig(pipeline=ls.Pipeline.PATH, trace=ls.TraceConfig(hit_distance=ls.HitDistance.MEAN))
+AS_TRAINED = ls.RenderConfig(pipeline=ls.Pipeline.PATH, trace=ls.TraceConfig(hit_distance=ls.config.HitDistance.MEAN))
 """Paths on which Gaussians hide each other as in captures."""
 GLOSSY = (0.15, 0.3, 0.5, 0.8)
 """Roughnesses, a quadrant each."""
@@ -165,7 +165,7 @@ def spot_and_floor(count: int) -> tuple[ls.Gaussians, slice, list[ls.Camera]]:
 
 def overcast_sky() -> Doubles:
     """A panorama without a sun."""
-    return ls.load_radiance(DATA / "env" / "envmap3.exr").astype(np.float64)
+    return ls.io.load_radiance(DATA / "env" / "envmap3.exr").astype(np.float64)
 
 
 def sunny_sky() -> Doubles:
@@ -191,7 +191,7 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
     """Figures, and rows of pictures: captured, found, true."""
     count = case.truth.count
     start = time.process_time()
-    found = ls.estimate_materials(case.captured, ls.DelightConfig(matt=case.material is MATT), device=device)
+    found = ls.inverse.estimate_materials(case.captured, ls.DelightConfig(matt=case.material is MATT), device=device)
     seconds = time.process_time() - start
     assert case.truth.albedo is not None and found.gaussians.albedo is not None
     given = np.asarray(found.gaussians.normals, np.float64)

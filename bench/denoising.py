@@ -105,7 +105,7 @@ def measured(case: Case, device: str, pictures: Path | None) -> list[Row]:
         start = time.perf_counter()
         clean = noisy.denoised()
         taken = time.perf_counter() - start
-        rows.append(Row(samples, between - begun, taken, ls.psnr(noisy, truth), ls.psnr(clean, truth)))
+        rows.append(Row(samples, between - begun, taken, ls.metrics.psnr(noisy, truth), ls.metrics.psnr(clean, truth)))
         if pictures is not None:
             stem = f"{case.name.replace(' ', '_')}-{case.pipeline.value}-{samples}"
             noisy.save(pictures / f"{stem}.png")

@@ -46,7 +46,7 @@ def main() -> None:
     captured = ls.merge([baked(true, options), *lamps(options.set)])
     compare("captured", captured, options)
     begun = time.process_time()
-    found = ls.estimate_materials(captured, device=options.device)
+    found = ls.inverse.estimate_materials(captured, device=options.device)
     print(json.dumps({"delight_cpu_seconds": round(time.process_time() - begun, 1), "remarks": found.remarks}))
     compare("delighted", found.gaussians, options)
 
@@ -105,7 +105,7 @@ def compare(name: str, capture: ls.Gaussians, options: Any) -> None:
     """Writes a capture, and prints how near it is."""
     ls.save(OUT / f"{name}.ply", capture)
     begun = time.process_time()
-    result = ls.evaluate_materials(capture, options.set, samples=options.samples, device=options.device)
+    result = ls.inverse.evaluate_materials(capture, options.set, samples=options.samples, device=options.device)
     figures: dict[str, Any] = {
         "capture": name,
         "gaussians": capture.count,

@@ -131,8 +131,8 @@ def score(gaussians: ls.Gaussians, device: str = "cpu") -> Score:
     depths: list[np.ndarray] = []
     for by in held_out():
         wanted, truth, frame = photograph(by), seen(by), renderer.render(scene, by)
-        psnr.append(ls.psnr(np.clip(frame.color, 0.0, 1.0), wanted.color))
-        shown = renderer.render_features(ls.SurfaceFeatures.of(scene, by).values)
+        psnr.append(ls.metrics.psnr(np.clip(frame.color, 0.0, 1.0), wanted.color))
+        shown = renderer.render_features(ls.gradients.SurfaceFeatures.of(scene, by).values)
         is_inside = truth.is_hit & (np.asarray(wanted.alpha) > 0.999) & (frame.alpha > 0.5)
         normals = shown[..., 1:] / np.maximum(np.linalg.norm(shown[..., 1:], axis=-1, keepdims=True), 1e-9)
         cosines = np.clip(np.sum(normals * truth.normal, axis=-1), -1.0, 1.0)

@@ -52,13 +52,13 @@ def middle(gaussians: ls.Gaussians) -> np.ndarray:
 def found_lights(capture: LitCapture) -> dict:
     """The lamps and the sun found in a capture, and how many of its own they are."""
     try:
-        estimate = ls.estimate_lights(capture.scene, capture.center, ASKED)
+        estimate = ls.inverse.estimate_lights(capture.scene, capture.center, ASKED)
         places, shares = np.array([light.position for light in estimate.lights]), estimate.evidence.tolist()
         says = ""
     except ls.SceneError as error:
         places, shares, says = np.zeros((0, 3)), [], str(error)
     gaps = np.linalg.norm(places[:, None] - capture.lamps[None], axis=-1) / capture.unit
-    sun = ls.estimate_sun(capture.scene, capture.center)
+    sun = ls.inverse.estimate_sun(capture.scene, capture.center)
     off = None
     if sun is not None and capture.sun is not None:
         cosine = -np.dot(sun.light.direction, capture.sun)

@@ -37,7 +37,7 @@ def main() -> None:
         print(json.dumps({"row": name} | errors(found, lamps) | {"seconds": round(seconds, 1)}), flush=True)
 
 
-def errors(found: ls.LightFit, lamps: tuple[ls.LightPoint, ...]) -> dict[str, float]:
+def errors(found: ls.inverse.LightFit, lamps: tuple[ls.LightPoint, ...]) -> dict[str, float]:
     """The worst error of powers and of places, per cent; each lamp is compared with the light that is nearest."""
     lights = [light for light in found.lights if isinstance(light, ls.LightPoint)]
     powers: list[float] = []
@@ -50,7 +50,7 @@ def errors(found: ls.LightFit, lamps: tuple[ls.LightPoint, ...]) -> dict[str, fl
     return {"power_percent": round(max(powers), 3), "place_percent": round(max(places), 3)}
 
 
-def _intensities(device: str, *, noise: float = 0.0, hidden: bool = False) -> tuple[ls.LightFit, Any]:
+def _intensities(device: str, *, noise: float = 0.0, hidden: bool = False) -> tuple[ls.inverse.LightFit, Any]:
     """Places are known, light does not bounce."""
     lamps, room = rooms.three_lamps(), rooms.closed(*rooms.three_lamps())
     photograph: Any = rooms.taken(rooms.with_strangers(room) if hidden else room, rooms.view())
@@ -60,7 +60,7 @@ def _intensities(device: str, *, noise: float = 0.0, hidden: bool = False) -> tu
     return fit, lamps
 
 
-def _places(device: str, views: int) -> tuple[ls.LightFit, Any]:
+def _places(device: str, views: int) -> tuple[ls.inverse.LightFit, Any]:
     """All three lamps are moved by 0.3 of the room; noise of 0.01 and 8 bits."""
     lamps, cameras = rooms.three_lamps(), [rooms.view(), rooms.other_view()][:views]
     taken = [rooms.noisy(rooms.taken(rooms.closed(*lamps), camera), 0.01, n) for n, camera in enumerate(cameras)]
@@ -71,7 +71,9 @@ def _places(device: str, views: int) -> tuple[ls.LightFit, Any]:
     return fit, lamps
 
 
-def _bounced(device: str, *, direct: bool = False, samples: int = 64, width: int = 96) -> tuple[ls.LightFit, Any]:
+def _bounced(
+    device: str, *, direct: bool = False, samples: int = 64, width: int = 96
+) -> tuple[ls.inverse.LightFit, Any]:
     """A photograph of 256 paths a pixel with noise and 8 bits, explained by paths, or by direct light alone."""
     lamps = rooms.three_lamps()
     paths = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=6)
@@ -84,7 +86,7 @@ def _bounced(device: str, *, direct: bool = False, samples: int = 64, width: int
     return fit, lamps
 
 
-ROWS: dict[str, Callable[[str], tuple[ls.LightFit, Any]]] = {
+ROWS: dict[str, Callable[[str], tuple[ls.inverse.LightFit, Any]]] = {
     "perfect": _intensities,
     "noise": lambda device: _intensities(device, noise=0.02),
     "hidden": lambda device: _intensities(device, noise=0.02, hidden=True),

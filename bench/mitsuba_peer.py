@@ -37,8 +37,8 @@ def main(name: str) -> None:
     scene, camera = ls.Scene(splats=[gaussians]), preset.camera()
     raster = ls.render(scene, camera, device="cpu").color
     # The peer's rules: Gaussians in the order in which rays enter their hulls, which end at alpha 0.01.
-    trace = ls.TraceConfig(hit_distance=ls.HitDistance.HULL, transmittance_min=MITSUBA_T, dilation=0.0)
-    response = ls.ResponseConfig(min_response=0.01)
+    trace = ls.TraceConfig(hit_distance=ls.config.HitDistance.HULL, transmittance_min=MITSUBA_T, dilation=0.0)
+    response = ls.config.ResponseConfig(min_response=0.01)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace, response=response, samples=16)
     traced = ls.render(scene, camera, config, device="cpu").color
     row = {

@@ -46,9 +46,9 @@ class Preset:
         if self.trace is None:
             return ls.RenderConfig()
         strategy, transmittance_min = self.trace
-        config = ls.TraceConfig(strategy=ls.TraceStrategy(strategy), transmittance_min=transmittance_min)
+        config = ls.TraceConfig(strategy=ls.config.TraceStrategy(strategy), transmittance_min=transmittance_min)
         if not self.as_trained:
-            config = replace(config, hit_distance=ls.HitDistance.PEAK, dilation=0.0)
+            config = replace(config, hit_distance=ls.config.HitDistance.PEAK, dilation=0.0)
         return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=config)
 
     def camera(self) -> ls.Camera:

@@ -36,7 +36,7 @@ def main() -> None:
     print(f"load of the machine before: {os.getloadavg()[0]:.1f}\n")
     print("| Gaussians | degree | hits | forward | backward |", " | ".join(STAGES), "| backward / forward |")
     print("| ---: |" + " ---: |" * (len(STAGES) + 5))
-    for gaussians in (ls.decimate(capture, COUNT), capture):
+    for gaussians in (ls.editing.decimate(capture, COUNT), capture):
         for degree in (2, 4):
             print(row(replace(gaussians, kernel_degree=degree), camera, options.device), flush=True)
     print(f"\nload of the machine after: {os.getloadavg()[0]:.1f}")

@@ -38,7 +38,7 @@ def main() -> None:
             print(row(label, config, scene, camera), flush=True)
 
 
-def realtime(quality: ls.RealtimeQuality = ls.RealtimeQuality.BALANCED) -> ls.RenderConfig:
+def realtime(quality: ls.config.RealtimeQuality = ls.config.RealtimeQuality.BALANCED) -> ls.RenderConfig:
     """Settings of frames in real time."""
     return ls.RenderConfig(
         pipeline=ls.Pipeline.REALTIME,
@@ -51,7 +51,7 @@ def realtime(quality: ls.RealtimeQuality = ls.RealtimeQuality.BALANCED) -> ls.Re
 def qualities(_: str) -> Iterator[Case]:
     """The demo scene in each quality."""
     scene = ls.demo_scene_lit()
-    for quality in ls.RealtimeQuality:
+    for quality in ls.config.RealtimeQuality:
         yield quality.value, realtime(quality), scene, ls.demo_cameras(*SIZE, count=1)[0]
 
 

@@ -55,7 +55,7 @@ EVEN = 0.65
 """The studio's even light."""
 POINTS = 20_000
 """Points of a side that are compared, at most, drawn at random: the fits take minutes with all of a capture."""
-METRICS: dict[str, Callable[..., float]] = {"paa": ls.paa_y, "apf": ls.apf_y, "ncm": ls.ncm_ab}
+METRICS: dict[str, Callable[..., float]] = {"paa": ls.metrics.paa_y, "apf": ls.metrics.apf_y, "ncm": ls.metrics.ncm_ab}
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class Figure:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "walker.glb"
             write_walker(path)
-            bare = ls.bind_gaussians(ls.load_rig(path), self.count)
+            bare = ls.bind_gaussians(ls.avatars.load_rig(path), self.count)
         return replace(bare, gaussians=in_studio(bare.gaussians, self.key))
 
     def at(self, time_: float, pose: np.ndarray) -> ls.SplatInstance:
@@ -191,16 +191,16 @@ def measure(place: Place, figure: Walks, frames: int, device: str, pictures: Pat
     """The row of a place: means over the moments, as captured and relit, of metrics and of the figure's luminance."""
     begun = time.perf_counter()
     scene = place.load()
-    config = ls.AvatarLightingConfig(shadows=False)
+    config = ls.config.AvatarLightingConfig(shadows=False)
     lighter = ls.AvatarLighter(scene, place.lights, config, background=place.background, device=device)
     found: dict[str, list[float]] = {f"{name}_{kind}": [] for name in (*METRICS, "y") for kind in ("orig", "relit")}
     for number, (time_, pose) in enumerate(place.moments(frames)):
         captured = figure.at(time_, pose)
         relit = lighter.light([captured]).splats[-1]
         center = captured.world_means.mean(axis=0)
-        around = some_points(ls.LitPoints.of(scene, around=center, radius=place.radius))
+        around = some_points(ls.metrics.LitPoints.of(scene, around=center, radius=place.radius))
         for kind, actor in (("orig", captured), ("relit", relit)):
-            points = some_points(ls.LitPoints.of(actor))
+            points = some_points(ls.metrics.LitPoints.of(actor))
             found[f"y_{kind}"].append(float(points.luminance.mean()))
             for name, metric in METRICS.items():
                 found[f"{name}_{kind}"].append(metric(points, around, radius=place.radius))
@@ -212,12 +212,12 @@ def measure(place: Place, figure: Walks, frames: int, device: str, pictures: Pat
     return means | {"seconds": time.perf_counter() - begun}
 
 
-def some_points(points: ls.LitPoints) -> ls.LitPoints:
+def some_points(points: ls.metrics.LitPoints) -> ls.metrics.LitPoints:
     """At most `POINTS` of them: the same ones of sides of the same length."""
     if points.count <= POINTS:
         return points
     rows = np.random.default_rng(0).choice(points.count, POINTS, replace=False)
-    return ls.LitPoints(points.positions[rows], points.normals[rows], points.rgb[rows])
+    return ls.metrics.LitPoints(points.positions[rows], points.normals[rows], points.rgb[rows])
 
 
 def keep_picture(path: Path, place: Place, scene: ls.Scene, actors: Sequence[ls.SplatInstance], device: str) -> None:

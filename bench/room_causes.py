@@ -189,7 +189,7 @@ def rows_of(truth: Truth, capture: ls.Gaussians, device: str) -> Iterator[Row]:
     yield "all light", painted(capture, without, facing), None, False
     yield "albedo", painted(capture, true_albedo, facing), None, False
     yield "albedo, normals", painted(capture, true_albedo, exact), None, True
-    yield "colours alike from all sides", *delighted(ls.limit_sh_degree(capture, 0), device), False
+    yield "colours alike from all sides", *delighted(ls.editing.limit_sh_degree(capture, 0), device), False
     close = np.flatnonzero(distance < NEAR)
     some = capture.subset(close)
     yield f"without {1.0 - len(close) / capture.count:.0%} that float", *delighted(some, device), False
@@ -224,7 +224,7 @@ def main() -> None:
         if light is not None:
             figures["lamps"] = [round(float(lamp.mean()), 1) for lamp in light.lamps]
         if relit and options.relit:
-            result = ls.evaluate_materials(found, options.set, samples=16, device=options.device)
+            result = ls.inverse.evaluate_materials(found, options.set, samples=16, device=options.device)
             figures["relit"] = {key: [round(value, 3) for value in values] for key, values in result.relit.items()}
         print(json.dumps(figures), flush=True)
 

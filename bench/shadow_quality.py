@@ -55,13 +55,13 @@ def row(scene, camera, count: int, *, device: str) -> dict:
     from bench.timing import TimedRenderer
 
     compared = replace(scene, lights=scene.lights[:count])
-    exact = shares(compared, camera, ls.ShadowMethod.EXACT, 1, device)
+    exact = shares(compared, camera, ls.config.ShadowMethod.EXACT, 1, device)
     reached = exact >= 0.0
     decibels = {}
     for samples in SAMPLES:
-        error = shares(compared, camera, ls.ShadowMethod.STOCHASTIC, samples, device)[reached] - exact[reached]
+        error = shares(compared, camera, ls.config.ShadowMethod.STOCHASTIC, samples, device)[reached] - exact[reached]
         decibels[str(samples)] = float(-10.0 * np.log10(np.mean(np.square(error))))
-    methods = (ls.ShadowMethod.EXACT, ls.ShadowMethod.STOCHASTIC)
+    methods = (ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.STOCHASTIC)
     renderers = {method: TimedRenderer(config_of(method, TIMED), device) for method in methods}
     times: dict = {method: [] for method in methods}
     for turn in range(REPEATS + 1):

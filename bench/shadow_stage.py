@@ -80,7 +80,7 @@ class Stage:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "walker.glb"
             write_walker(path)
-            return ls.bind_gaussians(ls.load_rig(path), self.casters)
+            return ls.bind_gaussians(ls.avatars.load_rig(path), self.casters)
 
     @cached_property
     def points(self) -> np.ndarray:

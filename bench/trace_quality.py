@@ -35,7 +35,7 @@ def convergence(device: str) -> dict[str, dict[str, float]]:
     exact = ls.render(scene, camera, config, device=device).color
     rows = {}
     for name, counts in SAMPLES.items():
-        strategy = ls.TraceStrategy(name)
+        strategy = ls.config.TraceStrategy(name)
         rows[name] = row = {}
         frame = None
         for samples in counts:

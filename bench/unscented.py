@@ -32,7 +32,7 @@ def main() -> None:
     quiet_warp()
     scene = ls.Scene([load_capture(DATA / "splats" / "biker.compressed.ply")])
     camera = ls.frame_camera(scene, width=640, height=360)
-    along_rays = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+    along_rays = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
     configs = [ls.RenderConfig(), along_rays, ls.RenderConfig(pipeline=ls.Pipeline.TRACE)]
     print("| camera | ewa | unscented | trace | unscented : ewa | unscented : trace |")
     print("| --- | ---: | ---: | ---: | ---: | ---: |")

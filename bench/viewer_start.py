@@ -74,7 +74,7 @@ def print_moving(capture: Path, folder: Path, device: str) -> None:
     with started(capture, device, folder):
         pass  # compiles
     for kind, file in large_files(capture, folder):
-        scene = ls.SceneDocument.open([file]).scene()
+        scene = ls.io.SceneDocument.open([file]).scene()
         cameras = ls.orbit_cameras(scene, STEPS, ls.frame_camera(scene, width=WIDTH, height=HEIGHT, all_around=True))
         del scene
         with started(file, device, folder) as view:

@@ -38,7 +38,7 @@ def figure() -> ls.Gaussians | ls.RiggedGaussians:
     """The avatar: of a rigged glTF, if one is given, else a pawn."""
     if len(sys.argv) > 1:
         # Characters often keep masks in their vertex colours; see the guide's page on animation.
-        return ls.bind_gaussians(ls.load_rig(sys.argv[1], vertex_colors=False), 20_000)
+        return ls.bind_gaussians(ls.avatars.load_rig(sys.argv[1], vertex_colors=False), 20_000)
     return ls.gaussians_from_mesh(lathed(PAWN), 8_000)
 
 
@@ -68,7 +68,7 @@ def main(width: int = 240, fps: int = 1) -> None:
     # the capture would be looked for. The garden behind the window is a picture, not to stand in its way.
     direction, color = (1.0, -0.52, -0.36), (1.0, 0.93, 0.82)
     sun = ls.LightDirectional(direction, color, intensity=4.0, shadow_distance=2.5, name="sun")
-    lighting = ls.AvatarLightingConfig(direct=0.75, transfer=ls.RelightConfig(gamma=1.5))
+    lighting = ls.config.AvatarLightingConfig(direct=0.75, transfer=ls.config.RelightConfig(gamma=1.5))
     lighter = ls.AvatarLighter(room, [sun], lighting)
     camera = ls.Camera.look_at((0.7, 1.3, 3.0), (0.13, 0.3, 0.5), width=width, height=5 * width // 8, fov_y=0.46)
     renderer = ls.create_renderer()

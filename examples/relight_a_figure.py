@@ -40,12 +40,12 @@ def main(width: int = 320, count: int = 20_000) -> None:
     # Light at the place, without the figure itself: what six views of the room hold, in 16 harmonics. The room is open
     # towards the camera: there, light comes from the background.
     renderer = ls.create_renderer(ls.RenderConfig(background=(0.6, 0.6, 0.6)))
-    probe = ls.EnvironmentProbe.capture(room, (0.0, -0.1, 0.0), renderer=renderer)
+    probe = ls.avatars.EnvironmentProbe.capture(room, (0.0, -0.1, 0.0), renderer=renderer)
     probe.save("out/relight_a_figure/probe.exr")
     looks = {
         "before": ls.SplatInstance(figure, placed),
-        "relit": ls.relight(ls.SplatInstance(figure, placed), probe, ls.RelightConfig(gamma=1.5)),
-        "glossy": ls.relight(ls.SplatInstance(figure, placed), probe, ls.RelightConfig(gamma=1.5, exponent=8.0)),
+        "relit": ls.relight(ls.SplatInstance(figure, placed), probe, ls.config.RelightConfig(gamma=1.5)),
+        "glossy": ls.relight(ls.SplatInstance(figure, placed), probe, ls.config.RelightConfig(gamma=1.5, exponent=8.0)),
     }
     camera = ls.Camera.look_at((0.0, 0.1, 3.2), (0.0, -0.05, 0.0), width=width, height=width, fov_y=0.62)
     for name, instance in looks.items():

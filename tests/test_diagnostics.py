@@ -19,7 +19,7 @@ from lumisplat.runtime.launcher import Launcher
 
 def test_all_is_well_here() -> None:
     """The suite's own machine: the CPU is tried and works, all packages are there, nothing is to be mended."""
-    found = ls.diagnose()
+    found = ls.diagnostics.diagnose()
     assert found.problems == () and found.version == ls.__version__
     assert found.devices[0].name == "cpu" and found.devices[0].memory_bytes > 2**29
     assert sys.executable in found.python and found.cores >= 1
@@ -30,7 +30,7 @@ def test_all_is_well_here() -> None:
 
 def test_extras_have_their_own_packages() -> None:
     """Not those that Lumisplat needs anyway; developers' extras are left out; the line that installs them."""
-    extras = {extra.name: extra for extra in ls.diagnose().extras}
+    extras = {extra.name: extra for extra in ls.diagnostics.diagnose().extras}
     assert [package.name for package in extras["video"].packages] == ["av"]
     assert extras["video"].install == "pip install 'lumisplat[video]'"
     assert not {"dev", "docs", "bench"} & extras.keys()
@@ -53,7 +53,7 @@ def versions(changed: dict[str, str | None]) -> Callable[[str], str]:
 def test_what_is_missing_or_old_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the line that mends it; of an extra it is no problem, it is not installed."""
     monkeypatch.setattr(metadata, "version", versions({"pygltflib": None, "rich": "12.9", "av": "13.1"}))
-    found = ls.diagnose()
+    found = ls.diagnostics.diagnose()
     text = " ".join(found.problems)
     assert "pygltflib is not installed" in text and "pip install 'pygltflib>=1.16'" in text
     assert "rich is 12.9, expected >=13" in text and len(found.problems) == 2
@@ -68,9 +68,11 @@ def test_kernels_that_fail_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with monkeypatch.context() as patch:
         patch.setattr(Launcher, "load", broken)
-        assert ls.diagnose().problems == ("cpu: a kernel cannot be compiled or run (no compiler for sm_99)",)
+        assert ls.diagnostics.diagnose().problems == (
+            "cpu: a kernel cannot be compiled or run (no compiler for sm_99)",
+        )
     monkeypatch.setattr(Launcher, "run", lambda *_: None)
-    assert "cpu: a kernel that squares numbers gives wrong results" in ls.diagnose().problems
+    assert "cpu: a kernel that squares numbers gives wrong results" in ls.diagnostics.diagnose().problems
 
 
 def test_a_cache_that_cannot_be_used_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
@@ -80,11 +82,12 @@ def test_a_cache_that_cannot_be_used_is_told(monkeypatch: pytest.MonkeyPatch, tm
     with monkeypatch.context() as patch:
         patch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file" / "kernels"))
         assert any(
-            "kernels cannot be kept here" in line and "WARP_CACHE_PATH" in line for line in ls.diagnose().problems
+            "kernels cannot be kept here" in line and "WARP_CACHE_PATH" in line
+            for line in ls.diagnostics.diagnose().problems
         )
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10 * 2**20))
-    assert any("10 MiB are free" in line for line in ls.diagnose().problems)
+    assert any("10 MiB are free" in line for line in ls.diagnostics.diagnose().problems)
 
 
 def test_gpus_without_cuda_are_remarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
@@ -92,5 +95,5 @@ def test_gpus_without_cuda_are_remarked(monkeypatch: pytest.MonkeyPatch, tmp_pat
     (tmp_path / "nvidia0").write_text("")
     monkeypatch.setattr(diagnostics, "_SIGNS_OF_A_GPU", (str(tmp_path / "nvidia0"),))
     monkeypatch.setattr(wp, "get_devices", lambda: [wp.get_device("cpu")])
-    (remark,) = ls.diagnose().remarks
+    (remark,) = ls.diagnostics.diagnose().remarks
     assert "there is a GPU" in remark and "needs a driver for CUDA" in remark

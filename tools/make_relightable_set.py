@@ -98,9 +98,9 @@ def make(given: argparse.Namespace) -> None:
     views = views_around(scene, given.size, given.views, given.held_out)
     held_out = {name: camera for name, camera in views.items() if name.startswith("test")}
     shapes = shapes_of(mi, scene, given.material)
-    skies = {"environment": reduced(ls.load_radiance(given.environment))}
+    skies = {"environment": reduced(ls.io.load_radiance(given.environment))}
     for path in given.relit or ():
-        skies[f"relit/{path.stem}"] = reduced(ls.load_radiance(path))
+        skies[f"relit/{path.stem}"] = reduced(ls.io.load_radiance(path))
     if given.relit is None:
         skies |= {f"relit/{name}": sky for name, sky in unseen().items()}
     told: dict[str, Any] = {"object": given.mesh.name, "environment": given.environment.name}

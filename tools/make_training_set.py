@@ -48,7 +48,7 @@ def main() -> None:
     mi = load_mitsuba()
     scene = ls.load(given.mesh)
     assert isinstance(scene, ls.Scene)
-    bitmap = mi.Bitmap(np.array(ls.load_radiance(given.environment), np.float32))
+    bitmap = mi.Bitmap(np.array(ls.io.load_radiance(given.environment), np.float32))
     views = views_around(scene, given.size, VIEWS, HELD_OUT, digits=2)
     shapes = [mesh_of(mi, instance, principled(mi, instance.mesh.material)) for instance in scene.meshes]
     parts = describe(shapes, {"type": "envmap", "bitmap": bitmap})

@@ -86,7 +86,7 @@ def raster_frames(setting: Setting) -> Iterator[Finding]:
     """Every kind of rasterised frame of the tests, unlit."""
     shots: list[Shot] = [(case.name, case.scene, case.camera, case.config) for case in raster_scenes.cases()]
     scene, camera = raster_scenes.cases()[3].scene, raster_scenes.cases()[3].camera
-    for strategy in ls.RasterStrategy:
+    for strategy in ls.config.RasterStrategy:
         raster = ls.RasterConfig(strategy=strategy)
         shots.append((strategy.value, scene, camera, ls.RenderConfig(raster=raster, aovs=("hits",), samples=2)))
     yield from compared(setting, shots)
@@ -107,7 +107,7 @@ def lit_frames(setting: Setting) -> Iterator[Finding]:
             scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
             config = lit_scene.config(pipeline, shadows=shadows, samples=samples, aovs=("albedo",))
             shots.append((f"{pipeline.value}, {shadows.value}", scene, view, config))
-        for method in ls.ShadowMethod:
+        for method in ls.config.ShadowMethod:
             config = lit_scene.config(pipeline, shadow_rays=ls.ShadowConfig(method=method), samples=samples)
             shots.append((f"{pipeline.value}, {method.value}", lit_scene.scene(), view, config))
         shots.append((f"{pipeline.value}, rough and metallic", *polished(), ls.RenderConfig(pipeline=pipeline)))

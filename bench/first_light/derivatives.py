@@ -22,7 +22,7 @@ WARM, REPEATS = 3, 8
 TRAINED = (10_000, 100_000)
 WAYS = {
     "raster": ls.RenderConfig(),
-    "raster, unscented": ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED)),
+    "raster, unscented": ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)),
     "trace": ls.RenderConfig(pipeline=ls.Pipeline.TRACE),
 }
 """Frames that are differentiated."""
@@ -112,12 +112,12 @@ def _turns(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iter
 
 def _ours(
     setting: Setting, scene: ls.Scene, camera: ls.Camera, pull: np.ndarray
-) -> tuple[dict[str, float], ls.SetGradient]:
+) -> tuple[dict[str, float], ls.gradients.SetGradient]:
     """Stages of a frame and of its derivatives, and these."""
     renderer = ls.DifferentiableRenderer(None, setting.device)
     renderer._launcher.profile = True
     rows: list[dict[str, float]] = []
-    found: list[ls.SetGradient] = []
+    found: list[ls.gradients.SetGradient] = []
     for _ in range(WARM + REPEATS):
         renderer.render(scene, camera)
         found = [*renderer.gradients(pull).sets]

@@ -86,7 +86,7 @@ def compared(view: View, given: argparse.Namespace) -> str:
         shown += [percent(value) for value in (steady.mean, steady.rms, steady.largest)] + beyond[1:]
         print(f"| {' | '.join(shown)} | {percent(found.noise)} |", flush=True)
     picture = frame.pixels_srgb()
-    plain = ls.psnr(picture, truth.whole.astype(np.float32))
+    plain = ls.metrics.psnr(picture, truth.whole.astype(np.float32))
     return f"| {view.name} | {truth.psnr(picture):.1f} | {plain:.1f} | {view.psnr_min or '-'} |"
 
 

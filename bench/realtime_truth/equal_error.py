@@ -148,7 +148,7 @@ def denoised_once(frame: ls.Frame, truth: Truth, second: float) -> tuple[float, 
     """Seconds of a path a pixel and its denoising, and its squared error."""
     try:
         frame.denoised()  # the first one of a size makes the filter ready
-    except ls.MissingExtraError as error:
+    except ls.errors.MissingExtraError as error:
         tell(f"no denoised paths: {error}")
         return None
     more, clean = cpu_seconds(frame.denoised)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import lumisplat as ls
 from bench.realtime_truth.scenes import WIDTH, View
 from bench.timing import parser, quiet_warp
-from lumisplat.config import PATH_PARTS
+from lumisplat.config.render import PATH_PARTS
 from lumisplat.math.tone_map import lit_picture
 
 Doubles = npt.NDArray[np.float64]
@@ -76,7 +76,7 @@ def paths(samples: int, seed: int, max_bounces: int | None = None) -> ls.RenderC
         pipeline=ls.Pipeline.PATH,
         samples=samples,
         seed=seed,
-        path=ls.PathConfig(primary=ls.PathPrimary.ISO),
+        path=ls.PathConfig(primary=ls.config.PathPrimary.ISO),
         max_bounces=max_bounces,
         tone_map=ls.ToneMap.NEUTRAL,
         aovs=(*PATH_PARTS, "albedo"),

@@ -66,9 +66,9 @@ def main() -> None:
         values = (
             truth.psnr(picture),
             decibels(float(np.mean(first * second))),
-            ls.psnr(picture, whole),
-            ls.ssim(picture, whole),
-            ls.ssim(*(half.astype(np.float32) for half in truth.pictures)),
+            ls.metrics.psnr(picture, whole),
+            ls.metrics.ssim(picture, whole),
+            ls.metrics.ssim(*(half.astype(np.float32) for half in truth.pictures)),
             bias(np.asarray(frame.color, np.float64), truth.images["color"], np.inf).mean,
         )
         show(view.name, values)
@@ -95,7 +95,7 @@ def keep(path: Path, truth: Doubles, picture: np.ndarray) -> None:
 
 def views(width: int) -> Iterator[View]:
     """Every asset under every environment."""
-    maps = {name: ls.load_radiance(DATA / "env" / file) for name, file in ENVIRONMENTS.items() if here(file, "env")}
+    maps = {name: ls.io.load_radiance(DATA / "env" / file) for name, file in ENVIRONMENTS.items() if here(file, "env")}
     maps["sun and sky"] = sky_image(256, 512)
     for name, (asset, camera, is_y_down) in assets(width).items():
         for place, image in maps.items():

@@ -59,11 +59,11 @@ class Sequence:
 def variants() -> dict[str, dict[str, Any]]:
     """Settings of a frame, by what they change."""
     real = ls.RealtimeConfig
-    filters, probes, cache = ls.FilterConfig, ls.ProbeConfig, ls.RadianceCacheConfig
+    filters, probes, cache = ls.config.FilterConfig, ls.config.ProbeConfig, ls.config.RadianceCacheConfig
     of_realtime = {
         "default (balanced)": real(),
-        "preview": real(quality=ls.RealtimeQuality.PREVIEW),
-        "high": real(quality=ls.RealtimeQuality.HIGH),
+        "preview": real(quality=ls.config.RealtimeQuality.PREVIEW),
+        "high": real(quality=ls.config.RealtimeQuality.HIGH),
         "no rays of highlights": real(highlight_rays=False),
         "light in every second frame": real(light_interval=2),
         "no filter over neighbours": real(filter=filters(passes=0)),
@@ -81,7 +81,7 @@ def variants() -> dict[str, dict[str, Any]]:
         "cache without history": real(cache=cache(history=1, bounce_history=1)),
         "cells half as wide": real(cache=cache(cell_size=1.0 / 16.0)),
     }
-    stochastic = ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC)
+    stochastic = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC)
     others: dict[str, dict[str, Any]] = {
         "direct light alone": {"max_bounces": 0},
         "stochastic shadows": {"shadow_rays": stochastic},

@@ -33,15 +33,15 @@ Found = tuple[ls.Gaussians, FloatArray]
 
 
 def by_ours(capture: ls.Gaussians, folder: Path, given: argparse.Namespace) -> Found:
-    """`lumisplat.find_materials`."""
-    found = ls.find_materials(capture, folder, device=given.device)
+    """`lumisplat.inverse.find_materials`."""
+    found = ls.inverse.find_materials(capture, folder, device=given.device)
     assert found.environment.image is not None
     return found.gaussians, found.environment.image
 
 
 def by_r3dg(capture: ls.Gaussians, folder: Path, given: argparse.Namespace) -> Found:
     """R3DG's second stage, on the same normals."""
-    views = [TrainingView.of(photograph) for photograph in ls.load_photographs(folder).training]
+    views = [TrainingView.of(photograph) for photograph in ls.io.load_photographs(folder).training]
     renderer = DifferentiableRenderer(ls.RenderConfig(lighting=False), given.device)
     normals, _ = seen_normals(capture, [view.camera for view in views], renderer, _say_nothing)
     fit = R3dgFit(capture, normals, views, given.device)
@@ -62,7 +62,7 @@ def relit_psnr(found: ls.Gaussians, folder: Path, scale: tuple[float, ...], devi
     truth = RelightableSet.open(folder)
     assert found.albedo is not None
     scaled = replace(found, albedo=np.clip(found.albedo * np.array(scale), 0.0, 1.0))
-    skies = {name: ls.load_radiance(folder / "relit" / f"{name}.exr") for name in truth.unseen}
+    skies = {name: ls.io.load_radiance(folder / "relit" / f"{name}.exr") for name in truth.unseen}
     figures: dict[str, float] = {}
     for name, pictures in relit_pictures(scaled, skies, [view.camera for view in truth.views], device).items():
         errors = [
@@ -77,7 +77,7 @@ def measured(found: Found, folder: Path, device: str) -> dict[str, Any]:
     """How near it is to the truth."""
     gaussians, environment = found
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=SAMPLES)
-    score = ls.evaluate_materials(gaussians, folder, environment=environment, config=config, device=device)
+    score = ls.inverse.evaluate_materials(gaussians, folder, environment=environment, config=config, device=device)
     told: dict[str, Any] = {
         name: round(float(getattr(score, name)), 3) for name in ("albedo_psnr", "roughness_rmse", "normal_mean")
     }

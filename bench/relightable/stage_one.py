@@ -22,7 +22,7 @@ from lumisplat.relighting.relightable_set import RelightableSet
 from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 
 FLAT = {"flatness": 0.3, "normals": 0.05, "depth_spread": 0.3}
-ADAPTIVE = {"densification": ls.Densification.ADAPTIVE}
+ADAPTIVE = {"densification": ls.config.Densification.ADAPTIVE}
 CHOICES: dict[str, dict[str, Any]] = {
     "flat": {},
     "alpha": {"alpha": 1.0},
@@ -57,7 +57,9 @@ def measured(gaussians: ls.Gaussians, environment: Any, given: argparse.Namespac
     told: dict[str, Any] = {}
     for pipeline in (ls.Pipeline.HYBRID, ls.Pipeline.PATH):
         config = ls.RenderConfig(pipeline=pipeline, samples=given.samples)
-        score = ls.evaluate_materials(gaussians, given.set, environment=environment, config=config, device=given.device)
+        score = ls.inverse.evaluate_materials(
+            gaussians, given.set, environment=environment, config=config, device=given.device
+        )
         told[f"relit, {pipeline.value}"] = {
             name: [round(float(figure), 3) for figure in figures] for name, figures in score.relit.items()
         }
@@ -68,7 +70,7 @@ def measured(gaussians: ls.Gaussians, environment: Any, given: argparse.Namespac
 
 def learnt(name: str, given: argparse.Namespace) -> dict[str, Any]:
     """A row: trained, found, compared."""
-    photographs, begun = ls.load_photographs(given.set), time.perf_counter()
+    photographs, begun = ls.io.load_photographs(given.set), time.perf_counter()
     config = ls.TrainConfig(**{"iterations": given.iterations, "cap": given.cap, **FLAT, **CHOICES[name]})
     result = ls.train(photographs, config, device=given.device)
     trained = time.perf_counter() - begun
@@ -78,7 +80,7 @@ def learnt(name: str, given: argparse.Namespace) -> dict[str, Any]:
     told |= {"gaussians": result.gaussians.count, "seconds": round(trained), "psnr": round(result.score.psnr, 2)}
     told |= {"rim": round(too_high, 4), "rim_off": round(off, 4)}
     begun = time.perf_counter()
-    found = ls.find_materials(result.gaussians, photographs, device=given.device)
+    found = ls.inverse.find_materials(result.gaussians, photographs, device=given.device)
     told |= {"seconds_of_materials": round(time.perf_counter() - begun)}
     if given.out is not None:
         ls.save(given.out / f"{name.replace(', ', '_').replace(' ', '_')}.ply", found.gaussians)

@@ -44,7 +44,7 @@ def main() -> None:
     options = arguments.parse_args()
     quiet_warp()
     photographs = with_points(
-        ls.load_photographs(options.folder, scale=options.scale, background="black"), options.gaussians
+        ls.io.load_photographs(options.folder, scale=options.scale, background="black"), options.gaussians
     )
     camera = photographs.training[0].camera
     print(
@@ -62,7 +62,7 @@ def row_of(name: str, steps: int, seconds: float, psnr: float) -> str:
     return f"| {name} | {steps:,} | {seconds:.0f} | {steps / seconds:.2f} | {psnr:.2f} dB |"
 
 
-def with_points(photographs: ls.Photographs, count: int) -> ls.Photographs:
+def with_points(photographs: ls.io.Photographs, count: int) -> ls.io.Photographs:
     """With random points of random colours, which all begin with.
 
     They are in a ball that no camera is in: litesplat fails at what is behind one.
@@ -75,7 +75,7 @@ def with_points(photographs: ls.Photographs, count: int) -> ls.Photographs:
     return replace(photographs, points=points, point_colors=rng.uniform(size=(count, 3)).astype(np.float32))
 
 
-def ours(photographs: ls.Photographs, options: argparse.Namespace) -> tuple[int, float, float]:
+def ours(photographs: ls.io.Photographs, options: argparse.Namespace) -> tuple[int, float, float]:
     """Steps, seconds and PSNR of this package."""
     config = ls.TrainConfig(iterations=options.iterations, cap=options.gaussians, sh_degree=SH_DEGREE)
     result = ls.train(photographs, config, stop_after=options.seconds, device=options.device)
@@ -83,7 +83,7 @@ def ours(photographs: ls.Photographs, options: argparse.Namespace) -> tuple[int,
     return result.iterations, result.seconds, result.score.psnr
 
 
-def peer(photographs: ls.Photographs, module: str, python: Path, seconds: float) -> tuple[int, float, float]:
+def peer(photographs: ls.io.Photographs, module: str, python: Path, seconds: float) -> tuple[int, float, float]:
     """Those of a peer."""
     with tempfile.TemporaryDirectory() as folder:
         task, found = Path(folder) / "task.npz", Path(folder) / "found.npz"
@@ -98,7 +98,7 @@ def peer(photographs: ls.Photographs, module: str, python: Path, seconds: float)
             return int(stored["steps"]), float(stored["seconds"]), float(np.mean(scores))
 
 
-def task_of(photographs: ls.Photographs, seconds: float) -> Task:
+def task_of(photographs: ls.io.Photographs, seconds: float) -> Task:
     """What peers are given."""
     learnt, shown = photographs.training, photographs.held_out
     assert photographs.points is not None and photographs.point_colors is not None

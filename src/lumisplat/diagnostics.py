@@ -96,7 +96,7 @@ class ExtraFacts:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What `lumisplat.diagnose` has found."""
+    """What `lumisplat.diagnostics.diagnose` has found."""
 
     version: str
     """Of Lumisplat."""
@@ -254,3 +254,6 @@ def _packages(extra: str) -> tuple[PackageFacts, ...]:
         is_right = installed is not None and needed.specifier.contains(installed, prereleases=True)
         found.append(PackageFacts(needed.name, str(needed.specifier), installed, is_right))
     return tuple(found)
+
+
+__all__ = ["Diagnosis", "diagnose"]

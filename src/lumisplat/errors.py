@@ -111,3 +111,15 @@ def check_shapes(**named: tuple[np.ndarray | None, str]) -> dict[str, int]:
                 because = f" with {symbol} = {expected} from {origin}" if origin else ""
                 raise SceneError(f"{name} has shape {array.shape}, expected ({', '.join(symbols)}){because}")
     return {symbol: size for symbol, (size, _) in bound.items()}
+
+
+__all__ = [
+    "ConfigError",
+    "DeviceError",
+    "FormatError",
+    "LumisplatError",
+    "MissingExtraError",
+    "MissingFileError",
+    "SceneError",
+    "StoppedError",
+]

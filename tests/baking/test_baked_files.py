@@ -76,4 +76,4 @@ def test_an_spz_is_the_bake_to_its_steps(baked, tmp_path):
 
 def test_frames_of_an_spz_are_near(baked, tmp_path):
     """Positions, sizes, turns and opacities in their bits, too: 45 dB and more (docs/guide/bake.md)."""
-    assert ls.psnr(frames(loaded(baked, tmp_path / "baked.spz")), frames(baked)) > 45.0
+    assert ls.metrics.psnr(frames(loaded(baked, tmp_path / "baked.spz")), frames(baked)) > 45.0

@@ -71,7 +71,7 @@ def test_settings_reach_the_renderer(work):
     for options, settings in [
         (
             ("--set=raster.antialiasing=on", "--set=trace.antialiasing=on"),
-            ls.RasterConfig(antialiasing=ls.Antialiasing.ON),
+            ls.RasterConfig(antialiasing=ls.config.Antialiasing.ON),
         ),
         (("--set=raster.sh_degree=0", "--set=trace.sh_degree=0"), ls.RasterConfig(sh_degree=0)),
     ]:
@@ -136,15 +136,15 @@ def test_settings_of_the_ray_tracer(work, monkeypatch, caplog):
         max_bounces=5,
         raster=ls.RasterConfig(sh_degree=1, transmittance_min=0.01),
         trace=ls.TraceConfig(
-            strategy=ls.TraceStrategy.STOCHASTIC_PASS,
+            strategy=ls.config.TraceStrategy.STOCHASTIC_PASS,
             hits_per_pass=32,
-            hit_distance=ls.HitDistance.HULL,
-            normal_method=ls.NormalMethod.ELLIPSOID,
+            hit_distance=ls.config.HitDistance.HULL,
+            normal_method=ls.config.NormalMethod.ELLIPSOID,
             sh_degree=1,
             transmittance_min=0.01,
         ),
-        response=ls.ResponseConfig(kernel_degree=4, min_response=0.0113),
-        shadow_rays=ls.ShadowConfig(hit_distance=ls.HitDistance.HULL, transmittance_min=0.01),
+        response=ls.config.ResponseConfig(kernel_degree=4, min_response=0.0113),
+        shadow_rays=ls.ShadowConfig(hit_distance=ls.config.HitDistance.HULL, transmittance_min=0.01),
     )
     assert not caplog.records
 
@@ -158,7 +158,7 @@ def test_options_are_at_the_defaults_of_the_settings(work, monkeypatch):
 def test_bench_settings(work, monkeypatch):
     """Bench times the pipeline and the strategy of its options."""
     args = ("bench", "@mesh.obj", "--pipeline", "trace", "--set=trace.strategy=stochastic-hit")
-    trace = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    trace = ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT)
     assert configured(work, monkeypatch, *args) == ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
 
 
@@ -291,7 +291,7 @@ def test_render_by_rays(work, monkeypatch):
     )
     options = ("--set=trace.strategy=stochastic-hit", "--samples", "3", "--set=seed=5")
     assert work.run(*args, "--pipeline", "trace", *options).status == 0
-    trace = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    trace = ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=3, seed=5, trace=trace)
     scene, camera = ls.load(work.path("scene.toml")), ls.load_cameras(work.path("cameras.json"))[0]
     assert isinstance(scene, ls.Scene)

@@ -184,7 +184,7 @@ def test_a_range_is_a_part_of_the_whole(work, monkeypatch):
     def estimated(scene, place, *args, **_):
         places.append(tuple(place))
         # By its looks: the floor is not lit by it.
-        return ls.estimate_lights(scene, place, *args, config=ls.LightEstimationConfig(evidence=0.0))
+        return ls.inverse.estimate_lights(scene, place, *args, config=ls.config.LightEstimationConfig(evidence=0.0))
 
     # By its module: `lumisplat.relight` is the function of that name.
     monkeypatch.setattr(importlib.import_module("lumisplat.relighting.avatar_lighter"), "estimate_lights", estimated)

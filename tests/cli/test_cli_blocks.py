@@ -46,7 +46,7 @@ def pixels(path: Path) -> np.ndarray:
 def test_made_and_described(work: Workplace) -> None:
     """A line says what was written; info reads the index, convert all of it."""
     line = made(work, "--coarser", "1")
-    index = ls.open_blocks(work.path("town"))
+    index = ls.io.open_blocks(work.path("town"))
     count = len(index.blocks)
     assert f"town: 3,000 Gaussians in {count} blocks, cubes of 3 and less, 1 coarser level" in line
     outcome = work.run("info", "@town")
@@ -63,20 +63,20 @@ def test_several_files_of_any_kind(work: Workplace) -> None:
     ls.save(work.path("more.spz"), random_gaussians(6, count=70))
     outcome = work.run("blocks", "@town.ply", "@more.spz", "-o", "@both")
     assert outcome.status == 0, outcome.err
-    assert ls.open_blocks(work.path("both")).count == 3070
+    assert ls.io.open_blocks(work.path("both")).count == 3070
 
 
 def test_pictures_are_those_of_the_capture(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
     """To the bit, by camera files, in tiles and from the front; each view loads what it sees, where that is less."""
     made(work)
     loaded: list[int] = []
-    load = ls.load_blocks
+    load = ls.io.load_blocks
 
-    def counting(index: ls.BlockIndex, parts: list[ls.BlockPart]) -> ls.Gaussians:
+    def counting(index: ls.io.BlockIndex, parts: list[ls.io.BlockPart]) -> ls.Gaussians:
         loaded.append(len(parts))
         return load(index, parts)
 
-    monkeypatch.setattr(ls, "load_blocks", counting)
+    monkeypatch.setattr(ls.io, "load_blocks", counting)
     for source, out in (("@town.ply", "whole"), ("@town", "seen")):
         outcome = work.run("render", source, "--cameras", "@views.json", "-o", f"@{out}", "--device", "cpu")
         assert outcome.status == 0, outcome.err
@@ -84,7 +84,7 @@ def test_pictures_are_those_of_the_capture(work: Workplace, monkeypatch: pytest.
     for name in ("inside", "far", "away"):
         np.testing.assert_array_equal(pixels(work.path(f"seen/{name}.png")), pixels(work.path(f"whole/{name}.png")))
     assert (
-        len(loaded) == 2 and 0 < min(loaded) and max(loaded) < len(ls.open_blocks(work.path("town")).blocks)
+        len(loaded) == 2 and 0 < min(loaded) and max(loaded) < len(ls.io.open_blocks(work.path("town")).blocks)
     )  # nothing where nothing is seen
     for source, out in (("@town.ply", "front"), ("@town", "front_seen")):
         assert work.run("render", source, "--width", "48", "-o", f"@{out}.png", "--device", "cpu").status == 0
@@ -100,15 +100,15 @@ def test_views_are_in_memory_one_at_a_time(work: Workplace, monkeypatch: pytest.
     """What the last one saw is gone, from the renderer, too, before the blocks of the next are read."""
     made(work)
     held: list[Callable[[], object]] = []
-    load = ls.load_blocks
+    load = ls.io.load_blocks
 
-    def watching(index: ls.BlockIndex, parts: list[ls.BlockPart]) -> ls.Gaussians:
+    def watching(index: ls.io.BlockIndex, parts: list[ls.io.BlockPart]) -> ls.Gaussians:
         assert not any(one() is not None for one in held)
         loaded = load(index, parts)
         held.extend((weakref.ref(loaded.means), weakref.ref(loaded.sh)))
         return loaded
 
-    monkeypatch.setattr(ls, "load_blocks", watching)
+    monkeypatch.setattr(ls.io, "load_blocks", watching)
     outcome = work.run("render", "@town", "--cameras", "@views.json", "-o", "@seen", "--device", "cpu")
     assert outcome.status == 0, outcome.err
     assert len(held) == 4
@@ -151,8 +151,8 @@ def test_what_workers_hold(work: Workplace) -> None:
     made(work)
     outcome = work.run("blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "2", "--memory", "0.00006")
     assert outcome.status == 0, outcome.err
-    index, cameras = ls.open_blocks(work.path("town")), ls.load_cameras(work.path("views.json"))
-    plans = ls.plan_views(index, cameras, 2, 60_000)
+    index, cameras = ls.io.open_blocks(work.path("town")), ls.load_cameras(work.path("views.json"))
+    plans = ls.io.plan_views(index, cameras, 2, 60_000)
     lines = outcome.out.splitlines()
     assert lines[0].endswith(
         f"town: 3,000 Gaussians, {len(index.blocks)} blocks, {index.row_bytes * 3:.1f} kB (finest)"

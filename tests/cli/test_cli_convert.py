@@ -30,16 +30,16 @@ def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ("--box -1 -1 3 1 1 5", lambda g: ls.crop(g, box=((-1, -1, 3), (1, 1, 5)))),
-        ("--sphere 0 0 4 1.5 --outside", lambda g: ls.crop(g, sphere=((0, 0, 4), 1.5), outside=True)),
+        ("--box -1 -1 3 1 1 5", lambda g: ls.editing.crop(g, box=((-1, -1, 3), (1, 1, 5)))),
+        ("--sphere 0 0 4 1.5 --outside", lambda g: ls.editing.crop(g, sphere=((0, 0, 4), 1.5), outside=True)),
         (
             "--keep opacity=0.3.. --keep x=-1..0.5 --keep scale_max=..0.2",
-            lambda g: ls.select(g, opacity=(0.3, None), x=(-1, 0.5), scale_max=(None, 0.2)),
+            lambda g: ls.editing.select(g, opacity=(0.3, None), x=(-1, 0.5), scale_max=(None, 0.2)),
         ),
-        ("--floaters 5", lambda g: ls.remove_floaters(g, 5)),
-        ("--decimate 20", lambda g: ls.decimate(g, 20)),
-        ("--decimate 25%", lambda g: ls.decimate(g, 15)),
-        ("--morton", ls.sort_morton),
+        ("--floaters 5", lambda g: ls.editing.remove_floaters(g, 5)),
+        ("--decimate 20", lambda g: ls.editing.decimate(g, 20)),
+        ("--decimate 25%", lambda g: ls.editing.decimate(g, 15)),
+        ("--morton", ls.editing.sort_morton),
         (
             "--scale 2 --rotate 180 0 90 --translate 1 -2 3",
             lambda g: ls.transform(g, scale=2, rotation_degrees=(180, 0, 90), translation=(1, -2, 3)),
@@ -47,7 +47,9 @@ def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
         # In the order of the help, not of the command line: the sphere is of the file.
         (
             "--translate 50 0 0 --decimate 10 --sphere 0 0 4 1.5",
-            lambda g: ls.transform(ls.decimate(ls.crop(g, sphere=((0, 0, 4), 1.5)), 10), translation=(50, 0, 0)),
+            lambda g: ls.transform(
+                ls.editing.decimate(ls.editing.crop(g, sphere=((0, 0, 4), 1.5)), 10), translation=(50, 0, 0)
+            ),
         ),
     ],
 )
@@ -76,7 +78,7 @@ def test_it_says_what_became_of_it(work: Workplace) -> None:
         "convert", "@capture.ply", "-o", "@a.ply", "--sphere", "0", "0", "4", "1.5", "--decimate", "10"
     ).out
     first, second, last = lines.splitlines()
-    inside = ls.crop(work.capture("capture.ply"), sphere=((0, 0, 4), 1.5)).count
+    inside = ls.editing.crop(work.capture("capture.ply"), sphere=((0, 0, 4), 1.5)).count
     assert (first, second) == (f"--sphere: 60 -> {inside} Gaussians", f"--decimate: {inside} -> 10 Gaussians")
     assert last.startswith(str(work.path("a.ply"))) and "10 Gaussians, SH degree 0, " in last
 

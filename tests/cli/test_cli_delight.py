@@ -49,7 +49,7 @@ def test_a_capture_gets_materials(work):
     outward = after.means / np.linalg.norm(after.means, axis=1, keepdims=True)
     assert np.einsum("ij,ij->i", after.normals, outward).min() > 0.5
     assert np.ptp(after.albedo.mean(axis=1)) < 0.2
-    sky = ls.load_radiance(work.path("sky.exr"))
+    sky = ls.io.load_radiance(work.path("sky.exr"))
     assert sky.shape[1] == 2 * sky.shape[0] and sky.min() > 0.0
 
 
@@ -68,8 +68,8 @@ def test_a_room_has_no_sky(work, monkeypatch):
     """Where it is found to be one: a line says so, where an image of black was written."""
     capture = ls.load(work.path("ball.ply"))
     assert isinstance(capture, ls.Gaussians)
-    found = ls.estimate_materials(capture, ls.DelightConfig(cells=4, inside=True), device="cpu")
-    monkeypatch.setattr(ls, "estimate_materials", lambda *_, **__: found)
+    found = ls.inverse.estimate_materials(capture, ls.DelightConfig(cells=4, inside=True), device="cpu")
+    monkeypatch.setattr(ls.inverse, "estimate_materials", lambda *_, **__: found)
     done = work.run("delight", "@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--device", "cpu")
     assert (done.status, done.err) == (0, "") and f"{work.path('sky.exr')}: is not written: a room has" in done.out
     assert work.path("out.ply").exists() and not work.path("sky.exr").exists()

@@ -31,7 +31,7 @@ def test_it_shows_all_there_is(work: Workplace) -> None:
 
 
 def test_json_has_the_same(work: Workplace) -> None:
-    """Under the names of `lumisplat.Diagnosis`."""
+    """Under the names of `lumisplat.diagnostics.Diagnosis`."""
     facts = json.loads(work.run("doctor", "--json").out)
     assert facts["version"] == ls.__version__ and facts["problems"] == []
     assert facts["devices"][0]["name"] == "cpu" and facts["devices"][0]["problem"] is None

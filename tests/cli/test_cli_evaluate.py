@@ -47,14 +47,17 @@ def test_the_table_has_means_and_the_worst(work):
     table = evaluate(work, "--hold-out", "2")
     assert list(table) == ["", "mean of 3 views", "v4", "v2", "v0"]
     assert table[""] == ["psnr", "ssim", "ms-ssim", "flip"]
-    photographs = ls.load_photographs(work.path("photos"), hold_out=2).held_out
+    photographs = ls.io.load_photographs(work.path("photos"), hold_out=2).held_out
     truth = shown(work)
-    psnrs = [ls.psnr(truth, view.pixels()) for view in photographs]
+    psnrs = [ls.metrics.psnr(truth, view.pixels()) for view in photographs]
     assert psnrs[0] > 55.0 and 20.0 < psnrs[2] < 25.0
     assert [table[view.name][0] for view in photographs] == [f"{value:.2f}" for value in psnrs]
     assert float(table["mean of 3 views"][0]) == pytest.approx(np.mean(psnrs), abs=0.006)
-    expected = [ls.ssim(truth, photographs[2].pixels()), ls.ms_ssim(truth, photographs[2].pixels(), scales=2)]
-    assert table["v4"][1:] == [f"{value:.4f}" for value in (*expected, ls.flip(truth, photographs[2].pixels()))]
+    expected = [
+        ls.metrics.ssim(truth, photographs[2].pixels()),
+        ls.metrics.ms_ssim(truth, photographs[2].pixels(), scales=2),
+    ]
+    assert table["v4"][1:] == [f"{value:.4f}" for value in (*expected, ls.metrics.flip(truth, photographs[2].pixels()))]
 
 
 def test_fewer_scales_are_said(work, caplog):
@@ -97,8 +100,8 @@ def test_what_is_masked_does_not_count(work):
     work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--hold-out", "3", "-o", "@masked")
     told = {view["name"]: view for view in json.loads(work.path("masked/metrics.json").read_text())["views"]}
     assert told["v3"]["compared"] == pytest.approx(24 * 32 / (36 * 48))
-    view = ls.load_photographs(work.path("photos"), hold_out=3).held_out[1]
-    assert told["v3"]["psnr"] == pytest.approx(ls.psnr(shown(work), view.pixels(), region=mask > 0), abs=1e-6)
+    view = ls.io.load_photographs(work.path("photos"), hold_out=3).held_out[1]
+    assert told["v3"]["psnr"] == pytest.approx(ls.metrics.psnr(shown(work), view.pixels(), region=mask > 0), abs=1e-6)
     assert told["v3"]["psnr"] == pytest.approx(float(before[0]), abs=1.0)
     difference = np.asarray(Image.open(work.path("masked/v3.png")))[:, 96:]
     assert not difference[mask == 0].any() and difference[mask > 0].any()
@@ -118,7 +121,7 @@ def test_transparent_photographs_lie_over_the_background(work):
     for color in ("white", "black", "#4080c0"):
         assert float(evaluate(work, "--background", color, folder="@rgba")["mean of 2 views"][0]) > 45.0
     write_png(work.path("white.png"), shown(work, "white"))
-    assert ls.psnr(ls.load_image(work.path("white.png")), shown(work)) < 20.0
+    assert ls.metrics.psnr(ls.load_image(work.path("white.png")), shown(work)) < 20.0
 
 
 def test_a_smaller_scale(work):
@@ -132,7 +135,7 @@ def test_a_smaller_scale(work):
 def test_lenses_stay_as_they_are_along_rays(work):
     """Photographs of a fisheye are compared with frames through it, all of their pixels."""
     lens = [replace(camera, model=ls.CameraModel.FISHEYE, distortion=(0.1, 0, 0, 0, 0, 0)) for camera in CAMERAS]
-    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
     truth = ls.render(ls.Scene([work.capture("capture.ply")]), lens[0], config, device="cpu").pixels_srgb()
     write_transforms_photographs(work.path("fisheyes"), lens, [truth] * 6)
     table = evaluate(work, "--hold-out", "2", "--projection", "unscented", folder="@fisheyes")

@@ -37,7 +37,7 @@ def test_the_table_has_the_figures_of_the_function(work):
     done = work.run(*COMMAND)
     assert done.status == 0, done.err
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
-    result = ls.evaluate_materials(work.capture("ball.ply"), work.path("set"), config=config, device="cpu")
+    result = ls.inverse.evaluate_materials(work.capture("ball.ply"), work.path("set"), config=config, device="cpu")
     shown = table(done.out)
     assert shown["roughness, rmse"] == f"{result.roughness_rmse:.4f}" != "0.0000"
     assert shown["normals, mean"] == f"{result.normal_mean:.2f}"

@@ -111,7 +111,7 @@ def test_lights_of_a_photograph_go_into_a_scene_file(work):
     # An image of the fitted scene is the photograph.
     camera = ls.load_cameras(work.path("fitted.toml"))[0]
     picture = ls.render(scene, camera, device="cpu").pixels_srgb()
-    assert ls.psnr(picture, ls.load_image(work.path("door.png"))) > 40.0
+    assert ls.metrics.psnr(picture, ls.load_image(work.path("door.png"))) > 40.0
 
 
 def test_an_environment_lies_beside_the_scene_file(work):

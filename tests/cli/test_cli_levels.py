@@ -50,7 +50,7 @@ def test_entries_of_scene_files(work: Workplace, keys: str, count: int) -> None:
     work.path("scene.toml").write_text(f'[[splats]]\npath = "city"\n{keys}\n[[splats]]\npath = "city"\nlod = 0\n')
     scene = expect_kind(ls.Scene, ls.load(work.path("scene.toml"), lod=1))
     assert [splat.gaussians.count for splat in scene.splats] == [count, 50]
-    document = ls.SceneDocument.open(work.path("scene.toml"))
+    document = ls.io.SceneDocument.open(work.path("scene.toml"))
     assert document.scene().splats[1].gaussians.count == 50 and not document.problems
 
 

@@ -100,7 +100,7 @@ FILE_CONFIG = ls.RenderConfig(
     background=None,
     shadows=ls.Shadows.SOFT,
     tone_map=ls.ToneMap.AGX,
-    response=ls.ResponseConfig(min_response=0.0113),
+    response=ls.config.ResponseConfig(min_response=0.0113),
     shadow_rays=ls.ShadowConfig(offset=5),
 )
 
@@ -169,9 +169,9 @@ def test_every_light_option_arrives(work, monkeypatch):
         lighting=True,
         shadows=ls.Shadows.SOFT,
         tone_map=ls.ToneMap.NEUTRAL,
-        raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC),
+        raster=ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC),
         shadow_rays=ls.ShadowConfig(
-            method=ls.ShadowMethod.STOCHASTIC,
+            method=ls.config.ShadowMethod.STOCHASTIC,
             hits=8,
             offset=2.5,
             offset_absolute=0.1,
@@ -207,7 +207,7 @@ def test_bench_takes_a_scene_file_whole(work, monkeypatch):
     """Its settings and its first camera."""
     stage = Stage(monkeypatch)
     assert work.run("bench", "@scene.toml", "--repeats", "1", "--set=trace.strategy=stochastic-hit").status == 0
-    strategy = ls.TraceStrategy.STOCHASTIC_HIT
+    strategy = ls.config.TraceStrategy.STOCHASTIC_HIT
     assert stage.config == replace(FILE_CONFIG, trace=replace(FILE_CONFIG.trace, strategy=strategy))
     assert {camera.name for camera in stage.cameras} == {"near"}
 
@@ -289,7 +289,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
             ],
         ),
         (
-            {"raster": {"strategy": ls.RasterStrategy.STOCHASTIC}, "lighting": False},
+            {"raster": {"strategy": ls.config.RasterStrategy.STOCHASTIC}, "lighting": False},
             LAMP,
             [
                 "not used by --pipeline raster: --set max_bounces, --set response.kernel_degree, "

@@ -38,7 +38,7 @@ def work(tmp_path, capsys) -> Workplace:
     ls.save(place.path("room.ply"), replace(room, means=1.2 * (room.means - room.means.mean(axis=0))))
     figure = replace(avatar, means=0.3 * (avatar.means - avatar.means.mean(axis=0)))
     ls.save(place.path("avatar.ply"), figure)
-    ls.save(place.path("relit.ply"), ls.scale_light(figure, np.full((60, 3), [0.9, 0.7, 0.5])))
+    ls.save(place.path("relit.ply"), ls.editing.scale_light(figure, np.full((60, 3), [0.9, 0.7, 0.5])))
     ls.save(place.path("lost.ply"), replace(figure, means=figure.means + np.array([50.0, 0.0, 0.0], np.float32)))
     return place
 
@@ -55,7 +55,7 @@ def test_two_pictures(work):
     table = rows(done.out)
     assert table["psnr"] == ["ssim", "flip"]
     pair = [ls.load_image(work.path(name)) for name in ("a.png", "b.png")]
-    assert table["a"] == ["13.98", f"{ls.ssim(*pair):.4f}", f"{ls.flip(*pair):.4f}"]
+    assert table["a"] == ["13.98", f"{ls.metrics.ssim(*pair):.4f}", f"{ls.metrics.flip(*pair):.4f}"]
 
 
 def test_folders_are_paired_by_name(work):
@@ -77,7 +77,7 @@ def test_json(work):
     assert told["images"][0]["psnr"] == told["mean"]["psnr"] == "inf"
     flips = [image["flip"] for image in told["images"]]
     pair = [ls.load_image(work.path(f"{folder}/frame_2.png")) for folder in ("ours", "theirs")]
-    assert flips[2] == ls.flip(*pair)
+    assert flips[2] == ls.metrics.flip(*pair)
     assert told["mean"]["flip"] == pytest.approx(sum(flips) / 3.0)
 
 
@@ -119,12 +119,12 @@ def test_an_avatar_in_a_scene(work):
     """The three figures of the functions, and the table of the paper with an original."""
     avatar, relit, room = (work.capture(name) for name in ("avatar.ply", "relit.ply", "room.ply"))
     told = json.loads(work.run("metrics", "@avatar.ply", "--scene", "@room.ply", "--json").out)
-    assert told == {name: getattr(ls, name)(avatar, room) for name in ("paa_y", "apf_y", "ncm_ab")}
+    assert told == {name: getattr(ls.metrics, name)(avatar, room) for name in ("paa_y", "apf_y", "ncm_ab")}
     options = ("--before", "@avatar.ply", "--radius", "2")
     done = work.run("metrics", "@relit.ply", "--scene", "@room.ply", *options)
     table = rows(done.out)
     assert table["original"] == ["relit", "delta"]
-    before, after = (ls.ncm_ab(side, room, radius=2.0) for side in (avatar, relit))
+    before, after = (ls.metrics.ncm_ab(side, room, radius=2.0) for side in (avatar, relit))
     assert table["NCM-ab"] == [f"{before:.2f}", f"{after:.2f}", f"{before - after:.2f}"]
     assert list(table)[1:] == ["PAA-Y", "APF-Y", "NCM-ab"]
     assert all(math.isfinite(float(cell)) for cell in table["APF-Y"])
@@ -140,7 +140,7 @@ def test_invalid_gaussians_are_left_out(work):
     assert refused.status == 2 and "--drop-invalid" in refused.err
     told = json.loads(work.run(*args, "--drop-invalid").out)
     avatar, room = (work.capture(name) for name in ("avatar.ply", "room.ply"))
-    assert told["ncm_ab"] == ls.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
+    assert told["ncm_ab"] == ls.metrics.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
 
 
 def test_one_avatar_is_one_column(work):

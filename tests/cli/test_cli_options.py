@@ -82,13 +82,13 @@ def test_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), settings(ls.AvatarLightingConfig()), ids=lambda one: one if isinstance(one, str) else ""
+    ("name", "value"), settings(ls.config.AvatarLightingConfig()), ids=lambda one: one if isinstance(one, str) else ""
 )
 def test_set_reaches_every_setting_of_the_light_of_actors(name: str, value: Any) -> None:
     """By its key in the scene file, behind those of its tables."""
     text = "auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower()
     command = Animate(scene="a.toml", changes=(f"{LIGHTING}{name}={text}",))  # pyright: ignore[reportArgumentType]
-    assert command.changed(ls.AvatarLightingConfig(), LIGHTING) == ls.AvatarLightingConfig()
+    assert command.changed(ls.config.AvatarLightingConfig(), LIGHTING) == ls.config.AvatarLightingConfig()
     assert not command.set_values()
 
 
@@ -125,7 +125,7 @@ def test_an_option_that_moved_is_answered_by_what_is_typed_now(option: str, caps
     error = capsys.readouterr().err
     assert re.match(rf"error: {option} is (a setting|now)[: ]", error) and error.count("\n") == 1
     known = {name for name, _ in settings(ls.RenderConfig())} | {"meshes.crease_angle_degrees"}
-    known |= {LIGHTING + name for name, _ in settings(ls.AvatarLightingConfig())}
+    known |= {LIGHTING + name for name, _ in settings(ls.config.AvatarLightingConfig())}
     for name in re.findall(r"--set ([\w.]+)=", error):
         assert name in known
     for typed in re.findall(r"(--[a-z-]+)", error.partition(" is ")[2]):

@@ -38,7 +38,7 @@ def test_render_goes_along_a_path(work) -> None:
     """A picture for each frame: a second from each camera to the next, at --fps."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
     assert outcome.status == 0 and "5 pictures" in outcome.out
-    way = ls.load_camera_path(work.path("way.json"))
+    way = ls.io.load_camera_path(work.path("way.json"))
     for k in range(5):
         assert same(work, f"out/frame_{k:05d}.png", way.at(k / 2))
 
@@ -47,7 +47,7 @@ def test_orbit_goes_along_a_path(work) -> None:
     """As a video, over all of its length; frames of another path are refused."""
     args = ("orbit", "@capture.ply", "-o", "@out", "--seconds", "0.2", "--fps", "20", *SIZE)
     assert work.run(*args, "--camera-path", "@way.json").status == 0
-    way = ls.load_camera_path(work.path("way.json"))
+    way = ls.io.load_camera_path(work.path("way.json"))
     for k in range(4):
         assert same(work, f"out/frame_{k:04d}.png", way.at(2.0 * k / 3))
     refused = work.run(*args)
@@ -62,7 +62,7 @@ def test_animate_moves_the_camera_of_a_scene_file(work) -> None:
     )
     outcome = work.run("animate", "@scene.toml", "-o", "@out", *SIZE)
     assert outcome.status == 0, outcome.err
-    way = ls.load_camera_path(work.path("scene.toml"))
+    way = ls.io.load_camera_path(work.path("scene.toml"))
     for k in range(3):
         assert same(work, f"out/frame_{k:04d}.png", way.at(k / 3))
 

@@ -38,7 +38,7 @@ def test_fisheyes_are_rasterised_along_rays(work):
     )
     assert work.run(*shown, "--set=raster.projection=unscented").status == 0
     (camera,) = ls.load_cameras(work.folder / "fisheye.json")
-    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
     capture = expect_kind(ls.Gaussians, ls.load(work.folder / "a.ply"))
     frame = ls.render(ls.Scene([capture]), camera, config, device="cpu")
     with np.load(work.folder / "a.npz") as file:

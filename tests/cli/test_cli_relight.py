@@ -81,13 +81,15 @@ def test_options_are_those_of_the_library(work):
     assert done.status == 0 and "p.exr: the light as an image" in done.out
     room, ball = (ls.load(work.path(name)) for name in ("room.ply", "ball.ply"))
     assert isinstance(room, ls.Gaussians) and isinstance(ball, ls.Gaussians)
-    probe = ls.EnvironmentProbe.capture(ls.Scene([room]), (1, -0.5, 0.25), 2, near=0.1, device="cpu")
-    config = ls.RelightConfig(exponent=3.0, scale_max=0.5, gamma=2.0, normals=ls.NormalEstimate.PCA)
+    probe = ls.avatars.EnvironmentProbe.capture(ls.Scene([room]), (1, -0.5, 0.25), 2, near=0.1, device="cpu")
+    config = ls.config.RelightConfig(exponent=3.0, scale_max=0.5, gamma=2.0, normals=ls.config.NormalEstimate.PCA)
     loaded = ls.load(work.path("a.ply"))
     assert isinstance(loaded, ls.Gaussians)
     np.testing.assert_array_equal(loaded.sh, ls.relight(ball, probe, config).sh)
     half = np.sqrt(0.5)
-    np.testing.assert_array_equal(ls.load_radiance(work.path("p.exr")), probe.image(rotation_wxyz=(half, half, 0, 0)))
+    np.testing.assert_array_equal(
+        ls.io.load_radiance(work.path("p.exr")), probe.image(rotation_wxyz=(half, half, 0, 0))
+    )
 
 
 def test_a_dim_place_is_told(work):

@@ -31,7 +31,7 @@ def test_a_capture_gets_materials_and_its_sky(tmp_path: Path, capsys: pytest.Cap
     assert isinstance(found, ls.Gaussians)
     assert found.albedo is not None and found.roughness is not None and found.normals is not None
     assert found.sh_degree == 1
-    sky = ls.LightEnvironment(ls.load_radiance(tmp_path / "out" / "a.environment.exr"))
+    sky = ls.LightEnvironment(ls.io.load_radiance(tmp_path / "out" / "a.environment.exr"))
     assert sky.image is not None and sky.image.shape == (16, 32, 3) and sky.image.min() > 0.0
     report = output.with_suffix(".training") / "materials"
     told = json.loads((report / "materials.json").read_text())
@@ -49,19 +49,21 @@ def test_materials_are_of_poses_that_were_refined(
 ) -> None:
     """They are found in the photographs as these stand now; figures that there are none of are null."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
-    seen: list[ls.Photographs] = []
-    find = ls.find_materials
+    seen: list[ls.io.Photographs] = []
+    find = ls.inverse.find_materials
 
-    def spied(capture: ls.Gaussians, photographs: ls.Photographs, *rest: Any, **options: Any) -> ls.FoundMaterials:
+    def spied(
+        capture: ls.Gaussians, photographs: ls.io.Photographs, *rest: Any, **options: Any
+    ) -> ls.inverse.FoundMaterials:
         seen.append(photographs)
         return find(capture, photographs, *rest, **options)
 
-    monkeypatch.setattr(ls, "find_materials", spied)
+    monkeypatch.setattr(ls.inverse, "find_materials", spied)
     command = ["train", str(folder), "-o", str(output), *SHORT[:-1], "0", "--relightable", "--refine-poses"]
     assert main(command) == 0
     told = json.loads((tmp_path / "a.training" / "poses.json").read_text())["frames"]
     poses = {Path(frame["file_path"]).stem: np.array(frame["transform_matrix"]) for frame in told}
-    before = {one.name: one.camera.eye for one in ls.load_photographs(folder).training}
+    before = {one.name: one.camera.eye for one in ls.io.load_photographs(folder).training}
     assert {one.name for one in seen[0].training} == set(before)
     for one in seen[0].training:
         np.testing.assert_allclose(one.camera.eye, poses[one.name][:3, 3], atol=1e-6)

@@ -40,7 +40,7 @@ def test_capture_is_saved_in_shadow(work: Workplace) -> None:
     shadow = ls.DeepShadowMap.build(ls.load(work.path("mesh.obj")), (0, 0, -6), before, device="cpu")
     light = shadow.transmittance_of(before)
     assert 0 < (light < 0.5).sum() < before.count
-    expected = ls.shadowed(before, [ls.LightPoint((0, 0, -6))], light[None], 1.0)
+    expected = ls.avatars.shadowed(before, [ls.LightPoint((0, 0, -6))], light[None], 1.0)
     np.testing.assert_array_equal(after.sh, expected.sh)
     np.testing.assert_array_equal(after.sh[light == 1.0], before.sh[light == 1.0])
     assert f"{(light < 1.0).sum()} of {before.count} Gaussians are in shadow" in out
@@ -127,7 +127,7 @@ def test_meshes_that_cast_are_put_onto_the_capture(work: Workplace, caplog: pyte
     capture = work.capture("capture.ply")
     placed = ls.insert(ls.Scene([capture]), ls.load(work.path("mesh.obj")))  # pyright: ignore[reportArgumentType]
     lighter = ls.AvatarLighter(
-        ls.Scene([capture]), [ls.LightPoint((0, 0, -6))], ls.AvatarLightingConfig(relight=False), device="cpu"
+        ls.Scene([capture]), [ls.LightPoint((0, 0, -6))], ls.config.AvatarLightingConfig(relight=False), device="cpu"
     )
     expected = lighter.light(list(placed.meshes)).splats[0].gaussians
     np.testing.assert_array_equal(work.capture("put.ply").sh, expected.sh)

@@ -112,8 +112,8 @@ def test_what_is_in_a_file(work: Workplace) -> None:
     work.run("export", "@scene.toml", "-o", "@scene.usdz")
     assert "1 capture, 1 mesh, 1 light, 1 camera" in work.run("info", "@scene.usdz").out
     work.run("convert", "@capture.ply", "@a.usdc")
-    assert ls.SceneDocument.kind_of(work.path("scene.usdz")) == "meshes"
-    assert ls.SceneDocument.kind_of(work.path("a.usdc")) == "splats"
+    assert ls.io.SceneDocument.kind_of(work.path("scene.usdz")) == "meshes"
+    assert ls.io.SceneDocument.kind_of(work.path("a.usdc")) == "splats"
 
 
 def test_what_moves_has_formats_of_its_own(work: Workplace) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat
 import lumisplat as ls
-from lumisplat.config import Integrator, Visibility
+from lumisplat.config.pipelines import Integrator, Visibility
 
 SOURCES = Path(lumisplat.__file__).parent
 

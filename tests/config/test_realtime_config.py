@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import lumisplat as ls
 
-PREVIEW, HIGH = ls.RealtimeQuality.PREVIEW, ls.RealtimeQuality.HIGH
+PREVIEW, HIGH = ls.config.RealtimeQuality.PREVIEW, ls.config.RealtimeQuality.HIGH
 
 
 def test_balanced_is_as_by_default() -> None:
@@ -16,7 +16,7 @@ def test_balanced_is_as_by_default() -> None:
 
 def test_previews_take_less_and_high_more() -> None:
     """Rays, passes and frames."""
-    low, middle, high = (ls.RealtimeConfig(quality=quality).of_quality for quality in ls.RealtimeQuality)
+    low, middle, high = (ls.RealtimeConfig(quality=quality).of_quality for quality in ls.config.RealtimeQuality)
     assert low.light_interval == 2 > middle.light_interval
     assert middle.highlight_rays and not low.highlight_rays
     assert low.filter.passes < middle.filter.passes
@@ -31,7 +31,9 @@ def test_previews_take_less_and_high_more() -> None:
 
 def test_settings_that_are_given_stay() -> None:
     """Those of the quality take the place of defaults only; another quality begins with what was given."""
-    given = ls.RealtimeConfig(quality=PREVIEW, probes=ls.ProbeConfig(refreshed=0.5), filter=ls.FilterConfig(frames=9))
+    given = ls.RealtimeConfig(
+        quality=PREVIEW, probes=ls.config.ProbeConfig(refreshed=0.5), filter=ls.config.FilterConfig(frames=9)
+    )
     assert given.of_quality.probes.refreshed == 0.5
     assert (given.of_quality.filter.frames, given.of_quality.filter.passes) == (9, 2)
     other = replace(given, quality=HIGH).of_quality
@@ -41,5 +43,5 @@ def test_settings_that_are_given_stay() -> None:
 def test_what_has_no_filter_is_lit_in_every_frame() -> None:
     """Its new surfaces would be black in every second one."""
     for passes, interval in ((0, 1), (1, 1), (3, 2)):
-        config = ls.RealtimeConfig(light_interval=2, filter=ls.FilterConfig(passes=passes))
+        config = ls.RealtimeConfig(light_interval=2, filter=ls.config.FilterConfig(passes=passes))
         assert config.of_quality.light_interval == interval

@@ -27,16 +27,16 @@ def folder(tmp_path_factory) -> Path:
     """A data set with all layers, an object and shards."""
     home = tmp_path_factory.mktemp("dataset")
     (home / "duck.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n")
-    summary = ls.render_dataset(block_scene(), home / "set", config_of(home), device="cpu")
+    summary = ls.dataset.render_dataset(block_scene(), home / "set", config_of(home), device="cpu")
     assert (summary.train + summary.val + summary.test, summary.missing, summary.left_out) == (VIEWS, 0, 0)
     return home / "set"
 
 
-def config_of(home: Path) -> ls.DatasetConfig:
+def config_of(home: Path) -> ls.config.DatasetConfig:
     """Its settings."""
-    objects = ls.DatasetObjects(files=(str(home / "duck.obj"),), count=(1, 1), size=(0.1, 0.1))
+    objects = ls.config.DatasetObjects(files=(str(home / "duck.obj"),), count=(1, 1), size=(0.1, 0.1))
     config = small_config(views=VIEWS, layers=LAYERS, objects=objects, shard_views=3, split=(0.5, 0.25, 0.25))
-    return replace(config, poses=ls.DatasetPoses(fov=(50.0, 60.0)))
+    return replace(config, poses=ls.config.DatasetPoses(fov=(50.0, 60.0)))
 
 
 def record_of(folder: Path, index: int) -> dict:
@@ -111,8 +111,8 @@ def along_rays(camera: ls.Camera, depth: np.ndarray) -> np.ndarray:
 
 
 def test_photographs_come_back(folder) -> None:
-    """`ls.load_photographs` has the same cameras, pixels, masks and parts."""
-    photographs = ls.load_photographs(folder)
+    """`ls.io.load_photographs` has the same cameras, pixels, masks and parts."""
+    photographs = ls.io.load_photographs(folder)
     learnt, held = photographs.training, photographs.held_out
     records = [record_of(folder, index) for index in range(VIEWS)]
     parts = {record["name"]: record["split"] for record in records}
@@ -169,38 +169,38 @@ def test_finishing_again_writes_the_same_bytes_and_only_what_is_wanted(folder, t
     names = ("transforms.json", "layers.json", "contact_sheet.png", "shards/train-000000.tar")
     before = {name: (folder / name).read_bytes() for name in names}
     config = config_of(folder.parent)
-    shards = ls.finish_dataset(folder, replace(config, shard_views=100)).shards
+    shards = ls.dataset.finish_dataset(folder, replace(config, shard_views=100)).shards
     assert [path.name for path in shards] == ["train-000000.tar", "val-000000.tar", "test-000000.tar"]
     assert sorted((folder / "shards").iterdir()) == sorted(shards)
-    ls.finish_dataset(folder, config)
+    ls.dataset.finish_dataset(folder, config)
     assert {name: (folder / name).read_bytes() for name in names} == before
-    assert ls.finish_dataset(folder, replace(config, views=VIEWS + 2)).missing == 2
+    assert ls.dataset.finish_dataset(folder, replace(config, views=VIEWS + 2)).missing == 2
     assert picture(folder / "contact_sheet.png").shape == (6 * 150, 200 * 8, 3)
 
 
 def test_what_is_there_stays(folder, monkeypatch) -> None:
     """Another call renders nothing."""
     monkeypatch.setattr(ls.Renderer, "render", None)
-    assert ls.render_dataset(block_scene(), folder, config_of(folder.parent), device="cpu").missing == 0
+    assert ls.dataset.render_dataset(block_scene(), folder, config_of(folder.parent), device="cpu").missing == 0
 
 
 def test_ids_of_many_things_are_16_bit(tmp_path) -> None:
     """By how many there may be, not by how many a view has."""
     scene = ls.Scene(meshes=[*block_scene().meshes, *([ls.MeshInstance(ls.box(0.01), position=(9, 9, 9))] * 300)])
-    config = small_config(views=1, layers="instance,category", poses=ls.DatasetPoses(seen=0.0))
-    ls.render_dataset(scene, tmp_path, config, device="cpu")
+    config = small_config(views=1, layers="instance,category", poses=ls.config.DatasetPoses(seen=0.0))
+    ls.dataset.render_dataset(scene, tmp_path, config, device="cpu")
     assert picture(tmp_path / "instance/view_000000.png").dtype == np.uint16
 
 
 def test_frames_in_real_time_and_albedo_without_light_are_refused(tmp_path) -> None:
     """One line each."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME is of frames that follow"):
-        ls.render_dataset(
+        ls.dataset.render_dataset(
             block_scene(), tmp_path, small_config(), render=ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), device="cpu"
         )
     unlit = ls.RenderConfig(lighting=False)
     with pytest.raises(ls.ConfigError, match="layers has 'albedo', which only lit views have"):
-        ls.render_dataset(block_scene(), tmp_path, small_config(layers="albedo"), render=unlit, device="cpu")
+        ls.dataset.render_dataset(block_scene(), tmp_path, small_config(layers="albedo"), render=unlit, device="cpu")
     assert not list(tmp_path.rglob("*.json"))
 
 
@@ -212,9 +212,9 @@ def test_settings_are_read(tmp_path) -> None:
         'views = 9\nlayers = ["mask", "depth"]\nsplit = [8, 1, 1]\n[poses]\nwhere = "inside"\nfov = 50\n'
         '[lights]\nsuns = "auto"\nlamps = [1, 2]\n[objects]\nfiles = ["duck.obj"]\n'
     )
-    config = ls.load_dataset_config(file)
+    config = ls.io.load_dataset_config(file)
     assert (config.views, config.layers, config.split) == (9, ("depth", "mask"), (0.8, 0.1, 0.1))
-    assert (config.poses.where, config.poses.fov) == (ls.PosePlaces.INSIDE, (50.0, 50.0))
+    assert (config.poses.where, config.poses.fov) == (ls.config.PosePlaces.INSIDE, (50.0, 50.0))
     assert (config.lights.suns, config.lights.lamps) == (None, (1, 2))
     assert config.objects.files == (str(tmp_path / "duck.obj"),)
 
@@ -226,7 +226,7 @@ def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
     for name in ("sky.exr", "statue.glb"):
         (tmp_path / name).touch()
     (tmp_path / "set.toml").write_text(text)
-    shown, base = ls.load_dataset_config(tmp_path / "set.toml"), ls.DatasetConfig()
+    shown, base = ls.io.load_dataset_config(tmp_path / "set.toml"), ls.config.DatasetConfig()
     shown = replace(
         shown,
         views=base.views,
@@ -270,6 +270,6 @@ def test_mistakes_in_settings_are_one_line(tmp_path, text: str, message: str) ->
     file = tmp_path / "set.toml"
     file.write_text(text + "\n")
     with pytest.raises(ls.FormatError) as error:
-        ls.load_dataset_config(file)
+        ls.io.load_dataset_config(file)
     assert message in str(error.value) and "\n" not in str(error.value)
     assert str(error.value).startswith(str(file))

@@ -20,9 +20,11 @@ COUNT = 12
 DIAGONAL = math.sqrt(4.0**2 + 4.0**2 + 1.0)
 
 
-def views_of(config: ls.DatasetConfig, scene: ls.Scene | None = None, **changes: Any) -> list[ls.DatasetView]:
+def views_of(
+    config: ls.config.DatasetConfig, scene: ls.Scene | None = None, **changes: Any
+) -> list[ls.dataset.DatasetView]:
     """Some views."""
-    views = ls.DatasetViews(block_scene() if scene is None else scene, config, device="cpu", **changes)
+    views = ls.dataset.DatasetViews(block_scene() if scene is None else scene, config, device="cpu", **changes)
     return [views.view(index) for index in range(COUNT)]
 
 
@@ -39,7 +41,7 @@ def duck(tmp_path) -> str:
 
 def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
     """Elevation, distance, field of view and aim are within their ranges; up is up in the picture."""
-    poses = ls.DatasetPoses(
+    poses = ls.config.DatasetPoses(
         elevation=(20.0, 40.0), azimuth=(0.0, 90.0), distance=(0.9, 1.1), aim=0.05, fov=(40.0, 50.0)
     )
     middle = np.array([0.0, 0.5, 0.0])
@@ -66,7 +68,7 @@ def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
 def test_views_of_the_default_dome_contain_the_whole_scene() -> None:
     """The corners of the scene's box lie in every image, wherever in the scene it aims."""
     corners = np.array(np.meshgrid(*np.stack(block_scene().bulk_bounds(), axis=1))).reshape(3, -1).T
-    for view in views_of(small_config(poses=ls.DatasetPoses(aim=0.3))):
+    for view in views_of(small_config(poses=ls.config.DatasetPoses(aim=0.3))):
         camera = view.camera
         x, y, z = (camera.camera_from_world[:3] @ np.column_stack([corners, np.ones(8)]).T).astype(float)
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
@@ -79,8 +81,8 @@ def test_cameras_in_free_space_keep_their_clearance() -> None:
     space = Space(block_scene(), "cpu")
     inside, beside = np.array([0.1, 0.5, 0.1]), np.array([0.9, 0.5, 0.1])
     assert not space.is_free(inside, 0.05) and space.is_free(beside, 0.35) and not space.is_free(beside, 0.45)
-    poses = ls.DatasetPoses(
-        where=ls.PosePlaces.INSIDE, height=(0.0, 0.9), clearance=0.05, seen=0.2, pitch=(-60.0, -10.0)
+    poses = ls.config.DatasetPoses(
+        where=ls.config.PosePlaces.INSIDE, height=(0.0, 0.9), clearance=0.05, seen=0.2, pitch=(-60.0, -10.0)
     )
     for view in views_of(small_config(poses=poses)):
         eye, forward = view.camera.eye, view.camera.camera_from_world[2, :3]
@@ -93,7 +95,7 @@ def test_cameras_in_free_space_keep_their_clearance() -> None:
 def test_cameras_near_given_ones() -> None:
     """Moved and turned by no more than is allowed; without given ones, a line."""
     given = [ls.Camera.look_at((x, 2.0, 4.0), (0.0, 0.5, 0.0)) for x in (-1.0, 1.0)]
-    poses = ls.DatasetPoses(where=ls.PosePlaces.CAMERAS, shift=0.02, turn=4.0)
+    poses = ls.config.DatasetPoses(where=ls.config.PosePlaces.CAMERAS, shift=0.02, turn=4.0)
     used = set()
     for view in views_of(small_config(poses=poses), cameras=given):
         nearest = min((0, 1), key=lambda k, eye=view.camera.eye: float(np.linalg.norm(given[k].eye - eye)))
@@ -103,13 +105,13 @@ def test_cameras_near_given_ones() -> None:
         assert math.degrees(math.acos(min(1.0, 0.5 * (np.trace(turn) - 1.0)))) <= 4.0 + 1e-6
     assert used == {0, 1}
     with pytest.raises(ls.SceneError, match=r"poses\.where is cameras, and there are no cameras"):
-        ls.DatasetViews(block_scene(), small_config(poses=poses), device="cpu")
+        ls.dataset.DatasetViews(block_scene(), small_config(poses=poses), device="cpu")
 
 
 def test_objects_stand_on_the_ground_and_touch_nothing(duck) -> None:
     """On the floor or the block, upright, of the right size, with room around them; cameras look at one."""
-    objects = ls.DatasetObjects(files=(duck,), count=(2, 4), size=(0.05, 0.1))
-    poses = ls.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
+    objects = ls.config.DatasetObjects(files=(duck,), count=(2, 4), size=(0.05, 0.1))
+    poses = ls.config.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
     turns, looked_at = set(), 0
     for view in views_of(small_config(objects=objects, poses=poses)):
         spheres = []
@@ -147,8 +149,8 @@ def test_objects_stand_upright_whatever_way_up_they_and_the_scene_are(duck, tmp_
     block = ls.MeshInstance(ls.box(1.0), position=(0.0, -0.5, 0.0))
     for scene, up in ((block_scene(), 1.0), (ls.Scene(meshes=[turned, block], up="y-down"), -1.0)):
         for file, own_up in ((duck, 1.0), (str(tmp_path / "ball.ply"), -1.0)):
-            objects = ls.DatasetObjects(files=(file,), count=(1, 1), size=(0.05, 0.05))
-            thing = ls.DatasetViews(scene, small_config(objects=objects), device="cpu").view(0).things[2]
+            objects = ls.config.DatasetObjects(files=(file,), count=(1, 1), size=(0.05, 0.05))
+            thing = ls.dataset.DatasetViews(scene, small_config(objects=objects), device="cpu").view(0).things[2]
             axis = thing.world_from_object[:3, 1] / np.cbrt(np.linalg.det(thing.world_from_object[:3, :3]))
             np.testing.assert_allclose(own_up * axis, (0.0, up, 0.0), atol=1e-9)
 
@@ -158,10 +160,10 @@ def test_things_know_their_places_in_frames(duck, tmp_path) -> None:
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
     ls.save(tmp_path / "pair.glb", ls.Scene(meshes=[ls.box(0.2), ls.MeshInstance(ls.box(0.1), position=(0.3, 0, 0))]))
     files = (duck, str(tmp_path / "ball.ply"), str(tmp_path / "pair.glb"))
-    objects = ls.DatasetObjects(files=files, count=(3, 4), size=(0.05, 0.05))
+    objects = ls.config.DatasetObjects(files=files, count=(3, 4), size=(0.05, 0.05))
     scene = replace(block_scene(), splats=[random_gaussians(1, count=30)], up="y-up")
     kinds = set()
-    for view in views_of(small_config(objects=objects, poses=ls.DatasetPoses(seen=0.0)), scene):
+    for view in views_of(small_config(objects=objects, poses=ls.config.DatasetPoses(seen=0.0)), scene):
         instances = (*view.scene.splats, *view.scene.meshes)
         assert sorted(place for thing in view.things for place in thing.instances) == list(range(len(instances)))
         assert [thing.id for thing in view.things] == list(range(1, len(view.things) + 1))
@@ -178,32 +180,34 @@ def test_things_know_their_places_in_frames(duck, tmp_path) -> None:
 
 def test_what_finds_no_room_is_left_out_and_named(duck) -> None:
     """Objects as large as the scene; the view is there without them."""
-    objects = ls.DatasetObjects(files=(duck,), count=(2, 2), size=(2.0, 2.0))
+    objects = ls.config.DatasetObjects(files=(duck,), count=(2, 2), size=(2.0, 2.0))
     view = views_of(small_config(objects=objects))[0]
     assert view.left_out == ("duck", "duck") and len(view.things) == 2
 
 
 def test_a_view_follows_from_its_number_alone(duck) -> None:
     """However many views there are, whichever came before, and whatever another group of settings says."""
-    objects = ls.DatasetObjects(files=(duck,))
-    config = small_config(objects=objects, lights=ls.DatasetLights(lamps=(1, 2)))
-    views = ls.DatasetViews(block_scene(), config, device="cpu")
+    objects = ls.config.DatasetObjects(files=(duck,))
+    config = small_config(objects=objects, lights=ls.config.DatasetLights(lamps=(1, 2)))
+    views = ls.dataset.DatasetViews(block_scene(), config, device="cpu")
     first = [views.view(index) for index in (0, 3)]
     other = replace(config, views=1000, lights=replace(config.lights, lamps=(0, 0)), layers=("depth",))
-    again = [ls.DatasetViews(block_scene(), other, device="cpu").view(index) for index in (3, 0)][::-1]
+    again = [ls.dataset.DatasetViews(block_scene(), other, device="cpu").view(index) for index in (3, 0)][::-1]
     for one, same in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.camera.camera_from_world, same.camera.camera_from_world)
         assert one.split == same.split and len(one.things) == len(same.things)
         for thing, as_before in zip(one.things, same.things, strict=True):
             np.testing.assert_array_equal(thing.world_from_object, as_before.world_from_object)
     assert not np.array_equal(first[0].camera.camera_from_world, first[1].camera.camera_from_world)
-    shifted = ls.DatasetViews(block_scene(), replace(config, seed=4), device="cpu").view(0)
+    shifted = ls.dataset.DatasetViews(block_scene(), replace(config, seed=4), device="cpu").view(0)
     assert not np.array_equal(first[0].camera.camera_from_world, shifted.camera.camera_from_world)
 
 
 def test_lights_are_within_their_ranges() -> None:
     """Suns by elevation, lux and angle; lamps by what they give the middle; a sky where there is no environment."""
-    lights = ls.DatasetLights(suns=(1, 2), sun_elevation=(30.0, 60.0), sun_lux=(2.0, 3.0), lamps=(1, 1), tint=0.1)
+    lights = ls.config.DatasetLights(
+        suns=(1, 2), sun_elevation=(30.0, 60.0), sun_lux=(2.0, 3.0), lamps=(1, 1), tint=0.1
+    )
     for view in views_of(small_config(lights=lights)):
         suns = [light for light in view.scene.lights if isinstance(light, LightDirectional)]
         (lamp,) = [light for light in view.scene.lights if isinstance(light, LightPoint)]
@@ -221,7 +225,7 @@ def test_environments_are_turned_about_the_vertical() -> None:
     own = (ls.LightEnvironment(intensity=2.0), ls.LightPoint((0.0, 3.0, 0.0)))
     angles = set()
     for view in views_of(
-        small_config(lights=ls.DatasetLights(brightness=(0.5, 0.6))), replace(block_scene(), lights=own)
+        small_config(lights=ls.config.DatasetLights(brightness=(0.5, 0.6))), replace(block_scene(), lights=own)
     ):
         environment, lamp = view.scene.lights
         assert isinstance(environment, LightEnvironment) and lamp is own[1]
@@ -231,7 +235,7 @@ def test_environments_are_turned_about_the_vertical() -> None:
         angles.add(round(math.atan2(y, w), 6))
     assert len(angles) == COUNT
     assert (
-        views_of(small_config(lights=ls.DatasetLights(own=False)), replace(block_scene(), lights=own))[0]
+        views_of(small_config(lights=ls.config.DatasetLights(own=False)), replace(block_scene(), lights=own))[0]
         .scene.lights[0]
         .name
         == "sky"
@@ -241,9 +245,9 @@ def test_environments_are_turned_about_the_vertical() -> None:
 def test_captures_alone_stay_unlit_and_receive_the_shadows_of_objects(duck) -> None:
     """Without anything to light, no lights; with objects, a sun, a sky, and captures that are darkened by shadows."""
     capture = ls.Scene([random_gaussians(1, count=300)])
-    poses = ls.DatasetPoses(seen=0.0)
+    poses = ls.config.DatasetPoses(seen=0.0)
     assert views_of(small_config(poses=poses), capture)[0].scene.lights == ()
-    objects = ls.DatasetObjects(files=(duck,), count=(1, 1))
+    objects = ls.config.DatasetObjects(files=(duck,), count=(1, 1))
     view = views_of(small_config(poses=poses, objects=objects), capture)[0]
     assert len(view.scene.lights) == 2 and view.scene.splats[0].shadow_catcher
     kept = replace(objects, shadows=False)
@@ -252,14 +256,14 @@ def test_captures_alone_stay_unlit_and_receive_the_shadows_of_objects(duck) -> N
 
 def test_impossible_poses_are_one_line() -> None:
     """What is wrong with all of them, and what to change."""
-    views = ls.DatasetViews(block_scene(), small_config(poses=ls.DatasetPoses(seen=1.0)), device="cpu")
+    views = ls.dataset.DatasetViews(block_scene(), small_config(poses=ls.config.DatasetPoses(seen=1.0)), device="cpu")
     with pytest.raises(
         ls.SceneError, match=r"view 5: none of 200 poses will do: .* poses\.seen wants 1: lower"
     ) as error:
         views.view(5)
     assert "\n" not in str(error.value)
     with pytest.raises(ls.SceneError, match="the scene is empty"):
-        ls.DatasetViews(ls.Scene(), device="cpu")
+        ls.dataset.DatasetViews(ls.Scene(), device="cpu")
 
 
 def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -278,7 +282,7 @@ def test_the_box_of_a_capture_holds_all_but_its_strays() -> None:
     means = np.random.default_rng(2).uniform(-1.0, 1.0, (1000, 3)).astype(np.float32)
     means[0] = 50.0
     cube = replace(captured, means=means, opacities=np.full(1000, 0.5, np.float32))
-    views = ls.DatasetViews(ls.Scene([cube]), small_config(), device="cpu")
+    views = ls.dataset.DatasetViews(ls.Scene([cube]), small_config(), device="cpu")
     (thing,) = views.view(0).things
     np.testing.assert_allclose(thing.low, -1.0, atol=0.02)
     np.testing.assert_allclose(thing.high, 1.0, atol=0.02)

@@ -28,7 +28,7 @@ DEGREES = range(6)
 
 def kernel_of(degree: int, min_response: float = 0.0, adaptive: bool = True) -> KernelData:
     """What kernels see of the settings."""
-    response = ls.ResponseConfig(kernel_degree=degree, min_response=min_response, adaptive_clamping=adaptive)
+    response = ls.config.ResponseConfig(kernel_degree=degree, min_response=min_response, adaptive_clamping=adaptive)
     return kernel_data(random_gaussians(0, 1), ls.RenderConfig(response=response))
 
 

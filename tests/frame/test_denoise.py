@@ -121,8 +121,10 @@ def test_noisy_albedo_is_not_asked_for() -> None:
     frame = replace(noisy(ball_frame(*SIZE)), albedo=None)
     for settings in (
         ls.RenderConfig(pipeline=ls.Pipeline.PATH),
-        ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)),
-        ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)),
+        ls.RenderConfig(
+            pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT)
+        ),
+        ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)),
     ):
         assert replace(frame, config=settings).denoised().is_denoised
 
@@ -167,7 +169,7 @@ def test_without_the_package_the_command_to_install_it_is_said(monkeypatch: pyte
     """Before a frame is rendered, and of a frame that is there."""
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     for ask in (ls.Frame.check_denoiser, ball_frame().denoised):
-        with pytest.raises(ls.MissingExtraError, match=r"denoising needs .* pip install 'lumisplat\[denoise\]'"):
+        with pytest.raises(ls.errors.MissingExtraError, match=r"denoising needs .* pip install 'lumisplat\[denoise\]'"):
             ask()
 
 

@@ -34,7 +34,7 @@ def test_pictures_of_bright_captures_are_within_0_and_1(background: str | None) 
     pixels = frame.pixels_srgb()
     assert pixels.min() >= 0.0 and pixels.max() == 1.0
     np.testing.assert_array_equal(pixels[..., 1], np.clip(pixels[..., 1], 0.0, 1.0))
-    assert ls.psnr(pixels[..., :3], pixels[..., :3]) == float("inf")
+    assert ls.metrics.psnr(pixels[..., :3], pixels[..., :3]) == float("inf")
 
 
 def test_a_frame_is_an_array() -> None:
@@ -47,7 +47,7 @@ def test_a_frame_is_an_array() -> None:
     assert np.array(frame, copy=True).shape == (32, 32, 3)
     with pytest.raises(ValueError, match="without a copy"):
         np.array(frame, copy=cast(Any, False))
-    assert ls.psnr(cast(Any, frame), cast(Any, frame)) == float("inf")
+    assert ls.metrics.psnr(cast(Any, frame), cast(Any, frame)) == float("inf")
 
 
 def test_a_notebook_shows_the_picture() -> None:

@@ -76,7 +76,7 @@ def test_a_lens_costs_no_agreement_on_gaussians(lens):
     difference = []
     for one in (NONE, lens):
         raster = shown(scene, camera_of(one), ls.Pipeline.RASTER)
-        thin = ls.TraceConfig(dilation=0.0, hit_distance=ls.HitDistance.PEAK)
+        thin = ls.TraceConfig(dilation=0.0, hit_distance=ls.config.HitDistance.PEAK)
         trace = shown(scene, camera_of(one), ls.Pipeline.TRACE, trace=thin)
         difference.append(np.sqrt(np.mean((raster.color - trace.color) ** 2)))
     assert difference[1] < 1.15 * difference[0]

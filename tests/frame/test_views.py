@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.config import PATH_AOVS, REALTIME_AOVS
+from lumisplat.config.render import PATH_AOVS, REALTIME_AOVS
 from lumisplat.frame.layers import layer_pictures
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.files.image_files import read_image

@@ -12,7 +12,7 @@ from scipy.signal import convolve2d
 
 import lumisplat as ls
 
-METRICS = (ls.psnr, ls.ssim, ls.flip)
+METRICS = (ls.metrics.psnr, ls.metrics.ssim, ls.metrics.flip)
 
 
 def picture(seed: int, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
@@ -78,23 +78,25 @@ def flip_of_flat_colors(srgb: tuple[float, float, float], reference: tuple[float
 def test_psnr_by_hand():
     """All values off by 0.1: MSE 0.01, 20 dB. One channel of three: MSE 0.01 / 3, 24.771 dB."""
     grey = np.full((4, 5, 3), 0.5)
-    assert ls.psnr(grey + 0.1, grey) == pytest.approx(20.0)
+    assert ls.metrics.psnr(grey + 0.1, grey) == pytest.approx(20.0)
     red = grey + np.array([0.1, 0.0, 0.0])
-    assert ls.psnr(red, grey) == pytest.approx(10.0 * math.log10(300.0))
-    assert ls.psnr(np.zeros((4, 5, 3)), np.ones((4, 5, 3))) == 0.0
+    assert ls.metrics.psnr(red, grey) == pytest.approx(10.0 * math.log10(300.0))
+    assert ls.metrics.psnr(np.zeros((4, 5, 3)), np.ones((4, 5, 3))) == 0.0
 
 
 def test_ssim_of_flat_pictures():
     """Without variance, SSIM is (2 m1 m2 + C1) / (m1^2 + m2^2 + C1): of 0.4 and 0.6, 0.4801 / 0.5201."""
-    assert ls.ssim(np.full((16, 16, 3), 0.4), np.full((16, 16, 3), 0.6)) == pytest.approx(0.4801 / 0.5201, abs=1e-9)
-    assert ls.ssim(np.zeros((16, 16, 3)), np.ones((16, 16, 3))) == pytest.approx(1e-4 / 1.0001, abs=1e-9)
+    assert ls.metrics.ssim(np.full((16, 16, 3), 0.4), np.full((16, 16, 3), 0.6)) == pytest.approx(
+        0.4801 / 0.5201, abs=1e-9
+    )
+    assert ls.metrics.ssim(np.zeros((16, 16, 3)), np.ones((16, 16, 3))) == pytest.approx(1e-4 / 1.0001, abs=1e-9)
 
 
 def test_ssim_is_that_of_the_paper():
     """The mean of the definition's values, window by window."""
     image, reference = picture(1), picture(2)
     mixed = 0.7 * reference + 0.3 * image
-    assert ls.ssim(mixed, reference) == pytest.approx(ssim_by_definition(mixed, reference), abs=1e-6)
+    assert ls.metrics.ssim(mixed, reference) == pytest.approx(ssim_by_definition(mixed, reference), abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +111,7 @@ def test_ssim_is_that_of_the_paper():
 def test_flip_of_flat_pictures(color, reference):
     """The value of the paper's formulas without filtering; 1 for green on blue, the largest possible distance."""
     expected = flip_of_flat_colors(color, reference)
-    assert ls.flip(flat(color), flat(reference)) == pytest.approx(expected, abs=2e-4)
+    assert ls.metrics.flip(flat(color), flat(reference)) == pytest.approx(expected, abs=2e-4)
     if color == (0.0, 1.0, 0.0):
         assert expected == 1.0
 
@@ -117,7 +119,7 @@ def test_flip_of_flat_pictures(color, reference):
 def test_flip_grows_with_the_size_of_pixels():
     """Noise is less visible on a finer display."""
     image, reference = picture(1), picture(2)
-    coarse, usual, fine = (ls.flip(image, reference, pixels_per_degree=density) for density in (10, 67, 300))
+    coarse, usual, fine = (ls.metrics.flip(image, reference, pixels_per_degree=density) for density in (10, 67, 300))
     assert coarse > usual > fine > 0.0
 
 
@@ -127,7 +129,7 @@ def test_a_picture_is_its_own_best_reference(metric):
     reference = picture(3)
     noise = np.random.default_rng(4).normal(0.0, 1.0, reference.shape)
     values = [metric(np.clip(reference + size * noise, 0.0, 1.0), reference) for size in (0.0, 0.02, 0.1)]
-    best, sign = {ls.psnr: (math.inf, -1), ls.ssim: (1.0, -1), ls.flip: (0.0, 1)}[metric]
+    best, sign = {ls.metrics.psnr: (math.inf, -1), ls.metrics.ssim: (1.0, -1), ls.metrics.flip: (0.0, 1)}[metric]
     assert values[0] == pytest.approx(best, abs=1e-9)
     assert sign * values[0] < sign * values[1] < sign * values[2]
 
@@ -166,22 +168,24 @@ def test_what_is_no_pair_of_pictures_is_refused(metric):
 def test_small_pictures_have_no_ssim():
     """A picture smaller than the window is refused."""
     with pytest.raises(ls.SceneError, match="ssim compares windows of 11 x 11 pixels, the images are 12 x 10"):
-        ls.ssim(np.zeros((10, 12, 3)), np.zeros((10, 12, 3)))
+        ls.metrics.ssim(np.zeros((10, 12, 3)), np.zeros((10, 12, 3)))
 
 
 def test_flip_checks_its_display():
     """A display without pixels is refused."""
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is 0"):
-        ls.flip(picture(1), picture(2), pixels_per_degree=0)
+        ls.metrics.flip(picture(1), picture(2), pixels_per_degree=0)
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is '4K'"):
-        ls.flip(picture(1), picture(2), pixels_per_degree="4K")  # pyright: ignore[reportArgumentType]
+        ls.metrics.flip(picture(1), picture(2), pixels_per_degree="4K")  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize(("metric", "package"), [(ls.ssim, "skimage.metrics"), (ls.flip, "flip_evaluator")])
+@pytest.mark.parametrize(
+    ("metric", "package"), [(ls.metrics.ssim, "skimage.metrics"), (ls.metrics.flip, "flip_evaluator")]
+)
 def test_missing_packages_are_named(metric, package, monkeypatch):
     """Without its package, a metric says how to install it."""
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ls.MissingExtraError, match=r"pip install 'lumisplat\[metrics\]'"):
+    with pytest.raises(ls.errors.MissingExtraError, match=r"pip install 'lumisplat\[metrics\]'"):
         metric(picture(1), picture(2))
 
 
@@ -229,30 +233,30 @@ def test_ms_ssim_is_that_of_the_paper(noise):
     reference = waves_image(1)
     image = noisy(reference, noise)
     expected = ms_ssim_by_convolution(image, reference)
-    assert ls.ms_ssim(image, reference) == pytest.approx(expected, abs=1e-12)
+    assert ls.metrics.ms_ssim(image, reference) == pytest.approx(expected, abs=1e-12)
     assert 0.3 < expected < 0.9999
 
 
 def test_ms_ssim_of_flat_pictures():
     """Without contrast, all that counts is the luminance of the coarsest scale: (0.4801 / 0.5201) ** 0.1333."""
     dark, light = np.full((161, 170, 3), 0.4), np.full((161, 170, 3), 0.6)
-    assert ls.ms_ssim(dark, light) == pytest.approx((0.4801 / 0.5201) ** 0.1333, abs=1e-9)
+    assert ls.metrics.ms_ssim(dark, light) == pytest.approx((0.4801 / 0.5201) ** 0.1333, abs=1e-9)
     last = 0.2363 / (0.0448 + 0.2856 + 0.3001 + 0.2363)
-    assert ls.ms_ssim(dark, light, scales=4) == pytest.approx((0.4801 / 0.5201) ** last, abs=1e-9)
+    assert ls.metrics.ms_ssim(dark, light, scales=4) == pytest.approx((0.4801 / 0.5201) ** last, abs=1e-9)
 
 
 def test_one_scale_is_ssim():
     """One scale has weight 1: SSIM, which scikit-image computes."""
     reference = waves_image(2, (40, 33))
     image = noisy(reference, 0.1)
-    assert ls.ms_ssim(image, reference, scales=1) == pytest.approx(ls.ssim(image, reference), abs=1e-9)
+    assert ls.metrics.ms_ssim(image, reference, scales=1) == pytest.approx(ls.metrics.ssim(image, reference), abs=1e-9)
 
 
 def test_what_is_opposite_is_worth_nothing():
     """A negative picture has a negative mean of structure, which counts as 0."""
     reference = waves_image(3)
-    assert ls.ms_ssim(1.0 - reference, reference) == 0.0
-    assert ls.ms_ssim(reference, reference) == pytest.approx(1.0, abs=1e-12)
+    assert ls.metrics.ms_ssim(1.0 - reference, reference) == 0.0
+    assert ls.metrics.ms_ssim(reference, reference) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_sizes_need_not_be_powers_of_two():
@@ -261,29 +265,29 @@ def test_sizes_need_not_be_powers_of_two():
     image = noisy(reference, 0.1)
     weights = (0.0448 / (0.0448 + 0.2856), 0.2856 / (0.0448 + 0.2856))
     expected = ms_ssim_by_convolution(image, reference, weights)
-    assert ls.ms_ssim(image, reference, scales=2) == pytest.approx(expected, abs=1e-12)
+    assert ls.metrics.ms_ssim(image, reference, scales=2) == pytest.approx(expected, abs=1e-12)
 
 
 def test_small_pictures_have_fewer_scales():
     """161 pixels are enough for five scales, 160 for four; what is too small is refused by name, never in silence."""
     sizes = {161: 5, 160: 4, 81: 4, 80: 3, 21: 2, 20: 1, 11: 1, 10: 0}
-    assert {size: ls.ms_ssim_scales(size, 500) for size in sizes} == sizes
-    assert {size: ls.ms_ssim_scales(500, size) for size in sizes} == sizes
+    assert {size: ls.metrics.ms_ssim_scales(size, 500) for size in sizes} == sizes
+    assert {size: ls.metrics.ms_ssim_scales(500, size) for size in sizes} == sizes
     for size, scales in sizes.items():
         flat = np.full((size, size + 3, 3), 0.5)
         if scales:
-            assert ls.ms_ssim(flat, flat, scales=scales) == pytest.approx(1.0)
+            assert ls.metrics.ms_ssim(flat, flat, scales=scales) == pytest.approx(1.0)
         if 0 < scales < 5:
             with pytest.raises(ls.SceneError, match=f"these are {size + 3} x {size}: scales={scales} suits them"):
-                ls.ms_ssim(flat, flat, scales=scales + 1)
+                ls.metrics.ms_ssim(flat, flat, scales=scales + 1)
     with pytest.raises(ls.SceneError, match="ms_ssim compares windows of 11 x 11 pixels, the images are 12 x 10"):
-        ls.ms_ssim(np.zeros((10, 12, 3)), np.zeros((10, 12, 3)), scales=1)
+        ls.metrics.ms_ssim(np.zeros((10, 12, 3)), np.zeros((10, 12, 3)), scales=1)
     for scales in (0, 6, 2.5):
         with pytest.raises(ls.ConfigError, match="scales is"):
-            ls.ms_ssim(waves_image(1), waves_image(1), scales=cast(Any, scales))
+            ls.metrics.ms_ssim(waves_image(1), waves_image(1), scales=cast(Any, scales))
 
 
-WITH_MS_SSIM = (ls.psnr, ls.ssim, ls.ms_ssim, ls.flip)
+WITH_MS_SSIM = (ls.metrics.psnr, ls.metrics.ssim, ls.metrics.ms_ssim, ls.metrics.flip)
 
 
 @pytest.mark.parametrize("metric", WITH_MS_SSIM)
@@ -296,11 +300,11 @@ def test_what_is_outside_of_a_region_does_not_count(metric):
     value = metric(image, reference, region=region)
     assert metric(np.where(region[..., None], image, 1.0), reference, region=region) == pytest.approx(value, abs=1e-9)
     worse = np.where(region[..., None], noisy(reference, 0.2), image)
-    better = metric is ls.flip
+    better = metric is ls.metrics.flip
     assert (metric(worse, reference, region=region) > value) == better
     assert metric(image, reference, region=np.ones_like(region)) == pytest.approx(metric(image, reference), abs=1e-9)
     assert metric(np.where(region[..., None], reference, image), reference, region=region) == pytest.approx(
-        {ls.psnr: np.inf, ls.flip: 0.0}.get(metric, 1.0), abs=1e-9
+        {ls.metrics.psnr: np.inf, ls.metrics.flip: 0.0}.get(metric, 1.0), abs=1e-9
     )
 
 
@@ -310,8 +314,8 @@ def test_psnr_of_a_region_is_the_error_there():
     region = np.zeros((32, 32), bool)
     region[:16, :16] = True
     image = grey + 0.1 * region[..., None]
-    assert ls.psnr(image, grey, region=region) == pytest.approx(20.0)
-    assert ls.psnr(image, grey) == pytest.approx(20.0 + 10.0 * np.log10(4.0))
+    assert ls.metrics.psnr(image, grey, region=region) == pytest.approx(20.0)
+    assert ls.metrics.psnr(image, grey) == pytest.approx(20.0 + 10.0 * np.log10(4.0))
 
 
 @pytest.mark.parametrize("metric", WITH_MS_SSIM)
@@ -331,6 +335,6 @@ def test_a_region_at_the_edge_has_no_windows():
     image = waves_image(7)
     edge = np.zeros(image.shape[:2], bool)
     edge[:5] = True
-    for metric in (ls.ssim, ls.ms_ssim):
+    for metric in (ls.metrics.ssim, ls.metrics.ms_ssim):
         with pytest.raises(ls.SceneError, match="region has no pixel whose window lies inside the images"):
             metric(image, image, region=edge)

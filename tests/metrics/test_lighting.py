@@ -17,7 +17,7 @@ from lumisplat.math.sh import sh_basis
 from lumisplat.metrics.lighting import fit_irradiance, robust_fit
 from support.scenes.raster_scenes import random_gaussians
 
-METRICS = (ls.paa_y, ls.apf_y, ls.ncm_ab)
+METRICS = (ls.metrics.paa_y, ls.metrics.apf_y, ls.metrics.ncm_ab)
 Y00, Y10 = math.sqrt(1.0 / (4.0 * math.pi)), math.sqrt(3.0 / (4.0 * math.pi))
 
 
@@ -29,12 +29,12 @@ def all_around(count: int = 4000) -> np.ndarray:
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 
 
-def points(rgb, normals: np.ndarray | None = None) -> ls.LitPoints:
+def points(rgb, normals: np.ndarray | None = None) -> ls.metrics.LitPoints:
     """Points within a ball of 0.5 m around the origin, in grey or colours."""
     normals = all_around() if normals is None else normals
     colors = np.asarray(rgb, np.float64)
     colors = np.repeat(colors[:, None], 3, axis=1) if colors.ndim == 1 and len(colors) == len(normals) else colors
-    return ls.LitPoints(0.5 * normals, normals, np.broadcast_to(colors, (len(normals), 3)))
+    return ls.metrics.LitPoints(0.5 * normals, normals, np.broadcast_to(colors, (len(normals), 3)))
 
 
 def lit_from(direction, share: float, normals: np.ndarray | None = None) -> np.ndarray:
@@ -55,8 +55,8 @@ def test_paa_of_two_lights_by_hand():
     assert expected == pytest.approx(0.448, abs=1e-4)
     above = points(lit_from((0, 0, 1), 0.5))
     for other in (np.full(4000, 0.3), lit_from((0, 0, -1), 0.5), lit_from((1, 0, 0), 0.5)):
-        assert ls.paa_y(above, points(other)) == pytest.approx(expected, abs=0.02)
-    assert ls.paa_y(above, above) == 0.0
+        assert ls.metrics.paa_y(above, points(other)) == pytest.approx(expected, abs=0.02)
+    assert ls.metrics.paa_y(above, above) == 0.0
 
 
 def test_irradiance_of_all_bands_is_found(monkeypatch):
@@ -84,12 +84,12 @@ def test_albedo_is_not_light():
     clean = lit_from((0, 0, 1), 0.5)
     reference = points(clean)
     patchy = points(clean * np.exp(rng.normal(0.0, 0.5, 4000)))
-    assert ls.paa_y(patchy, reference) < 0.2 < ls.paa_y(points(np.full(4000, 0.2)), reference)
+    assert ls.metrics.paa_y(patchy, reference) < 0.2 < ls.metrics.paa_y(points(np.full(4000, 0.2)), reference)
     painted = points(clean * rng.choice([0.02, 1.0], 4000, p=[0.3, 0.7]))
-    assert ls.paa_y(painted, reference) < 0.1
+    assert ls.metrics.paa_y(painted, reference) < 0.1
     glints = clean.copy()
     glints[rng.choice(4000, 160, replace=False)] = 50.0
-    assert ls.paa_y(points(glints), reference) < 0.01
+    assert ls.metrics.paa_y(points(glints), reference) < 0.01
 
 
 def test_robust_fit_minimises_hubers_loss():
@@ -131,9 +131,9 @@ def test_apf_by_hand():
     same 0.05 is left.
     """
     avatar = points(lit_from((0, 0, 1), 0.5))
-    assert ls.apf_y(avatar, points(3.0 * lit_from((0, 0, 1), 0.2))) == pytest.approx(0.0, abs=5e-3)
-    assert ls.apf_y(avatar, points(np.full(4000, 0.3))) == pytest.approx(0.05, abs=1e-4)
-    assert ls.apf_y(avatar, points(lit_from((1, 0, 0), 0.5))) == pytest.approx(0.05, abs=1e-3)
+    assert ls.metrics.apf_y(avatar, points(3.0 * lit_from((0, 0, 1), 0.2))) == pytest.approx(0.0, abs=5e-3)
+    assert ls.metrics.apf_y(avatar, points(np.full(4000, 0.3))) == pytest.approx(0.05, abs=1e-4)
+    assert ls.metrics.apf_y(avatar, points(lit_from((1, 0, 0), 0.5))) == pytest.approx(0.05, abs=1e-3)
 
 
 def test_luminance_and_lab():
@@ -153,11 +153,11 @@ def test_ncm_by_hand():
     b* = 200 x 0.02807 = 5.61; chroma 15.29.
     """
     grey, red = points([0.3, 0.3, 0.3]), points([0.2, 0.1, 0.1])
-    assert ls.ncm_ab(red, grey) == pytest.approx(15.29, abs=0.02)
+    assert ls.metrics.ncm_ab(red, grey) == pytest.approx(15.29, abs=0.02)
     half = np.tile([[0.3, 0.3, 0.3], [0.2, 0.1, 0.1]], (500, 1))
     mixed, few = points(half, all_around(1000)), points([0.3, 0.3, 0.3], all_around(700))
-    assert ls.ncm_ab(mixed, few) == pytest.approx(15.29 / 2.0, abs=0.01)
-    assert ls.ncm_ab(mixed, mixed) == pytest.approx(0.0, abs=1e-9)
+    assert ls.metrics.ncm_ab(mixed, few) == pytest.approx(15.29 / 2.0, abs=0.01)
+    assert ls.metrics.ncm_ab(mixed, mixed) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_ncm_is_the_cheapest_assignment():
@@ -167,7 +167,7 @@ def test_ncm_is_the_cheapest_assignment():
     sides = [points(rng.uniform(0.05, 1.0, (60, 3)), normals) for _ in range(2)]
     first, second = (lab(side.rgb)[:, 1:] for side in sides)
     cost = np.linalg.norm(first[:, None] - second[None], axis=2)
-    assert ls.ncm_ab(*sides) == pytest.approx(cost[linear_sum_assignment(cost)].mean(), rel=1e-9)
+    assert ls.metrics.ncm_ab(*sides) == pytest.approx(cost[linear_sum_assignment(cost)].mean(), rel=1e-9)
 
 
 def test_ncm_draws_the_same_points():
@@ -175,8 +175,8 @@ def test_ncm_draws_the_same_points():
     rng = np.random.default_rng(6)
     normals = all_around(1500)
     first, second = (points(rng.uniform(low, 1.0, (1500, 3)), normals) for low in (0.05, 0.4))
-    whole = ls.ncm_ab(first, second)
-    drawn = [ls.ncm_ab(first, second, samples=300, seed=seed) for seed in (0, 0, 1)]
+    whole = ls.metrics.ncm_ab(first, second)
+    drawn = [ls.metrics.ncm_ab(first, second, samples=300, seed=seed) for seed in (0, 0, 1)]
     assert drawn[0] == drawn[1] != drawn[2]
     assert drawn == pytest.approx([whole] * 3, rel=0.25)
 
@@ -190,13 +190,13 @@ def test_order_and_place_do_not_count(metric):
     scene = points(rng.uniform(0.1, 0.9, (500, 3)) * (1.0 + 0.5 * normals[:, 2:]), normals)
     value = metric(avatar, scene)
     order = rng.permutation(500)
-    shuffled = ls.LitPoints(avatar.positions[order], avatar.normals[order], avatar.rgb[order])
+    shuffled = ls.metrics.LitPoints(avatar.positions[order], avatar.normals[order], avatar.rgb[order])
     moved = [replace(side, positions=side.positions + np.array([3, -2, 8], np.float32)) for side in (shuffled, scene)]
     assert metric(*moved) == pytest.approx(value, rel=1e-5)
     brighter = replace(avatar, rgb=2.0 * avatar.rgb)
-    if metric is ls.paa_y:
+    if metric is ls.metrics.paa_y:
         assert metric(brighter, scene) == pytest.approx(value, rel=1e-6)
-    if metric is ls.apf_y:
+    if metric is ls.metrics.apf_y:
         assert metric(brighter, scene) == pytest.approx(2.0 * value, rel=1e-6)
 
 
@@ -207,7 +207,7 @@ def test_only_the_neighbourhood_counts(metric):
     avatar = points(lit_from((0, 0, 1), 0.5, normals), normals)
     near = points(lit_from((0.6, 0, 0.8), 0.8, normals), normals)
     far = np.random.default_rng(8).uniform(0.1, 0.9, (400, 3)) * (1.0 + normals[:, :1])
-    both = ls.LitPoints(
+    both = ls.metrics.LitPoints(
         np.concatenate([near.positions, near.positions + np.array([1.7, 0, 0])]),
         np.concatenate([near.normals, near.normals]),
         np.concatenate([near.rgb, far]),
@@ -232,7 +232,7 @@ def test_points_of_gaussians():
     turn = Rotation.from_euler("xyz", [20, 50, -30], degrees=True).as_matrix()
     world = np.eye(4)
     world[:3, :3], world[:3, 3] = 2.0 * turn, [1.0, 2.0, 3.0]
-    got = ls.LitPoints.of(ls.Scene(splats=[ls.SplatInstance(gaussians, world)]))
+    got = ls.metrics.LitPoints.of(ls.Scene(splats=[ls.SplatInstance(gaussians, world)]))
     np.testing.assert_allclose(got.positions, gaussians.means @ (2.0 * turn).T + [1, 2, 3], atol=1e-5)
     np.testing.assert_allclose(got.normals, normals @ turn.T, atol=1e-6)
     np.testing.assert_allclose(got.rgb, colors, atol=1e-5)
@@ -247,7 +247,7 @@ def test_estimated_normals_of_a_scene_face_the_avatar():
     room = replace(
         base, means=place, scales=np.tile([0.1, 0.01, 0.1], (80, 1)), rotations_wxyz=np.tile([1, 0, 0, 0], (80, 1))
     )
-    got = ls.LitPoints.of(room, around=(0, 0, 0), radius=2.0)
+    got = ls.metrics.LitPoints.of(room, around=(0, 0, 0), radius=2.0)
     np.testing.assert_allclose(got.normals, np.stack([0 * place[:, 1], -place[:, 1], 0 * place[:, 1]], 1), atol=1e-5)
 
 
@@ -257,7 +257,7 @@ def test_gaussians_and_their_points_agree():
     normals = all_around(300)
     avatar, room = (splats(rng.uniform(low, 1.0, (300, 3)), normals, 300) for low in (0.05, 0.3))
     for metric in METRICS:
-        value = metric(ls.LitPoints.of(avatar), ls.LitPoints.of(room), radius=2.0)
+        value = metric(ls.metrics.LitPoints.of(avatar), ls.metrics.LitPoints.of(room), radius=2.0)
         assert metric(avatar, ls.Scene(splats=[room]), radius=2.0) == value
         assert metric(ls.SplatInstance(avatar), room, radius=2.0) == value
 
@@ -267,36 +267,36 @@ def test_mistakes_are_refused():
     avatar = points(np.full(4000, 0.2))
     far = replace(avatar, positions=avatar.positions + np.array([9, 0, 0], np.float32))
     with pytest.raises(ls.SceneError, match=r"no point of the scene is within 1.5 of the avatar, the nearest is 8.5"):
-        ls.paa_y(avatar, far)
+        ls.metrics.paa_y(avatar, far)
     gaussians = splats(np.full((40, 3), 0.5), None, 40)
     with pytest.raises(
         ls.SceneError, match=r"within 0.001 of the avatar's centre \(.*, the nearest is .* unit a metre"
     ):
-        ls.LitPoints.of(gaussians, around=(100, 0, 0), radius=1e-3)
+        ls.metrics.LitPoints.of(gaussians, around=(100, 0, 0), radius=1e-3)
     with pytest.raises(ls.SceneError, match="15 avatar points: irradiance of 16 coefficients needs as many at least"):
-        ls.paa_y(points(np.full(15, 0.2), all_around(15)), avatar)
+        ls.metrics.paa_y(points(np.full(15, 0.2), all_around(15)), avatar)
     with pytest.raises(ls.SceneError, match="all 4,000 avatar points are black"):
-        ls.paa_y(points(np.zeros(4000)), avatar)
+        ls.metrics.paa_y(points(np.zeros(4000)), avatar)
     with pytest.raises(ls.ConfigError, match="radius is nan"):
-        ls.apf_y(avatar, avatar, radius=float("nan"))
+        ls.metrics.apf_y(avatar, avatar, radius=float("nan"))
     with pytest.raises(ls.ConfigError, match="radius is 'wide', expected metres"):
-        ls.paa_y(avatar, avatar, radius="wide")  # pyright: ignore[reportArgumentType]
+        ls.metrics.paa_y(avatar, avatar, radius="wide")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="around has 1 non-finite"):
-        ls.LitPoints.of(gaussians, around=(np.nan, 0, 0), radius=1.0)
+        ls.metrics.LitPoints.of(gaussians, around=(np.nan, 0, 0), radius=1.0)
     with pytest.raises(ls.ConfigError, match="samples is 0"):
-        ls.ncm_ab(avatar, avatar, samples=0)
+        ls.metrics.ncm_ab(avatar, avatar, samples=0)
     with pytest.raises(ls.SceneError, match="has no Gaussians"):
-        ls.LitPoints.of(ls.Scene())
+        ls.metrics.LitPoints.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="take Gaussians or LitPoints, got a list"):
-        ls.LitPoints.of([gaussians])  # pyright: ignore[reportArgumentType]
+        ls.metrics.LitPoints.of([gaussians])  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="rgb: 1 of 4,000 are negative"):
         points(np.where(np.arange(4000) == 7, -0.1, 0.1))
     with pytest.raises(ls.SceneError, match="zero points"):
-        ls.LitPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+        ls.metrics.LitPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 def test_missing_pot_is_named(monkeypatch):
     """Without POT, NCM-ab says how to install it."""
     monkeypatch.setitem(sys.modules, "ot", None)
-    with pytest.raises(ls.MissingExtraError, match=r"ncm_ab needs .* pip install 'lumisplat\[metrics\]'"):
-        ls.ncm_ab(points(np.full(4000, 0.2)), points(np.full(4000, 0.2)))
+    with pytest.raises(ls.errors.MissingExtraError, match=r"ncm_ab needs .* pip install 'lumisplat\[metrics\]'"):
+        ls.metrics.ncm_ab(points(np.full(4000, 0.2)), points(np.full(4000, 0.2)))

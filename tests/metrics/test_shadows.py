@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import lumisplat as ls
 
-METRICS = (ls.sae, ls.sm_iou, ls.boundary_f)
+METRICS = (ls.metrics.sae, ls.metrics.sm_iou, ls.metrics.boundary_f)
 
 
 def square(left: int, top: int, size: int, strength: float = 1.0, shape: tuple[int, int] = (20, 20)) -> np.ndarray:
@@ -42,13 +42,13 @@ def test_sae_by_hand():
     reference, shadow = square(4, 4, 4, 0.6), square(4, 4, 4, 0.8)
     shadow[6:8] = 0.0
     shadow[15:, 15:] = 1.0
-    assert ls.sae(shadow, reference) == pytest.approx(0.4)
+    assert ls.metrics.sae(shadow, reference) == pytest.approx(0.4)
 
 
 def test_sm_iou_by_hand():
     """Two squares of 16 pixels, 2 pixels apart along x, share 8: 8 / (16 + 16 - 8) = 1/3."""
-    assert ls.sm_iou(square(4, 4, 4), square(6, 4, 4)) == pytest.approx(1 / 3)
-    assert ls.sm_iou(square(4, 4, 4), square(10, 4, 4)) == 0.0
+    assert ls.metrics.sm_iou(square(4, 4, 4), square(6, 4, 4)) == pytest.approx(1 / 3)
+    assert ls.metrics.sm_iou(square(4, 4, 4), square(10, 4, 4)) == 0.0
 
 
 def test_boundary_f_by_hand():
@@ -59,15 +59,15 @@ def test_boundary_f_by_hand():
     """
     inner, outer = square(7, 7, 6), square(4, 4, 12)
     assert len(boundary_pixels(inner)) == 20 and len(boundary_pixels(outer)) == 44
-    assert ls.boundary_f(inner, outer, tolerance=3.0) == pytest.approx(48 / 68)
-    assert ls.boundary_f(outer, inner, tolerance=3.0) == pytest.approx(48 / 68)
-    assert ls.boundary_f(inner, outer) == 0.0
+    assert ls.metrics.boundary_f(inner, outer, tolerance=3.0) == pytest.approx(48 / 68)
+    assert ls.metrics.boundary_f(outer, inner, tolerance=3.0) == pytest.approx(48 / 68)
+    assert ls.metrics.boundary_f(inner, outer) == 0.0
 
 
 def test_boundaries_two_pixels_off_agree():
     """A shadow that is off by the tolerance has the full score, and by one pixel more it has not."""
-    assert ls.boundary_f(square(6, 4, 5), square(4, 4, 5)) == 1.0
-    assert 0.0 < ls.boundary_f(square(7, 4, 5), square(4, 4, 5)) < 1.0
+    assert ls.metrics.boundary_f(square(6, 4, 5), square(4, 4, 5)) == 1.0
+    assert 0.0 < ls.metrics.boundary_f(square(7, 4, 5), square(4, 4, 5)) < 1.0
 
 
 @given(
@@ -84,36 +84,36 @@ def test_boundary_f_is_that_of_all_pairs(seed, tolerance, share, size):
         near = np.linalg.norm(ours[:, None] - theirs[None], axis=2) <= tolerance
         precision, recall = near.any(axis=1).mean(), near.any(axis=0).mean()
         expected = 2 * precision * recall / (precision + recall) if precision + recall else 0.0
-    assert ls.boundary_f(shadow, reference, tolerance=tolerance) == pytest.approx(expected)
+    assert ls.metrics.boundary_f(shadow, reference, tolerance=tolerance) == pytest.approx(expected)
 
 
 def test_thresholds_are_left_open():
     """Strength of exactly tau is lit: S > tau."""
-    assert ls.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4)) == 0.0
-    assert ls.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4), threshold=0.09) == 1.0
-    assert math.isnan(ls.sae(square(4, 4, 4), square(4, 4, 4, 0.1)))
+    assert ls.metrics.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4)) == 0.0
+    assert ls.metrics.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4), threshold=0.09) == 1.0
+    assert math.isnan(ls.metrics.sae(square(4, 4, 4), square(4, 4, 4, 0.1)))
 
 
 def test_without_shadow():
     """No shadow in both images is full agreement, in one of them none; an error over no pixels is NaN."""
     nothing, something = np.zeros((20, 20)), square(4, 4, 4)
-    assert ls.sm_iou(nothing, nothing) == ls.boundary_f(nothing, nothing) == 1.0
-    assert ls.sm_iou(nothing, something) == ls.boundary_f(nothing, something) == 0.0
-    assert ls.sm_iou(something, nothing) == ls.boundary_f(something, nothing) == 0.0
-    assert ls.sae(nothing, something) == 1.0
-    assert math.isnan(ls.sae(something, nothing))
+    assert ls.metrics.sm_iou(nothing, nothing) == ls.metrics.boundary_f(nothing, nothing) == 1.0
+    assert ls.metrics.sm_iou(nothing, something) == ls.metrics.boundary_f(nothing, something) == 0.0
+    assert ls.metrics.sm_iou(something, nothing) == ls.metrics.boundary_f(something, nothing) == 0.0
+    assert ls.metrics.sae(nothing, something) == 1.0
+    assert math.isnan(ls.metrics.sae(something, nothing))
 
 
 def test_the_border_of_an_image_is_no_boundary():
     """A shadow that fills the image has no boundary, one that is cut by its border has one inside only."""
     full = np.ones((8, 8))
-    assert ls.boundary_f(full, full) == 1.0
+    assert ls.metrics.boundary_f(full, full) == 1.0
     half = np.zeros((8, 8))
     half[:, :4] = 1.0
-    assert ls.boundary_f(half, full) == 0.0
+    assert ls.metrics.boundary_f(half, full) == 0.0
     shifted = np.zeros((8, 8))
     shifted[:, :6] = 1.0
-    assert ls.boundary_f(half, shifted) == 1.0
+    assert ls.metrics.boundary_f(half, shifted) == 1.0
 
 
 def test_a_region_hides_the_rest():
@@ -122,14 +122,14 @@ def test_a_region_hides_the_rest():
     shadow[:, 12:] = 1.0
     region = np.zeros((20, 20), np.bool_)
     region[2:11, 5:11] = True
-    assert ls.sae(shadow, reference, region=region) == 0.0
-    assert ls.sm_iou(shadow, reference, region=region) == 1.0
-    assert ls.boundary_f(shadow, reference, region=region) == 1.0
-    assert ls.sm_iou(shadow, reference) < 1.0
+    assert ls.metrics.sae(shadow, reference, region=region) == 0.0
+    assert ls.metrics.sm_iou(shadow, reference, region=region) == 1.0
+    assert ls.metrics.boundary_f(shadow, reference, region=region) == 1.0
+    assert ls.metrics.sm_iou(shadow, reference) < 1.0
     # The left edge, x = 4, lies outside: of the square's boundary, top, right and bottom are left.
     cut = square(4, 4, 4)
     cut[:, 4] = 0.0
-    assert ls.boundary_f(cut, reference, tolerance=0.0, region=region) == 1.0
+    assert ls.metrics.boundary_f(cut, reference, tolerance=0.0, region=region) == 1.0
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -167,6 +167,6 @@ def test_mistakes_are_refused(metric):
 def test_tolerance_is_checked():
     """A negative tolerance is refused."""
     with pytest.raises(ls.ConfigError, match="tolerance is -1"):
-        ls.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=-1.0)
+        ls.metrics.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=-1.0)
     with pytest.raises(ls.ConfigError, match="tolerance is None"):
-        ls.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=None)  # pyright: ignore[reportArgumentType]
+        ls.metrics.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=None)  # pyright: ignore[reportArgumentType]

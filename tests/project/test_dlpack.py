@@ -97,11 +97,11 @@ TAKERS: dict[str, Callable[[Callable[[Any], Any]], Any]] = {
     "up": lambda of: ls.Scene(splats=[random_gaussians(2, count=5)], up=of(np.array([0.0, 0.0, 1.0]))),
     "keyframes": lambda of: ls.Keyframes(of(np.array([0.0, 1.0])), of(POINTS[:2]), of(np.tile(WXYZ, (2, 1)))),
     "transform": lambda of: ls.transform(random_gaussians(2, count=5), of(MATRIX), translation=of(POINTS[0])),
-    "crop": lambda of: ls.crop(
+    "crop": lambda of: ls.editing.crop(
         random_gaussians(2, count=50), box=(of(np.full(3, -9.0)), of(np.array([9.0, 9.0, 3.0])))
     ),
-    "probe": lambda of: ls.EnvironmentProbe(of(RNG.normal(size=(9, 3)).clip(0, 0) + 1.0)),
-    "psnr": lambda of: ls.psnr(of(IMAGE), of(IMAGE[::-1])),
+    "probe": lambda of: ls.avatars.EnvironmentProbe(of(RNG.normal(size=(9, 3)).clip(0, 0) + 1.0)),
+    "psnr": lambda of: ls.metrics.psnr(of(IMAGE), of(IMAGE[::-1])),
     "rays": _hits,
 }
 """Parts of the interface that take arrays, each as a function of what the arrays are given as."""

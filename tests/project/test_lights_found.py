@@ -20,8 +20,8 @@ def searched(monkeypatch: pytest.MonkeyPatch, lamps: list[tuple[float, float, fl
     lights = [ls.LightPoint(place) for place in FOUND]
     estimate = SimpleNamespace(lights=lights, evidence=np.array([0.3, 0.2]))
     sun = SimpleNamespace(light=ls.LightDirectional((-1.0, 0.0, 0.0)), confidence=0.5)
-    monkeypatch.setattr(ls, "estimate_lights", lambda *_: estimate)
-    monkeypatch.setattr(ls, "estimate_sun", lambda *_: sun)
+    monkeypatch.setattr(ls.inverse, "estimate_lights", lambda *_: estimate)
+    monkeypatch.setattr(ls.inverse, "estimate_sun", lambda *_: sun)
     towards = np.array([np.cos(np.pi / 6.0), np.sin(np.pi / 6.0), 0.0])
     return lights_found.found_lights(LitCapture("room 1", ls.Scene(), np.zeros(3), np.array(lamps), towards, unit))
 
@@ -48,8 +48,8 @@ def test_nothing_found_is_counted_as_such(monkeypatch: pytest.MonkeyPatch) -> No
     def nothing(*_: object) -> None:
         raise ls.SceneError("no lamp found within 3 of (0, 0, 0)")
 
-    monkeypatch.setattr(ls, "estimate_lights", nothing)
-    monkeypatch.setattr(ls, "estimate_sun", lambda *_: None)
+    monkeypatch.setattr(ls.inverse, "estimate_lights", nothing)
+    monkeypatch.setattr(ls.inverse, "estimate_sun", lambda *_: None)
     capture = LitCapture("night 1", ls.Scene(), np.zeros(3), np.zeros((1, 3)), None, 1.0)
     row = lights_found.found_lights(capture)
     assert (row["lamps"], row["lamps_found"], row["lights"], row["sun_found"]) == (1, 0, 0, False)

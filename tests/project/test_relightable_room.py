@@ -95,7 +95,7 @@ def test_a_room_is_what_our_paths_see(tool: ModuleType, made: Path, ball: Path) 
     for one in room.meshes:
         material: Any = replace(one.mesh.material, specular=0.0, metallic=0.0, base_color=(1.0, 1.0, 1.0))
         matt.append(ls.MeshInstance(replace(one.mesh, material=material), one.world_from_object))
-    views = ls.load_photographs(made).held_out
+    views = ls.io.load_photographs(made).held_out
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=15, background=None, aovs=("albedo",))
     renderer = ls.create_renderer(config, "cpu")
     for light, pictures in {"lamps": "test", "relit/window": "relit/window", "relit/evening": "relit/evening"}.items():
@@ -106,10 +106,10 @@ def test_a_room_is_what_our_paths_see(tool: ModuleType, made: Path, ball: Path) 
             picture = ls.load_image(made / pictures / f"{view.name}.png")
             frame = renderer.render(ls.Scene(meshes=matt, lights=lit.lights), view.camera)
             shown = frame.pixels_srgb()[..., :3]
-            assert ls.psnr(shown, picture[..., :3], region=mask >= 0.5) > 34.0
+            assert ls.metrics.psnr(shown, picture[..., :3], region=mask >= 0.5) > 34.0
             darker = encode_srgb(0.7 * decode_srgb(shown)).astype(np.float32)
-            assert ls.psnr(darker, picture[..., :3], region=mask >= 0.5) < 30.0
+            assert ls.metrics.psnr(darker, picture[..., :3], region=mask >= 0.5) < 30.0
             albedo = read_exr(made / "truth" / "albedo" / f"{view.name}.exr")
             assert frame.albedo is not None
             true = np.stack([albedo[channel] for channel in "RGB"], axis=-1)
-            assert ls.psnr(np.clip(frame.albedo, 0.0, 1.0), true, region=mask >= 0.5) > 35.0
+            assert ls.metrics.psnr(np.clip(frame.albedo, 0.0, 1.0), true, region=mask >= 0.5) > 35.0

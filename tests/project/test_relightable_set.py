@@ -87,7 +87,7 @@ def seen(tool: ModuleType, folder: Path, mesh: Path, environment: str | None) ->
     for instance in tool.scene_of(mesh).meshes:
         material: Any = replace(instance.mesh.material, specular=0.0, metallic=0.0, base_color=(1.0, 1.0, 1.0))
         meshes.append(ls.MeshInstance(replace(instance.mesh, material=material), instance.world_from_object))
-    image = None if environment is None else ls.load_radiance(folder / f"{environment}.exr")
+    image = None if environment is None else ls.io.load_radiance(folder / f"{environment}.exr")
     scene = ls.Scene(meshes=meshes, lights=[ls.LightEnvironment(image, visible=False)])
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=4, background=None, aovs=("albedo",))
     renderer = ls.create_renderer(config, "cpu")
@@ -129,12 +129,12 @@ def test_photographs_are_what_our_paths_see(tool, made, balls, environment: str)
     photographs = [ls.load_image(folder / LIT_IN[environment] / f"r_{index:03}.png") for index in range(2)]
     frames = seen(tool, folder, balls, environment)
     for frame, photograph, inside in zip(frames, photographs, insides, strict=True):
-        assert ls.psnr(frame.pixels_srgb()[..., :3], photograph, region=inside) > 38.0
-    image = ls.load_radiance(folder / f"{environment}.exr")
+        assert ls.metrics.psnr(frame.pixels_srgb()[..., :3], photograph, region=inside) > 38.0
+    image = ls.io.load_radiance(folder / f"{environment}.exr")
     for wrong in (image[:, ::-1], np.roll(image, image.shape[1] // 2, axis=1), 1.15 * image):
         write_exr(folder / "wrong.exr", {name: wrong[..., i] for i, name in enumerate("RGB")})
         picture = seen(tool, folder, balls, "wrong")[1].pixels_srgb()[..., :3]
-        assert ls.psnr(picture, photographs[1], region=insides[1]) < 32.0
+        assert ls.metrics.psnr(picture, photographs[1], region=insides[1]) < 32.0
 
 
 @pytest.mark.deep
@@ -144,7 +144,7 @@ def test_layers_are_those_of_the_mesh(tool, made, balls) -> None:
     for index, frame in enumerate(seen(tool, folder, balls, None)):
         assert frame.albedo is not None
         albedo, inside = layer(folder, "albedo", index, "RGB")
-        assert ls.psnr(np.clip(frame.albedo, 0.0, 1.0), albedo, region=inside) > 45.0
+        assert ls.metrics.psnr(np.clip(frame.albedo, 0.0, 1.0), albedo, region=inside) > 45.0
         normal, inside = layer(folder, "normal", index, "XYZ")
         np.testing.assert_allclose(np.linalg.norm(normal[inside], axis=-1), 1.0, atol=1e-5)
         cosine = np.sum(normal[inside] * frame.normal[inside], axis=-1)
@@ -168,7 +168,7 @@ def test_roughness_is_that_of_the_place(tool, made, balls) -> None:
         assert np.median(np.abs(roughness[inside][:, 0] - expected)) < 0.005  # of a pixel, and in its middle
         assert np.ptp(roughness[inside]) > 0.3
         pair = [ls.load_image(one / "relit" / "studio" / f"r_{index:03}.png") for one in (folder, matt)]
-        assert ls.psnr(*pair, region=inside) < 35.0
+        assert ls.metrics.psnr(*pair, region=inside) < 35.0
     assert json.loads((folder / "set.json").read_text())["specular"] == 1.0
 
 
@@ -222,6 +222,6 @@ def test_textures_are_the_same_way_up(tool, made, data_dir: Path) -> None:
     for index, frame in enumerate(seen(tool, folder, duck, "environment")):
         albedo, inside = layer(folder, "albedo", index, "RGB")
         assert frame.albedo is not None
-        assert ls.psnr(np.clip(frame.albedo, 0.0, 1.0), albedo, region=inside) > 45.0
+        assert ls.metrics.psnr(np.clip(frame.albedo, 0.0, 1.0), albedo, region=inside) > 45.0
         photograph = ls.load_image(folder / "test" / f"r_{index:03}.png")
-        assert ls.psnr(frame.pixels_srgb()[..., :3], photograph, region=inside) > 38.0
+        assert ls.metrics.psnr(frame.pixels_srgb()[..., :3], photograph, region=inside) > 38.0

@@ -92,11 +92,13 @@ def test_a_clip_is_measured_by_the_metrics_as_captured(row: dict) -> None:
     """What is called "orig" is the figure as it walks in, against what is near it."""
     ((time_, pose),) = PLACE.moments(1)
     figure = Ball().at(time_, pose)
-    around = some_points(ls.LitPoints.of(below_a_light(), around=figure.world_means.mean(axis=0), radius=PLACE.radius))
-    points = ls.LitPoints.of(figure)
-    assert row["paa_orig"] == pytest.approx(ls.paa_y(points, around, radius=PLACE.radius), abs=1e-6)
-    assert row["apf_orig"] == pytest.approx(ls.apf_y(points, around, radius=PLACE.radius), abs=1e-6)
-    assert row["ncm_orig"] == pytest.approx(ls.ncm_ab(points, around, radius=PLACE.radius), abs=1e-6)
+    around = some_points(
+        ls.metrics.LitPoints.of(below_a_light(), around=figure.world_means.mean(axis=0), radius=PLACE.radius)
+    )
+    points = ls.metrics.LitPoints.of(figure)
+    assert row["paa_orig"] == pytest.approx(ls.metrics.paa_y(points, around, radius=PLACE.radius), abs=1e-6)
+    assert row["apf_orig"] == pytest.approx(ls.metrics.apf_y(points, around, radius=PLACE.radius), abs=1e-6)
+    assert row["ncm_orig"] == pytest.approx(ls.metrics.ncm_ab(points, around, radius=PLACE.radius), abs=1e-6)
 
 
 def test_relighting_brings_a_figure_nearer_to_its_surroundings(row: dict) -> None:

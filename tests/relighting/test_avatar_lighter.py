@@ -24,7 +24,7 @@ from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 from support.scenes.light_room import captured, lamp
 from support.scenes.lit_places import meadow
 
-SHADOW = ls.DeepShadowConfig(resolution=128, bins=32)
+SHADOW = ls.config.DeepShadowConfig(resolution=128, bins=32)
 LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
 
 
@@ -51,9 +51,9 @@ def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
     return ls.SplatInstance(captured(points, np.full(3, 0.6), opacity=0.95, scale=0.04), pose, name="puppet")
 
 
-def config(**changes: object) -> ls.AvatarLightingConfig:
+def config(**changes: object) -> ls.config.AvatarLightingConfig:
     """Small maps, all light direct, nothing relit."""
-    return replace(ls.AvatarLightingConfig(shadow_map=SHADOW, direct=1.0, relight=False), **changes)
+    return replace(ls.config.AvatarLightingConfig(shadow_map=SHADOW, direct=1.0, relight=False), **changes)
 
 
 def lighter(scene: ls.Scene, lights: Sequence[Light] | None = (LIGHT,), **changes: object) -> ls.AvatarLighter:
@@ -121,7 +121,7 @@ def test_each_set_takes_its_own_shadow() -> None:
     """Of several captured sets, only the one that a shadow falls on becomes another object."""
     sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
     # The same bins for both, and no samples that would depend on a receiver's number.
-    same = replace(SHADOW, max_distance=4.0, sampling=ls.ReceiverSampling.CENTER)
+    same = replace(SHADOW, max_distance=4.0, sampling=ls.config.ReceiverSampling.CENTER)
     scene = lighter(ls.Scene(splats=sets), shadow_map=same).light([puppet()])
     assert scene.splats[0] is sets[0] and scene.splats[2] is sets[2]
     alone = lighter(ls.Scene(splats=[sets[1]]), shadow_map=same).light([puppet()])
@@ -179,18 +179,18 @@ def test_actors_take_the_light_of_their_place() -> None:
 def test_normals_are_estimated_once_and_probes_captured_once_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """Normals belong to a set, probes to a place: a still actor asks for neither again, a moving one for a probe."""
     calls: list[str] = []
-    estimate, capture = avatar_lighter.estimate_normals, ls.EnvironmentProbe.capture
+    estimate, capture = avatar_lighter.estimate_normals, ls.avatars.EnvironmentProbe.capture
 
     def counted_estimate(*arguments: Any) -> Any:
         calls.append("normals")
         return estimate(*arguments)
 
-    def counted_capture(*arguments: Any, **options: Any) -> ls.EnvironmentProbe:
+    def counted_capture(*arguments: Any, **options: Any) -> ls.avatars.EnvironmentProbe:
         calls.append("probe")
         return capture(*arguments, **options)
 
     monkeypatch.setattr(avatar_lighter, "estimate_normals", counted_estimate)
-    monkeypatch.setattr(ls.EnvironmentProbe, "capture", counted_capture)
+    monkeypatch.setattr(ls.avatars.EnvironmentProbe, "capture", counted_capture)
     stage = lighter(ls.Scene(splats=[floor()]), relight=True)
     actor = puppet()
     for x in (0.0, 0.0, 0.5):
@@ -294,7 +294,7 @@ def test_lights_are_found_about_the_first_actors() -> None:
     """Without any given: the planted lamp, once, and as bright as the direct part of the place's light."""
     scene = ls.Scene(splats=[floor(), lamp((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
     # The floor is not lit by it: by its looks alone.
-    looks = ls.LightEstimationConfig(evidence=0.0)
+    looks = ls.config.LightEstimationConfig(evidence=0.0)
     stage = lighter(scene, None, light_count=1, direct=0.8, estimation=looks)
     assert stage.lights is None
     first = stage.light([puppet()])
@@ -306,7 +306,7 @@ def test_lights_are_found_about_the_first_actors() -> None:
     assert stage.lights is found
     # Around the actor there is radiance of some mean; over all directions a surface gets pi times that.
     middle = np.array([0.0, 1.0, 0.0]) + np.average(puppet().gaussians.means, axis=0)
-    around = ls.EnvironmentProbe.capture(scene, middle, device="cpu")
+    around = ls.avatars.EnvironmentProbe.capture(scene, middle, device="cpu")
     directions = np.random.default_rng(0).normal(size=(20_000, 3))
     mean = (around.radiance(directions) @ (0.2126, 0.7152, 0.0722)).mean()
     arriving = found[0].intensity / np.sum(np.subtract(found[0].position, middle) ** 2)
@@ -418,7 +418,7 @@ def test_actors_in_the_dark_are_told_once(caplog: pytest.LogCaptureFixture) -> N
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
     for gamma, lines in ((1.0, 1), (2.0, 0)):
-        settings = config(relight=True, transfer=ls.RelightConfig(gamma=gamma))
+        settings = config(relight=True, transfer=ls.config.RelightConfig(gamma=gamma))
         stage = ls.AvatarLighter(scene, [LIGHT], settings, background=gray, device="cpu")
         caplog.clear()
         with caplog.at_level(logging.WARNING, logger="lumisplat"):
@@ -485,7 +485,7 @@ def test_a_sun_that_the_probe_holds_does_not_count_twice() -> None:
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     spot = np.where(directions[:, 1:2] > 0.9, 5.0, 0.2) * np.ones(3)
-    probe = ls.EnvironmentProbe.fit(directions, spot)
+    probe = ls.avatars.EnvironmentProbe.fit(directions, spot)
     held = (probe.irradiance((0.0, 1.0, 0.0)) - np.pi * probe.coefficients[0] * SH_C0)[0]
     assert held > 0.5
     for intensity, left in ((0.5 * held, 0.0), (3.0 * held, 2.0 * held)):

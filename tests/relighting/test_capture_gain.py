@@ -64,11 +64,15 @@ def test_rough_metal_takes_the_gain_in_hybrid_frames_as_in_paths() -> None:
 def test_the_gain_that_is_found_exposes_an_object_as_its_surroundings() -> None:
     """Walls all around of albedo 0.5 received twice their radiance: a stop; of those of half the sphere, two."""
     thing = ball(0.3, diffuse(0.5), rows=16)
-    assert ls.estimate_capture_gain(ls.Scene([shell(0.5)], [thing]), device="cpu") == pytest.approx(1.0, abs=0.11)
-    assert ls.estimate_capture_gain(ls.Scene([shell(0.3)], [thing]), device="cpu") == pytest.approx(1.0, abs=0.11)
+    assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)], [thing]), device="cpu") == pytest.approx(
+        1.0, abs=0.11
+    )
+    assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.3)], [thing]), device="cpu") == pytest.approx(
+        1.0, abs=0.11
+    )
     half = ls.Scene([shell(0.5, half=True)], [thing])
-    assert ls.estimate_capture_gain(half, device="cpu") == pytest.approx(2.0, abs=0.11)
-    gain = ls.estimate_capture_gain(ls.Scene([shell(0.5)]), (0.5, 0.0, 0.2), "cpu")
+    assert ls.avatars.estimate_capture_gain(half, device="cpu") == pytest.approx(2.0, abs=0.11)
+    gain = ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)]), (0.5, 0.0, 0.2), "cpu")
     lit = shown(ls.Pipeline.PATH, gain, diffuse(0.5))
     np.testing.assert_allclose(lit, ((0.5 + 0.055) / 1.055) ** 2.4, rtol=0.1)
 
@@ -83,4 +87,4 @@ def test_the_gain_that_is_found_exposes_an_object_as_its_surroundings() -> None:
 def test_scenes_without_captured_light_are_refused(scene: ls.Scene, said: str) -> None:
     """In one line that says what is missing."""
     with pytest.raises(ls.SceneError, match=said):
-        ls.estimate_capture_gain(scene, device="cpu")
+        ls.avatars.estimate_capture_gain(scene, device="cpu")

@@ -31,7 +31,7 @@ def test_one_light_leaves_its_transmittance() -> None:
     """As in the paper: with nothing but that light, colours become T times as bright."""
     transmittance = np.array([0.0, 0.25, 0.5, 1.0])
     lit = receivers(np.eye(4)[:, :3])
-    dark = ls.shadowed(lit, [ls.LightPoint((0, 0, 5))], transmittance[None])
+    dark = ls.avatars.shadowed(lit, [ls.LightPoint((0, 0, 5))], transmittance[None])
     np.testing.assert_allclose(linear(dark), 0.4 * transmittance[:, None] * np.ones(3), atol=1e-5)
     np.testing.assert_array_equal(dark.sh[3], lit.sh[3])
 
@@ -40,9 +40,9 @@ def test_lights_count_by_their_irradiance_in_each_channel() -> None:
     """A red light at 2 and a white one at 1, both of 4 candela: red has shares 1/5 and 4/5, green only the white."""
     red, white = ls.LightPoint((2, 0, 0), (1, 0, 0), 4.0), ls.LightPoint((0, 1, 0), (1, 1, 1), 4.0)
     lit = receivers((0.0, 0.0, 0.0))
-    dark = linear(ls.shadowed(lit, [red, white], [[0.0], [1.0]]))[0] / 0.4
+    dark = linear(ls.avatars.shadowed(lit, [red, white], [[0.0], [1.0]]))[0] / 0.4
     np.testing.assert_allclose(dark, [0.8, 1.0, 1.0], atol=1e-5)
-    dark = linear(ls.shadowed(lit, [red, white], [[0.5], [0.1]], direct=0.5))[0] / 0.4
+    dark = linear(ls.avatars.shadowed(lit, [red, white], [[0.5], [0.1]], direct=0.5))[0] / 0.4
     np.testing.assert_allclose(dark, 1.0 - 0.5 * np.array([0.2 * 0.5 + 0.8 * 0.9, 0.9, 0.9]), atol=1e-5)
 
 
@@ -50,7 +50,7 @@ def test_where_no_light_arrives_nothing_is_taken() -> None:
     """Behind a spot's cone there is no light of it to block; a channel that no light has keeps its bits."""
     spot = ls.LightSpot((0, 0, 0), (0, 0, 1), color=(1, 1, 0), intensity=3.0)
     lit = receivers([(0, 0, -1), (0, 0, 1)])
-    dark = ls.shadowed(lit, [spot], [[0.0, 0.0]])
+    dark = ls.avatars.shadowed(lit, [spot], [[0.0, 0.0]])
     np.testing.assert_array_equal(dark.sh[0], lit.sh[0])
     np.testing.assert_array_equal(dark.sh[1, :, 2], lit.sh[1, :, 2])
     assert linear(dark)[1, :2].max() < 1e-5
@@ -62,7 +62,7 @@ def test_instances_are_where_they_stand() -> None:
     pose[0, 3] = 1.0
     instance = ls.SplatInstance(receivers((1.0, 0.0, 0.0)), pose, name="floor", sh_degree=1)
     lights = [ls.LightPoint((2.0, 0, 0)), ls.LightPoint((5.0, 0, 0))]
-    dark = ls.shadowed(instance, lights, [[0.0], [1.0]])
+    dark = ls.avatars.shadowed(instance, lights, [[0.0], [1.0]])
     np.testing.assert_allclose(linear(dark.gaussians)[0], 0.4 * 0.2, atol=1e-5)
     assert dark.name == "floor" and dark.sh_degree == 1
     np.testing.assert_array_equal(dark.transform, pose)
@@ -73,11 +73,11 @@ def test_nothing_in_the_way_is_the_same_object() -> None:
     rng = np.random.default_rng(0)
     lit = receivers(rng.random((1000, 3)))
     lights = [ls.LightPoint(tuple(rng.normal(size=3) * 3), tuple(rng.random(3)), 1.0 + rng.random()) for _ in range(7)]
-    assert ls.shadowed(lit, lights, np.ones((7, 1000))) is lit
+    assert ls.avatars.shadowed(lit, lights, np.ones((7, 1000))) is lit
     instance = ls.SplatInstance(lit)
-    assert ls.shadowed(instance, lights, np.ones((7, 1000))) is instance
+    assert ls.avatars.shadowed(instance, lights, np.ones((7, 1000))) is instance
     # And with all of them blocked, nothing is left, nor less.
-    dark = ls.shadowed(lit, lights, np.zeros((7, 1000)))
+    dark = ls.avatars.shadowed(lit, lights, np.zeros((7, 1000)))
     assert np.abs(dark.sh[:, 0] * SH_C0 + 0.5).max() < 1e-6
 
 
@@ -122,7 +122,7 @@ def test_bad_shadows_are_told(change: dict[str, Any], error: type[Exception], sa
         "transmittances": [[0.5, 0.5]],
     } | change
     with pytest.raises(error, match=said):
-        ls.shadowed(**arguments)
+        ls.avatars.shadowed(**arguments)
 
 
 def test_actors_far_from_zero_cast_the_shadows_that_they_cast_at_zero() -> None:
@@ -130,7 +130,7 @@ def test_actors_far_from_zero_cast_the_shadows_that_they_cast_at_zero() -> None:
     rng = np.random.default_rng(6)
     floor = np.column_stack([rng.uniform(-1.0, 1.0, (300, 2)), np.zeros(300)])
     ball = 0.2 * rng.normal(size=(80, 3)) / 2.0
-    config = ls.AvatarLightingConfig(shadow_map=ls.DeepShadowConfig(resolution=64, bins=16))
+    config = ls.config.AvatarLightingConfig(shadow_map=ls.config.DeepShadowConfig(resolution=64, bins=16))
     found = []
     for place in (np.zeros(3), np.array([5e6, -3e5, 1e5])):
         ground = [ls.SplatInstance(receivers(floor), position=place)]

@@ -184,7 +184,7 @@ def test_even_light_and_known_albedo_come_back(ball: tuple[ls.Gaussians, np.ndar
     """A ball under a sky of one radiance shows its albedo: delighting changes it by one factor, in the same order."""
     plain, albedo = ball
     captured = colored(plain, albedo)
-    found = ls.estimate_materials(captured, ls.DelightConfig(cells=8, matt=True), device="cpu")
+    found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=8, matt=True), device="cpu")
     assert not found.is_inside
     assert np.array_equal(found.gaussians.means, captured.means)
     assert np.array_equal(found.gaussians.sh, captured.sh)
@@ -226,7 +226,7 @@ def test_what_was_captured_comes_back_in_its_own_light() -> None:
     captured, wanted = lit(truth, ls.LightEnvironment(color=(0.8, 0.8, 0.8)))
     apart = {}
     for matt in (False, True):
-        found = ls.estimate_materials(captured, ls.DelightConfig(cells=6, matt=matt), device="cpu")
+        found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=6, matt=matt), device="cpu")
         _, again = lit(found.gaussians, ls.LightEnvironment(found.sky_image()))
         apart[matt] = np.median(np.abs(again / wanted - 1.0)[is_dark])
     assert apart[False] < 0.08 and apart[True] > 0.25
@@ -236,7 +236,8 @@ def test_a_channel_that_would_be_mirrored_is_told(ball: tuple[ls.Gaussians, np.n
     """Saturated colours are paler once they are relit: one dark channel is enough to be counted, unless all is matt."""
     captured = colored(ball[0], np.tile((0.6, 0.3, 0.004), (ball[0].count, 1)))
     found, matt = (
-        ls.estimate_materials(captured, ls.DelightConfig(cells=4, matt=matt), device="cpu") for matt in (False, True)
+        ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=4, matt=matt), device="cpu")
+        for matt in (False, True)
     )
     assert found.is_too_dark.mean() > 0.95
     assert "--matt" in "\n".join(found.remarks)
@@ -249,10 +250,10 @@ def test_what_looks_the_same_from_all_sides_is_not_glossy(ball: tuple[ls.Gaussia
     flat = colored(plain, albedo)
     sh = np.concatenate([flat.sh, np.zeros((plain.count, 3, 3), np.float32)], axis=1)
     config = ls.DelightConfig(cells=4)
-    found = ls.estimate_materials(replace(flat, sh=sh), config, device="cpu")
+    found = ls.inverse.estimate_materials(replace(flat, sh=sh), config, device="cpu")
     assert np.median(np.asarray(found.gaussians.roughness)) > 0.65
     assert found.sureness.shape == (plain.count,)
-    unknown = ls.estimate_materials(flat, config, device="cpu")
+    unknown = ls.inverse.estimate_materials(flat, config, device="cpu")
     assert (np.asarray(unknown.gaussians.roughness) == np.float32(0.8)).all()
     assert not unknown.sureness.any()
 
@@ -390,7 +391,7 @@ def test_captures_of_others_are_no_fog(data_dir: Path, name: str) -> None:
 )
 def test_what_has_no_clear_surface_is_announced(capture: ls.Gaussians, fault: str, caplog: Any) -> None:
     """In one line that says what to do, before the work of `delight`; and when others light it."""
-    remark = ls.surface_remark(capture, device="cpu")
+    remark = ls.inverse.surface_remark(capture, device="cpu")
     assert remark is not None and fault in remark and "--flatness 0.3" in remark
     stop: list[str] = []
 
@@ -409,19 +410,21 @@ def test_gaussians_of_meshes_have_a_surface(count: int) -> None:
     for mesh in (box(2.0), sphere(1.0, rows=12), plane(3.0, 2.0)):
         gaussians = ls.gaussians_from_mesh(mesh, count)
         for one in (gaussians, replace(gaussians, normals=None)):
-            assert ls.surface_remark(one, device="cpu") is None
+            assert ls.inverse.surface_remark(one, device="cpu") is None
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
 def test_captures_of_others_have_a_surface(data_dir: Path, name: str) -> None:
     """Nothing is said of them."""
-    assert ls.surface_remark(expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name)), device="cpu") is None
+    assert (
+        ls.inverse.surface_remark(expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name)), device="cpu") is None
+    )
 
 
 def scene_of(*meshes: ls.Mesh) -> ls.Gaussians:
     """Grey Gaussians of meshes, whose normals have to be found."""
     sets = [replace(ls.gaussians_from_mesh(mesh, 500), normals=None, albedo=None, roughness=None) for mesh in meshes]
-    return ls.limit_sh_degree(sets[0] if len(sets) == 1 else ls.merge(sets), 0)
+    return ls.editing.limit_sh_degree(sets[0] if len(sets) == 1 else ls.merge(sets), 0)
 
 
 def walls(*leave_out: int) -> list[ls.Mesh]:
@@ -449,7 +452,7 @@ ALONE, GROUND, WALL = sphere(0.5), plane(6.0, 6.0), walls()[0]
 )
 def test_what_is_closed_is_a_room_and_all_else_open(meshes: list[ls.Mesh], inside: bool) -> None:
     """A remark says which, and what is done about light from where the capture shows nothing."""
-    found = ls.estimate_materials(scene_of(*meshes), ls.DelightConfig(cells=4), device="cpu")
+    found = ls.inverse.estimate_materials(scene_of(*meshes), ls.DelightConfig(cells=4), device="cpu")
     assert found.is_inside is inside
     assert found.remarks[0].startswith("a closed room" if inside else "open: ")
 

@@ -88,7 +88,7 @@ def test_a_sun_is_found_where_it_stands() -> None:
     light = 0.25 + 0.7 * np.maximum(np.asarray(plain.normals, np.float64) @ sun, 0.0)
     sh = (encode_srgb(albedo * light) - 0.5)[:, None, None] / SH_C0 * np.ones(3)
     captured = replace(plain, sh=sh.astype(np.float32), albedo=None, roughness=None, normals=None)
-    found = ls.estimate_materials(captured, ls.DelightConfig(cells=4, matt=True), device="cpu")
+    found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=4, matt=True), device="cpu")
     brightest = found.cells.directions[found.sky.mean(axis=1).argmax()]
     assert np.degrees(np.arccos(brightest @ sun)) < 10.0
     assert np.log(np.asarray(found.gaussians.albedo).mean(axis=1) / albedo).std() < 0.1
@@ -139,7 +139,7 @@ def test_the_image_of_a_sky_turns_with_its_light() -> None:
     """However an image stands in the world, the same radiance comes from each direction."""
     cells, sky = SkyCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = shown(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
-    found = replace(ls.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"), cells=cells, sky=sky)
+    found = replace(ls.inverse.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"), cells=cells, sky=sky)
     turn = np.array([0.8, 0.4, -0.2, 0.4])
     ways = panorama_directions(40, 80).reshape(-1, 3)
     plain = panorama_lookup(found.sky_image(), ways)

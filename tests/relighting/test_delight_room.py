@@ -34,7 +34,7 @@ def box() -> CapturedBox:
 def found(box: CapturedBox) -> MaterialEstimate:
     """What is found of it."""
     config = ls.DelightConfig(cells=5, matt=True, inside=True)
-    return ls.estimate_materials(box.gaussians, config, device="cpu")
+    return ls.inverse.estimate_materials(box.gaussians, config, device="cpu")
 
 
 def test_a_room_has_a_lamp_and_no_sky(box: CapturedBox, found: MaterialEstimate) -> None:

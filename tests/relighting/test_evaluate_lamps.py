@@ -64,27 +64,27 @@ def show(folder: Path, ball: ls.Gaussians, lights: tuple, config: ls.RenderConfi
     """Makes the true pictures anew."""
     renderer = ls.create_renderer(replace(config, background=None), "cpu")
     scene = relit_scene(ball, lights, (1.0, 1.0, 1.0), 0.5)
-    for view in ls.load_photographs(folder).held_out:
+    for view in ls.io.load_photographs(folder).held_out:
         write_png(folder / "relit" / "dusk" / f"{view.name}.png", over_black(renderer, scene, view.camera))
 
 
-def relit(result: ls.MaterialEvaluation) -> np.ndarray:
+def relit(result: ls.inverse.MaterialEvaluation) -> np.ndarray:
     """What is seen of the capture by the new light, view by view."""
     return np.stack([view.pictures["relit/dusk"][0] for view in result.views])
 
 
 def test_lamps_of_a_scene_file_relight(folder, ball):
     """The lights of the file, by 64 paths a pixel unless it is said; another lamp is another picture."""
-    assert ls.evaluate_materials(ball, folder, device="cpu").relit["dusk"].psnr > 55.0
-    direct = ls.evaluate_materials(ball, folder, config=HYBRID, samples=4, device="cpu")
+    assert ls.inverse.evaluate_materials(ball, folder, device="cpu").relit["dusk"].psnr > 55.0
+    direct = ls.inverse.evaluate_materials(ball, folder, config=HYBRID, samples=4, device="cpu")
     assert 20.0 < direct.relit["dusk"].psnr < 55.0
     (folder / "relit" / "dusk.toml").write_text(LAMPS.replace("[2.0, 0.5, 3.0]", "[-2.0, 0.5, -3.0]"))
-    assert ls.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr < 30.0
+    assert ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr < 30.0
 
 
 def test_an_environment_in_a_room_is_not_compared(folder, ball):
     """It is said why, and the other figures are there."""
-    result = ls.evaluate_materials(ball, folder, environment=sky(), samples=1, device="cpu")
+    result = ls.inverse.evaluate_materials(ball, folder, environment=sky(), samples=1, device="cpu")
     assert np.isnan(result.environment_psnr) and result.albedo_psnr > 100.0
     assert result.remarks == (
         f"the environment that was found is not compared: lamps made the photographs of {folder}",
@@ -104,15 +104,15 @@ def test_what_is_no_light_is_refused(folder, ball, text, problem):
     ls.save(folder / "relit" / "ball.ply", ball)
     (folder / "relit" / "dusk.toml").write_text(text)
     with pytest.raises(ls.FormatError) as caught:
-        ls.evaluate_materials(ball, folder, samples=1, device="cpu")
+        ls.inverse.evaluate_materials(ball, folder, samples=1, device="cpu")
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_masks_leave_lamps_out(folder, ball):
     """Nonsense where a mask is black changes no figure."""
-    before = ls.evaluate_materials(ball, folder, samples=4, device="cpu")
+    before = ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu")
     text = (folder / "transforms_test.json").read_text()
-    for view in ls.load_photographs(folder).held_out:
+    for view in ls.io.load_photographs(folder).held_out:
         mask = np.ones((32, 32, 3), np.float32)
         mask[12:18, 10:20] = 0.0
         write_png(folder / "truth" / f"{view.name}.png", mask)
@@ -120,7 +120,7 @@ def test_masks_leave_lamps_out(folder, ball):
         assert line in text
         text = text.replace(line, f'{line}, "mask_path": "./truth/{view.name}.png"')
     (folder / "transforms_test.json").write_text(text)
-    masked = ls.evaluate_materials(ball, folder, samples=4, device="cpu")
+    masked = ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu")
     assert 0.0 < masked.views[0].coverage < before.views[0].coverage
     for view in masked.views:
         assert not view.region[12:18, 10:20].any()
@@ -128,7 +128,10 @@ def test_masks_leave_lamps_out(folder, ball):
         picture = ls.load_image(path).copy()
         picture[12:18, 10:20] = 1.0
         write_png(path, picture)
-    assert ls.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr == masked.relit["dusk"].psnr
+    assert (
+        ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr
+        == masked.relit["dusk"].psnr
+    )
 
 
 def test_grain_is_a_small_part_of_the_error_unless_it_is_wanted(folder, ball):
@@ -138,10 +141,10 @@ def test_grain_is_a_small_part_of_the_error_unless_it_is_wanted(folder, ball):
     (folder / "relit" / "dusk.toml").unlink()
     write_radiance(folder / "relit" / "dusk.exr", lamps)
     show(folder, ball, (ls.LightEnvironment(lamps, visible=False),), replace(HYBRID, samples=256))
-    default = ls.evaluate_materials(ball, folder, device="cpu")
-    few = ls.evaluate_materials(ball, folder, config=replace(HYBRID, samples=8), device="cpu")
+    default = ls.inverse.evaluate_materials(ball, folder, device="cpu")
+    few = ls.inverse.evaluate_materials(ball, folder, config=replace(HYBRID, samples=8), device="cpu")
     print("grain, 64 samples:", default.relit["dusk"].psnr, "dB; 8:", few.relit["dusk"].psnr, "dB")
     assert default.relit["dusk"].psnr > few.relit["dusk"].psnr + 6.0, "grain falls by 9 dB"
     for config, samples in ((HYBRID, None), (replace(HYBRID, samples=8), 64)):
-        same = ls.evaluate_materials(ball, folder, config=config, samples=samples, device="cpu")
+        same = ls.inverse.evaluate_materials(ball, folder, config=config, samples=samples, device="cpu")
         np.testing.assert_array_equal(relit(same), relit(default))

@@ -36,14 +36,14 @@ def folder(tmp_path: Path, ball: ls.Gaussians) -> Path:
     return write_relightable_set(tmp_path / "set", ball)
 
 
-def evaluate(ball: ls.Gaussians, folder: Path, environment: np.ndarray | None = None) -> ls.MaterialEvaluation:
+def evaluate(ball: ls.Gaussians, folder: Path, environment: np.ndarray | None = None) -> ls.inverse.MaterialEvaluation:
     """On the CPU."""
-    return ls.evaluate_materials(ball, folder, environment=environment, config=CONFIG, device="cpu")
+    return ls.inverse.evaluate_materials(ball, folder, environment=environment, config=CONFIG, device="cpu")
 
 
 def region(folder: Path, view: str) -> np.ndarray:
     """Where the ball is."""
-    photographs = {photograph.name: photograph for photograph in ls.load_photographs(folder).held_out}
+    photographs = {photograph.name: photograph for photograph in ls.io.load_photographs(folder).held_out}
     alpha = photographs[view].alpha()
     assert alpha is not None
     return alpha >= 0.5
@@ -71,7 +71,7 @@ def test_the_truth_is_found_without_error(folder, ball):
 def test_samples_do_not_blur_what_is_compared(folder, ball):
     """They average light, and go through the centres of pixels, as Gaussians were learnt."""
     spread = replace(CONFIG, jitter=True)
-    result = ls.evaluate_materials(ball, folder, config=spread, device="cpu")
+    result = ls.inverse.evaluate_materials(ball, folder, config=spread, device="cpu")
     assert result.relit["dusk"].psnr > 55.0
 
 
@@ -81,7 +81,7 @@ def test_rays_as_wide_as_pixels_go_through_their_centres(folder, ball):
     assert spread.jitter
     for capture, is_spread in ((ball, False), (replace(ball, antialiased=True), True)):
         by_default, central = (
-            ls.evaluate_materials(capture, folder, config=config, device="cpu").relit["dusk"]
+            ls.inverse.evaluate_materials(capture, folder, config=config, device="cpu").relit["dusk"]
             for config in (spread, replace(spread, jitter=False))
         )
         assert (by_default != central) == is_spread
@@ -200,7 +200,7 @@ def test_what_a_set_lacks_is_said(folder, ball):
 def test_progress_is_told(folder, ball):
     """From 0 to 1, for layers and for relit pictures."""
     told: list[tuple[str, float]] = []
-    ls.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: told.append(now))
+    ls.inverse.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: told.append(now))
     assert told[0] == ("comparing layers", 0.0) and told[-1] == ("relighting", 1.0)
     assert [done for label, done in told if label == "relighting"] == sorted(
         done for label, done in told if label == "relighting"
@@ -256,7 +256,7 @@ def test_other_folders_are_refused(tmp_path, ball, folder):
     with pytest.raises(ls.FormatError, match="has neither truth/albedo"):
         evaluate(ball, folder)
     with pytest.raises(ls.SceneError, match="gaussians is str"):
-        ls.evaluate_materials("capture.ply", folder)  # pyright: ignore[reportArgumentType]
+        ls.inverse.evaluate_materials("capture.ply", folder)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="environment has negative values"):
         evaluate(ball, folder, -sky())
     with pytest.raises(ls.SceneError, match=r"environment has shape \(4, 4\)"):

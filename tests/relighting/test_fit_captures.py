@@ -36,11 +36,13 @@ def recolored(scene: ls.Scene, gains: np.ndarray) -> ls.Scene:
     (capture,) = scene.splats
     given = capture.gaussians
     if given.albedo is None:
-        return replace(scene, splats=(replace(capture, gaussians=ls.scale_light(given, [gains] * given.count)),))
+        return replace(
+            scene, splats=(replace(capture, gaussians=ls.editing.scale_light(given, [gains] * given.count)),)
+        )
     return replace(scene, splats=(replace(capture, gaussians=replace(given, albedo=given.albedo * gains)),))
 
 
-def fitted(scene: ls.Scene, photograph: np.ndarray, **options) -> ls.LightFit:
+def fitted(scene: ls.Scene, photograph: np.ndarray, **options) -> ls.inverse.LightFit:
     """A fit in light that does not bounce."""
     options = {"config": HYBRID, "environment_degree": None, "device": "cpu"} | options
     return ls.fit_lights(scene, SMALL, photograph, **options)

@@ -29,7 +29,7 @@ from support.scenes.light_scenes import matte
 VIEW, OTHER = view(64, 48), other_view(64, 48)
 
 
-def fitted(scene: ls.Scene, photographs, cameras=None, **options) -> ls.LightFit:
+def fitted(scene: ls.Scene, photographs, cameras=None, **options) -> ls.inverse.LightFit:
     """A fit in light that does not bounce, at the photographs' own size."""
     options = {"config": DIRECT, "environment_degree": None, "device": "cpu"} | options
     return ls.fit_lights(scene, cameras or VIEW, photographs, **options)
@@ -234,7 +234,7 @@ def test_a_sky_and_a_lamp():
     check_sky(found, truth)
 
 
-def check_sky(found: ls.LightFit, truth: EnvironmentProbe) -> None:
+def check_sky(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> None:
     """The floor and the end of the room have the light that they had, to 5 % of the mean; the sides, to 10 %.
 
     They are red and green, and show little of the other channels.

@@ -33,7 +33,7 @@ SMALL = view(64, 48)
 SOFT = ls.RenderConfig(shadows=ls.Shadows.SOFT, samples=16)
 
 
-def fitted(scene: ls.Scene, cameras, photographs, **options) -> ls.LightFit:
+def fitted(scene: ls.Scene, cameras, photographs, **options) -> ls.inverse.LightFit:
     """A fit in light that does not bounce, without an environment."""
     return ls.fit_lights(
         scene, cameras, photographs, **({"config": DIRECT, "environment_degree": None, "device": "cpu"} | options)

@@ -24,7 +24,7 @@ SUN: Point = (0.5, 0.7, 0.4)
 
 def test_lamps_of_a_lit_room_are_found_and_flowers_are_not() -> None:
     """Two lamps among white balls and a sheet of paper: both, and nothing else, whatever number is asked for."""
-    found = ls.estimate_lights(room(LAMPS), CENTER, 4)
+    found = ls.inverse.estimate_lights(room(LAMPS), CENTER, 4)
     places = np.array([light.position for light in found.lights])
     assert len(places) == 2
     gaps = np.linalg.norm(places[:, None] - np.array(LAMPS), axis=-1)
@@ -36,14 +36,14 @@ def test_what_lights_nothing_is_no_lamp() -> None:
     """Flowers in even light are bright and small: an error says what to do; by their looks alone they are taken."""
     capture = meadow(None, ambient=1.0)
     with pytest.raises(ls.SceneError, match=r"no lamp found within .* none lights what is around it; give a sun"):
-        ls.estimate_lights(capture, CENTER, 3)
-    by_looks = ls.estimate_lights(capture, CENTER, 3, config=ls.LightEstimationConfig(evidence=0.0))
+        ls.inverse.estimate_lights(capture, CENTER, 3)
+    by_looks = ls.inverse.estimate_lights(capture, CENTER, 3, config=ls.config.LightEstimationConfig(evidence=0.0))
     assert len(by_looks.lights) and (by_looks.evidence == 0.0).all()
 
 
 def test_a_lamp_over_a_dark_ground_is_found() -> None:
     """Outdoors at night, too, where the ground is known and flowers on it are doubted."""
-    found = ls.estimate_lights(meadow(None, ((1.2, 2.2, 0.6),)), CENTER, 3)
+    found = ls.inverse.estimate_lights(meadow(None, ((1.2, 2.2, 0.6),)), CENTER, 3)
     assert np.linalg.norm(np.subtract(found.lights[0].position, (1.2, 2.2, 0.6))) < 0.1
     assert len(found.lights) == 1
 
@@ -52,30 +52,30 @@ def test_a_lamp_over_a_dark_ground_is_found() -> None:
 def test_the_sun_is_found_within_ten_degrees(sun: Point) -> None:
     """From where surfaces that face it are brighter; no flower in its light is a lamp."""
     capture = meadow(sun)
-    found = ls.estimate_sun(capture, CENTER)
+    found = ls.inverse.estimate_sun(capture, CENTER)
     assert found is not None
     cosine = -np.dot(found.light.direction, sun) / np.linalg.norm(sun)
     assert math.degrees(math.acos(min(float(cosine), 1.0))) < 10.0
     assert 0.2 < found.confidence <= 1.0 and found.significance > 6.0
     with pytest.raises(ls.SceneError, match="no lamp found"):
-        ls.estimate_lights(capture, CENTER, 3)
+        ls.inverse.estimate_lights(capture, CENTER, 3)
 
 
 def test_without_a_sun_there_is_none() -> None:
     """An even light, a room of lamps, a handful of Gaussians: None rather than a guess."""
-    assert ls.estimate_sun(meadow(None, ambient=1.0), CENTER) is None
-    assert ls.estimate_sun(room(LAMPS), CENTER) is None
+    assert ls.inverse.estimate_sun(meadow(None, ambient=1.0), CENTER) is None
+    assert ls.inverse.estimate_sun(room(LAMPS), CENTER) is None
     few = room(LAMPS)
-    assert ls.estimate_sun(few.subset(np.arange(50))) is None
+    assert ls.inverse.estimate_sun(few.subset(np.arange(50))) is None
     with pytest.raises(ls.SceneError, match="the scene has none"):
-        ls.estimate_sun(ls.Scene())
+        ls.inverse.estimate_sun(ls.Scene())
 
 
 @pytest.mark.deep
 def test_an_overcast_sky_is_no_sun() -> None:
     """Its top is brightest, and things stand in its soft shadows: not even so."""
     capture = lit_capture("overcast", 7)
-    assert ls.estimate_sun(capture.scene, capture.center) is None
+    assert ls.inverse.estimate_sun(capture.scene, capture.center) is None
 
 
 def test_a_captured_thing_holds_no_light(data_dir: Path) -> None:
@@ -83,15 +83,15 @@ def test_a_captured_thing_holds_no_light(data_dir: Path) -> None:
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     beside = (-0.9, -1.3, 0.85)
     with pytest.raises(ls.SceneError, match=r"no lamp found within .*; give a sun"):
-        ls.estimate_lights(biker, beside)
-    assert ls.estimate_sun(biker, beside) is None
+        ls.inverse.estimate_lights(biker, beside)
+    assert ls.inverse.estimate_sun(biker, beside) is None
 
 
 @pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.deep)])
 def test_no_sun_shines_from_below(seed: int) -> None:
     """Without a place the middle of a capture is looked from, on its ground or in it: up is known all the same."""
     capture = lit_capture("sunny", seed)
-    found = ls.estimate_sun(capture.scene)
+    found = ls.inverse.estimate_sun(capture.scene)
     assert capture.sun is not None
     assert found is None or -np.dot(found.light.direction, capture.sun) > math.cos(math.radians(10.0))
     assert found is not None or seed == 4
@@ -102,10 +102,10 @@ def test_a_long_search_shows_its_progress(monkeypatch: pytest.MonkeyPatch) -> No
     """From when it takes too long to its end, always forwards; a short one shows nothing."""
     reports: list[tuple[str, float]] = []
     monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 1e9)
-    ls.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
+    ls.inverse.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
     assert not reports
     monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 0.0)
-    ls.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
+    ls.inverse.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
     fractions = [fraction for _, fraction in reports]
     assert fractions == sorted(fractions) and len(reports) > 100
     assert reports[-1] == ("looking for the sun", 1.0)

@@ -26,7 +26,7 @@ COLORS = ((1.0, 0.9, 0.7), (0.5, 0.7, 0.8), (0.6, 0.2, 0.1))
 """By falling luminance."""
 
 
-looks = partial(ls.LightEstimationConfig, evidence=0.0)
+looks = partial(ls.config.LightEstimationConfig, evidence=0.0)
 
 
 def three_lamps() -> ls.Gaussians:
@@ -41,7 +41,7 @@ def assert_at(light: ls.LightPoint, place: tuple[float, float, float], radius: f
 
 def test_planted_emitters_are_found_in_order() -> None:
     """Three lamps, the brightest first, at their places and of their linear colours."""
-    found = ls.estimate_lights(three_lamps(), CENTER, 3, config=looks())
+    found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     for light, place, color in zip(found.lights, PLACES, COLORS, strict=True):
         assert_at(light, place)
         np.testing.assert_allclose(light.color, np.array(color) / max(color), atol=2e-3)
@@ -52,17 +52,17 @@ def test_planted_emitters_are_found_in_order() -> None:
 def test_what_was_found_is_said() -> None:
     """Instance and index lead to the Gaussian at the light's position."""
     room = three_lamps()
-    found = ls.estimate_lights(ls.Scene(splats=[walls(seed=9), room]), CENTER, 2, config=looks())
+    found = ls.inverse.estimate_lights(ls.Scene(splats=[walls(seed=9), room]), CENTER, 2, config=looks())
     assert found.instances.tolist() == [1, 1]
     np.testing.assert_allclose([light.position for light in found.lights], room.means[found.indices], atol=1e-6)
 
 
 def test_irradiance_at_the_character_is_the_one_asked_for() -> None:
     """Together the lights give pi, each in proportion to its score's candela over its squared distance."""
-    found = ls.estimate_lights(three_lamps(), CENTER, 3, config=looks())
+    found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     arriving = sum(light.intensity / np.sum(np.subtract(light.position, CENTER) ** 2) for light in found.lights)
     assert arriving == pytest.approx(np.pi)
-    dim = ls.estimate_lights(three_lamps(), CENTER, 3, config=looks(irradiance=0.5))
+    dim = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks(irradiance=0.5))
     ratios = [a.intensity / b.intensity for a, b in zip(found.lights, dim.lights, strict=True)]
     np.testing.assert_allclose(ratios, 2.0 * np.pi)
     assert facing_irradiance(dim.lights[0], CENTER[None]).max() < 0.5
@@ -71,7 +71,7 @@ def test_irradiance_at_the_character_is_the_one_asked_for() -> None:
 def test_a_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None:
     """As bright as the lamp, it is left out: fewer lights come, and a line says so."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
-        found = ls.estimate_lights(
+        found = ls.inverse.estimate_lights(
             room_with(bright_wall(), lamp(PLACES[1], (0.9, 0.9, 0.9))), CENTER, 3, config=looks()
         )
     assert len(found.lights) == 1
@@ -83,11 +83,13 @@ def test_broad_emitters_count_where_they_are_wanted() -> None:
     """Alone, the wall is refused, with what helps; at compactness 0 it is a light, after any lamp."""
     room = room_with(bright_wall())
     with pytest.raises(ls.SceneError, match=r"nothing bright stands out.*lower compactness"):
-        ls.estimate_lights(room, CENTER, 2, config=looks())
+        ls.inverse.estimate_lights(room, CENTER, 2, config=looks())
     broad = looks(compactness=0.0, weakest=0.0)
-    (light,) = ls.estimate_lights(room, CENTER, 1, config=broad).lights
+    (light,) = ls.inverse.estimate_lights(room, CENTER, 1, config=broad).lights
     assert light.position[2] == pytest.approx(0.01)
-    both = ls.estimate_lights(room_with(bright_wall(), lamp(PLACES[1], (0.7, 0.7, 0.7))), CENTER, 2, config=broad)
+    both = ls.inverse.estimate_lights(
+        room_with(bright_wall(), lamp(PLACES[1], (0.7, 0.7, 0.7))), CENTER, 2, config=broad
+    )
     assert_at(both.lights[0], PLACES[1])
 
 
@@ -96,7 +98,7 @@ def test_a_stable_lamp_is_preferred_to_a_sparkle() -> None:
     place = np.array(PLACES[0])
     glint = sparkle(PLACES[0], place - CENTER)
     room = room_with(glint, lamp(PLACES[1], (0.6, 0.6, 0.6)))
-    found = ls.estimate_lights(room, CENTER, 2, config=looks(weakest=0.0))
+    found = ls.inverse.estimate_lights(room, CENTER, 2, config=looks(weakest=0.0))
     assert_at(found.lights[0], PLACES[1])
     assert_at(found.lights[1], PLACES[0])
     # Seen from the character, the sparkle is the brighter of the two.
@@ -114,7 +116,7 @@ def test_steadiness_counts() -> None:
     steady_sh[:, 3], unsteady_sh[:, 2] = 0.2, 0.2
     room = room_with(replace(unsteady, sh=unsteady_sh), replace(steady, sh=steady_sh))
     wide = looks(viewpoint_distance=0.6, emitter_size=0.25)
-    found = ls.estimate_lights(room, CENTER, 2, config=wide)
+    found = ls.inverse.estimate_lights(room, CENTER, 2, config=wide)
     assert_at(found.lights[0], tuple(places[0]))
 
 
@@ -134,7 +136,7 @@ def test_size_does_not_count() -> None:
     """Gaussians ten times larger score no more."""
     room = three_lamps()
     large = replace(room, scales=room.scales * np.where(np.arange(room.count) % 2, 10.0, 1.0)[:, None])
-    one, other = (ls.estimate_lights(each, CENTER, 3, config=looks()) for each in (room, large))
+    one, other = (ls.inverse.estimate_lights(each, CENTER, 3, config=looks()) for each in (room, large))
     np.testing.assert_array_equal(one.indices, other.indices)
     np.testing.assert_array_equal(one.scores, other.scores)
 
@@ -148,8 +150,8 @@ def test_instances_are_searched_where_they_stand() -> None:
     placed = ls.SplatInstance(three_lamps(), pose)
     center = pose[:3, :3] @ CENTER + pose[:3, 3]
     here, there = (
-        ls.estimate_lights(three_lamps(), CENTER, 3, config=looks()),
-        ls.estimate_lights(placed, center, 3, config=looks()),
+        ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks()),
+        ls.inverse.estimate_lights(placed, center, 3, config=looks()),
     )
     for a, b in zip(here.lights, there.lights, strict=True):
         expected = pose[:3, :3] @ np.array(a.position) + pose[:3, 3]
@@ -159,7 +161,7 @@ def test_instances_are_searched_where_they_stand() -> None:
 
 def test_the_search_is_deterministic() -> None:
     """Twice the same, to the bit."""
-    one, other = (ls.estimate_lights(three_lamps(), CENTER, 3, config=looks()) for _ in range(2))
+    one, other = (ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks()) for _ in range(2))
     np.testing.assert_array_equal(one.scores, other.scores)
     assert [light.position for light in one.lights] == [light.position for light in other.lights]
 
@@ -168,16 +170,16 @@ def test_radius_and_separation_bound_the_search() -> None:
     """Nothing beyond the radius is found, and nothing nearer to a light than the separation."""
     near = looks(radius=2.1, emitter_size=0.25)
     distances = [np.linalg.norm(np.subtract(place, CENTER)) for place in PLACES]
-    found = ls.estimate_lights(three_lamps(), CENTER, 3, config=near)
+    found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=near)
     assert len(found.lights) == sum(distance < 2.1 for distance in distances) < 3
     apart = looks(separation=100.0)
-    assert len(ls.estimate_lights(three_lamps(), CENTER, 3, config=apart).lights) == 1
+    assert len(ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=apart).lights) == 1
 
 
 def test_an_outlier_does_not_drown_the_lamps() -> None:
     """One Gaussian, a hundred times brighter than white, counts as a light, and the lamps still do."""
     stray = captured(np.array([[2.0, 0.5, 0.5]]), np.full(3, 100.0))
-    found = ls.estimate_lights(
+    found = ls.inverse.estimate_lights(
         room_with(stray, *(lamp(p, c) for p, c in zip(PLACES, COLORS, strict=True))), CENTER, 4, config=looks()
     )
     assert len(found.lights) == 4
@@ -203,17 +205,17 @@ def test_an_outlier_does_not_drown_the_lamps() -> None:
 def test_bad_searches_are_told(change: dict[str, Any], said: str) -> None:
     """No region, no Gaussians, no light."""
     with pytest.raises(ls.SceneError, match=said):
-        ls.estimate_lights(**{"scene": walls(100), "center": CENTER} | change)
+        ls.inverse.estimate_lights(**{"scene": walls(100), "center": CENTER} | change)
 
 
 def test_bad_settings_are_told() -> None:
     """None stands for the defaults, nothing else does."""
     with pytest.raises(ls.ConfigError, match="config is 0, expected a LightEstimationConfig"):
-        ls.estimate_lights(walls(100), CENTER, config=0)  # pyright: ignore[reportArgumentType]
+        ls.inverse.estimate_lights(walls(100), CENTER, config=0)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("count", [0, True, 2.0])
 def test_bad_counts_are_told(count: Any) -> None:
     """How many lights has to be a number of lights."""
     with pytest.raises(ls.ConfigError, match="expected a whole number"):
-        ls.estimate_lights(walls(100), CENTER, count, config=looks())
+        ls.inverse.estimate_lights(walls(100), CENTER, count, config=looks())

@@ -27,11 +27,11 @@ def compass(center: np.ndarray, distance: float = 3.0) -> ls.Gaussians:
     return ls.Gaussians(means, [[1, 0, 0, 0]] * 6, np.full((6, 3), 0.5), np.ones(6), flat_sh(COLORS))
 
 
-def smooth_probe(seed: int = 0, degree: int = 2) -> ls.EnvironmentProbe:
+def smooth_probe(seed: int = 0, degree: int = 2) -> ls.avatars.EnvironmentProbe:
     """Uneven light that is nowhere below 0."""
     coefficients = 0.15 * np.random.default_rng(seed).normal(size=((degree + 1) ** 2, 3))
     coefficients[0] = [3.0, 2.5, 2.0]
-    return ls.EnvironmentProbe(coefficients)
+    return ls.avatars.EnvironmentProbe(coefficients)
 
 
 @pytest.mark.parametrize("face_px", [1, 2, 7, 64])
@@ -54,7 +54,7 @@ def test_a_single_harmonic_is_found(index: int) -> None:
     """Radiance that is one of the functions has its coefficient, and no other, also by rough quadrature."""
     directions, degree = unit(1, 3000), 3 if index < 16 else 8
     radiance = sh_basis(directions, degree)[:, index, None] * [1.0, 2.0, -3.0]
-    probe = ls.EnvironmentProbe.fit(directions, radiance, degree=degree)
+    probe = ls.avatars.EnvironmentProbe.fit(directions, radiance, degree=degree)
     expected = np.zeros(((degree + 1) ** 2, 3))
     expected[index] = [1.0, 2.0, -3.0]
     np.testing.assert_allclose(probe.coefficients, expected, atol=2e-6)
@@ -63,7 +63,9 @@ def test_a_single_harmonic_is_found(index: int) -> None:
 
 def test_constant_light_is_found() -> None:
     """Radiance 1 everywhere is ``sqrt(4 pi)`` in the first coefficient; irradiance is pi."""
-    probe = ls.EnvironmentProbe.fit(unit(2, 500), np.ones((500, 3)), np.random.default_rng(2).uniform(0.1, 1.0, 500))
+    probe = ls.avatars.EnvironmentProbe.fit(
+        unit(2, 500), np.ones((500, 3)), np.random.default_rng(2).uniform(0.1, 1.0, 500)
+    )
     expected = np.zeros((16, 3))
     expected[0] = np.sqrt(4.0 * np.pi)
     np.testing.assert_allclose(probe.coefficients, expected, atol=1e-8)
@@ -79,7 +81,7 @@ def test_a_ridge_means_the_same_whatever_the_samples(count: int, unit_of_weights
     even = np.stack([sine * np.cos(phi), sine * np.sin(phi), z], axis=1)
     radiance = sh_basis(even, 2) @ smooth_probe().coefficients
     weights = np.full(count, unit_of_weights)
-    free, shrunk = (ls.EnvironmentProbe.fit(even, radiance, weights, 2, ridge) for ridge in (0.0, 0.25))
+    free, shrunk = (ls.avatars.EnvironmentProbe.fit(even, radiance, weights, 2, ridge) for ridge in (0.0, 0.25))
     np.testing.assert_allclose(shrunk.coefficients, free.coefficients / 1.25, atol=5e-3)
     assert np.abs(free.coefficients).max() > 2.0
 
@@ -88,14 +90,16 @@ def test_weights_count_as_so_many_samples() -> None:
     """A sample of weight 3 is three samples of weight 1."""
     directions, radiance = unit(4, 60), np.random.default_rng(4).uniform(size=(60, 3))
     weights = np.random.default_rng(5).integers(1, 4, 60)
-    weighted = ls.EnvironmentProbe.fit(directions, radiance, weights, 2)
-    repeated = ls.EnvironmentProbe.fit(np.repeat(directions, weights, 0), np.repeat(radiance, weights, 0), degree=2)
+    weighted = ls.avatars.EnvironmentProbe.fit(directions, radiance, weights, 2)
+    repeated = ls.avatars.EnvironmentProbe.fit(
+        np.repeat(directions, weights, 0), np.repeat(radiance, weights, 0), degree=2
+    )
     np.testing.assert_allclose(weighted.coefficients, repeated.coefficients, atol=1e-6)
 
 
 def test_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
     """By quadrature over the sphere, for light of degree 8 that holds every band."""
-    probe = ls.EnvironmentProbe(np.random.default_rng(6).normal(size=(81, 3)))
+    probe = ls.avatars.EnvironmentProbe(np.random.default_rng(6).normal(size=(81, 3)))
     directions, weights = sphere_quadrature(400)
     normals = unit(7, 12)
     cosine = np.maximum(normals @ directions.T, 0.0)
@@ -109,7 +113,7 @@ def test_colours_come_from_where_they_are(pipeline: ls.Pipeline) -> None:
     place = np.array([0.3, -1.2, 5.0])
     config = ls.RenderConfig(pipeline=pipeline)
     scene = ls.Scene([compass(place)])
-    probe = ls.EnvironmentProbe.capture(scene, place, 8, face_px=32, config=config, device="cpu")
+    probe = ls.avatars.EnvironmentProbe.capture(scene, place, 8, face_px=32, config=config, device="cpu")
     seen = probe.radiance(AXES)
     np.testing.assert_array_equal(seen > 0.5 * seen.max(), COLORS > 0.0)
     falls = probe.irradiance(AXES)
@@ -133,7 +137,7 @@ def test_meshes_are_seen_in_their_colours() -> None:
 
     ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
     material = ls.MaterialPbr(base_color=(0.5, 0.25, 0.125))
-    probe = ls.EnvironmentProbe.capture(
+    probe = ls.avatars.EnvironmentProbe.capture(
         ls.Scene([], [ls.Mesh(ball.vertices, ball.faces[:, ::-1], material=material)]), (0, 0, 0), device="cpu"
     )
     np.testing.assert_allclose(probe.radiance(AXES), np.broadcast_to([0.5, 0.25, 0.125], (6, 3)), atol=2e-3)
@@ -142,9 +146,11 @@ def test_meshes_are_seen_in_their_colours() -> None:
 def test_what_nothing_covers_is_the_background() -> None:
     """Decoded as captures are; transparent is black, and said so. White gives radiance 1."""
     scene, background = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)]), (1.0, 0.5, 0.0)
-    probe = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=ls.RenderConfig(background=background), device="cpu")
+    probe = ls.avatars.EnvironmentProbe.capture(
+        scene, (0, 0, 0), config=ls.RenderConfig(background=background), device="cpu"
+    )
     np.testing.assert_allclose(probe.radiance(AXES), [decode_srgb(np.array(background))] * 6, atol=1e-6)
-    clear = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=ls.RenderConfig(background=None), device="cpu")
+    clear = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), config=ls.RenderConfig(background=None), device="cpu")
     np.testing.assert_array_equal(clear.coefficients, 0.0)
 
 
@@ -162,7 +168,7 @@ def test_lit_scenes_are_linear_already() -> None:
     light = ls.LightEnvironment(color=(1.0, 0.5, 0.25), intensity=5.0)
     scene = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)], lights=[light])
     config = ls.RenderConfig(pipeline=ls.Pipeline.RASTER)
-    probe = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=config, device="cpu", face_px=8)
+    probe = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), config=config, device="cpu", face_px=8)
     np.testing.assert_allclose(probe.radiance(AXES), [[5.0, 2.5, 1.25]] * 6, rtol=1e-5)
 
 
@@ -172,7 +178,7 @@ def test_what_is_near_can_be_left_out() -> None:
     room = compass(np.zeros(3), 4.0)
     both, alone = ls.Scene([body, room]), ls.Scene([room])
     hidden, seen, expected = (
-        ls.EnvironmentProbe.capture(scene, (0, 0, 0), near=near, device="cpu").coefficients
+        ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), near=near, device="cpu").coefficients
         for scene, near in ((both, 0.01), (both, 0.5), (alone, 0.5))
     )
     np.testing.assert_array_equal(seen, expected)
@@ -183,11 +189,11 @@ def test_a_renderer_can_be_shared() -> None:
     """The probe is that of a renderer of its own, and the size of faces hardly matters."""
     scene = ls.Scene([random_gaussians(9, 200, 2, (0.0, 0.0, 0.0))])
     renderer = ls.create_renderer(ls.RenderConfig(background=(0.2, 0.3, 0.4)), "cpu")
-    own = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=renderer.config, device="cpu")
+    own = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), config=renderer.config, device="cpu")
     for _ in range(2):
-        shared = ls.EnvironmentProbe.capture(scene, (0, 0, 0), renderer=renderer)
+        shared = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), renderer=renderer)
         np.testing.assert_array_equal(shared.coefficients, own.coefficients)
-    finer = ls.EnvironmentProbe.capture(scene, (0, 0, 0), renderer=renderer, face_px=128)
+    finer = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), renderer=renderer, face_px=128)
     np.testing.assert_allclose(finer.coefficients, own.coefficients, atol=0.02)
 
 
@@ -209,12 +215,12 @@ def test_an_image_shows_what_the_probe_has() -> None:
 def test_ringing_is_cut_in_images() -> None:
     """Harmonics of strong contrast go below 0; an image does not, and is as much light: 20 % more without care."""
     directions = unit(10, 5000)
-    probe = ls.EnvironmentProbe.fit(directions, np.where(directions[:, :1] > 0.95, 10.0, 0.0) * np.ones(3))
+    probe = ls.avatars.EnvironmentProbe.fit(directions, np.where(directions[:, :1] > 0.95, 10.0, 0.0) * np.ones(3))
     assert probe.radiance(directions).min() < -0.01
     assert probe.image(64).min() == 0.0
-    again = ls.EnvironmentProbe.from_light(probe.light())
+    again = ls.avatars.EnvironmentProbe.from_light(probe.light())
     np.testing.assert_allclose(again.coefficients[0], probe.coefficients[0], rtol=1e-3)
-    black = ls.EnvironmentProbe(-np.ones((1, 3)))
+    black = ls.avatars.EnvironmentProbe(-np.ones((1, 3)))
     np.testing.assert_array_equal(black.image(4), 0.0)
 
 
@@ -224,7 +230,7 @@ def test_sixteen_numbers_hold_what_falls_on_matt_surfaces() -> None:
     sky = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
     normals = unit(14, 300)
     exact = (np.maximum(normals @ directions.T, 0.0) * weights) @ sky
-    found = ls.EnvironmentProbe.fit(directions, sky, weights).irradiance(normals)
+    found = ls.avatars.EnvironmentProbe.fit(directions, sky, weights).irradiance(normals)
     assert np.abs(found - exact).max() < 0.06 * exact.max()
 
 
@@ -232,7 +238,7 @@ def test_sixteen_numbers_hold_what_falls_on_matt_surfaces() -> None:
 def test_a_probe_and_its_environment_are_the_same_light(wxyz: tuple[float, ...]) -> None:
     """The harmonics of the environment that it makes are its own, whichever way the image stands."""
     probe = smooth_probe(degree=3)
-    again = ls.EnvironmentProbe.from_light(probe.light(128, wxyz), 3)
+    again = ls.avatars.EnvironmentProbe.from_light(probe.light(128, wxyz), 3)
     np.testing.assert_allclose(again.coefficients, probe.coefficients, atol=2e-3)
 
 
@@ -240,10 +246,10 @@ def test_an_environment_of_few_pixels() -> None:
     """It is smooth between them, as renderers see it; its colour and intensity count."""
     image = np.zeros((2, 4, 3), np.float32)
     image[0] = 1.0
-    probe = ls.EnvironmentProbe.from_light(ls.LightEnvironment(image, (1.0, 0.5, 0.0), 2.0), 8)
+    probe = ls.avatars.EnvironmentProbe.from_light(ls.LightEnvironment(image, (1.0, 0.5, 0.0), 2.0), 8)
     np.testing.assert_allclose(probe.radiance([[0, 1, 0], [0, -1, 0]]), [[2.0, 1.0, 0.0], [0.0, 0.0, 0.0]], atol=0.1)
     np.testing.assert_allclose(probe.radiance([1.0, 0.0, 0.0]), [1.0, 0.5, 0.0], atol=0.02)
-    plain = ls.EnvironmentProbe.from_light(ls.LightEnvironment(color=(0.5, 1.0, 0.0)))
+    plain = ls.avatars.EnvironmentProbe.from_light(ls.LightEnvironment(color=(0.5, 1.0, 0.0)))
     np.testing.assert_allclose(plain.radiance(AXES), [[0.5, 1.0, 0.0]] * 6, atol=1e-6)
 
 
@@ -267,9 +273,9 @@ def test_saved_probes_are_the_same_light(tmp_path) -> None:
     """The EXR is linear radiance, read back to the bit, and light again."""
     probe = smooth_probe()
     probe.save(tmp_path / "deep" / "probe.exr", 48, (0, 1, 0, 0))
-    image = ls.load_radiance(tmp_path / "deep" / "probe.exr")
+    image = ls.io.load_radiance(tmp_path / "deep" / "probe.exr")
     np.testing.assert_array_equal(image, probe.image(48, (0, 1, 0, 0)))
-    again = ls.EnvironmentProbe.from_light(ls.LightEnvironment(image, rotation_wxyz=(0, 1, 0, 0)), 2)
+    again = ls.avatars.EnvironmentProbe.from_light(ls.LightEnvironment(image, rotation_wxyz=(0, 1, 0, 0)), 2)
     np.testing.assert_allclose(again.coefficients, probe.coefficients, atol=1e-2)
     with pytest.raises(ls.FormatError, match=r"expected \.exr"):
         probe.save(tmp_path / "probe.png")
@@ -293,18 +299,18 @@ def test_pixels_that_are_not_finite_are_left_out(caplog) -> None:
 
     scene = ls.Scene([one_gaussian((0.0, 0.0, 3.0), 0.1, 0.5, (1.0, 1.0, 1.0))])
     with caplog.at_level(logging.WARNING):
-        probe = ls.EnvironmentProbe.capture(scene, (0, 0, 0), face_px=8, renderer=cast(Any, Broken(slice(2))))
+        probe = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), face_px=8, renderer=cast(Any, Broken(slice(2))))
     assert "96 pixels of a probe's faces are not finite" in caplog.text
     np.testing.assert_allclose(probe.radiance(AXES), 1.0, atol=1e-5)
     with pytest.raises(ls.SceneError, match="no pixel that is finite"):
-        ls.EnvironmentProbe.capture(scene, (0, 0, 0), face_px=8, renderer=cast(Any, Broken(slice(None))))
+        ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), face_px=8, renderer=cast(Any, Broken(slice(None))))
 
 
 def test_a_place_that_sees_nothing_is_told(caplog) -> None:
     """The probe is then of the background alone."""
     behind = ls.Scene([one_gaussian((0.0, 0.0, 1.0), 0.01, 1e-3)])
     with caplog.at_level(logging.WARNING):
-        ls.EnvironmentProbe.capture(behind, (0, 0, 1e4), face_px=8, device="cpu")
+        ls.avatars.EnvironmentProbe.capture(behind, (0, 0, 1e4), face_px=8, device="cpu")
     assert "sees nothing of the scene" in caplog.text
 
 
@@ -314,22 +320,26 @@ SCENE, LAMP = ls.Scene([one_gaussian()]), ls.LightPoint((0, 0, 0))
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0)), ls.SceneError, "expected three numbers"),
-        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, np.nan, 0)), ls.SceneError, "non-finite"),
-        (lambda: ls.EnvironmentProbe.capture(cast(Any, "room"), (0, 0, 0)), ls.SceneError, "expected a Scene"),
-        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), 9), ls.ConfigError, "degree is 9"),
-        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), face_px=0), ls.ConfigError, "face_px is 0"),
-        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), near=-1.0), ls.ConfigError, "near is -1.0"),
-        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), ridge=np.nan), ls.ConfigError, "ridge is nan"),
-        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.ones((2, 3))), ls.SceneError, "radiance has shape"),
-        (lambda: ls.EnvironmentProbe.fit(np.zeros((3, 3)), np.ones((3, 3))), ls.SceneError, "zero length"),
-        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.full((3, 3), np.inf)), ls.SceneError, "9 non-finite"),
-        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.eye(3), [1, -1, 1]), ls.SceneError, "1 of 3 are negative"),
-        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.eye(3), [0, 0, 0]), ls.SceneError, "weights are all 0"),
-        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.eye(3), ridge=0.0), ls.SceneError, "only 3 of the 16"),
-        (lambda: ls.EnvironmentProbe.from_light(cast(Any, LAMP)), ls.SceneError, "got a LightPoint"),
-        (lambda: ls.EnvironmentProbe(np.zeros((5, 3))), ls.SceneError, "expected (K, 3) with K one of 1, 4, 9"),
-        (lambda: ls.EnvironmentProbe(np.full((4, 3), np.nan)), ls.SceneError, "12 non-finite"),
+        (lambda: ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0)), ls.SceneError, "expected three numbers"),
+        (lambda: ls.avatars.EnvironmentProbe.capture(SCENE, (0, np.nan, 0)), ls.SceneError, "non-finite"),
+        (lambda: ls.avatars.EnvironmentProbe.capture(cast(Any, "room"), (0, 0, 0)), ls.SceneError, "expected a Scene"),
+        (lambda: ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0, 0), 9), ls.ConfigError, "degree is 9"),
+        (lambda: ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0, 0), face_px=0), ls.ConfigError, "face_px is 0"),
+        (lambda: ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0, 0), near=-1.0), ls.ConfigError, "near is -1.0"),
+        (lambda: ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0, 0), ridge=np.nan), ls.ConfigError, "ridge is nan"),
+        (lambda: ls.avatars.EnvironmentProbe.fit(np.eye(3), np.ones((2, 3))), ls.SceneError, "radiance has shape"),
+        (lambda: ls.avatars.EnvironmentProbe.fit(np.zeros((3, 3)), np.ones((3, 3))), ls.SceneError, "zero length"),
+        (lambda: ls.avatars.EnvironmentProbe.fit(np.eye(3), np.full((3, 3), np.inf)), ls.SceneError, "9 non-finite"),
+        (
+            lambda: ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3), [1, -1, 1]),
+            ls.SceneError,
+            "1 of 3 are negative",
+        ),
+        (lambda: ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3), [0, 0, 0]), ls.SceneError, "weights are all 0"),
+        (lambda: ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3), ridge=0.0), ls.SceneError, "only 3 of the 16"),
+        (lambda: ls.avatars.EnvironmentProbe.from_light(cast(Any, LAMP)), ls.SceneError, "got a LightPoint"),
+        (lambda: ls.avatars.EnvironmentProbe(np.zeros((5, 3))), ls.SceneError, "expected (K, 3) with K one of 1, 4, 9"),
+        (lambda: ls.avatars.EnvironmentProbe(np.full((4, 3), np.nan)), ls.SceneError, "12 non-finite"),
         (lambda: smooth_probe().radiance([0.0, 0.0, 0.0]), ls.SceneError, "zero length"),
         (lambda: smooth_probe().irradiance([0.0, 1.0]), ls.SceneError, "expected (..., 3)"),
         (lambda: smooth_probe().image(0), ls.ConfigError, "height is 0"),
@@ -347,12 +357,12 @@ def test_a_renderer_and_settings_are_too_much() -> None:
     """One of the two decides how the scene is rendered."""
     renderer = ls.create_renderer(None, "cpu")
     with pytest.raises(ls.ConfigError, match="give one of the two"):
-        ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), config=ls.RenderConfig(), renderer=renderer)
+        ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0, 0), config=ls.RenderConfig(), renderer=renderer)
 
 
 def test_few_directions_have_a_solution() -> None:
     """With a ridge, the harmonics pass through the samples, however few they are."""
-    probe = ls.EnvironmentProbe.fit(np.eye(3), np.eye(3))
+    probe = ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3))
     np.testing.assert_allclose(probe.radiance(np.eye(3)), np.eye(3), atol=1e-5)
     assert np.abs(probe.coefficients).max() < 10.0
 
@@ -363,7 +373,7 @@ def test_turning_the_scene_turns_the_light() -> None:
     turn = rotation((1.0, 2.0, -0.5), 1.1)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
     before, after = (
-        ls.EnvironmentProbe.capture(
+        ls.avatars.EnvironmentProbe.capture(
             ls.Scene([ls.SplatInstance(scene, pose)]), (0, 0, 0), 2, config=config, device="cpu"
         )
         for pose in (np.eye(4), turn)

@@ -19,14 +19,14 @@ from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaus
 from support.scenes.sphere import unit
 
 
-def some_probe(seed: int = 0, degree: int = 3) -> ls.EnvironmentProbe:
+def some_probe(seed: int = 0, degree: int = 3) -> ls.avatars.EnvironmentProbe:
     """Coloured light of some contrast, now and then below 0."""
     coefficients = np.random.default_rng(seed).normal(size=((degree + 1) ** 2, 3))
     coefficients[0] += 3.0
-    return ls.EnvironmentProbe(coefficients)
+    return ls.avatars.EnvironmentProbe(coefficients)
 
 
-def scales_twin(probe: ls.EnvironmentProbe, normals: np.ndarray, config: ls.RelightConfig) -> np.ndarray:
+def scales_twin(probe: ls.avatars.EnvironmentProbe, normals: np.ndarray, config: ls.config.RelightConfig) -> np.ndarray:
     """Mir et al.'s equations 9 and 10 read aloud, in float64, a normal at a time."""
     theta = (np.arange(config.rows) + 0.5) * np.pi / config.rows
     phi = (np.arange(2 * config.rows) + 0.5) * np.pi / config.rows
@@ -53,7 +53,7 @@ def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
 )
 def test_scales_are_the_equations(settings: dict) -> None:
     """Against the twin, for more normals than are worked on at once, along the axes, too."""
-    config = ls.RelightConfig(**settings)
+    config = ls.config.RelightConfig(**settings)
     normals = np.concatenate([np.eye(3), -np.eye(3), unit(1, 2500)])
     twin = scales_twin(some_probe(), normals, config)
     np.testing.assert_allclose(light_scales(some_probe(), 7.0 * normals, config), twin, atol=1e-5)
@@ -62,10 +62,10 @@ def test_scales_are_the_equations(settings: dict) -> None:
 
 def test_the_matt_lobe_gathers_irradiance_over_pi() -> None:
     """With exponent 1 the scale is what white paper shows, to the grid's accuracy: 1 % at 16 rows, less at 64."""
-    probe, normals = ls.EnvironmentProbe(np.abs(some_probe().coefficients)), unit(2, 200)
+    probe, normals = ls.avatars.EnvironmentProbe(np.abs(some_probe().coefficients)), unit(2, 200)
     exact = np.clip(probe.irradiance(normals) / np.pi, 0.0, 1e3)
     for rows, most in ((16, 0.02), (64, 0.0015)):
-        scales = light_scales(probe, normals, ls.RelightConfig(rows=rows, scale_max=1e3))
+        scales = light_scales(probe, normals, ls.config.RelightConfig(rows=rows, scale_max=1e3))
         assert np.abs(scales - exact).max() < most * exact.max()
 
 
@@ -74,7 +74,7 @@ def test_16_rows_do(exponent: float) -> None:
     """The default grid is within 1 % of a fine one, whatever the lobe and wherever the normal lies on the grid."""
     probe, normals = some_probe(), unit(3, 400)
     rough, fine = (
-        light_scales(probe, normals, ls.RelightConfig(exponent=exponent, rows=rows, scale_max=1e3))
+        light_scales(probe, normals, ls.config.RelightConfig(exponent=exponent, rows=rows, scale_max=1e3))
         for rows in (16, 128)
     )
     assert np.abs(rough - fine).max() < 0.01 * fine.max()
@@ -86,7 +86,7 @@ def test_even_light_of_one_changes_nothing(settings: dict) -> None:
     gaussians = random_gaussians(4, 1500, 3)
     even = np.zeros((16, 3))
     even[0] = np.sqrt(4.0 * np.pi)
-    relit = ls.relight(gaussians, ls.EnvironmentProbe(even), ls.RelightConfig(**settings), unit(5, 1500))
+    relit = ls.relight(gaussians, ls.avatars.EnvironmentProbe(even), ls.config.RelightConfig(**settings), unit(5, 1500))
     assert relit is gaussians
 
 
@@ -95,7 +95,7 @@ def test_white_surroundings_change_nothing(pipeline: ls.Pipeline) -> None:
     """Rendered, fitted and gathered, display white is a factor of exactly 1."""
     config = ls.RenderConfig(pipeline=pipeline, background=(1.0, 1.0, 1.0))
     scene = ls.Scene([one_gaussian((0.0, 0.0, 2.0), color=(1.0, 1.0, 1.0), opacity=1e-3)])
-    probe = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=config, device="cpu")
+    probe = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), config=config, device="cpu")
     gaussians = random_gaussians(6, 300, 1)
     np.testing.assert_array_equal(ls.relight(gaussians, probe).sh, gaussians.sh)
 
@@ -106,15 +106,15 @@ def test_gamma_is_light() -> None:
     colors = display_colors(gaussians)
     seen = colors > 0.01
     for level, gamma in ((1.0, 0.5), (0.25, 1.0), (0.25, 4.0), (1.0, 0.0)):
-        probe = ls.EnvironmentProbe.fit(unit(8, 100), np.full((100, 3), level), degree=0)
-        relit = display_colors(ls.relight(gaussians, probe, ls.RelightConfig(gamma=gamma)))
+        probe = ls.avatars.EnvironmentProbe.fit(unit(8, 100), np.full((100, 3), level), degree=0)
+        relit = display_colors(ls.relight(gaussians, probe, ls.config.RelightConfig(gamma=gamma)))
         expected = encode_srgb(level * gamma * decode_srgb(colors.astype(np.float64)))
         np.testing.assert_allclose(relit[seen], expected[seen], atol=1e-5)
 
 
 def test_channels_are_lit_each_by_its_own() -> None:
     """Red light leaves red, and takes green and blue."""
-    probe = ls.EnvironmentProbe.fit(unit(9, 100), np.tile([[0.5, 0.0, 0.0]], (100, 1)), degree=0)
+    probe = ls.avatars.EnvironmentProbe.fit(unit(9, 100), np.tile([[0.5, 0.0, 0.0]], (100, 1)), degree=0)
     relit = display_colors(ls.relight(one_gaussian(color=(0.8, 0.8, 0.8)), probe))
     np.testing.assert_allclose(relit, [[encode_srgb(0.5 * decode_srgb(np.array(0.8))), 0.0, 0.0]], atol=1e-5)
 
@@ -123,9 +123,9 @@ def test_the_side_towards_the_light_is_the_brighter_one() -> None:
     """A ball under light from +x falls off from there; a glossier lobe falls off faster."""
     directions = unit(10, 20_000)
     sky = np.where(directions[:, :1] > 0.8, 5.0, 0.1) * np.ones(3)
-    probe = ls.EnvironmentProbe.fit(directions, sky)
+    probe = ls.avatars.EnvironmentProbe.fit(directions, sky)
     ball = replace(ls.gaussians_from_mesh(shapes.sphere(), 1500), normals=None)
-    relit = {q: display_colors(ls.relight(ball, probe, ls.RelightConfig(exponent=q)))[:, 0] for q in (1.0, 8.0)}
+    relit = {q: display_colors(ls.relight(ball, probe, ls.config.RelightConfig(exponent=q)))[:, 0] for q in (1.0, 8.0)}
     x = ball.means[:, 0]
     front, rim, back = x > 0.9, np.abs(x) < 0.1, x < -0.9
     for colors in relit.values():
@@ -166,7 +166,7 @@ def test_given_normals_come_first() -> None:
 @pytest.mark.parametrize(("name", "most"), [("relit.ply", 1e-5), ("relit.spz", 0.02)])
 def test_relit_colours_can_be_saved(tmp_path, name: str, most: float) -> None:
     """A file of the relit set renders as the set does, view dependence included; PLY has its colours to the bit."""
-    relit = ls.relight(random_gaussians(11, 150, 2), some_probe(), ls.RelightConfig(gamma=0.6))
+    relit = ls.relight(random_gaussians(11, 150, 2), some_probe(), ls.config.RelightConfig(gamma=0.6))
     ls.save(tmp_path / name, relit)
     loaded = ls.load(tmp_path / name)
     assert isinstance(loaded, ls.Gaussians)
@@ -195,15 +195,15 @@ AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", 
         ),
         (lambda: ls.relight(one_gaussian(), some_probe(), normals=[[0, 0, 0]]), ls.SceneError, "1 of 1 are of zero"),
         (lambda: ls.relight(one_gaussian(), some_probe(), normals=[[np.nan, 0, 0]]), ls.SceneError, "1 non-finite"),
-        (lambda: ls.RelightConfig(exponent=0.0), ls.ConfigError, "exponent is 0.0, expected 0.1 to 64.0"),
-        (lambda: ls.RelightConfig(scale_max=-1.0), ls.ConfigError, "scale_max is -1.0"),
-        (lambda: ls.RelightConfig(gamma=np.inf), ls.ConfigError, "gamma is inf"),
+        (lambda: ls.config.RelightConfig(exponent=0.0), ls.ConfigError, "exponent is 0.0, expected 0.1 to 64.0"),
+        (lambda: ls.config.RelightConfig(scale_max=-1.0), ls.ConfigError, "scale_max is -1.0"),
+        (lambda: ls.config.RelightConfig(gamma=np.inf), ls.ConfigError, "gamma is inf"),
         (
-            lambda: ls.RelightConfig(normals=PCA),
+            lambda: ls.config.RelightConfig(normals=PCA),
             ls.ConfigError,
             "normals is 'mean', expected 'auto', 'smallest-axis' or 'pca'",
         ),
-        (lambda: ls.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
+        (lambda: ls.config.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
     ],
 )
 def test_mistakes_are_told(call: Callable[[], object], error: type[Exception], message: str) -> None:

@@ -161,7 +161,7 @@ def test_unlit_frames_and_mattes_do_not_know_proxies() -> None:
     scene = ls.Scene([floaters()], [plane(), box])
     frame = ls.render(scene, camera, ls.RenderConfig(lighting=False), device="cpu")
     assert set(np.unique(frame.instance_index)) <= {-1, 0, 2} and (frame.instance_index == 2).any()
-    mattes = ls.render_mattes(scene, camera, device="cpu")
+    mattes = ls.layers.render_mattes(scene, camera, device="cpu")
     assert mattes.objects.coverage("box").max() == pytest.approx(1.0)
 
 

@@ -39,7 +39,7 @@ def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
 def test_samples_add_up_to_the_traced_frame(cloud: ls.Gaussians, wall: tuple[float, ...]) -> None:
     """With a wall behind or among them, and without."""
     scene = ls.Scene(splats=[cloud], meshes=[card(depth) for depth in wall])
-    deep = ls.render_deep(scene, front_camera(), device="cpu")
+    deep = ls.layers.render_deep(scene, front_camera(), device="cpu")
     np.testing.assert_allclose(
         deep.flattened(), linear(ls.render(scene, front_camera(), TRACED, device="cpu")), atol=2e-5
     )
@@ -56,11 +56,11 @@ def test_samples_add_up_to_a_frame_that_is_given(cloud: ls.Gaussians) -> None:
         lights=[ls.LightPoint((1.0, -2.0, 0.0), intensity=30.0)],
     )
     frame = ls.render(lit, front_camera(), replace(TRACED, shadows=ls.Shadows.HARD), device="cpu")
-    deep, plain = (ls.render_deep(lit, front_camera(), one, device="cpu") for one in (frame, None))
+    deep, plain = (ls.layers.render_deep(lit, front_camera(), one, device="cpu") for one in (frame, None))
     np.testing.assert_allclose(deep.flattened()[..., :3], linear(frame)[..., :3], atol=1e-4)
     assert np.array_equal(deep.alpha, plain.alpha) and np.array_equal(deep.near, plain.near)
     with pytest.raises(ls.SceneError, match="the frame has"):
-        ls.render_deep(lit, front_camera().scaled(20), frame, device="cpu")
+        ls.layers.render_deep(lit, front_camera().scaled(20), frame, device="cpu")
 
 
 def test_things_go_in_between(cloud: ls.Gaussians) -> None:
@@ -68,8 +68,8 @@ def test_things_go_in_between(cloud: ls.Gaussians) -> None:
 
     Of Gaussians as wide as pixels make them, at the depths by which they are in front of a mesh or behind it.
     """
-    config = replace(TRACED, trace=ls.TraceConfig(hit_distance=ls.HitDistance.PEAK))
-    deep = ls.render_deep(ls.Scene(splats=[cloud]), front_camera(), config=config, device="cpu")
+    config = replace(TRACED, trace=ls.TraceConfig(hit_distance=ls.config.HitDistance.PEAK))
+    deep = ls.layers.render_deep(ls.Scene(splats=[cloud]), front_camera(), config=config, device="cpu")
     through = np.ones(len(deep.first) - 1)
     for pixel in range(len(through)):
         rows = np.arange(deep.first[pixel], deep.first[pixel + 1])
@@ -87,14 +87,14 @@ def test_pixels_without_rays_have_no_samples(cloud: ls.Gaussians) -> None:
         (0, 0, 0), (0, 0, 1), (0, -1, 0), width=24, height=24, fov_y=np.pi, model=ls.CameraModel.FISHEYE
     )
     camera = replace(camera, fx=camera.fx * 0.3, fy=camera.fy * 0.3)
-    deep = ls.render_deep(ls.Scene(splats=[cloud]), camera, device="cpu")
+    deep = ls.layers.render_deep(ls.Scene(splats=[cloud]), camera, device="cpu")
     counts = np.diff(deep.first).reshape(24, 24)
     assert counts[0, 0] == 0 and counts.max() > 0
 
 
 def test_files_hold_the_samples(tmp_path: Path, cloud: ls.Gaussians) -> None:
     """As OpenEXR reads them; other extensions are refused."""
-    deep = ls.render_deep(ls.Scene(splats=[cloud], meshes=[card(6.0)]), front_camera(), device="cpu")
+    deep = ls.layers.render_deep(ls.Scene(splats=[cloud], meshes=[card(6.0)]), front_camera(), device="cpu")
     deep.save(tmp_path / "deep.exr")
     file: Any
     with OpenEXR.File(str(tmp_path / "deep.exr"), separate_channels=True) as file:
@@ -114,5 +114,5 @@ def test_an_empty_view_has_no_samples() -> None:
     """Nothing to see is no mistake."""
     away = random_gaussians(3, count=5)
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, -1), (0, -1, 0), width=8, height=4, fov_y=0.5)
-    deep = ls.render_deep(ls.Scene(splats=[away]), camera, device="cpu")
+    deep = ls.layers.render_deep(ls.Scene(splats=[away]), camera, device="cpu")
     assert len(deep.alpha) == 0 and not deep.flattened().any()

@@ -45,7 +45,7 @@ def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
     return np.stack([channels[name] for name in "RGBA"], axis=-1)
 
 
-def check(deep: ls.DeepFrame, frame: ls.Frame) -> None:
+def check(deep: ls.layers.DeepFrame, frame: ls.Frame) -> None:
     """Samples add up to the frame, wherever it shows anything, and follow each other without overlapping."""
     wanted = linear(frame)
     error = np.abs(deep.flattened() - wanted)
@@ -60,9 +60,9 @@ def check(deep: ls.DeepFrame, frame: ls.Frame) -> None:
 CONFIGS = {
     "raster": ls.RenderConfig(lighting=False),
     "sampled": ls.RenderConfig(
-        lighting=False, samples=4, raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
+        lighting=False, samples=4, raster=ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
     ),
-    "unscented": ls.RenderConfig(lighting=False, raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED)),
+    "unscented": ls.RenderConfig(lighting=False, raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)),
     "trace": ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False),
     "lit raster": ls.RenderConfig(samples=3),
     "lit trace": ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=3),
@@ -77,7 +77,7 @@ def test_samples_add_up_to_frames_of_every_pipeline(scene: ls.Scene, name: str) 
     """Lit and unlit, with one sample a pixel and with several."""
     config, camera = CONFIGS[name], front_camera()
     frame = ls.render(scene, camera, config, device="cpu")
-    check(ls.render_deep(scene, camera, frame, config, device="cpu"), frame)
+    check(ls.layers.render_deep(scene, camera, frame, config, device="cpu"), frame)
 
 
 @pytest.mark.parametrize("model", ["lens", "wide lens", "fisheye", "orthographic", "window"])
@@ -98,7 +98,7 @@ def test_samples_add_up_to_frames_of_every_camera(scene: ls.Scene, model: str) -
     }
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, samples=4)
     frame = ls.render(scene, cameras[model], config, device="cpu")
-    check(ls.render_deep(scene, cameras[model], frame, config, device="cpu"), frame)
+    check(ls.layers.render_deep(scene, cameras[model], frame, config, device="cpu"), frame)
 
 
 def test_edges_of_meshes_cover_part_of_a_pixel(scene: ls.Scene) -> None:
@@ -106,7 +106,7 @@ def test_edges_of_meshes_cover_part_of_a_pixel(scene: ls.Scene) -> None:
     meshes = ls.Scene(meshes=scene.meshes)
     config = ls.RenderConfig(lighting=True, samples=4)
     frame = ls.render(meshes, front_camera(), config, device="cpu")
-    deep = ls.render_deep(meshes, front_camera(), frame, config, device="cpu")
+    deep = ls.layers.render_deep(meshes, front_camera(), frame, config, device="cpu")
     check(deep, frame)
     counts = np.diff(deep.first)
     assert {0, 1} <= set(counts.tolist())
@@ -123,7 +123,7 @@ def test_silhouettes_are_as_deep_as_their_gaussians() -> None:
     flat = replace(tiny, means=tiny.means * (1, 1, 0) + (0, 0, 4), scales=np.full_like(tiny.scales, 1e-3))
     for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE):
         frame = ls.render(ls.Scene(splats=[flat]), front_camera(), ls.RenderConfig(pipeline=pipeline), device="cpu")
-        deep = ls.render_deep(ls.Scene(splats=[flat]), front_camera(), frame, device="cpu")
+        deep = ls.layers.render_deep(ls.Scene(splats=[flat]), front_camera(), frame, device="cpu")
         assert np.array_equal(np.diff(deep.first) > 0, frame.alpha.ravel() > 0.0)
         assert (np.abs(deep.near - 4.0) < 2 * 4.0 / front_camera().fx).all()
 
@@ -136,7 +136,7 @@ def test_a_sky_is_behind_everything(scene: ls.Scene) -> None:
         config = ls.RenderConfig(pipeline=pipeline, samples=2)
         frame = ls.render(lit, front_camera(), config, device="cpu")
         assert (frame.alpha > 1.0 - 1e-6).all()
-        deep = ls.render_deep(lit, front_camera(), frame, config, device="cpu")
+        deep = ls.layers.render_deep(lit, front_camera(), frame, config, device="cpu")
         np.testing.assert_allclose(deep.flattened(), linear(frame), atol=2e-6)
         is_sky = deep.near == np.float32(1e30)
         assert is_sky.any() and (deep.alpha[is_sky] == 1.0).all() and deep.near[~is_sky].max() < 20.0
@@ -154,7 +154,7 @@ def test_what_is_before_a_sky_keeps_its_light() -> None:
     scene = ls.Scene(splats=capture(), lights=[ls.LightEnvironment(image)])
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
     frame = ls.render(scene, front_camera(), config, device="cpu")
-    deep = ls.render_deep(scene, front_camera(), frame, config, device="cpu")
+    deep = ls.layers.render_deep(scene, front_camera(), frame, config, device="cpu")
     is_near = deep.near < 1e29
     pixel = np.repeat(np.arange(len(deep.first) - 1), np.diff(deep.first))
     counts = np.bincount(pixel[is_near], minlength=len(deep.first) - 1)
@@ -184,7 +184,7 @@ def test_lamps_that_are_seen_are_samples_of_light(name: str) -> None:
     scene = ls.Scene(meshes=[wall], lights=[lamp])
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4)
     frame = ls.render(scene, camera, config, device="cpu")
-    deep = ls.render_deep(scene, camera, frame, config, device="cpu")
+    deep = ls.layers.render_deep(scene, camera, frame, config, device="cpu")
     np.testing.assert_allclose(deep.flattened(), linear(frame), atol=1e-5)
     middle = camera.height // 2 * camera.width + camera.width // 2
     first, last = deep.first[middle], deep.first[middle + 1]
@@ -208,7 +208,7 @@ def test_samples_add_up_to_frames_with_lamps(scene: ls.Scene, name: str, pipelin
             pipeline=pipeline, samples=4 if pipeline is ls.Pipeline.PATH else 1, background=background
         )
         frame = ls.render(lit, front_camera(), config, device="cpu")
-        check(ls.render_deep(lit, front_camera(), frame, config, device="cpu"), frame)
+        check(ls.layers.render_deep(lit, front_camera(), frame, config, device="cpu"), frame)
 
 
 def test_rays_of_a_given_frame_go_through_the_lens_as_its_own_did(scene: ls.Scene) -> None:
@@ -216,8 +216,8 @@ def test_rays_of_a_given_frame_go_through_the_lens_as_its_own_did(scene: ls.Scen
     camera = replace(front_camera(), aperture=0.2, focus_distance=4.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, samples=2, seed=7)
     frame = ls.render(scene, camera, config, device="cpu")
-    by_its_own = ls.render_deep(scene, camera, frame, config, device="cpu")
-    other = ls.render_deep(scene, camera, frame, replace(config, seed=3), device="cpu")
+    by_its_own = ls.layers.render_deep(scene, camera, frame, config, device="cpu")
+    other = ls.layers.render_deep(scene, camera, frame, replace(config, seed=3), device="cpu")
     for name in ("first", "near", "alpha"):
         np.testing.assert_array_equal(getattr(by_its_own, name), getattr(other, name))
 
@@ -235,7 +235,7 @@ def test_samples_have_their_own_colours() -> None:
         sh=colors[:, None],
     )
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False)
-    deep = ls.render_deep(ls.Scene(splats=[apart]), front_camera(), config=config, device="cpu")
+    deep = ls.layers.render_deep(ls.Scene(splats=[apart]), front_camera(), config=config, device="cpu")
     red, green = deep.near < 6.0, deep.near > 6.0
     assert red.any() and green.any()
     assert (deep.color[red, 0] > 0.0).all() and not deep.color[red, 1].any()

@@ -114,13 +114,15 @@ def test_rays_are_traced_from_where_they_start_in_float64() -> None:
 
 def test_the_camera_is_focused_far_away_as_at_zero() -> None:
     """The distance of what a pixel shows."""
-    near, far = (ls.focused(*lit(place), 16, 12, device="cpu").focus_distance for place in ((0.0, 0.0, 0.0), FAR[0]))
+    near, far = (
+        ls.rays.focused(*lit(place), 16, 12, device="cpu").focus_distance for place in ((0.0, 0.0, 0.0), FAR[0])
+    )
     assert far == pytest.approx(near, rel=1e-4)
 
 
 def test_deep_images_far_away_have_the_depths_of_those_at_zero() -> None:
     """Samples in depth are distances from the camera, wherever that is."""
-    frames = [ls.render_deep(*lit(place), device="cpu") for place in ((0.0, 0.0, 0.0), FAR[0])]
+    frames = [ls.layers.render_deep(*lit(place), device="cpu") for place in ((0.0, 0.0, 0.0), FAR[0])]
     np.testing.assert_array_equal(frames[0].first, frames[1].first)
     np.testing.assert_allclose(frames[1].near, frames[0].near, atol=1e-3)
 
@@ -143,7 +145,7 @@ def test_deep_shadow_maps_far_away_are_those_at_zero(light: str, receives: bool,
             casters,
             source,
             points + at if receives else None,
-            ls.DeepShadowConfig(resolution=64, bins=16),
+            ls.config.DeepShadowConfig(resolution=64, bins=16),
             device="cpu",
         )
         found.append(shadow.transmittance(points + at))

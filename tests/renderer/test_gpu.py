@@ -72,7 +72,7 @@ def test_captures_come_out_of_cuda_as_they_went_in(pipeline: ls.Pipeline) -> Non
 def test_cuda_differentiates_rays_as_the_cpu_does(degree: int) -> None:
     """Frames of rays, by all parameters and by the pose; the same bits again."""
     scene, camera = ls.Scene([replace(gradient_scenes.cloud(count=60), kernel_degree=degree)]), gradient_scenes.view()
-    found: list[ls.SplatGradients] = []
+    found: list[ls.gradients.SplatGradients] = []
     for device in ("cpu", "cuda", "cuda"):
         renderer = ls.DifferentiableRenderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device)
         for _ in range(3):  # the third is from a graph
@@ -92,10 +92,10 @@ def test_cuda_rasterises_along_rays_as_the_cpu_does(name: str) -> None:
     """Frames of lenses, and their derivatives, but for the order of sums."""
     camera = lenses.LENSES[name]
     scene = ls.Scene([scenes.random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
-    found: list[ls.SplatGradients] = []
+    found: list[ls.gradients.SplatGradients] = []
     frames: list[ls.Frame] = []
     for device in ("cpu", "cuda"):
-        config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+        config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
         renderer = ls.DifferentiableRenderer(config, device)
         frames.append(renderer.render(scene, camera))
         found.append(renderer.gradients(*gradient_scenes.by_pixels(camera), pose=True))

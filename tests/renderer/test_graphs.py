@@ -20,8 +20,8 @@ IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "captured", "li
 ALL_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
 WARM_FRAMES = 3
 """Direct with new buffers, direct, captured."""
-STOCHASTIC = ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
-SHARED = ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC, shared_draws=True)
+STOCHASTIC = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
+SHARED = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
 
 
 class Pair:

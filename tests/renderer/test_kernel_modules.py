@@ -73,10 +73,10 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "soft": {"shadows": ls.Shadows.SOFT},
     "no shadows": {"shadows": ls.Shadows.OFF, "aovs": ("lights",)},
     "hits": {"aovs": ("hits",)},
-    "means": {"raster": ls.RasterConfig(surface=ls.GaussianSurface.MEAN)},
+    "means": {"raster": ls.RasterConfig(surface=ls.config.GaussianSurface.MEAN)},
     "stochastic": {
-        "raster": ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC),
-        "shadow_rays": ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),
+        "raster": ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC),
+        "shadow_rays": ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC),
     },
 }
 

@@ -32,7 +32,7 @@ def camera() -> ls.Camera:
 def test_edges_cover_shares_of_pixels(camera: ls.Camera, pipeline: ls.Pipeline) -> None:
     """A card that ends a quarter into a column, in front of another: a quarter, three quarters."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125), card("back", -9.0, 9.0, depth=8.0)])
-    objects = ls.render_mattes(scene, camera, ls.RenderConfig(pipeline=pipeline), device="cpu").objects
+    objects = ls.layers.render_mattes(scene, camera, ls.RenderConfig(pipeline=pipeline), device="cpu").objects
     expected = np.array([1, 1, 1, 1, 0.25, 0, 0, 0])
     np.testing.assert_allclose(objects.coverage("front"), np.broadcast_to(expected, (6, 8)), atol=1e-6)
     np.testing.assert_allclose(objects.coverage("back"), np.broadcast_to(1 - expected, (6, 8)), atol=1e-6)
@@ -44,13 +44,13 @@ def test_edges_cover_shares_of_pixels(camera: ls.Camera, pipeline: ls.Pipeline) 
 def test_gaussians_cover_as_much_as_their_alpha(camera: ls.Camera) -> None:
     """One large half-opaque Gaussian covers half; where it is too thin to be a surface, nothing does."""
     ball = ls.Gaussians([(0, 0, 4)], [(1, 0, 0, 0)], [(5.0, 5.0, 5.0)], [0.5], [[(0.0, 0.0, 0.0)]])
-    mattes = ls.render_mattes(ls.Scene(splats=[ls.SplatInstance(ball, name="fog")]), camera, device="cpu")
+    mattes = ls.layers.render_mattes(ls.Scene(splats=[ls.SplatInstance(ball, name="fog")]), camera, device="cpu")
     frame = ls.render(ls.Scene(splats=[ball]), camera, device="cpu")
     middle = mattes.objects.coverage("fog")[2:4, 3:5]
     np.testing.assert_allclose(middle, frame.alpha[2:4, 3:5], atol=2e-3)
     assert (middle > 0.45).all() and (mattes.materials.coverage("fog")[2:4, 3:5] == middle).all()
     thin = replace(ball, opacities=np.array([0.2]))
-    assert not ls.render_mattes(ls.Scene(splats=[thin]), camera, device="cpu").objects.shares.any()
+    assert not ls.layers.render_mattes(ls.Scene(splats=[thin]), camera, device="cpu").objects.shares.any()
 
 
 def test_names(camera: ls.Camera) -> None:
@@ -63,7 +63,7 @@ def test_names(camera: ls.Camera) -> None:
             card("wall", 0, 1),
         ]
     )
-    mattes = ls.render_mattes(scene, camera, device="cpu")
+    mattes = ls.layers.render_mattes(scene, camera, device="cpu")
     assert mattes.objects.names == ("door", "mesh 2", "wall")
     assert mattes.materials.names == ("oak", "mesh 2", "wall")
     assert (mattes.objects.coverage("door").sum(axis=1) == 4.0).all()
@@ -72,7 +72,7 @@ def test_names(camera: ls.Camera) -> None:
 def test_exr_files_hold_them_in_parts(tmp_path: Path, camera: ls.Camera) -> None:
     """The picture is the first part, as without them; ids and shares come back, with the manifest in each header."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125, material="oak"), card("back", -9.0, 9.0, depth=8.0)])
-    frame, mattes = ls.render(scene, camera, device="cpu"), ls.render_mattes(scene, camera, device="cpu")
+    frame, mattes = ls.render(scene, camera, device="cpu"), ls.layers.render_mattes(scene, camera, device="cpu")
     frame.save(tmp_path / "with.exr", ["depth"], mattes)
     frame.save(tmp_path / "without.exr", ["depth"])
     first, alone = read_exr(tmp_path / "with.exr"), read_exr(tmp_path / "without.exr")
@@ -92,7 +92,7 @@ def test_exr_files_hold_them_in_parts(tmp_path: Path, camera: ls.Camera) -> None
 def test_mattes_of_other_frames_are_refused(tmp_path: Path, camera: ls.Camera) -> None:
     """Of another size, or into a format without them; nothing is written."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125)])
-    mattes = ls.render_mattes(scene, camera, device="cpu")
+    mattes = ls.layers.render_mattes(scene, camera, device="cpu")
     frame = ls.render(scene, camera.scaled(16), device="cpu")
     with pytest.raises(ls.SceneError, match="the mattes have"):
         frame.save(tmp_path / "other.exr", mattes=mattes)

@@ -27,7 +27,7 @@ def some_rays(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     return origins, rng.normal((0.0, 0.0, 4.0), (1.0, 0.7, 0.3), (count, 3)) - origins
 
 
-def profiled(scene: ls.Scene, origins: np.ndarray, directions: np.ndarray, **trace: Any) -> ls.RayProfile:
+def profiled(scene: ls.Scene, origins: np.ndarray, directions: np.ndarray, **trace: Any) -> ls.rays.RayProfile:
     """The profile of rays, with settings of the tracer."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(**trace))
     profile = ls.trace_rays(scene, origins, directions, config, profile=True, device="cpu").profile
@@ -40,7 +40,7 @@ def test_profiles_are_those_of_the_twin(order: str) -> None:
     """Gaussian by Gaussian: which, where, how opaque, and what is left behind; wherever float32 cannot differ."""
     origins, directions = some_rays(150)
     profile = profiled(MIXED, origins, directions, hit_distance=order)
-    world = world_of(MIXED, ls.RenderConfig(trace=ls.TraceConfig(hit_distance=ls.HitDistance(order))))
+    world = world_of(MIXED, ls.RenderConfig(trace=ls.TraceConfig(hit_distance=ls.config.HitDistance(order))))
     compared = 0
     for ray, (origin, direction) in enumerate(zip(origins, normalized(directions), strict=True)):
         twin = Ray(origin, direction, blur=ROUNDING * np.abs(origin).max())
@@ -145,7 +145,7 @@ def test_cameras_focus_on_what_the_pixel_shows(name: str) -> None:
     depth = frame.depth if name == "fisheye" else frame.depth_z
     seen = set()
     for y, x in np.argwhere(np.isfinite(frame.depth))[::61]:
-        focused = ls.focused(scene, replace(camera, aperture=0.05), int(x), int(y), device="cpu")
+        focused = ls.rays.focused(scene, replace(camera, aperture=0.05), int(x), int(y), device="cpu")
         assert focused.focus_distance == pytest.approx(depth[y, x], rel=1e-3)
         assert focused.aperture == 0.05
         seen.add(int(frame.instance_index[y, x]))
@@ -165,7 +165,7 @@ def test_what_is_focused_is_sharp() -> None:
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=16, lighting=False)
     contrast = {}
     for name, x in (("near", 14), ("far", 50)):
-        frame = ls.render(scene, ls.focused(scene, camera, x, 24, device="cpu"), config, device="cpu")
+        frame = ls.render(scene, ls.rays.focused(scene, camera, x, 24, device="cpu"), config, device="cpu")
         contrast[name] = [frame.color[15:33, first : first + 18].std() for first in (5, 41)]
     assert contrast["near"][0] > 1.3 * contrast["far"][0]
     assert contrast["far"][1] > 1.3 * contrast["near"][1]
@@ -183,7 +183,7 @@ def test_what_is_focused_is_sharp() -> None:
 def test_pixels_without_a_surface_are_refused(pixel: tuple[Any, Any], message: str) -> None:
     """In one line."""
     with pytest.raises(ls.SceneError, match=message):
-        ls.focused(ls.Scene([one_gaussian()]), front_camera(), *pixel, device="cpu")
+        ls.rays.focused(ls.Scene([one_gaussian()]), front_camera(), *pixel, device="cpu")
 
 
 def test_a_rasteriser_does_not_focus() -> None:

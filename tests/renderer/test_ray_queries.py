@@ -69,8 +69,8 @@ def test_nothing_comes_through_walls() -> None:
         assert through == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
-def test_what_peaks_behind_a_wall_is_hidden(hit_distance: ls.HitDistance) -> None:
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
+def test_what_peaks_behind_a_wall_is_hidden(hit_distance: ls.config.HitDistance) -> None:
     """Also where its hull reaches through the wall: it neither shines nor shades there."""
     behind = ls.Scene([one_gaussian((0.0, 0.0, 5.0), 0.5, opacity=0.95)], [quad(4.0, material=ls.MaterialPbr())])
     renderer = tracer(hit_distance=hit_distance)
@@ -100,7 +100,7 @@ def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = ls.Scene([random_gaussians(72)])
     rng = np.random.default_rng(8)
     origins, directions = rng.normal(size=(1000, 3)), rng.normal((0.0, 0.0, 3.0), 1.0, (1000, 3))
-    for strategy in ls.TraceStrategy:
+    for strategy in ls.config.TraceStrategy:
         whole = tracer(strategy=strategy).trace_rays(scene, origins, directions)
         with monkeypatch.context() as patch:
             patch.setattr(rays_module, "RAY_BATCH", 64)

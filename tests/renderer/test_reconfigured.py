@@ -28,19 +28,19 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "tone map": {"tone_map": ls.ToneMap.NEUTRAL},
     "hybrid": {"pipeline": ls.Pipeline.HYBRID, "shadows": ls.Shadows.SOFT},
     "another seed": {"pipeline": ls.Pipeline.HYBRID, "shadows": ls.Shadows.SOFT, "seed": 5},
-    "smaller bounds": {"pipeline": ls.Pipeline.TRACE, "response": ls.ResponseConfig(min_response=0.3)},
+    "smaller bounds": {"pipeline": ls.Pipeline.TRACE, "response": ls.config.ResponseConfig(min_response=0.3)},
     "trace": {"pipeline": ls.Pipeline.TRACE},
-    "linear kernels": {"pipeline": ls.Pipeline.TRACE, "response": ls.ResponseConfig(kernel_degree=0)},
+    "linear kernels": {"pipeline": ls.Pipeline.TRACE, "response": ls.config.ResponseConfig(kernel_degree=0)},
     "paths": {"pipeline": ls.Pipeline.PATH},
     "transparent": {"pipeline": ls.Pipeline.PATH, "background": None, "jitter": False},
     "real time": {"pipeline": ls.Pipeline.REALTIME, "samples": None},
     "real time, finer": {
         "pipeline": ls.Pipeline.REALTIME,
         "samples": None,
-        "realtime": ls.RealtimeConfig(quality=ls.RealtimeQuality.HIGH),
+        "realtime": ls.RealtimeConfig(quality=ls.config.RealtimeQuality.HIGH),
     },
     "unlit": {"lighting": False, "samples": None},
-    "unscented": {"raster": ls.RasterConfig(projection=ls.Projection.UNSCENTED)},
+    "unscented": {"raster": ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)},
 }
 
 
@@ -76,7 +76,7 @@ def test_a_change_of_settings_uploads_and_builds_nothing_again() -> None:
     scene = renderer._scene
     assert scene.assets[0].data is assets and scene.bvh.held[0].bvh is tree
     assert scene._meshes.data is faces and scene._mesh_bvh is triangles
-    renderer.reconfigure(replace(BASE, pipeline=ls.Pipeline.PATH, response=ls.ResponseConfig(min_response=0.3)))
+    renderer.reconfigure(replace(BASE, pipeline=ls.Pipeline.PATH, response=ls.config.ResponseConfig(min_response=0.3)))
     renderer.render(LIT, CAMERA)
     assert renderer._scene.bvh.held[0].bvh is not tree
 

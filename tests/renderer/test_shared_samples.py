@@ -62,13 +62,15 @@ def test_a_shared_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     config = settings(pipeline, shadows=ls.Shadows.SOFT, aovs=("albedo", "lights", "variance", "sample_count"))
     scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
     one, other = (ls.create_renderer(config, "cpu") for _ in range(2))
-    blocks = ls.sample_blocks(one, scene)
+    blocks = ls.farm.sample_blocks(one, scene)
     assert [len(block) for block in blocks] == [32, 6]
-    alone = ls.merge_samples(one, scene, CAMERA, (ls.render_samples(one, scene, CAMERA, block) for block in blocks))
+    alone = ls.farm.merge_samples(
+        one, scene, CAMERA, (ls.farm.render_samples(one, scene, CAMERA, block) for block in blocks)
+    )
     for number, renderer in ((1, other), (0, one)):
-        ls.render_samples(renderer, scene, CAMERA, blocks[number]).save(tmp_path / f"{number}.npz")
+        ls.farm.render_samples(renderer, scene, CAMERA, blocks[number]).save(tmp_path / f"{number}.npz")
     loaded = (SamplePart.load(tmp_path / f"{number}.npz") for number in range(2))
-    shared = ls.merge_samples(ls.create_renderer(config, "cpu"), scene, CAMERA, loaded)
+    shared = ls.farm.merge_samples(ls.create_renderer(config, "cpu"), scene, CAMERA, loaded)
     plain = other.render(scene, CAMERA)
     assert shared.samples == 38
     for name, image in alone.arrays().items():
@@ -84,19 +86,19 @@ def test_a_shared_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
 def test_parts_that_do_not_fit() -> None:
     """One line each."""
     scene, renderer = lit_scene.scene(), ls.create_renderer(settings(samples=2), "cpu")
-    part = ls.render_samples(renderer, scene, CAMERA, range(2))
+    part = ls.farm.render_samples(renderer, scene, CAMERA, range(2))
     with pytest.raises(ls.ConfigError, match="begins at sample 2, expected 0"):
-        ls.merge_samples(renderer, scene, CAMERA, [replace(part, first=2)])
+        ls.farm.merge_samples(renderer, scene, CAMERA, [replace(part, first=2)])
     with pytest.raises(ls.ConfigError, match="begins at sample 0, expected 2"):
-        ls.merge_samples(renderer, scene, CAMERA, [part, part])
+        ls.farm.merge_samples(renderer, scene, CAMERA, [part, part])
     with pytest.raises(ls.ConfigError, match="a frame needs a part"):
-        ls.merge_samples(renderer, scene, CAMERA, [])
+        ls.farm.merge_samples(renderer, scene, CAMERA, [])
     with pytest.raises(ls.ConfigError, match="expected 2 of 24 x 16"):
-        ls.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2)])
+        ls.farm.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2)])
     with pytest.raises(ls.ConfigError, match="of different frames"):
-        ls.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2, size=(16, 24))])
+        ls.farm.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2, size=(16, 24))])
     with pytest.raises(ls.ConfigError, match="expected a block"):
-        ls.render_samples(renderer, scene, CAMERA, range(0))
+        ls.farm.render_samples(renderer, scene, CAMERA, range(0))
 
 
 @pytest.mark.parametrize(
@@ -113,25 +115,27 @@ def test_frames_that_are_not_shared(config: ls.RenderConfig, message: str) -> No
     renderer = ls.create_renderer(config, "cpu")
     scene = ls.Scene() if config.pipeline is ls.Pipeline.RASTER else lit_scene.scene()
     with pytest.raises(ls.ConfigError, match=message):
-        ls.sample_blocks(renderer, scene)
+        ls.farm.sample_blocks(renderer, scene)
 
 
 def test_resampled_frames_are_not_shared() -> None:
     """Rasterised frames of distorting lenses."""
     renderer = ls.create_renderer(settings(ls.Pipeline.HYBRID), "cpu")
     with pytest.raises(ls.ConfigError, match="distorting lenses"):
-        ls.render_samples(renderer, lit_scene.scene(), lens(50.0, SIZE, distortion=(0.05, 0, 0, 0, 0, 0)), range(2))
+        ls.farm.render_samples(
+            renderer, lit_scene.scene(), lens(50.0, SIZE, distortion=(0.05, 0, 0, 0, 0, 0)), range(2)
+        )
 
 
 def test_damaged_files(tmp_path: Path) -> None:
     """A part that was cut off, and what is none."""
     renderer, scene = ls.create_renderer(settings(samples=1), "cpu"), lit_scene.scene()
     path = tmp_path / "part.npz"
-    ls.render_samples(renderer, scene, CAMERA, range(1)).save(path)
+    ls.farm.render_samples(renderer, scene, CAMERA, range(1)).save(path)
     content = path.read_bytes()
     for wrong in (content[: len(content) // 2], b"nothing", content[:3]):
         path.write_bytes(wrong)
         with pytest.raises(ls.FormatError, match="part"):
             SamplePart.load(path)
-    with pytest.raises(ls.MissingFileError):
+    with pytest.raises(ls.errors.MissingFileError):
         SamplePart.load(tmp_path / "lost.npz")

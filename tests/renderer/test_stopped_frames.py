@@ -37,10 +37,10 @@ def test_a_frame_that_is_given_up_leaves_no_trace(pipeline: ls.Pipeline) -> None
     expected = renderer(pipeline).render(LIT, CAMERA)
     for count in (1, 2, 7, 30, 90):
         used = renderer(pipeline)
-        with pytest.raises(ls.StoppedError):
+        with pytest.raises(ls.errors.StoppedError):
             used.render(LIT, CAMERA, stop=after(count))
         np.testing.assert_array_equal(used.render(LIT, CAMERA).color, expected.color)
-    with pytest.raises(ls.StoppedError):
+    with pytest.raises(ls.errors.StoppedError):
         used.render(LIT, CAMERA, resume=expected, stop=after(20))
     again = renderer(pipeline).render(LIT, CAMERA, resume=expected)
     np.testing.assert_array_equal(used.render(LIT, CAMERA, resume=expected).color, again.color)

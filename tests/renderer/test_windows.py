@@ -47,8 +47,8 @@ def assert_cut_out(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) ->
 
 
 @pytest.mark.parametrize("way", SCHEDULES)
-@pytest.mark.parametrize("strategy", list(ls.RasterStrategy))
-def test_unlit_frames(strategy: ls.RasterStrategy, way: str) -> None:
+@pytest.mark.parametrize("strategy", list(ls.config.RasterStrategy))
+def test_unlit_frames(strategy: ls.config.RasterStrategy, way: str) -> None:
     """Sorted and stochastic, in both schedules: Gaussians larger than windows, too, and meshes with alpha."""
     sheet = checker_quad(0.0)
     seen_through = replace(sheet.material, alpha=0.5, alpha_mode="blend")
@@ -89,7 +89,7 @@ def test_rays_of_all_lenses(name: str) -> None:
 def test_rasterised_along_rays(name: str, way: str) -> None:
     """Sigma points and rays of pixels."""
     camera = RAY_CAMERAS[name]
-    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED))
+    config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
     assert_cut_out(renderer_of(way, config), ls.Scene([layers(camera)]), camera)
 
 
@@ -108,7 +108,7 @@ def test_focus_and_depth_are_of_the_picture() -> None:
     renderer = ls.create_renderer(config, "cpu")
     cut = replace(camera, window=WINDOWS[1])
     assert renderer.focused(scene, cut, 40, 20).focus_distance == renderer.focused(scene, camera, 40, 20).focus_distance
-    mattes = [ls.render_mattes(scene, view, config, device="cpu") for view in (cut, camera)]
+    mattes = [ls.layers.render_mattes(scene, view, config, device="cpu") for view in (cut, camera)]
     np.testing.assert_array_equal(mattes[0].objects.shares, mattes[1].objects.shares[:, 32:, 48:])
 
 

@@ -199,7 +199,7 @@ def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, Any], message
     with pytest.raises(ls.SceneError, match=r"which Pipeline\.REALTIME cannot draw: use Pipeline\.PATH"):
         refuse_lens(replace(camera, **changes), ls.Pipeline.REALTIME)
     if changes.get("model") is FISHEYE or "camera_from_world_end" in changes:
-        refuse_lens(replace(camera, **changes), ls.Pipeline.RASTER, ls.Projection.UNSCENTED)
+        refuse_lens(replace(camera, **changes), ls.Pipeline.RASTER, ls.config.Projection.UNSCENTED)
 
 
 def test_depth_z_of_a_drawn_frame() -> None:

@@ -258,10 +258,10 @@ def test_files_that_were_saved_keep_their_meaning(tmp_path: Path) -> None:
     """Up as programs wrote it marks files of before; those of today say each place, and read as they were seen."""
     old = loaded(scene_file(tmp_path, "", "up = [0.0, -1.0, 0.0]"))
     np.testing.assert_array_equal(old.meshes[0].transform, np.eye(4))
-    made = ls.SceneDocument.of(ls.Scene([capture("y-down")], [cone()]))
+    made = ls.io.SceneDocument.of(ls.Scene([capture("y-down")], [cone()]))
     made.save(tmp_path / "made.toml")
     np.testing.assert_array_equal(loaded(tmp_path / "made.toml").meshes[0].transform, np.eye(4))
-    opened = ls.SceneDocument.open([tmp_path / "cone.obj", tmp_path / "ground.ply"])
+    opened = ls.io.SceneDocument.open([tmp_path / "cone.obj", tmp_path / "ground.ply"])
     opened.save(tmp_path / "opened.toml")
     (seen,) = opened.scene().meshes
     assert not np.array_equal(seen.transform, np.eye(4))
@@ -283,7 +283,7 @@ def test_its_front_faces_who_sees_the_scene_from_the_front(tmp_path: Path, front
     actor = f'[[actors]]\npath = "cone.obj"\nform = "mesh"\nfront = "{front}"\n'
     file = scene_file(tmp_path, f'front = "{front}"\n{actor}')
     meshes = [*loaded(file).meshes, ls.insert(ground, cone(), front=front).meshes[0]]
-    ls.SceneDocument.open(file).save(tmp_path / "saved.toml")
+    ls.io.SceneDocument.open(file).save(tmp_path / "saved.toml")
     for mesh in (*meshes, *loaded(tmp_path / "saved.toml").meshes):
         np.testing.assert_allclose(mesh.transform[:3, :3] @ np.array(axis), (0.0, 0.0, -1.0), atol=1e-9)
     with pytest.raises(ls.SceneError, match=r"front is 'z', expected one of \+z"):
@@ -311,7 +311,7 @@ def test_a_place_without_a_rotation_is_told(
 ) -> None:
     """Its file's y is not up in the scene: one line says so, and what stands it; what is up to the user is silent."""
     file = scene_file(tmp_path, keys)
-    for read in (ls.load, ls.SceneDocument.open):
+    for read in (ls.load, ls.io.SceneDocument.open):
         caplog.clear()
         read(file)
         lines = [record.getMessage() for record in caplog.records]

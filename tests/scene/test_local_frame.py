@@ -137,8 +137,8 @@ def test_the_near_plane_is_halved_until_it_fits() -> None:
 def test_parts_of_a_capture_are_rendered_in_the_frame_of_all_of_it(tmp_path: Path) -> None:
     """Blocks that a view sees: their origin and near plane are not their own."""
     whole = ls.transform(ball(4.0), translation=(100.0, 0.0, 0.0))
-    index = ls.write_blocks(tmp_path / "blocks", [whole], cell=1.0)
-    frames = [rendered_frame(ls.Scene([ls.load_blocks(index, [part])])) for part in ls.all_blocks(index)]
+    index = ls.io.write_blocks(tmp_path / "blocks", [whole], cell=1.0)
+    frames = [rendered_frame(ls.Scene([ls.io.load_blocks(index, [part])])) for part in ls.io.all_blocks(index)]
     assert len(frames) > 4
     for frame, near in frames:
         np.testing.assert_array_equal(frame.origin, frames[0][0].origin)

@@ -267,20 +267,20 @@ def test_shapes_have_their_sizes():
 
 def test_smooth_normals_break_at_creases():
     """Of a box none are smooth, of a sphere all; a crease angle of 0 is flat."""
-    sharp = ls.smooth_normals(replace(BOX, normals=None))
+    sharp = ls.editing.smooth_normals(replace(BOX, normals=None))
     assert sharp.normals is not None
     assert sharp.vertex_count == 24
     np.testing.assert_allclose(np.abs(sharp.normals).max(axis=1), 1.0, atol=1e-6)
     ball = ls.sphere(1.0, rows=24)
-    smooth = ls.smooth_normals(replace(ball, normals=None))
+    smooth = ls.editing.smooth_normals(replace(ball, normals=None))
     assert smooth.normals is not None
     np.testing.assert_allclose(smooth.normals, smooth.positions, atol=5e-3)
-    round_box = ls.smooth_normals(BOX, math.pi)
+    round_box = ls.editing.smooth_normals(BOX, math.pi)
     assert round_box.normals is not None
     np.testing.assert_allclose(np.abs(round_box.normals), 1 / math.sqrt(3), atol=1e-6)
-    assert ls.smooth_normals(ball, 0.0).normals is None
+    assert ls.editing.smooth_normals(ball, 0.0).normals is None
     with pytest.raises(ls.SceneError, match="crease_angle is 50"):
-        ls.smooth_normals(ball, 50)
+        ls.editing.smooth_normals(ball, 50)
 
 
 def test_objs_without_normals_are_smooth(tmp_path):

@@ -59,7 +59,7 @@ def test_a_scene_file_without_up_takes_that_of_its_capture(tmp_path: Path, name:
         assert isinstance(scene, ls.Scene)
         (camera,) = ls.load_cameras(file)
         np.testing.assert_allclose(-camera.camera_from_world[1, :3], scene.up_direction, atol=1e-12)
-        assert ls.SceneDocument.open(file).scene().up_direction == scene.up_direction
+        assert ls.io.SceneDocument.open(file).scene().up_direction == scene.up_direction
         return scene.up_direction
 
     assert up() == (0.0, 0.0, 1.0)

@@ -21,7 +21,7 @@ from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians,
 LIGHT = (0.0, 0.0, -4.0)
 BEHIND = np.array([[0.0, 0.0, 4.0], [3.5, 0.0, 4.0]], np.float32)
 """In the shadow of what is at the origin, and beside it."""
-SMALL = ls.DeepShadowConfig(resolution=256, bins=64)
+SMALL = ls.config.DeepShadowConfig(resolution=256, bins=64)
 
 
 def ball(**changes: Any) -> ls.Gaussians:
@@ -29,7 +29,7 @@ def ball(**changes: Any) -> ls.Gaussians:
     return one_gaussian((0.0, 0.0, 0.0), scale=0.3, opacity=0.95, **changes)
 
 
-def behind(casters: Any, light: Any = LIGHT, config: ls.DeepShadowConfig = SMALL, **options: Any) -> np.ndarray:
+def behind(casters: Any, light: Any = LIGHT, config: ls.config.DeepShadowConfig = SMALL, **options: Any) -> np.ndarray:
     """What reaches `BEHIND`."""
     return ls.DeepShadowMap.build(casters, light, BEHIND, config, device="cpu", **options).transmittance(BEHIND)
 
@@ -257,7 +257,9 @@ def test_rebuild_allocates_nothing_for_the_same_size() -> None:
 @pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.1, 0.0, 1.0))], ids=["point", "parallel"])
 def test_saved_maps_come_back_whole(light: Any, tmp_path: Path) -> None:
     """A map from a file answers as the one it was, and is rebuilt as it."""
-    config = replace(SMALL, absorption=ls.Absorption.MASS, strength=0.01, sampling=ls.ReceiverSampling.STENCIL)
+    config = replace(
+        SMALL, absorption=ls.config.Absorption.MASS, strength=0.01, sampling=ls.config.ReceiverSampling.STENCIL
+    )
     receivers, casters = random_gaussians(4, 100), random_gaussians(5, 30)
     shadow = ls.DeepShadowMap.build(casters, light, receivers, config, device="cpu")
     shadow.save(tmp_path / "map.npz")
@@ -290,7 +292,7 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
     shadow.save(good)
     with pytest.raises(ls.FormatError, match=r"\.npz"):
         shadow.save(tmp_path / "map.png")
-    with pytest.raises(ls.MissingFileError, match=r"missing\.npz: no such file"):
+    with pytest.raises(ls.errors.MissingFileError, match=r"missing\.npz: no such file"):
         ls.DeepShadowMap.load(tmp_path / "missing.npz")
     (tmp_path / "text.npz").write_text("no archive")
     (tmp_path / "cut.npz").write_bytes(good.read_bytes()[:300])
@@ -385,11 +387,11 @@ def test_mistakes_are_named(given: dict[str, Any], problem: str) -> None:
 def test_bad_settings_are_named(changes: dict[str, Any]) -> None:
     """A setting out of range says which, and what was expected."""
     with pytest.raises(ls.ConfigError, match=next(iter(changes))):
-        ls.DeepShadowConfig(**changes)
+        ls.config.DeepShadowConfig(**changes)
 
 
-@pytest.mark.parametrize("sampling", list(ls.ReceiverSampling))
-def test_what_nothing_shadows_is_lit_to_the_bit(sampling: ls.ReceiverSampling) -> None:
+@pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
+def test_what_nothing_shadows_is_lit_to_the_bit(sampling: ls.config.ReceiverSampling) -> None:
     """Receivers with nothing in the way get exactly 1: captures that are lit must keep their colours."""
     receivers = random_gaussians(6, 500, center=(40.0, 0.0, 4.0))
     config = replace(SMALL, sampling=sampling)

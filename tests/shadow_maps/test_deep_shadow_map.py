@@ -20,10 +20,12 @@ INSIDE = one_gaussian((0.35, -0.4, 0.3), (0.5, 0.2, 0.3), 0.6, rotation=(0.9, 0.
 AROUND = joined(random_gaussians(1, 60, center=(0.0, 0.0, 0.0), extent=(2.5, 2.5, 2.5), scale_range=(0.1, 0.5)), INSIDE)
 """Casters in all directions."""
 T_MAX = 5.0
-WHOLE = ls.DeepShadowConfig(resolution=128, bins=64, max_distance=T_MAX, region=False)
+WHOLE = ls.config.DeepShadowConfig(resolution=128, bins=64, max_distance=T_MAX, region=False)
 
 
-def build(casters: Any = AROUND, light: Any = LIGHT, config: ls.DeepShadowConfig = WHOLE, receivers: Any = None) -> Any:
+def build(
+    casters: Any = AROUND, light: Any = LIGHT, config: ls.config.DeepShadowConfig = WHOLE, receivers: Any = None
+) -> Any:
     """A map on the CPU."""
     return ls.DeepShadowMap.build(casters, light, receivers, config, device="cpu")
 
@@ -41,9 +43,9 @@ def exact(points: np.ndarray, casters: Any = AROUND, light: np.ndarray = LIGHT, 
     return oracle.transmittance(oracle.absorbers(casters, **options), light, points)
 
 
-def texel_directions(layout: ls.AtlasLayout, resolution: int) -> np.ndarray:
+def texel_directions(layout: ls.config.AtlasLayout, resolution: int) -> np.ndarray:
     """Of all texels, shape (N, 3)."""
-    if layout is ls.AtlasLayout.OCTAHEDRAL:
+    if layout is ls.config.AtlasLayout.OCTAHEDRAL:
         return oracle.decode_octahedral(oracle.texel_centers(resolution)).reshape(-1, 3)
     size = round(resolution / np.sqrt(6.0) / 8) * 8
     places = oracle.texel_centers(size)
@@ -53,9 +55,9 @@ def texel_directions(layout: ls.AtlasLayout, resolution: int) -> np.ndarray:
 # --- The table ---
 
 
-@pytest.mark.parametrize("layout", list(ls.AtlasLayout))
-@pytest.mark.parametrize("absorption", list(ls.Absorption))
-def test_bins_hold_the_closed_form(layout: ls.AtlasLayout, absorption: ls.Absorption) -> None:
+@pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
+@pytest.mark.parametrize("absorption", list(ls.config.Absorption))
+def test_bins_hold_the_closed_form(layout: ls.config.AtlasLayout, absorption: ls.config.Absorption) -> None:
     """T within 1e-3 of the closed form at bins' centres along texels' rays, whatever the mapping and the layout."""
     config = replace(WHOLE, layout=layout, absorption=absorption, strength=0.7)
     rng = np.random.default_rng(0)
@@ -79,7 +81,7 @@ def test_thin_and_far_casters_keep_the_closed_form(scale: tuple[float, float, fl
     caster = one_gaussian((0.0, 0.0, distance), scale, 0.9, rotation=(0.999, 0.03, -0.02, 0.01))
     reach = 2.0 * distance
     config = replace(WHOLE, resolution=512, bins=32, max_distance=reach)
-    directions = texel_directions(ls.AtlasLayout.OCTAHEDRAL, 512)
+    directions = texel_directions(ls.config.AtlasLayout.OCTAHEDRAL, 512)
     directions = directions[directions[:, 2] > 0.999]
     points = (directions[:, None] * oracle.bin_centers(32, reach)[:, None]).reshape(-1, 3)
     seen = build(caster, np.zeros(3), config).transmittance(points)
@@ -92,12 +94,12 @@ def test_lookups_are_the_twins() -> None:
     config = replace(WHOLE, resolution=16, bins=8, max_distance=3.0)
     points = scattered(3000, radius=4.0)
     points[:50] = LIGHT + (points[:50] - LIGHT) * 0.05
-    table = oracle.tabulate(oracle.absorbers(AROUND), LIGHT, ls.AtlasLayout.OCTAHEDRAL, 16, 8, 3.0)
+    table = oracle.tabulate(oracle.absorbers(AROUND), LIGHT, ls.config.AtlasLayout.OCTAHEDRAL, 16, 8, 3.0)
     np.testing.assert_allclose(build(config=config).transmittance(points), oracle.look_up(table, points), atol=2e-4)
 
 
-@pytest.mark.parametrize("layout", list(ls.AtlasLayout))
-def test_maps_converge(layout: ls.AtlasLayout) -> None:
+@pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
+def test_maps_converge(layout: ls.config.AtlasLayout) -> None:
     """Four times the texels and bins: errors fall to less than a sixth, though the light is in a Gaussian."""
     points = scattered(1000)
     expected = exact(points)
@@ -110,8 +112,8 @@ def test_maps_converge(layout: ls.AtlasLayout) -> None:
     assert errors[2] < 1e-3
 
 
-@pytest.mark.parametrize("layout", list(ls.AtlasLayout))
-def test_no_line_is_seen_at_seams(layout: ls.AtlasLayout) -> None:
+@pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
+def test_no_line_is_seen_at_seams(layout: ls.config.AtlasLayout) -> None:
     """Along circles over the square's rim, or the cube's edges, errors are as small there as elsewhere."""
     turn = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
     circles = [
@@ -133,9 +135,9 @@ def test_no_line_is_seen_at_seams(layout: ls.AtlasLayout) -> None:
 
 
 @pytest.mark.parametrize("resolution", [8, 16, 40, 128])
-@pytest.mark.parametrize("layout", list(ls.AtlasLayout))
+@pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
 @pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.2, -0.1, 1.0))], ids=["point", "directional"])
-def test_culled_is_unculled(resolution: int, layout: ls.AtlasLayout, light: Any) -> None:
+def test_culled_is_unculled(resolution: int, layout: ls.config.AtlasLayout, light: Any) -> None:
     """Looking casters up by tiles, or asking all of them, gives the same to float precision, however wide tiles are."""
     casters = joined(AROUND, random_gaussians(2, 200, center=(0.0, 0.0, 2.0), scale_range=(0.003, 0.3)))
     points = scattered(2000)
@@ -157,7 +159,7 @@ def test_lists_in_parts_are_the_lists(monkeypatch: pytest.MonkeyPatch) -> None:
         assert parted.stats.pairs == whole.stats.pairs
         np.testing.assert_array_equal(parted.transmittance(scattered(500)), whole.transmittance(scattered(500)))
     nobody = random_gaussians(3, 20, center=(500.0, 500.0, 500.0))
-    empty = build(light=(0.0, 0.0, 10.0), config=ls.DeepShadowConfig(region_radius=1.0), receivers=nobody)
+    empty = build(light=(0.0, 0.0, 10.0), config=ls.config.DeepShadowConfig(region_radius=1.0), receivers=nobody)
     np.testing.assert_array_equal(empty.transmittance_of(nobody), 1.0)
 
 
@@ -178,7 +180,7 @@ def test_wide_receivers_of_a_small_caster_are_the_same(light: Any) -> None:
         means=np.stack([away * np.cos(turn), away * np.sin(turn), np.ones_like(away)], axis=1).astype(np.float32),
         scales=np.full((40_000, 3), 0.3, np.float32),
     )
-    config = ls.DeepShadowConfig(resolution=1024, bins=8, samples=64)
+    config = ls.config.DeepShadowConfig(resolution=1024, bins=8, samples=64)
     culled, every = (
         build(caster, light, replace(config, culling=culling), receivers).transmittance_of(receivers)
         for culling in (True, False)
@@ -187,8 +189,8 @@ def test_wide_receivers_of_a_small_caster_are_the_same(light: Any) -> None:
     np.testing.assert_allclose(culled, every, atol=3e-5)
 
 
-@pytest.mark.parametrize("sampling", list(ls.ReceiverSampling))
-def test_region_of_interest_is_the_whole_map(sampling: ls.ReceiverSampling) -> None:
+@pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
+def test_region_of_interest_is_the_whole_map(sampling: ls.config.ReceiverSampling) -> None:
     """Receivers see what they see in a map of everything, to rounding: bins are summed from where columns begin."""
     receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0), scale_range=(0.01, 0.2))
     part, whole = (
@@ -252,7 +254,7 @@ def test_parallel_light_is_a_lamp_far_away() -> None:
     expected = exact(points, light=points - 100.0 * direction)
     errors = []
     for size in (32, 64, 128):
-        seen = build(light=sun, config=ls.DeepShadowConfig(resolution=size, bins=size), receivers=points)
+        seen = build(light=sun, config=ls.config.DeepShadowConfig(resolution=size, bins=size), receivers=points)
         errors.append(np.abs(seen.transmittance(points) - expected).mean())
     assert errors[1] < 0.4 * errors[0]
     assert errors[2] < 0.4 * errors[1]
@@ -269,14 +271,14 @@ def receivers_of(count: int = 40) -> ls.Gaussians:
 
 def test_the_center_is_the_mean() -> None:
     """`center` looks where the Gaussian is."""
-    shadow = build(config=replace(WHOLE, sampling=ls.ReceiverSampling.CENTER))
+    shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.CENTER))
     receivers = receivers_of()
     np.testing.assert_array_equal(shadow.transmittance_of(receivers), shadow.transmittance(receivers.means))
 
 
 def test_the_stencil_weighs_seven_points() -> None:
     """`stencil` is the weighted mean of what the map holds at the twin's seven points."""
-    shadow = build(config=replace(WHOLE, sampling=ls.ReceiverSampling.STENCIL))
+    shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.STENCIL))
     receivers = receivers_of()
     points = oracle.footprint_points(receivers, oracle.STENCIL)
     expected = shadow.transmittance(points.reshape(-1, 3)).reshape(-1, 7) @ oracle.stencil_weights()

@@ -42,7 +42,7 @@ class FakeMaker:
         """The frames."""
         report("loading", 1.0)
         if self.needs is not None and not self.needs.exists():
-            raise ls.MissingFileError(self.needs, "no such file")
+            raise ls.errors.MissingFileError(self.needs, "no such file")
         frames = FrameList(
             folder=FrameFolder(self.folder, "png", "fake.json"),
             origin={"kind": self.kind, "needs": str(self.needs.stat().st_size) if self.needs else ""},
@@ -104,6 +104,6 @@ _WRONG: dict[str, Callable[[Path], Any]] = {
     "bug": _raise(lambda _: ValueError("shapes differ")),
     "full": _raise(lambda path: ls.FormatError(path, "cannot be written: No space left on device")),
     "setting": _raise(lambda _: ls.ConfigError("samples is 0, expected 1 or more")),
-    "extra": _raise(lambda _: ls.MissingExtraError("OpenUSD", "usd")),
+    "extra": _raise(lambda _: ls.errors.MissingExtraError("OpenUSD", "usd")),
     "data": _raise(lambda _: ls.SceneError("walk/0003.ply: ends in the middle of Gaussian 5")),
 }

@@ -80,7 +80,7 @@ def neutral_psnr(of: Trainer) -> float:
     scores: list[float] = []
     for camera in cameras(40)[33:]:
         shown, wanted = (renderer.render(ls.Scene([g]), camera).color for g in (of.gaussians(), known()))
-        scores.append(ls.psnr(np.clip(shown, 0.0, 1.0), np.clip(wanted, 0.0, 1.0)))
+        scores.append(ls.metrics.psnr(np.clip(shown, 0.0, 1.0), np.clip(wanted, 0.0, 1.0)))
     return float(np.mean(scores))
 
 
@@ -98,7 +98,7 @@ def errors_of(of: Trainer, gains: np.ndarray) -> np.ndarray:
 
 def test_gains_of_photographs_are_found() -> None:
     """Of a scene that is known at first: without exposures, its colours become wrong, with them, they stay."""
-    gains, rates = gains_of(8), ls.LearningRates(exposures=5e-2, exposures_last=5e-3)
+    gains, rates = gains_of(8), ls.config.LearningRates(exposures=5e-2, exposures_last=5e-3)
     config = ls.TrainConfig(iterations=450, cap=30, sh_degree=1, opacity_decay=0.0, scale_decay=0.0, rates=rates)
     psnr: dict[bool, float] = {}
     for exposures in (False, True):
@@ -142,7 +142,7 @@ def beyond_directions(errors: np.ndarray, seen: Sequence[ls.Camera]) -> np.ndarr
 @pytest.mark.deep
 def test_gains_are_found_with_the_scene() -> None:
     """Of which nothing is known; but for those that change with the direction of view as colours may, too."""
-    gains, rates = gains_of(32), ls.LearningRates(exposures=3e-2)
+    gains, rates = gains_of(32), ls.config.LearningRates(exposures=3e-2)
     config = ls.TrainConfig(iterations=6000, cap=400, initial=400, sh_degree=1, rates=rates)
     psnr: dict[bool, float] = {}
     for exposures in (False, True):

@@ -20,7 +20,7 @@ from lumisplat.training.materials.material_fit import fitted_sky, lit_white, nea
 from support.oracles.trace_oracle import trace_rays
 from support.scenes.lit_sphere import ball, matte, photographed
 
-QUICK = ls.MaterialsConfig(iterations=0)
+QUICK = ls.config.MaterialsConfig(iterations=0)
 GREY = np.array([0.5, 0.4, 0.3])
 
 
@@ -41,7 +41,7 @@ def bright_above(ways: np.ndarray) -> np.ndarray:
 def test_an_even_sky_and_albedo_are_found_exactly(tmp_path: Path) -> None:
     """But for what no photograph tells apart: light and albedo have the right product, channel by channel."""
     capture = matte(ball(), GREY, even)
-    found = ls.find_materials(capture, photographed(tmp_path, capture), QUICK, device="cpu")
+    found = ls.inverse.find_materials(capture, photographed(tmp_path, capture), QUICK, device="cpu")
     albedo, image = found.gaussians.albedo, found.environment.image
     assert albedo is not None and image is not None
     assert np.ptp(albedo, axis=0).max() < 0.01
@@ -53,7 +53,7 @@ def test_an_even_sky_and_albedo_are_found_exactly(tmp_path: Path) -> None:
 def test_a_sky_is_found_by_what_it_does_to_one_albedo(tmp_path: Path) -> None:
     """Its harmonics of degree 1, as a share of the mean, and the albedo, to 1 %."""
     capture = matte(ball(), GREY, bright_above)
-    found = ls.find_materials(capture, photographed(tmp_path, capture), QUICK, device="cpu")
+    found = ls.inverse.find_materials(capture, photographed(tmp_path, capture), QUICK, device="cpu")
     albedo, image = found.gaussians.albedo, found.environment.image
     assert albedo is not None and image is not None
     assert (albedo / albedo.mean(axis=0)).std(axis=0).max() < 0.01
@@ -70,7 +70,9 @@ def test_materials_are_refined_by_photographs(tmp_path: Path) -> None:
     folder = photographed(tmp_path, matte(ball(), checks, even))
     capture = matte(ball(), GREY, even)
     errors = [
-        ls.find_materials(capture, folder, ls.MaterialsConfig(directions=64, iterations=steps), device="cpu")
+        ls.inverse.find_materials(
+            capture, folder, ls.config.MaterialsConfig(directions=64, iterations=steps), device="cpu"
+        )
         for steps in (1, 250)
     ]
     assert errors[1].error < 0.5 * errors[0].error
@@ -83,8 +85,13 @@ def test_materials_are_refined_by_photographs(tmp_path: Path) -> None:
 def test_the_same_seed_gives_the_same_bits(tmp_path: Path) -> None:
     """On any number of threads."""
     capture = matte(ball(200), GREY, bright_above)
-    folder, config = photographed(tmp_path, capture), ls.MaterialsConfig(directions=32, sky_steps=20, iterations=4)
-    first, second = (ls.find_materials(capture, folder, config, device="cpu", threads=n).gaussians for n in (1, 3))
+    folder, config = (
+        photographed(tmp_path, capture),
+        ls.config.MaterialsConfig(directions=32, sky_steps=20, iterations=4),
+    )
+    first, second = (
+        ls.inverse.find_materials(capture, folder, config, device="cpu", threads=n).gaussians for n in (1, 3)
+    )
     for name in ("albedo", "roughness", "normals"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
@@ -176,22 +183,22 @@ def test_a_single_gaussian_has_no_neighbours() -> None:
 def test_bad_settings(name: str, value: float, problem: str) -> None:
     """Are named."""
     with pytest.raises(ls.ConfigError, match=problem):
-        ls.MaterialsConfig(**cast(Any, {name: value}))
+        ls.config.MaterialsConfig(**cast(Any, {name: value}))
 
 
 def test_photographs_of_changing_exposure_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Every third a stop darker, every third a stop brighter, beside the same photographs as they were."""
     capture = matte(ball(200), 0.5 * GREY, even)
     folder = photographed(tmp_path, capture, count=9, size=32)
-    quick = ls.MaterialsConfig(directions=32, sky_steps=1, iterations=0)
-    ls.find_materials(capture, folder, quick, device="cpu")
+    quick = ls.config.MaterialsConfig(directions=32, sky_steps=1, iterations=0)
+    ls.inverse.find_materials(capture, folder, quick, device="cpu")
     assert "exposure" not in caplog.text
     for number, path in enumerate(sorted(folder.rglob("*.png"))):
         pixels = np.asarray(Image.open(path), np.float64) / 255.0
         linear = decode_srgb(pixels[..., :3]) * 2.0 ** (number % 3 - 1)
         pixels[..., :3] = encode_srgb(np.clip(linear, 0.0, 1.0))
         Image.fromarray((255.0 * pixels + 0.5).astype(np.uint8)).save(path)
-    ls.find_materials(capture, folder, quick, device="cpu")
+    ls.inverse.find_materials(capture, folder, quick, device="cpu")
     told = re.search(r"by ([\d.]+) stops \(standard deviation\): their exposure changes", caplog.text)
     assert told is not None
     assert float(told[1]) == pytest.approx(np.std([-1, -1, 0, 0, 0, 1, 1, 1]), abs=0.03)  # the first one is held out
@@ -202,11 +209,11 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
     capture = matte(ball(100), GREY, even)
     folder = photographed(tmp_path / "set", capture, count=3, size=16)
     with pytest.raises(ls.ConfigError, match=r"expected a \.ply"):
-        ls.find_materials(capture, folder, QUICK, output=tmp_path / "a.spz", device="cpu")
+        ls.inverse.find_materials(capture, folder, QUICK, output=tmp_path / "a.spz", device="cpu")
     with pytest.raises(
         ls.SceneError, match=r"find_materials takes Gaussians, got a str \(lumisplat.load reads files\)"
     ):
-        ls.find_materials(cast(Any, "a.ply"), folder, QUICK, device="cpu")
+        ls.inverse.find_materials(cast(Any, "a.ply"), folder, QUICK, device="cpu")
     away = ls.transform(capture, translation=(0.0, 1000.0, 0.0))
     with pytest.raises(ls.SceneError, match="no photograph shows anything of the capture"):
-        ls.find_materials(away, folder, QUICK, device="cpu")
+        ls.inverse.find_materials(away, folder, QUICK, device="cpu")

@@ -32,8 +32,8 @@ def fit(photographs: Path) -> MaterialFit:
     light = np.ones((COUNT, DIRECTIONS), np.float32), np.zeros((COUNT, DIRECTIONS, 3), np.float32)
     normals = capture.means / np.linalg.norm(capture.means, axis=1, keepdims=True)
     start = Materials(np.full((COUNT, 3), 0.5), np.full(COUNT, 0.5), normals.astype(np.float64), np.ones((12, 3)))
-    views = [TrainingView.of(one) for one in ls.load_photographs(photographs).training]
-    config, incident = ls.MaterialsConfig(iterations=10), IncidentRadiance(directions, *light)
+    views = [TrainingView.of(one) for one in ls.io.load_photographs(photographs).training]
+    config, incident = ls.config.MaterialsConfig(iterations=10), IncidentRadiance(directions, *light)
     return MaterialFit(capture, views, incident, start, config, device="cpu", threads=1, progress=None)
 
 

@@ -14,7 +14,7 @@ from lumisplat.training.materials import find_materials
 from support.scenes.lit_sphere import ball, matte, photographed
 
 GREY = np.array([0.5, 0.4, 0.3])
-CONFIG = ls.MaterialsConfig(directions=32, sky_steps=20, iterations=9)
+CONFIG = ls.config.MaterialsConfig(directions=32, sky_steps=20, iterations=9)
 
 
 class Killed(Exception):
@@ -44,7 +44,9 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(find_materials, "CHECKPOINT_EVERY_S", 0.0)
 
 
-def found(capture: ls.Gaussians, folder: Path, output: Path | None, dies_at: int | None = None) -> ls.FoundMaterials:
+def found(
+    capture: ls.Gaussians, folder: Path, output: Path | None, dies_at: int | None = None
+) -> ls.inverse.FoundMaterials:
     """What is found, unless it dies before a step."""
     steps = iter(range(100))
 
@@ -52,7 +54,7 @@ def found(capture: ls.Gaussians, folder: Path, output: Path | None, dies_at: int
         if label == "finding materials" and next(steps) == dies_at:
             raise Killed
 
-    return ls.find_materials(capture, folder, CONFIG, output=output, device="cpu", progress=progress)
+    return ls.inverse.find_materials(capture, folder, CONFIG, output=output, device="cpu", progress=progress)
 
 
 def files_of(output: Path) -> dict[str, bytes]:
@@ -63,12 +65,12 @@ def files_of(output: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def whole(capture: ls.Gaussians, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> ls.FoundMaterials:
+def whole(capture: ls.Gaussians, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> ls.inverse.FoundMaterials:
     """Found in one go."""
     return found(capture, folder, tmp_path_factory.mktemp("whole") / "a.ply")
 
 
-def assert_same(first: ls.FoundMaterials, second: ls.FoundMaterials) -> None:
+def assert_same(first: ls.inverse.FoundMaterials, second: ls.inverse.FoundMaterials) -> None:
     """To the bit."""
     for name in ("albedo", "roughness", "normals"):
         np.testing.assert_array_equal(getattr(first.gaussians, name), getattr(second.gaussians, name), name)
@@ -82,7 +84,11 @@ def never(*arguments: Any, **options: Any) -> Any:
 
 
 def test_it_goes_on_to_the_same_bits(
-    capture: ls.Gaussians, folder: Path, whole: ls.FoundMaterials, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capture: ls.Gaussians,
+    folder: Path,
+    whole: ls.inverse.FoundMaterials,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """After several deaths; nothing is traced again, and light is there no longer than it is needed."""
     output = tmp_path / "a.ply"
@@ -101,7 +107,7 @@ def test_it_goes_on_to_the_same_bits(
 
 
 def test_light_that_is_lost_is_traced_again(
-    capture: ls.Gaussians, folder: Path, whole: ls.FoundMaterials, tmp_path: Path
+    capture: ls.Gaussians, folder: Path, whole: ls.inverse.FoundMaterials, tmp_path: Path
 ) -> None:
     """To the same bits."""
     output = tmp_path / "a.ply"
@@ -112,14 +118,20 @@ def test_light_that_is_lost_is_traced_again(
 
 
 def test_what_is_of_something_else_begins_anew(
-    capture: ls.Gaussians, folder: Path, whole: ls.FoundMaterials, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    capture: ls.Gaussians,
+    folder: Path,
+    whole: ls.inverse.FoundMaterials,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Other colours, other settings, damage: a log line says so, and the result is that of a first call."""
     output, path = tmp_path / "a.ply", tmp_path / "a.training" / "materials.npz"
     with pytest.raises(Killed):
         found(matte(ball(150), 0.5 * GREY, bright_above), folder, output, dies_at=4)
     whose = {"another capture": path.read_bytes()}
-    ls.find_materials(capture, folder, ls.MaterialsConfig(directions=32, iterations=2), output=output, device="cpu")
+    ls.inverse.find_materials(
+        capture, folder, ls.config.MaterialsConfig(directions=32, iterations=2), output=output, device="cpu"
+    )
     whose |= {"other settings": path.read_bytes(), "half of it": path.read_bytes()[:300], "nothing": b""}
     with np.load(path) as held:
         good = dict(held)
@@ -150,7 +162,7 @@ def test_an_output_that_cannot_be_written_is_told_at_once(
         (tmp_path / "b.ply", "is a folder"),
     ):
         with pytest.raises(ls.FormatError, match=problem):
-            ls.find_materials(capture, folder, CONFIG, output=output, device="cpu")
+            ls.inverse.find_materials(capture, folder, CONFIG, output=output, device="cpu")
     assert {path.name for path in tmp_path.iterdir()} == {"file", "b.environment.exr"}
 
 

@@ -38,15 +38,15 @@ def test_largest_weights_are_those_of_frames(threads: int) -> None:
 
 
 LENS = {"model": ls.CameraModel.FISHEYE, "distortion": (0.1, -0.02, 0.01, 0.0, 0.0, 0.0), "fx": 45.0, "fy": 40.0}
-ALONG = ls.RasterConfig(projection=ls.Projection.UNSCENTED)
+ALONG = ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)
 
 
 @pytest.mark.parametrize(
     ("settings", "frames", "lens", "moves"),
     [
         ({"pipeline": ls.Pipeline.TRACE, "kernel_degree": 4}, {"pipeline": ls.Pipeline.TRACE}, {}, False),
-        ({"projection": ls.Projection.UNSCENTED}, {"raster": ALONG}, {}, False),
-        ({"projection": ls.Projection.UNSCENTED}, {"raster": ALONG}, LENS, True),
+        ({"projection": ls.config.Projection.UNSCENTED}, {"raster": ALONG}, {}, False),
+        ({"projection": ls.config.Projection.UNSCENTED}, {"raster": ALONG}, LENS, True),
     ],
     ids=["rays", "along rays", "along rays of a lens that moves"],
 )

@@ -28,7 +28,7 @@ def fit(tmp_path_factory: pytest.TempPathFactory) -> R3dgFit:
     """Of a small ball, with materials and light that are all different."""
     capture = matte(ball(150), np.array([0.5, 0.4, 0.3]), even)
     folder = photographed(tmp_path_factory.mktemp("r3dg"), capture, count=3, size=24)
-    views = [TrainingView.of(photograph) for photograph in ls.load_photographs(folder).training]
+    views = [TrainingView.of(photograph) for photograph in ls.io.load_photographs(folder).training]
     normals = capture.means / np.linalg.norm(capture.means, axis=1, keepdims=True)
     made = R3dgFit(capture, normals.astype(np.float64), views, "cpu", directions=12)
     rng, now = np.random.default_rng(3), made.parameters

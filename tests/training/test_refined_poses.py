@@ -17,7 +17,7 @@ from lumisplat.training.views import Lesson, TrainingView
 from support.files.photograph_files import change_frame, ring_cameras, write_transforms_photographs
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
 
-STILL = ls.LearningRates(
+STILL = ls.config.LearningRates(
     means=1e-12, means_last=1e-13, rotations=0.0, log_scales=0.0, logits=0.0, sh=0.0, poses=1e-2, poses_last=3e-4
 )
 """Gaussians stay where they are."""
@@ -64,7 +64,7 @@ def test_poses_that_are_off_are_found_again() -> None:
 
 @pytest.mark.parametrize(
     "drawn_by",
-    [{}, {"pipeline": ls.Pipeline.TRACE}, {"projection": ls.Projection.UNSCENTED}],
+    [{}, {"pipeline": ls.Pipeline.TRACE}, {"projection": ls.config.Projection.UNSCENTED}],
     ids=["ellipses", "rays", "along rays"],
 )
 def test_a_step_goes_against_the_derivatives_of_the_loss(drawn_by: dict[str, Any]) -> None:
@@ -111,7 +111,7 @@ def test_corrections_are_resumed_and_written(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "set")
     config = ls.TrainConfig(iterations=60, cap=100, initial=80, sh_degree=1, exposures=True, refine_poses=True)
     whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
-    parts: list[ls.TrainResult] = []
+    parts: list[ls.training.TrainResult] = []
     while not parts or not parts[-1].is_finished:
         parts.append(ls.train(folder, config, output=tmp_path / "b.ply", stop_after=0.02, device="cpu"))
     assert len(parts) > 1 and (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
@@ -130,7 +130,7 @@ def test_lenses_of_more_than_one_model_have_a_file_each(tmp_path: Path) -> None:
     """A fisheye between pinholes, all learnt from as they are."""
     folder = write_transforms_photographs(tmp_path / "set", ring_cameras(4))
     change_frame(folder / "transforms.json", 2, camera_model="OPENCV_FISHEYE")
-    config = replace(CONFIG, iterations=2, sh_degree=0, projection=ls.Projection.UNSCENTED)
+    config = replace(CONFIG, iterations=2, sh_degree=0, projection=ls.config.Projection.UNSCENTED)
     result = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
     files = sorted(path.name for path in (tmp_path / "a.training").glob("poses*"))
     assert result.cameras is not None and files == ["poses-fisheye.json", "poses-pinhole.json"]

@@ -44,7 +44,7 @@ def held_out_psnr(config: ls.TrainConfig) -> float:
     scene, renderer = ls.Scene([trainer.gaussians()]), ls.DifferentiableRenderer(device="cpu")
     others = [camera(k + 0.5) for k in range(0, 32, 4)]
     shown = [np.clip(renderer.render(scene, by).color, 0.0, 1.0) for by in others]
-    return float(np.mean([ls.psnr(one, photograph(by).color) for one, by in zip(shown, others, strict=True)]))
+    return float(np.mean([ls.metrics.psnr(one, photograph(by).color) for one, by in zip(shown, others, strict=True)]))
 
 
 def test_terms_on_surfaces_leave_a_room_as_it_is() -> None:

@@ -38,7 +38,7 @@ def held_out_psnr(of: Trainer) -> float:
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
     between = cameras(40)[33:]
     scores = [
-        ls.psnr(
+        ls.metrics.psnr(
             np.clip(renderer.render(ls.Scene([of.gaussians()]), camera).color, 0.0, 1.0),
             np.clip(renderer.render(ls.Scene([known()]), camera).color, 0.0, 1.0),
         )
@@ -47,8 +47,8 @@ def held_out_psnr(of: Trainer) -> float:
     return float(np.mean(scores))
 
 
-@pytest.mark.parametrize("kind", list(ls.Densification))
-def test_training_learns(kind: ls.Densification) -> None:
+@pytest.mark.parametrize("kind", list(ls.config.Densification))
+def test_training_learns(kind: ls.config.Densification) -> None:
     """What it was not shown, too: 4 dB nearer after 400 small steps."""
     one = trainer(replace(CONFIG, densification=kind))
     before, losses = held_out_psnr(one), [one.step().total for _ in range(400)]
@@ -66,8 +66,8 @@ def test_known_gaussians_are_recovered() -> None:
     assert held_out_psnr(one) > 40.0
 
 
-@pytest.mark.parametrize("kind", list(ls.Densification))
-def test_a_seed_gives_the_same_bits_on_any_number_of_threads(kind: ls.Densification) -> None:
+@pytest.mark.parametrize("kind", list(ls.config.Densification))
+def test_a_seed_gives_the_same_bits_on_any_number_of_threads(kind: ls.config.Densification) -> None:
     """Over changes of their number, too; another seed gives others."""
     config = replace(CONFIG, densification=kind, iterations=700)
     made = [trainer(config, threads) for threads in (1, 2, 5)] + [trainer(replace(config, seed=4))]
@@ -86,18 +86,18 @@ def test_a_loss_that_is_not_finite_ends_training() -> None:
     broken = np.full((40, 40, 3), np.nan, np.float32)
     view = TrainingView("bad", cameras(1)[0], lambda: Picture(broken))
     one = Trainer([view], CONFIG, device="cpu")
-    with pytest.raises(ls.DivergedError, match=r"^training stopped at step 1: the loss is nan$"):
+    with pytest.raises(ls.training.DivergedError, match=r"^training stopped at step 1: the loss is nan$"):
         one.step()
 
 
-@pytest.mark.parametrize("kind", list(ls.Densification))
-def test_training_that_is_stopped_goes_on_to_the_same_bits(kind: ls.Densification, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", list(ls.config.Densification))
+def test_training_that_is_stopped_goes_on_to_the_same_bits(kind: ls.config.Densification, tmp_path: Path) -> None:
     """As if it had never ended, over changes of their number; and leaves what people want to look at."""
     folder = folder_of(tmp_path / "set")
-    config = replace(CONFIG, iterations=260 if kind is ls.Densification.MCMC else 420, densification=kind)
+    config = replace(CONFIG, iterations=260 if kind is ls.config.Densification.MCMC else 420, densification=kind)
     color = "#1a334d"
     whole = ls.train(folder, config, output=tmp_path / "a.ply", background=color, device="cpu")
-    parts: list[ls.TrainResult] = []
+    parts: list[ls.training.TrainResult] = []
     while not parts or not parts[-1].is_finished:
         output = tmp_path / "b.ply"
         parts.append(
@@ -119,20 +119,20 @@ def test_training_that_is_stopped_goes_on_to_the_same_bits(kind: ls.Densificatio
 def test_what_is_written_makes_the_same_training_again(tmp_path: Path) -> None:
     """From the settings of its folder alone, the same bits."""
     folder, outputs = folder_of(tmp_path / "set"), (tmp_path / "a.ply", tmp_path / "b.ply")
-    config = replace(CONFIG, iterations=6, seed=3, rates=ls.LearningRates(sh=0.004))
-    first = ls.load_photographs(
+    config = replace(CONFIG, iterations=6, seed=3, rates=ls.config.LearningRates(sh=0.004))
+    first = ls.io.load_photographs(
         os.path.relpath(folder), scale=0.5, hold_out=4, background="#1a334d", allow_outside=True
     )
     ls.train(first, config, output=outputs[0], device="cpu")
     told = tomllib.loads((tmp_path / "a.training" / "settings.toml").read_text())
     assert list(told) == ["photographs", "train"] and told["photographs"]["folder"] == str(folder)
-    again = ls.load_photographs(**told["photographs"])
-    rates = ls.LearningRates(**told["train"].pop("rates"))
+    again = ls.io.load_photographs(**told["photographs"])
+    rates = ls.config.LearningRates(**told["train"].pop("rates"))
     ls.train(again, ls.TrainConfig(**told["train"], rates=rates), output=outputs[1], device="cpu")
     assert outputs[0].read_bytes() == outputs[1].read_bytes()
     assert again.read_from == first.read_from and len(again.held_out) == 3
-    see_through = ls.load_photographs(folder)
-    assert ls.load_photographs(folder, background="transparent").read_from == see_through.read_from
+    see_through = ls.io.load_photographs(folder)
+    assert ls.io.load_photographs(folder, background="transparent").read_from == see_through.read_from
     ls.train(see_through, config, output=tmp_path / "c.ply", device="cpu")
     assert 'background = "transparent"' in (tmp_path / "c.training" / "settings.toml").read_text()
     ls.train(replace(first, read_from=None), config, output=tmp_path / "d.ply", device="cpu")
@@ -228,7 +228,7 @@ def test_parameters_that_are_not_finite_end_training_before_anything_is_written(
     one.step()
     means: Any = one._device_splats.values.means
     means.numpy()[3:5, 1] = np.nan  # the memory itself, on a CPU
-    with pytest.raises(ls.DivergedError, match=r"step 1: means of 2 of 80 Gaussians are not finite$"):
+    with pytest.raises(ls.training.DivergedError, match=r"step 1: means of 2 of 80 Gaussians are not finite$"):
         _ = one.checkpoint
 
 

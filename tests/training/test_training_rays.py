@@ -48,7 +48,7 @@ def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
     """On other views than those that were learnt from."""
     truth = replace(known(), kernel_degree=of.config.kernel_degree)
     pairs = zip(seen(of.gaussians(), some), seen(truth, some), strict=True)
-    return float(np.mean([ls.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
+    return float(np.mean([ls.metrics.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
 
 
 def test_what_is_compared_is_what_every_renderer_shows() -> None:
@@ -112,7 +112,7 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     frames = [np.clip(frame, 0.0, 1.0) for frame in seen(replace(known(), kernel_degree=4), some)]
     folder = tmp_path / "set"
     write_transforms_photographs(folder, some, frames)
-    view = ls.load_photographs(folder, straighten=False).training[3]
+    view = ls.io.load_photographs(folder, straighten=False).training[3]
     assert view.camera.model is ls.CameraModel.FISHEYE and view.camera.is_distorted
     np.testing.assert_allclose(view.pixels(), frames[4], atol=0.003)
     mask = view.mask()
@@ -124,7 +124,7 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     assert isinstance(asset, ls.Gaussians) and asset.kernel_degree == 4
     black = replace(FRAMES, background=(0.0, 0.0, 0.0))
     shown = ls.render(ls.Scene([asset]), some[0], black, device="cpu").color
-    assert result.score.of_views["00"] == pytest.approx(ls.psnr(np.clip(shown, 0.0, 1.0), frames[0]), abs=0.05)
+    assert result.score.of_views["00"] == pytest.approx(ls.metrics.psnr(np.clip(shown, 0.0, 1.0), frames[0]), abs=0.05)
 
 
 def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:

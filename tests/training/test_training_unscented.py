@@ -18,10 +18,10 @@ from support.files.photograph_files import write_transforms_photographs
 from support.scenes.training_scenes import BACKGROUND, cameras, known
 
 CONFIG = ls.TrainConfig(
-    iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3, projection=ls.Projection.UNSCENTED
+    iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3, projection=ls.config.Projection.UNSCENTED
 )
 FRAMES = ls.RenderConfig(
-    raster=ls.RasterConfig(projection=ls.Projection.UNSCENTED), background=BACKGROUND, lighting=False
+    raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED), background=BACKGROUND, lighting=False
 )
 TRACED = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=BACKGROUND, lighting=False)
 LENSES: dict[str, dict[str, Any]] = {
@@ -55,7 +55,7 @@ def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None =
 def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
     """Of its frames on other views, against the tracer's of what is to be found."""
     pairs = zip(seen(of.gaussians(), some, FRAMES), seen(known(), some), strict=True)
-    return float(np.mean([ls.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
+    return float(np.mean([ls.metrics.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
 
 
 def test_what_is_compared_is_what_every_renderer_shows() -> None:
@@ -141,9 +141,9 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     black = replace(FRAMES, background=(0.0, 0.0, 0.0))
     asset = ls.load(tmp_path / "a.ply")
     assert isinstance(asset, ls.Gaussians)
-    shown, photograph = seen(asset, some[:1], black)[0], ls.load_photographs(folder, straighten=False).held_out[0]
+    shown, photograph = seen(asset, some[:1], black)[0], ls.io.load_photographs(folder, straighten=False).held_out[0]
     assert photograph.camera.is_distorted
-    found = ls.psnr(np.clip(shown, 0.0, 1.0), photograph.pixels())
+    found = ls.metrics.psnr(np.clip(shown, 0.0, 1.0), photograph.pixels())
     assert result.score.of_views[photograph.name] == pytest.approx(found, abs=0.05)
 
 
@@ -156,4 +156,4 @@ def test_what_does_not_go_together_is_refused() -> None:
     ]
     for settings, problem in refused:
         with pytest.raises(ls.ConfigError, match=problem):
-            ls.TrainConfig(projection=ls.Projection.UNSCENTED, **settings)
+            ls.TrainConfig(projection=ls.config.Projection.UNSCENTED, **settings)

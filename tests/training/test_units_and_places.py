@@ -24,14 +24,14 @@ def moved(camera: ls.Camera, unit: float, place: np.ndarray) -> ls.Camera:
     return replace(camera, camera_from_world=pose)
 
 
-def photographs(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.Photographs:
+def photographs(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.io.Photographs:
     """A ring of cameras around points, as COLMAP would have written it."""
     cameras = [moved(camera, unit, place) for camera in ring_cameras(6, 32, 24)]
     known = unit * POINTS + place if points else POINTS[:0]
-    return ls.load_photographs(write_colmap_photographs(folder, cameras, known), hold_out=3)
+    return ls.io.load_photographs(write_colmap_photographs(folder, cameras, known), hold_out=3)
 
 
-def trained(photographs: ls.Photographs, config: ls.TrainConfig = CONFIG) -> ls.TrainResult:
+def trained(photographs: ls.io.Photographs, config: ls.TrainConfig = CONFIG) -> ls.training.TrainResult:
     """What comes of it."""
     return ls.train(photographs, config, device="cpu")
 
@@ -59,7 +59,7 @@ def test_gaussians_are_the_same_in_any_unit_and_place(
 @pytest.mark.parametrize("pipeline", ["trace", "unscented"])
 def test_rays_learn_the_same_in_any_unit(tmp_path: Path, pipeline: str) -> None:
     """The other ways to draw what is learnt."""
-    way = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.Projection.UNSCENTED}
+    way = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.config.Projection.UNSCENTED}
     config = replace(CONFIG, iterations=20, **way)
     scores = [
         trained(photographs(tmp_path / str(unit), unit, place), config).score

@@ -50,7 +50,7 @@ def test_a_view_that_other_settings_do_not_have_becomes_the_colour() -> None:
     """Instead of an error for each frame."""
     session, problems = Session(Options()), []
     session.errors.append(problems.append)
-    session.open(State(ls.SceneDocument.of(lit_scene()), ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)))
+    session.open(State(ls.io.SceneDocument.of(lit_scene()), ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)))
     session.set_options(view="cache")
     session.configure(lambda config: replace(config, pipeline=ls.Pipeline.HYBRID))
     assert session.options.view == "color" and "cache" not in session.views and not problems
@@ -64,11 +64,11 @@ def test_settings_without_an_effect_change_no_pixel() -> None:
         "energy_compensation": True,
         "tone_map": ls.ToneMap.AGX,
         "shadows": ls.Shadows.SOFT,
-        "raster": ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC),
-        "trace": ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT),
-        "path": ls.PathConfig(primary=ls.PathPrimary.ISO),
-        "realtime": ls.RealtimeConfig(quality=ls.RealtimeQuality.HIGH),
-        "shadow_rays": ls.ShadowConfig(method=ls.ShadowMethod.FIRST_HITS),
+        "raster": ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC),
+        "trace": ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT),
+        "path": ls.PathConfig(primary=ls.config.PathPrimary.ISO),
+        "realtime": ls.RealtimeConfig(quality=ls.config.RealtimeQuality.HIGH),
+        "shadow_rays": ls.ShadowConfig(method=ls.config.ShadowMethod.FIRST_HITS),
     }
     for pipeline, scene in itertools.product(ls.Pipeline, (lit_scene(), UNLIT)):
         config = ls.RenderConfig(pipeline=pipeline, samples=None if pipeline is ls.Pipeline.REALTIME else 1)
@@ -83,7 +83,7 @@ def test_settings_without_an_effect_change_no_pixel() -> None:
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
 def test_no_choice_beside_others_is_refused_by_frames(pipeline: ls.Pipeline) -> None:
     """Each choice of each setting, in groups too, that is not disabled, beside any of the rasteriser's own choices."""
-    chosen = itertools.product(ls.Projection, ls.RasterStrategy, ls.GaussianSurface)
+    chosen = itertools.product(ls.config.Projection, ls.config.RasterStrategy, ls.config.GaussianSurface)
     disabled = 0
     for projection, strategy, surface in chosen:
         raster = ls.RasterConfig(projection=projection, strategy=strategy, surface=surface)
@@ -153,7 +153,7 @@ def test_each_choice_that_is_offered_is_accepted() -> None:
 
 def test_whole_numbers_go_by_the_steps_that_are_accepted() -> None:
     """A shadow map has a multiple of 8 texels."""
-    fields = {field.name: field for field in shown_settings(ls.DeepShadowConfig)}
+    fields = {field.name: field for field in shown_settings(ls.config.DeepShadowConfig)}
     assert fields["resolution"].range.step == 8 and fields["resolution"].low == 8
 
 

@@ -102,7 +102,7 @@ def shown(viewer: ls.Viewer) -> np.ndarray:
 def shows_its_frame(page: Any, viewer: ls.Viewer) -> bool:
     """Whether a page shows what the renderer has rendered for it, but for the JPEG; a busy browser may take a while."""
     for _ in range(200):
-        if ls.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0:
+        if ls.metrics.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0:
             return True
         page.wait_for_timeout(500)
     return False

@@ -203,7 +203,7 @@ def test_a_cell_shows_what_the_renderer_renders(viewer: ls.Viewer, notebook: Any
     assert about["image/png"] == {"width": 160, "height": 90} and data["image/png"]
     shown = settled(viewer, notebook)
     assert shown.shape == (90, 160, 3)
-    assert ls.psnr(shown / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
+    assert ls.metrics.psnr(shown / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
 
 
 def test_a_drag_in_the_cell_turns_the_picture(viewer: ls.Viewer, notebook: Any) -> None:
@@ -213,7 +213,7 @@ def test_a_drag_in_the_cell_turns_the_picture(viewer: ls.Viewer, notebook: Any) 
     notebook.drag(90.0, 40.0)
     turned = settled(viewer, notebook)
     assert difference(before, turned) > 2.0
-    assert ls.psnr(turned / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
+    assert ls.metrics.psnr(turned / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
     notebook.drag(-90.0, -40.0)
     assert difference(before, settled(viewer, notebook)) < 1.0
 
@@ -226,7 +226,7 @@ def test_edits_of_programs_and_pages_are_seen_in_the_cell(viewer: ls.Viewer, not
     viewer.show(darker)
     after = settled(viewer, notebook)
     assert after.mean() < 0.7 * before.mean()
-    assert ls.psnr(after / 255.0, expected(viewer, darker) / 255.0) > 35.0
+    assert ls.metrics.psnr(after / 255.0, expected(viewer, darker) / 255.0) > 35.0
     assert viewer._session.undo()
     np.testing.assert_array_equal(settled(viewer, notebook), before)
 
@@ -397,7 +397,7 @@ def test_without_a_kernel_there_is_a_picture(viewer: ls.Viewer) -> None:
     assert about == {"image/png": {"width": 160, "height": 90}}
     view = ls.frame_camera(lit_scene(), width=160, height=90, fov_y=0.8)
     wanted = np.asarray(ls.render(lit_scene(), view, CONFIG, device="cpu"), np.uint8)
-    assert ls.psnr(picture_of(data) / 255.0, wanted / 255.0) > 40.0
+    assert ls.metrics.psnr(picture_of(data) / 255.0, wanted / 255.0) > 40.0
     assert page_threads() == before and not viewer._loop._pages
 
 

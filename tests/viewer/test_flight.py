@@ -32,9 +32,9 @@ def key(x: float, exposure: float = 0.0) -> Key:
     return Key(replace(camera, exposure=exposure), TARGET)
 
 
-def flight() -> ls.SceneDocument:
+def flight() -> ls.io.SceneDocument:
     """Three places, two seconds apart, then one."""
-    document = with_key(ls.SceneDocument.of(lit_scene()), key(-1.0), 2.0)
+    document = with_key(ls.io.SceneDocument.of(lit_scene()), key(-1.0), 2.0)
     return with_key(with_key(document, key(0.0), 2.0), key(1.0, exposure=1.0), 1.0)
 
 
@@ -58,7 +58,7 @@ def test_any_key_view_can_be_deleted() -> None:
     with pytest.raises(ls.SceneError, match="no key view 4"):
         without_key(flight(), 3)
     still = {"name": "front", "eye": [0.0, 0.0, -4.0], "target": [0.0, 0.0, 0.0]}
-    document = with_key(ls.SceneDocument.of(lit_scene()).with_cameras([still]), key(0.0), 1.0)
+    document = with_key(ls.io.SceneDocument.of(lit_scene()).with_cameras([still]), key(0.0), 1.0)
     assert [camera.name for camera in document.cameras] == ["front", "flight"]
     twice = with_key(document, key(1.0), 1.0)
     assert len(keys_of(twice)) == 2 and without_key(twice, 1).cameras[1].name == "flight"
@@ -88,7 +88,7 @@ def test_key_views_are_listed_with_thumbnails_of_what_they_see() -> None:
 
 def test_an_animation_that_would_end_before_lasts_as_long() -> None:
     """One that is longer keeps its length."""
-    document = with_key(ls.SceneDocument.of(lit_scene()), key(0.0), 1.0)
+    document = with_key(ls.io.SceneDocument.of(lit_scene()), key(0.0), 1.0)
     longer = with_key(document.with_animation(duration=9.0, fps=10.0), key(1.0), 4.0).animation
     assert longer is not None and longer.duration == 9.0 and longer.frame_count == 90
     shorter = with_key(document.with_animation(frames=5), key(1.0), 4.0).animation

@@ -198,7 +198,7 @@ def test_an_image_that_is_added_as_sky_stands_upright(tmp_path: Path) -> None:
     file = tmp_path / "sky.hdr"
     write_hdr(file, np.ones((4, 8, 3), np.float32))
     for up in ("y-down", "y-up", "z-up"):
-        document, number = with_sky(ls.SceneDocument.of(ls.Scene(up=up)), str(file))
+        document, number = with_sky(ls.io.SceneDocument.of(ls.Scene(up=up)), str(file))
         (sky,) = document.entry(number).lights
         assert isinstance(sky, ls.LightEnvironment)
         turned = transforms.SO3(np.asarray(sky.rotation_wxyz, np.float64)).as_matrix()

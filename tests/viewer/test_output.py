@@ -94,7 +94,7 @@ def test_a_video_has_a_frame_for_each_time_of_the_flight(viewer: ls.Viewer, page
         video.seek(number)
         view = animation.camera_path.at(number / 8.0).scaled(height=48)
         expected = ls.render(lit_scene(), view, config, device="cpu").pixels_srgb()
-        similar.append(ls.psnr(np.asarray(video.convert("RGB"), np.float32) / 255.0, expected))
+        similar.append(ls.metrics.psnr(np.asarray(video.convert("RGB"), np.float32) / 255.0, expected))
     assert min(similar) > 30.0
 
 

@@ -126,7 +126,7 @@ def test_ranges_of_the_package_are_found() -> None:
     ends = {
         name: (field(name, cls).low, field(name, cls).high)
         for name, cls in (
-            ("kernel_degree", ls.ResponseConfig),
+            ("kernel_degree", ls.config.ResponseConfig),
             ("shininess", ls.MaterialSimple),
             ("transmittance_threshold", ls.ShadowConfig),
             ("metallic", ls.MaterialPbr),
@@ -158,7 +158,7 @@ def test_picked_colours_are_linear_light() -> None:
     assert picked_from_linear((0.5, 2.0, -1.0)) == (188, 255, 0)
 
 
-def document() -> ls.SceneDocument:
+def document() -> ls.io.SceneDocument:
     """A box that is turned and placed, a floor below it (y is down), and lights."""
     box = ls.MeshInstance(
         ls.box(1.0), position=(1.0, -2.0, 3.0), rotation_degrees=(0.0, 90.0, 0.0), scale_by=2.0, name="box"
@@ -172,15 +172,15 @@ def document() -> ls.SceneDocument:
         ls.LightDisk((0, -1, 0), (0, 1, 0), 0.5),
         ls.LightEnvironment(),
     ]
-    return ls.SceneDocument.of(ls.Scene(meshes=[box, floor], lights=lights, up="y-down"))
+    return ls.io.SceneDocument.of(ls.Scene(meshes=[box, floor], lights=lights, up="y-down"))
 
 
-def moved(number: int, move: np.ndarray) -> ls.SceneDocument:
+def moved(number: int, move: np.ndarray) -> ls.io.SceneDocument:
     """The document with the grip of an entry moved."""
     return moved_of(document(), number, move)
 
 
-def moved_of(start: ls.SceneDocument, number: int, move: np.ndarray, time: float = 0.0) -> ls.SceneDocument:
+def moved_of(start: ls.io.SceneDocument, number: int, move: np.ndarray, time: float = 0.0) -> ls.io.SceneDocument:
     """A document with the grip of an entry moved at a time."""
     grip = grip_of(start.entry(number), (np.full(3, -1.0), np.full(3, 1.0)), EXTENT, time)
     assert grip is not None
@@ -243,7 +243,7 @@ def test_the_ground_is_where_all_others_end() -> None:
         on_ground(document(), 2)
 
 
-def walker(folder: Path) -> ls.SceneDocument:
+def walker(folder: Path) -> ls.io.SceneDocument:
     """A ball that moves from the left to the right while it turns, in a scene file."""
     ls.save(folder / "ball.ply", cloud())
     (folder / "scene.toml").write_text(
@@ -251,7 +251,7 @@ def walker(folder: Path) -> ls.SceneDocument:
         "[[actors.keyframes]]\ntime = 0.0\nposition = [-1.0, 0.0, 0.0]\n"
         "[[actors.keyframes]]\ntime = 2.0\nposition = [1.0, 0.0, 0.0]\nrotation_wxyz = [0.0, 0.0, 1.0, 0.0]\n"
     )
-    return ls.SceneDocument.open(folder / "scene.toml")
+    return ls.io.SceneDocument.open(folder / "scene.toml")
 
 
 @pytest.mark.parametrize("time", [0.0, 1.0, 2.0])
@@ -288,20 +288,20 @@ def test_names_of_files_are_words_in_the_list(tmp_path: Path) -> None:
     """Neither tags nor scripts, wherever they come from; what could not be read is listed, too."""
     evil = "<img src=x onerror=alert(1)>"
     mesh = ls.MeshInstance(ls.box(1.0), name=evil)
-    text = tree_html(ls.SceneDocument.of(ls.Scene(meshes=[mesh])), Boxes())
+    text = tree_html(ls.io.SceneDocument.of(ls.Scene(meshes=[mesh])), Boxes())
     assert evil not in text and "&lt;img" in text and "12 faces · 1 × 1 × 1" in text
     ls.save(tmp_path / "ball.ply", cloud())
-    opened = ls.SceneDocument.open([tmp_path / "ball.ply", tmp_path / "gone.obj"])
+    opened = ls.io.SceneDocument.open([tmp_path / "ball.ply", tmp_path / "gone.obj"])
     assert "left out: " in tree_html(opened, Boxes()) and "gone.obj" in tree_html(opened, Boxes())
     assert plain("![x](http://a) <b>{1}</b> `c`|") == "  x (http://a)  b  1  /b   c  "
 
 
-def captured() -> ls.SceneDocument:
+def captured() -> ls.io.SceneDocument:
     """A ball of Gaussians, of radius 0.5, and one stray Gaussian far away."""
     ball = cloud()
     means = np.array(ball.means)
     means[0] = (50.0, 0.0, 0.0)
-    return ls.SceneDocument.of(replace(ball, means=means))
+    return ls.io.SceneDocument.of(replace(ball, means=means))
 
 
 def test_a_crop_leaves_out_what_is_beyond_its_sliders() -> None:
@@ -332,7 +332,7 @@ def test_what_is_added_stands_as_on_the_command_line() -> None:
     capture = random_gaussians(3, count=200)
     for around in (ls.Scene([capture], up="z-up"), ls.Scene(meshes=[ls.box(1.0)])):
         session = Session(Options())
-        session.open(State(ls.SceneDocument.of(around), ls.RenderConfig()))
+        session.open(State(ls.io.SceneDocument.of(around), ls.RenderConfig()))
         panel = AddPanel.__new__(AddPanel)
         panel._session = session
         for size in (0.2, 1000.0):
@@ -354,7 +354,7 @@ def test_a_sky_takes_the_place_of_another(tmp_path: Path) -> None:
     """The same entry, with its other keys."""
     for name in ("a.hdr", "b.hdr"):
         write_hdr(tmp_path / name, np.ones((4, 8, 3), np.float32))
-    document, number = with_sky(ls.SceneDocument.of(ls.Scene()), str(tmp_path / "a.hdr"))
+    document, number = with_sky(ls.io.SceneDocument.of(ls.Scene()), str(tmp_path / "a.hdr"))
     document, again = with_sky(document.changed(number, intensity=0.5), str(tmp_path / "b.hdr"))
     assert number == again and len(document.entries) == 1 and document.entry(number).table["path"].endswith("b.hdr")
     assert document.entry(number).table["intensity"] == 0.5
@@ -368,7 +368,7 @@ def test_new_lamps_are_seen_and_light_what_is_looked_at(aspect: float) -> None:
     view, target = pose.camera(100), np.array(pose.target)
     tables = light_tables(pose, np.array((0.0, -1.0, 0.0)))
     for kind, table in tables.items():
-        light: Any = ls.SceneDocument.of(ls.Scene()).added("lights", {"type": kind, **table})[0].scene().lights[0]
+        light: Any = ls.io.SceneDocument.of(ls.Scene()).added("lights", {"type": kind, **table})[0].scene().lights[0]
         if kind == "directional":
             assert np.array(light.direction) @ (0.0, 1.0, 0.0) > 0.5, "it shines from above"
             continue
@@ -465,7 +465,7 @@ def test_edits_of_several_threads_are_all_there() -> None:
     session, begun = Session(Options()), threading.Event()
     session.open(State(document()))
 
-    def slow(document: ls.SceneDocument) -> ls.SceneDocument:
+    def slow(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
         begun.set()
         time.sleep(0.3)
         return document.added("lights", {"type": "point", "position": [0, 0, 0]})[0]
@@ -509,7 +509,7 @@ def test_the_command_line_is_of_a_frame_that_there_is(tmp_path: Path) -> None:
 def test_undo_keeps_as_many_captures_as_memory_has_room_for() -> None:
     """Each crop makes a capture of its own; edits that share captures with what is shown cost nothing."""
     capture = ls.gaussians_from_mesh(ls.box(1.0), 1000, seed=0)
-    states = [State(ls.SceneDocument.of(capture))]
+    states = [State(ls.io.SceneDocument.of(capture))]
     for number in range(1, 6):
         high = (0.4 - 0.1 * number, 9.0, 9.0)
         states.append(State(states[0].document.changed(0, crop_low=(-9.0, -9.0, -9.0), crop_high=high)))
@@ -524,7 +524,7 @@ def test_undo_keeps_as_many_captures_as_memory_has_room_for() -> None:
 def test_undo_counts_the_images_of_environments() -> None:
     """Each is held by the state that showed it."""
     images = [np.full((32, 64, 3), value, np.float32) for value in (0.5, 1.0, 2.0)]
-    states = [State(ls.SceneDocument.of(ls.Scene(lights=[ls.LightEnvironment(image=image)]))) for image in images]
+    states = [State(ls.io.SceneDocument.of(ls.Scene(lights=[ls.LightEnvironment(image=image)]))) for image in images]
     most = images[0].nbytes
     assert within_memory(states[:-1], states[-1], most + 8192) == states[1:-1]
     assert within_memory(states[:-1], states[-1], 3 * most) == states[:-1]
@@ -538,7 +538,7 @@ def arrays_of(gaussians: ls.Gaussians) -> list[np.ndarray]:
 def test_the_command_line_has_the_samples_of_the_settings(tmp_path: Path) -> None:
     """Not those that a picture happens to have; without any, none are given."""
     session = Session(Options())
-    session.open(State(ls.SceneDocument.of(cloud()), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=16)))
+    session.open(State(ls.io.SceneDocument.of(cloud()), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=16)))
     pose = Pose((0.0, 0.0, -3.0), (1.0, 0.0, 0.0, 0.0), 0.8, 1.6, 3.0)
     assert " --samples 16 " in command_line(Path("a.toml"), pose, session)
     session.configure(lambda config: replace(config, samples=None))
@@ -579,7 +579,7 @@ def test_the_inspector_turns_suns_by_their_angles() -> None:
     scene = ls.Scene(
         meshes=[ls.MeshInstance(ls.box(1.0))], lights=[ls.LightDirectional((0.3, 1.0, 0.4))], up=(0, -1, 0)
     )
-    start = ls.SceneDocument.of(scene)
+    start = ls.io.SceneDocument.of(scene)
     start = start.changed(1, direction=None, position=(0.0, -5.0, -5.0), target=(0.0, 0.0, 0.0))
     up = start.scene().up_direction
     edited = put_field(put_field(start, 1, "elevation_degrees", 20.0), 1, "azimuth_degrees", 75.0)

@@ -29,11 +29,11 @@ def floor(count: int = 3000) -> ls.Gaussians:
     )
 
 
-def animation(lighting: ls.AvatarLightingConfig | None = None) -> ls.Animation:
+def animation(lighting: ls.config.AvatarLightingConfig | None = None) -> ls.Animation:
     """A ball that goes from the left to the right over the floor, under a sun."""
     stage = ls.Scene([floor()], lights=[ls.LightDirectional((0.3, 1.0, 0.0))], up=UP)
     ball = ls.Actor(cloud(), ls.Keyframes([0.0, 2.0], positions=[(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)]))
-    return ls.Animation(stage, [ball], frame_count=50, lighting=lighting or ls.AvatarLightingConfig())
+    return ls.Animation(stage, [ball], frame_count=50, lighting=lighting or ls.config.AvatarLightingConfig())
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def colors(scene: ls.Scene) -> list[np.ndarray]:
 def test_actors_are_lit_as_in_the_frames_of_their_animation(scenes: ShownScenes) -> None:
     """Their shadow on the floor and their own light, to the bit; the same scene as long as nothing changes."""
     wanted = animation()
-    shown = scenes.of(ls.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
+    shown = scenes.of(ls.io.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
     expected = ls.AvatarLighter(wanted.scene, config=wanted.lighting, device="cpu").light(wanted.actors_at(1.0))
     for ours, theirs in zip(colors(shown), colors(expected), strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -61,19 +61,19 @@ def test_actors_are_lit_as_in_the_frames_of_their_animation(scenes: ShownScenes)
 
 def test_scenes_are_the_same_object_while_nothing_changes(scenes: ShownScenes) -> None:
     """Another time is another one, and so is another setting of the light."""
-    document = ls.SceneDocument.of(animation())
+    document = ls.io.SceneDocument.of(animation())
     first = scenes.of(document, CONFIG, 1.0, 0, waits=True)
     assert scenes.of(document, CONFIG, 1.0, 0, waits=False) is first
     later = scenes.of(document, CONFIG, 1.5, 0, waits=False)
     assert later is not first and np.abs(colors(later)[0] - colors(first)[0]).max() > 0.1
-    weaker = document.with_animation(lighting=ls.AvatarLightingConfig(direct=0.1))
+    weaker = document.with_animation(lighting=ls.config.AvatarLightingConfig(direct=0.1))
     half = scenes.of(weaker, CONFIG, 1.0, 0, waits=True)
     assert np.abs(colors(half)[0] - colors(first)[0]).max() > 0.05
 
 
 def test_who_cannot_wait_gets_actors_without_light(scenes: ShownScenes) -> None:
     """Until the light was prepared once; a change of what stands still takes it away again."""
-    document, plain = ls.SceneDocument.of(animation()), colors(animation().scene)[0]
+    document, plain = ls.io.SceneDocument.of(animation()), colors(animation().scene)[0]
     unlit = scenes.of(document, CONFIG, 1.0, 0, waits=False)
     assert len(unlit.splats) == 2
     np.testing.assert_array_equal(colors(unlit)[0], plain)
@@ -86,8 +86,8 @@ def test_who_cannot_wait_gets_actors_without_light(scenes: ShownScenes) -> None:
 
 def test_light_that_is_off_changes_nothing(scenes: ShownScenes) -> None:
     """Neither shadows nor light of the place."""
-    off = ls.AvatarLightingConfig(shadows=False, relight=False)
-    shown = scenes.of(ls.SceneDocument.of(animation(off)), CONFIG, 1.0, 0, waits=True)
+    off = ls.config.AvatarLightingConfig(shadows=False, relight=False)
+    shown = scenes.of(ls.io.SceneDocument.of(animation(off)), CONFIG, 1.0, 0, waits=True)
     for ours, theirs in zip(colors(shown), [colors(animation().scene)[0], cloud().sh], strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
@@ -98,7 +98,7 @@ def test_where_no_light_is_found_actors_keep_their_own() -> None:
     levels = Levels(lambda: None)
     scenes = ShownScenes(levels, "cpu", lambda label, share: None, report=told.append)
     dark = replace(animation(), scene=replace(animation().scene, lights=[]))
-    document = ls.SceneDocument.of(dark)
+    document = ls.io.SceneDocument.of(dark)
     for time in (0.0, 1.0):
         assert len(scenes.of(document, CONFIG, time, 0, waits=True).splats) == 2
     assert len(told) == 1 and told[0].startswith("actors keep their own light")

@@ -105,7 +105,7 @@ def test_a_page_shows_what_the_renderer_renders(viewer: ls.Viewer) -> None:
         shown = settled(viewer, page) / 255.0
     expected = ls.render(lit_scene(), camera(), viewer._session.state.config, device="cpu").pixels_srgb()
     assert shown.shape == expected.shape
-    assert ls.psnr(shown.astype(np.float32), expected) > 35.0
+    assert ls.metrics.psnr(shown.astype(np.float32), expected) > 35.0
 
 
 def test_two_pages_have_their_own_cameras(viewer: ls.Viewer) -> None:
@@ -234,11 +234,11 @@ def test_files_that_are_damaged_say_so_and_the_viewer_lives_on(viewer: ls.Viewer
         settled(viewer, page)
 
 
-def document_in(folder: Path) -> ls.SceneDocument:
+def document_in(folder: Path) -> ls.io.SceneDocument:
     """A document whose file would be in a folder."""
     ls.save(folder / "ball.ply", cloud())
     (folder / "scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
-    return ls.SceneDocument.open(folder / "scene.toml")
+    return ls.io.SceneDocument.open(folder / "scene.toml")
 
 
 def test_nonsense_from_a_page_disturbs_nobody(viewer: ls.Viewer) -> None:
@@ -267,7 +267,9 @@ def test_a_frame_that_fails_is_told_and_the_next_one_is_rendered(viewer: ls.View
     with PageClient(viewer.url) as page:
         page.look(camera())
         before = settled(viewer, page)
-        raster = ls.RasterConfig(projection=ls.Projection.UNSCENTED, strategy=ls.RasterStrategy.STOCHASTIC)
+        raster = ls.RasterConfig(
+            projection=ls.config.Projection.UNSCENTED, strategy=ls.config.RasterStrategy.STOCHASTIC
+        )
         viewer._session.configure(lambda config: replace(config, raster=raster))
         eventually(lambda: any("go with projection unscented" in note for note in page.notes()), "nobody was told")
         viewer._session.undo()
@@ -304,7 +306,7 @@ def test_the_command_line_renders_what_a_page_shows(
     ls.save(tmp_path / "ball.ply", cloud())
     lamp = "[[lights]]\ntype = 'point'\nposition = [0.0, -1.0, -0.8]\nintensity = 2.0\n"
     (tmp_path / "scene.toml").write_text(f'[[splats]]\npath = "ball.ply"\nmaterial = {{type = "pbr"}}\n{lamp}')
-    document = ls.SceneDocument.open(tmp_path / "scene.toml")
+    document = ls.io.SceneDocument.open(tmp_path / "scene.toml")
     viewer._session.edit(
         lambda state: State(document.with_up((0.1, -1.0, 0.2)), replace(state.config, **settings), exposure)
     )
@@ -322,7 +324,7 @@ def test_the_command_line_renders_what_a_page_shows(
     at = words.index("--width")
     arguments = [*words[1:at], *size, *words[at + 4 : -1], str(tmp_path / "view.png"), "--device", "cpu"]
     assert main(arguments) == 0
-    assert ls.psnr(ls.load_image(tmp_path / "view.png"), (shown / 255.0).astype(np.float32)) > 35.0
+    assert ls.metrics.psnr(ls.load_image(tmp_path / "view.png"), (shown / 255.0).astype(np.float32)) > 35.0
 
 
 def test_long_frames_give_way_to_a_view_that_moves(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -335,7 +337,7 @@ def test_long_frames_give_way_to_a_view_that_moves(viewer: ls.Viewer, monkeypatc
             begun.set()
         try:
             return render(*args, **options)
-        except ls.StoppedError:
+        except ls.errors.StoppedError:
             stopped.set()
             raise
 
@@ -352,7 +354,7 @@ def test_long_frames_give_way_to_a_view_that_moves(viewer: ls.Viewer, monkeypatc
         assert stopped.is_set()
         viewer._session.configure(lambda config: replace(config, samples=4))
         page.look(camera())
-        assert ls.psnr(settled(viewer, page) / 255.0, rendered_at(720)) > 35.0
+        assert ls.metrics.psnr(settled(viewer, page) / 255.0, rendered_at(720)) > 35.0
         assert not page.notes()
 
 
@@ -420,7 +422,7 @@ def test_files_that_are_not_there_open_no_page(tmp_path: Path) -> None:
     """Not even for a moment: nobody should be given an address that leads nowhere."""
     for missing in (tmp_path / "a.ply", [tmp_path / "a.ply", str(tmp_path / "b.toml")]):
         threads = threading.active_count()
-        with pytest.raises(ls.MissingFileError, match=r"a\.ply: no such file"):
+        with pytest.raises(ls.errors.MissingFileError, match=r"a\.ply: no such file"):
             ls.view(missing)
         assert threading.active_count() == threads
 
@@ -607,7 +609,7 @@ def test_what_was_left_out_is_not_lost_in_silence(viewer: ls.Viewer, tmp_path: P
     file = tmp_path / "scene.toml"
     file.write_text(file.read_text() + '[[meshes]]\npath = "gone.obj"\n')
     text = file.read_text()
-    viewer._session.edit(lambda state: replace(state, document=ls.SceneDocument.open(file)))
+    viewer._session.edit(lambda state: replace(state, document=ls.io.SceneDocument.open(file)))
     with PageClient(viewer.url) as page:
         page.look(camera())
         page.picture()

@@ -22,7 +22,8 @@ from lumisplat.baking.sample_rays import (
     turned_directions,
     view_weights,
 )
-from lumisplat.config import Pipeline, RenderConfig, check_whole
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config.checks import check_whole
 from lumisplat.constants import SAMPLES_MAX, SH_DEGREE_MAX
 from lumisplat.constants.baking import (
     BAKE_DIRECTIONS,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
 from lumisplat.config.dataset import (
-    DATASET_LAYERS,
     DatasetConfig,
     DatasetLights,
     DatasetObjects,
@@ -36,14 +34,9 @@ from lumisplat.config.lighting import (
     ReceiverSampling,
     RelightConfig,
 )
-from lumisplat.config.pipelines import Integrator, Pipeline, Visibility
+from lumisplat.config.pipelines import Pipeline
 from lumisplat.config.realtime import FilterConfig, ProbeConfig, RadianceCacheConfig, RealtimeConfig, RealtimeQuality
 from lumisplat.config.render import (
-    AOVS,
-    EVERY_FRAME,
-    PATH_AOVS,
-    PATH_PARTS,
-    REALTIME_AOVS,
     PathConfig,
     PathPrimary,
     RenderConfig,
@@ -53,12 +46,6 @@ from lumisplat.config.render import (
 from lumisplat.config.training import Densification, LearningRates, MaterialsConfig, TrainConfig
 
 __all__ = [
-    "AOVS",
-    "DATASET_LAYERS",
-    "EVERY_FRAME",
-    "PATH_AOVS",
-    "PATH_PARTS",
-    "REALTIME_AOVS",
     "Absorption",
     "Antialiasing",
     "AtlasLayout",
@@ -73,7 +60,6 @@ __all__ = [
     "FilterConfig",
     "GaussianSurface",
     "HitDistance",
-    "Integrator",
     "LearningRates",
     "LightEstimationConfig",
     "MaterialsConfig",
@@ -101,12 +87,4 @@ __all__ = [
     "TraceConfig",
     "TraceStrategy",
     "TrainConfig",
-    "Visibility",
-    "check_flag",
-    "check_kind",
-    "check_range",
-    "check_whole",
-    "choices",
-    "enum_member",
-    "listed_names",
 ]

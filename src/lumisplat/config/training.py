@@ -167,7 +167,7 @@ class TrainConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaterialsConfig:
-    """Settings of `lumisplat.find_materials` (docs/method/relightable.md).
+    """Settings of `lumisplat.inverse.find_materials` (docs/method/relightable.md).
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.

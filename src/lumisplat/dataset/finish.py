@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lumisplat.config import DatasetConfig, check_kind
+from lumisplat.config import DatasetConfig
+from lumisplat.config.checks import check_kind
 from lumisplat.dataset.files import LAYER_FILES, view_file, view_name
 from lumisplat.errors import FormatError
 from lumisplat.io.cameras.json_cameras import OPENGL_FROM_OPENCV

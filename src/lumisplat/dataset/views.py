@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lumisplat.config import DatasetConfig, RenderConfig, check_kind, check_whole
+from lumisplat.config import DatasetConfig, RenderConfig
+from lumisplat.config.checks import check_kind, check_whole
 from lumisplat.dataset.draws import Draws, Purpose, split_of
 from lumisplat.dataset.files import id_type, view_file, write_view
 from lumisplat.dataset.finish import DatasetSummary, finish_dataset

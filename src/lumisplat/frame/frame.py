@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AOVS, EVERY_FRAME, ToneMap
+from lumisplat.config import ToneMap
+from lumisplat.config.render import AOVS, EVERY_FRAME
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.frame.denoise import check_denoiser, denoised_light
 from lumisplat.frame.encoding import MimeBundle, depth_range, encoded, mime_bundle, mime_type, write_depth_png
@@ -130,7 +131,7 @@ class Frame(FrameData):
                 has), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all. Depth
                 is also written as 16-bit grey, ``NAME.depth16.png``, whose text says its range, see `depth_range`.
             mattes: Of an EXR, objects and materials for compositors (Cryptomatte), each in a part of its own, see
-                `lumisplat.render_mattes`.
+                `lumisplat.layers.render_mattes`.
 
         Raises:
             ConfigError: A name is not a layer, the frame was rendered without it, or the format has no mattes.

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AOVS, PATH_PARTS, listed_names
-from lumisplat.config.checks import quoted
+from lumisplat.config.checks import listed_names, quoted
+from lumisplat.config.render import AOVS, PATH_PARTS
 from lumisplat.constants import LUMINANCE
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame_data import FrameData

@@ -43,7 +43,7 @@ class Matte:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mattes:
-    """What `lumisplat.render_mattes` has found; `lumisplat.Frame.save` writes them into an EXR."""
+    """What `lumisplat.layers.render_mattes` has found; `lumisplat.Frame.save` writes them into an EXR."""
 
     objects: Matte
     """By the names of captures and meshes."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import PATH_PARTS
+from lumisplat.config.render import PATH_PARTS
 from lumisplat.constants import UNDISTORTED_AREA_MAX, UNDISTORTED_SCALE_MAX
 from lumisplat.constants.parts import WINDOW_STEP
 from lumisplat.errors import SceneError

@@ -25,7 +25,7 @@ _CHANNELS = {"color": 3, "alpha": 1, "radiance": 3, "squares": 3, "captured_weig
 
 @dataclass(frozen=True)
 class SamplePart:
-    """A block of a frame's samples, as `lumisplat.render_samples` makes it."""
+    """A block of a frame's samples, as `lumisplat.farm.render_samples` makes it."""
 
     first: int
     """Number of its first sample."""

@@ -1,1 +1,5 @@
-"""Metrics of images, shadows and lighting, each with its definition, unit and source. None of them needs Warp."""
+"""Metrics of image quality, lighting and shadows."""
+
+from lumisplat import lazy
+
+__getattr__, __dir__, __all__ = lazy.names_of_stub(__name__, __file__)

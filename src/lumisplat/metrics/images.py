@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import check_range, check_whole
+from lumisplat.config.checks import check_range, check_whole
 from lumisplat.constants.metrics import FLIP_PIXELS_PER_DEGREE, SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.errors import MissingExtraError, SceneError
 from lumisplat.math.arrays import Flags, host_array

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import check_whole
-from lumisplat.config.checks import is_number, quoted
+from lumisplat.config.checks import check_whole, is_number, quoted
 from lumisplat.config.setting import frozen, given
 from lumisplat.constants import SH_C0
 from lumisplat.constants.metrics import (

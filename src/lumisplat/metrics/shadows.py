@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import check_range
+from lumisplat.config.checks import check_range
 from lumisplat.constants.metrics import BOUNDARY_TOLERANCE_PX, SHADOW_MASK_THRESHOLD
 from lumisplat.metrics.images import Image, shadow_pair
 

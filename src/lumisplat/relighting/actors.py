@@ -10,7 +10,8 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AvatarLightingConfig, check_range
+from lumisplat.config import AvatarLightingConfig
+from lumisplat.config.checks import check_range
 from lumisplat.constants import SHADOW_FOOTPRINT
 from lumisplat.errors import SceneError, check_instance
 from lumisplat.math.arrays import FloatArray, float_array

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AvatarLightingConfig, check_kind
+from lumisplat.config import AvatarLightingConfig
+from lumisplat.config.checks import check_kind
 from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.errors import SceneError
 from lumisplat.progress import Progress

@@ -1,4 +1,4 @@
-"""Evaluates estimated materials and light against a known truth: ``lumisplat.evaluate_materials``."""
+"""Evaluates estimated materials and light against a known truth: ``lumisplat.inverse.evaluate_materials``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RenderConfig, Shadows, check_kind
+from lumisplat.config import Pipeline, RenderConfig, Shadows
+from lumisplat.config.checks import check_kind
 from lumisplat.constants import SH_C0
 from lumisplat.constants.materials_measured import RELIT_SAMPLES
 from lumisplat.errors import MissingExtraError, SceneError

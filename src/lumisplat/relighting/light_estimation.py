@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import LightEstimationConfig, check_kind
+from lumisplat.config import LightEstimationConfig
+from lumisplat.config.checks import check_kind
 from lumisplat.constants import (
     LAMP_CANDIDATES,
     LAMP_DOUBT,

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import RenderConfig, check_range, check_whole
+from lumisplat.config import RenderConfig
+from lumisplat.config.checks import check_range, check_whole
 from lumisplat.constants import NEAR_PLANE, PROBE_DEGREE_MAX, PROBE_FACE_PX, PROBE_IMAGE_ROWS, PROBE_RIDGE
 from lumisplat.errors import ConfigError, FormatError, SceneError, check_instance, check_shapes
 from lumisplat.io.images.radiance import write_radiance

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RelightConfig, RenderConfig, check_kind
+from lumisplat.config import Pipeline, RelightConfig, RenderConfig
+from lumisplat.config.checks import check_kind
 from lumisplat.constants import LUMINANCE, SH_C0, SUN_WAYS
 from lumisplat.errors import check_instance, check_shapes
 from lumisplat.math.arrays import Doubles, FloatArray, float_array, normalise_rows

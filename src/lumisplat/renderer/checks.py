@@ -7,15 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.config import (
-    PATH_AOVS,
-    REALTIME_AOVS,
-    GaussianSurface,
-    Projection,
-    RasterStrategy,
-    RenderConfig,
-    check_kind,
-)
+from lumisplat.config import GaussianSurface, Projection, RasterStrategy, RenderConfig
+from lumisplat.config.checks import check_kind
+from lumisplat.config.render import PATH_AOVS, REALTIME_AOVS
 from lumisplat.constants import ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame

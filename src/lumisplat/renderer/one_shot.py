@@ -6,7 +6,8 @@ import math
 
 import numpy.typing as npt
 
-from lumisplat.config import RenderConfig, check_whole
+from lumisplat.config import RenderConfig
+from lumisplat.config.checks import check_whole
 from lumisplat.constants import SAMPLES_MAX
 from lumisplat.constants.realtime import WARM_UP_FRAMES
 from lumisplat.errors import ConfigError

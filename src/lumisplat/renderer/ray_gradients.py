@@ -27,7 +27,7 @@ def ray_gradients(
     they share::
 
         shown = ls.trace_rays(scene, origins, directions, ls.RenderConfig(lighting=False))
-        gradients = ls.ray_gradients(scene, origins, directions, 2.0 * (shown.radiance - photographs))
+        gradients = ls.gradients.ray_gradients(scene, origins, directions, 2.0 * (shown.radiance - photographs))
 
     Args:
         scene: What they hit.

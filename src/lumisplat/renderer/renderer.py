@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import Integrator, Projection, RasterStrategy, RenderConfig
+from lumisplat.config import Projection, RasterStrategy, RenderConfig
+from lumisplat.config.pipelines import Integrator
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame

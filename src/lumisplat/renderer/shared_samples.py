@@ -42,11 +42,11 @@ def render_samples(
         renderer: Renders them.
         scene: As of `lumisplat.Renderer.render`.
         camera: Likewise.
-        samples: Their numbers, one of `lumisplat.sample_blocks`.
+        samples: Their numbers, one of `lumisplat.farm.sample_blocks`.
         progress: As of `lumisplat.Renderer.render`.
 
     Raises:
-        ConfigError: As of `lumisplat.sample_blocks`, or the samples are no block of them.
+        ConfigError: As of `lumisplat.farm.sample_blocks`, or the samples are no block of them.
         DeviceError: As of `lumisplat.Renderer.render`.
         SceneError: Likewise.
     """
@@ -72,7 +72,7 @@ def merge_samples(renderer: Renderer, scene: Scene, camera: Camera, parts: Itera
 
     Args:
         renderer: Of the same settings as those that have made the parts.
-        scene: As of `lumisplat.render_samples`.
+        scene: As of `lumisplat.farm.render_samples`.
         camera: Likewise.
         parts: In their order, from sample 0 on; they may be loaded one by one.
 

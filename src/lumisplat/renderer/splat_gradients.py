@@ -141,7 +141,7 @@ class DifferentiableRenderer(Renderer):
 
         Args:
             features: Of all Gaussians of the scene, instance by instance, of any sign, shape (N, C). Of view depths
-                and normals: ``lumisplat.SurfaceFeatures``.
+                and normals: ``lumisplat.gradients.SurfaceFeatures``.
 
         Returns:
             Premultiplied sums, float32, shape (H, W, C).

@@ -23,7 +23,7 @@ class SurfaceFeatures:
     else::
 
         renderer.render(scene, camera)
-        surface = ls.SurfaceFeatures.of(scene, camera)
+        surface = ls.gradients.SurfaceFeatures.of(scene, camera)
         shown = renderer.render_features(surface.values)  # weighted sums of depth, and of normals
         gradients = renderer.gradients(by_color, dL_dfeatures=by_shown)
         gradients = surface.backward(gradients)  # of means and rotations also by way of depths and normals

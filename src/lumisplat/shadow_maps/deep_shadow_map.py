@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import Absorption, DeepShadowConfig, check_kind
+from lumisplat.config import Absorption, DeepShadowConfig
+from lumisplat.config.checks import check_kind
 from lumisplat.device.shadow_map.optical_depth import AVERAGE, MASS, SIMPLE
 from lumisplat.device.structs.shadow_map import Atlas, Casters, Column, Footprint, Occluder, ShadowBound, Table
 from lumisplat.errors import SceneError

@@ -1,1 +1,5 @@
-"""From photographs to Gaussians: parameters, loss, optimiser, and how Gaussians come and go."""
+"""Training captures from images with known poses."""
+
+from lumisplat import lazy
+
+__getattr__, __dir__, __all__ = lazy.names_of_stub(__name__, __file__)

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.config import TrainConfig, check_kind, check_whole
-from lumisplat.config.checks import check_positive
+from lumisplat.config import TrainConfig
+from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.constants.training import TRAINING_EXTENT
 from lumisplat.errors import ConfigError, FormatError
@@ -89,13 +89,13 @@ def train(
     with a checkpoint; pressed once more, at once.
 
     Args:
-        photographs: A folder, or what `lumisplat.load_photographs` has read; then ``scale``, ``hold_out`` and
+        photographs: A folder, or what `lumisplat.io.load_photographs` has read; then ``scale``, ``hold_out`` and
             ``background`` are those of it. A folder's lenses stay as they are if ``config.pipeline`` is ``TRACE``,
             or ``config.projection`` is ``UNSCENTED``.
         config: Settings; None: the defaults.
         output: The capture, .ply or .spz; None: it is returned alone.
-        scale: As of `lumisplat.load_photographs`.
-        hold_out: As of `lumisplat.load_photographs`.
+        scale: As of `lumisplat.io.load_photographs`.
+        hold_out: As of `lumisplat.io.load_photographs`.
         background: Behind the Gaussians, and behind what is transparent in photographs.
         stop_after: Seconds of training, without the compilation of kernels, after which it ends before all steps are
             made.

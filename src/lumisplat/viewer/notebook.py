@@ -90,7 +90,7 @@ class Notebook:
         if self._cell is None or not self._cell.page.is_open:
             try:
                 self._cell = Cell(self._session, self._loop, orbit, self._url)
-            except ls.MissingExtraError as error:
+            except ls.errors.MissingExtraError as error:
                 if not self._missing:
                     _log.warning("%s", error)
                 self._missing = str(error)
@@ -210,7 +210,7 @@ def import_widgets() -> tuple[Any, Any]:
     try:
         return import_module("ipywidgets"), import_module("jupyter_rfb")  # whose types are unknown
     except ImportError:
-        raise ls.MissingExtraError("live frames in a notebook's cell", "notebook") from None
+        raise ls.errors.MissingExtraError("live frames in a notebook's cell", "notebook") from None
 
 
 def frame_buffer(width: int, height: int, on_event: Callable[[dict[str, Any]], None]) -> Any:

@@ -37,7 +37,7 @@ class Studio:
         """
         return ls.create_renderer(config, self.device, compiles=False)
 
-    def scene(self, document: ls.SceneDocument, config: ls.RenderConfig, time: float) -> ls.Scene:
+    def scene(self, document: ls.io.SceneDocument, config: ls.RenderConfig, time: float) -> ls.Scene:
         """All of a document at a time, seconds, with its actors lit.
 
         Raises:
@@ -61,7 +61,7 @@ class Studio:
         frame: ls.Frame | None = None
         done = 0
         while frame is None or (done < samples and frame.samples > 0):
-            with contextlib.suppress(ls.StoppedError):
+            with contextlib.suppress(ls.errors.StoppedError):
                 resume = None if follows else frame
                 frame = renderer.render(scene, camera, resume=resume, stop=self.stop)
                 done += 1

@@ -127,18 +127,18 @@ class Viewer:
         return self._session.scene
 
     @property
-    def document(self) -> ls.SceneDocument:
-        """The scene as it is edited: `lumisplat.SceneDocument.save` saves it."""
+    def document(self) -> ls.io.SceneDocument:
+        """The scene as it is edited: `lumisplat.io.SceneDocument.save` saves it."""
         return self._session.state.document
 
-    def show(self, scene: ls.Scene | ls.SceneDocument) -> None:
+    def show(self, scene: ls.Scene | ls.io.SceneDocument) -> None:
         """Shows another scene, on all pages; it can be undone there.
 
         Raises:
             SceneError: It is none.
         """
         self._loader.join()
-        document = scene if isinstance(scene, ls.SceneDocument) else ls.SceneDocument.of(scene)
+        document = scene if isinstance(scene, ls.io.SceneDocument) else ls.io.SceneDocument.of(scene)
         with self._session.changed:
             self._session.edit(lambda state: replace(state, document=document))
             self._session.select(None)
@@ -368,7 +368,7 @@ def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:
     return bool(np.linalg.norm(np.asarray(client.camera.position) - position) < 0.05 * np.linalg.norm(position))
 
 
-Viewable = ls.Scene | ls.Animation | ls.SceneDocument | ls.Gaussians | ls.Mesh | str | os.PathLike[str]
+Viewable = ls.Scene | ls.Animation | ls.io.SceneDocument | ls.Gaussians | ls.Mesh | str | os.PathLike[str]
 """What `view` shows; also a list of files."""
 
 
@@ -409,7 +409,7 @@ def view(
         drop_invalid: Of files, as of `lumisplat.load`.
         lod: Of streamed SOGs, as of `lumisplat.load`.
         lod_budget: Of streamed SOGs, ``budget`` of `lumisplat.load`.
-        keep_coordinates: Of files, as of `lumisplat.SceneDocument.open`.
+        keep_coordinates: Of files, as of `lumisplat.io.SceneDocument.open`.
 
     Raises:
         ConfigError: ``height`` or ``budget_ms`` is out of its range.
@@ -440,19 +440,19 @@ def _refuse_missing(scene: Any) -> None:
     files: list[Any] = list(cast("list[Any]", scene)) if isinstance(scene, list | tuple) else [scene]
     paths = [Path(os.fspath(file)) for file in files if isinstance(file, str | os.PathLike)]
     if paths and len(paths) == len(files) and not any(path.exists() for path in paths):
-        raise ls.MissingFileError(paths[0], "no such file")
+        raise ls.errors.MissingFileError(paths[0], "no such file")
 
 
 def _document(
     scene: Any, up: Any, loading: Callable[..., Any], progress: Progress, *, keep_coordinates: bool
-) -> ls.SceneDocument:
+) -> ls.io.SceneDocument:
     """The document of what is to be seen."""
-    if isinstance(scene, ls.SceneDocument):
+    if isinstance(scene, ls.io.SceneDocument):
         return scene
     if not isinstance(scene, str | os.PathLike | list | tuple):
-        return ls.SceneDocument.of(scene)
+        return ls.io.SceneDocument.of(scene)
 
     def load(path: Path, **levels: int | None) -> Any:
         return loading(path, progress=partial(progress, f"loading {path.name}"), **levels)
 
-    return ls.SceneDocument.open(cast(Any, scene), load, up=up, keep_coordinates=keep_coordinates)
+    return ls.io.SceneDocument.open(cast(Any, scene), load, up=up, keep_coordinates=keep_coordinates)

@@ -63,7 +63,7 @@ def test_blocks_of_tiles_go_when_their_tile_is_there(work, monkeypatch: pytest.M
     """Interrupted in the second tile: the first is there without its blocks; the rest alone is made then."""
     options = ("@capture.ply", *OPTIONS, "--samples", "40", "-o", "@out.exr", "--tiles", "2x1,samples")
     made: list[range] = []
-    render = ls.render_samples
+    render = ls.farm.render_samples
 
     def counted(renderer, scene, camera, samples, **options):
         made.append(samples)
@@ -71,7 +71,7 @@ def test_blocks_of_tiles_go_when_their_tile_is_there(work, monkeypatch: pytest.M
             raise KeyboardInterrupt
         return render(renderer, scene, camera, samples, **options)
 
-    monkeypatch.setattr(ls, "render_samples", counted)
+    monkeypatch.setattr(ls.farm, "render_samples", counted)
     stopped = work.run("render", *options)
     assert stopped.status == 130 and "holds 4 of 6 parts; the same command with --resume continues" in stopped.err, (
         stopped.err

@@ -162,9 +162,9 @@ def test_a_mistake_in_the_first_frame_ends_the_job(tmp_path: Path) -> None:
 
 def test_workers_that_cannot_start(tmp_path: Path, caplog: Any) -> None:
     """If none can, the last error is the job's, and lines say the others, once; if some can, they do the work."""
-    lost, full = ls.MissingFileError("lost.ply", "no such file"), ls.DeviceError("no GPU")
+    lost, full = ls.errors.MissingFileError("lost.ply", "no such file"), ls.DeviceError("no GPU")
     refused: list[BaseException] = [full, lost, full, lost]
-    with pytest.raises(ls.MissingFileError, match="no such file"):
+    with pytest.raises(ls.errors.MissingFileError, match="no such file"):
         Farm(tmp_path, 9, lambda worker, _: answer(error=refused[worker]), workers=4).run()
     assert caplog.messages == ["one worker fewer: no GPU"]
     farm = Farm(tmp_path, 9, lambda worker, index: answer(error=lost) if worker == 0 and index is None else None)
@@ -182,7 +182,7 @@ def test_workers_that_die_before_they_are_ready_are_not_replaced_for_ever(tmp_pa
 
 def test_when_a_file_vanishes_the_living_workers_go_on(tmp_path: Path, caplog: Any) -> None:
     """A successor that cannot load the scene is done without; with nobody left, the rest of the frames say why."""
-    gone = ls.MissingFileError("garden.ply", "no such file")
+    gone = ls.errors.MissingFileError("garden.ply", "no such file")
 
     def trouble(worker: int, index: int | None) -> Answer | Exception | None:
         if index is None:
@@ -222,8 +222,8 @@ def test_lines_of_workers_are_said_once(tmp_path: Path, caplog: Any) -> None:
     )
     farm.run()
     assert caplog.messages == ["grainy"]
-    gone = answer(error=ls.MissingFileError("garden.ply", "no such file"), host="node-3")
-    with pytest.raises(ls.MissingFileError) as raised:
+    gone = answer(error=ls.errors.MissingFileError("garden.ply", "no such file"), host="node-3")
+    with pytest.raises(ls.errors.MissingFileError) as raised:
         Farm(tmp_path, 3, lambda *_: gone, workers=1).run()
     assert raised.value.__notes__ == ["on node-3"]
 

@@ -106,7 +106,9 @@ def test_frames_of_workers_that_die(ray: Any, tmp_path: Path, caplog: pytest.Log
 
 def test_errors_cross_to_the_driver(ray: Any, tmp_path: Path) -> None:
     """A missing package and a mistake are said whole, once; an error of ours by its kind, its words and its place."""
-    with pytest.raises(ls.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"):
+    with pytest.raises(
+        ls.errors.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"
+    ):
         farm(ray, FakeMaker(tmp_path / "a", count=4, wrong={0: "extra", 1: "extra"}))
     with pytest.raises(ls.SceneError, match="ends in the middle of Gaussian 5"):
         farm(ray, FakeMaker(tmp_path / "b", count=3, wrong=dict.fromkeys(range(3), "data"), again=True))

@@ -32,7 +32,7 @@ def test_pieces_are_what_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(stream, "BLOCK_PIECE", piece)
     written(tmp_path / "a.ply", degree=degree)
     told: list[float] = []
-    opened = ls.stream_ply(tmp_path / "a.ply", progress=told.append)
+    opened = ls.io.stream_ply(tmp_path / "a.ply", progress=told.append)
     pieces = list(opened)
     assert len(pieces) == max(1, -(-500 // piece)) and told[-1] == 1.0 and told == sorted(told)
     assert (opened.count, opened.sh_count) == (500, (degree + 1) ** 2)
@@ -47,7 +47,7 @@ def test_2d_gaussians_become_flat_ones(tmp_path: Path) -> None:
     """As `load` makes them."""
     rows = np.random.default_rng(1).normal(size=(20, len(FLAT_NAMES))).astype("<f4")
     (tmp_path / "flat.ply").write_bytes(ply_header(len(rows), FLAT_NAMES) + rows.tobytes())
-    (piece,) = ls.stream_ply(tmp_path / "flat.ply")
+    (piece,) = ls.io.stream_ply(tmp_path / "flat.ply")
     loaded = ls.load(tmp_path / "flat.ply")
     assert isinstance(loaded, ls.Gaussians)
     np.testing.assert_array_equal(piece.scales, loaded.scales)
@@ -64,9 +64,9 @@ def test_invalid_gaussians(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capl
         data[start + row * width : start + row * width + 4] = np.float32(np.nan).tobytes()
     (tmp_path / "a.ply").write_bytes(data)
     with pytest.raises(ls.FormatError, match=r"1 NaN or infinite values in x, among Gaussians 0 to 99; --drop-invalid"):
-        list(ls.stream_ply(tmp_path / "a.ply"))
+        list(ls.io.stream_ply(tmp_path / "a.ply"))
     with caplog.at_level(logging.WARNING):
-        pieces = list(ls.stream_ply(tmp_path / "a.ply", drop_invalid=True))
+        pieces = list(ls.io.stream_ply(tmp_path / "a.ply", drop_invalid=True))
     assert [one.count for one in pieces] == [99, 100, 100, 100]
     assert [record.getMessage().partition(": ")[2] for record in caplog.records] == [
         "dropped 101 Gaussians: 1 NaN or infinite values in x"
@@ -90,12 +90,12 @@ def test_what_is_not_streamed(tmp_path: Path, caplog: pytest.LogCaptureFixture) 
         ("points.ply", "a point cloud, not a Gaussian capture"),
         ("none.ply", "no such file"),
     ):
-        assert not ls.can_stream(tmp_path / name)
+        assert not ls.io.can_stream(tmp_path / name)
         with pytest.raises(ls.FormatError, match=message):
-            ls.stream_ply(tmp_path / name)
+            ls.io.stream_ply(tmp_path / name)
     shiny = replace(capture, roughness=np.full(50, 0.5, np.float32))
     ls.save(tmp_path / "shiny.ply", shiny)
-    ls.stream_ply(tmp_path / "shiny.ply")
+    ls.io.stream_ply(tmp_path / "shiny.ply")
     assert "roughness left out: blocks have no place for them" in caplog.text
 
 
@@ -107,7 +107,7 @@ def test_cells_suit_the_capture(tmp_path: Path) -> None:
         means[:400] *= far
         one = random_gaussians(1, count=20_000, degree=0)
         ls.save(tmp_path / "a.ply", replace(one, means=means.astype(np.float32)))
-        opened = ls.stream_ply(tmp_path / "a.ply")
+        opened = ls.io.stream_ply(tmp_path / "a.ply")
         cell = opened.cell(block_max=1000)
         cubes = len(np.unique(np.floor(means / cell), axis=0))
         assert cubes <= 8 + 4 * 20
@@ -120,7 +120,7 @@ def test_too_many_cubes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with pytest.raises(
         ls.ConfigError, match=r"cell is 0\.01, of which the capture would fill more than 50 cubes: give a larger"
     ):
-        ls.write_blocks(tmp_path / "a", [random_gaussians(1, count=100)], 0.01)
+        ls.io.write_blocks(tmp_path / "a", [random_gaussians(1, count=100)], 0.01)
     assert not (tmp_path / "a").exists()
 
 
@@ -129,12 +129,12 @@ def test_folders_of_others_stay(tmp_path: Path) -> None:
     capture = random_gaussians(1, count=100)
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ls.FormatError, match=r"holds other files \(notes.txt\): give a new folder"):
-        ls.write_blocks(tmp_path, [capture], 1.0)
+        ls.io.write_blocks(tmp_path, [capture], 1.0)
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
     with pytest.raises(ls.SceneError, match="kernel degree 4: blocks are rasterised"):
-        ls.write_blocks(tmp_path / "a", [replace(capture, kernel_degree=4)], 1.0)
+        ls.io.write_blocks(tmp_path / "a", [replace(capture, kernel_degree=4)], 1.0)
     with pytest.raises(ls.FormatError, match="is a file, expected a folder"):
-        ls.write_blocks(tmp_path / "notes.txt", [capture], 1.0)
+        ls.io.write_blocks(tmp_path / "notes.txt", [capture], 1.0)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="without locks of files")
@@ -145,18 +145,18 @@ def test_of_two_runs_in_one_folder_the_first_has_it(tmp_path: Path) -> None:
     def stream() -> Iterator[ls.Gaussians]:
         yield pieces[0]
         with pytest.raises(ls.FormatError, match="another process is writing blocks there: give a new folder"):
-            ls.write_blocks(tmp_path / "a", pieces, 1.0)
+            ls.io.write_blocks(tmp_path / "a", pieces, 1.0)
         yield pieces[1]
 
-    index = ls.write_blocks(tmp_path / "a", stream(), 1.0)
-    loaded = ls.load_blocks(index, [ls.BlockPart(number, 0) for number in range(len(index.blocks))])
+    index = ls.io.write_blocks(tmp_path / "a", stream(), 1.0)
+    loaded = ls.io.load_blocks(index, [ls.io.BlockPart(number, 0) for number in range(len(index.blocks))])
     assert loaded.count == 400 and index.count == 400
 
 
 def test_loaded_whole_and_in_part(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """`load` takes the folder or its index, at a level or within a number; a thinned one has rows from everywhere."""
     capture = random_gaussians(2, count=2000, degree=0, extent=(8.0, 2.0, 8.0))
-    index = ls.write_blocks(tmp_path / "a", [capture], 4.0, levels=2, block_max=400)
+    index = ls.io.write_blocks(tmp_path / "a", [capture], 4.0, levels=2, block_max=400)
     whole = ls.load(tmp_path / "a")
     assert isinstance(whole, ls.Gaussians) and whole.count == 2000
     coarse = ls.load(tmp_path / "a" / "blocks.json", lod=1)
@@ -167,7 +167,7 @@ def test_loaded_whole_and_in_part(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert isinstance(least, ls.Gaussians) and least.count > 1 and "more than asked for" in caplog.text
     with pytest.raises(ls.FormatError, match="has no level 3: there are 3"):
         ls.load(tmp_path / "a", lod=3)
-    some = ls.thin_blocks(index, 100)
+    some = ls.io.thin_blocks(index, 100)
     assert some.count == 100
     np.testing.assert_array_equal(some.means, whole.means[::20])
 
@@ -176,10 +176,10 @@ _MEMORY = """
 import sys, resource, lumisplat as ls
 from lumisplat.io.blocks import stream, storage
 stream.BLOCK_PIECE = storage.BLOCK_PIECE = 2**14
-opened = ls.stream_ply(sys.argv[1])
+opened = ls.io.stream_ply(sys.argv[1])
 next(iter(opened))
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-ls.write_blocks(sys.argv[2], opened, 16.0)
+ls.io.write_blocks(sys.argv[2], opened, 16.0)
 print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024)
 """
 
@@ -198,4 +198,4 @@ def test_memory_is_for_a_piece(tmp_path: Path) -> None:
     command = [sys.executable, "-c", _MEMORY, str(tmp_path / "a.ply"), str(tmp_path / "out")]
     grown = int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     assert grown < 20e6
-    assert ls.open_blocks(tmp_path / "out").count == 2**20
+    assert ls.io.open_blocks(tmp_path / "out").count == 2**20

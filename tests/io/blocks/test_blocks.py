@@ -25,7 +25,7 @@ def street(count: int = 3000, degree: int = 1) -> ls.Gaussians:
 def test_an_index_of_a_stranger_is_one_line(tmp_path: Path) -> None:
     """Deep JSON, integers beyond floats, NUL in names: the index is named."""
     folder = tmp_path / "city"
-    index = ls.write_blocks(folder, chunks(street(200)), 40.0)
+    index = ls.io.write_blocks(folder, chunks(street(200)), 40.0)
     good = json.loads((folder / "blocks.json").read_text())
     file, count, largest, mean = good["blocks"][0]["levels"][0]
     bad = [
@@ -50,7 +50,7 @@ def test_an_index_of_a_stranger_is_one_line(tmp_path: Path) -> None:
 def test_damaged_blocks_are_named(tmp_path: Path) -> None:
     """Rows that are no Gaussians: the message has the file that holds them."""
     folder = tmp_path / "city"
-    index = ls.write_blocks(folder, chunks(street(2000)), 8.0)
+    index = ls.io.write_blocks(folder, chunks(street(2000)), 8.0)
     assert len(index.blocks) > 1
     path = folder / index.blocks[1].levels[0].file
     rows = np.fromfile(path, "<f4").reshape(-1, index.row_bytes // 4)
@@ -74,9 +74,9 @@ def sorted_rows(gaussians: ls.Gaussians) -> np.ndarray:
     return rows[np.lexsort(rows.T)]
 
 
-def all_of(index: ls.BlockIndex) -> ls.Gaussians:
+def all_of(index: ls.io.BlockIndex) -> ls.Gaussians:
     """The whole capture, in the order of its blocks."""
-    return ls.load_blocks(index, [ls.BlockPart(number, 0) for number in range(len(index.blocks))])
+    return ls.io.load_blocks(index, [ls.io.BlockPart(number, 0) for number in range(len(index.blocks))])
 
 
 VIEWS = {
@@ -94,17 +94,17 @@ VIEWS = {
 def test_every_gaussian_is_in_one_block(tmp_path: Path) -> None:
     """Whatever chunks it comes in; blocks have no more Gaussians than they may, and hold what their bounds say."""
     capture = street()
-    written = ls.write_blocks(tmp_path / "a", chunks(capture), 4.0, block_max=150)
-    index = ls.open_blocks(tmp_path / "a")
+    written = ls.io.write_blocks(tmp_path / "a", chunks(capture), 4.0, block_max=150)
+    index = ls.io.open_blocks(tmp_path / "a")
     assert index.blocks == written.blocks and index.count == capture.count and len(index.blocks) > 20
     np.testing.assert_array_equal(sorted_rows(all_of(index)), sorted_rows(capture))
     for number, block in enumerate(index.blocks):
-        part = ls.load_blocks(index, [ls.BlockPart(number, 0)])
+        part = ls.io.load_blocks(index, [ls.io.BlockPart(number, 0)])
         assert part.count == block.levels[0].count <= 150
         np.testing.assert_array_equal(part.means.min(axis=0), block.low)
         np.testing.assert_array_equal(part.means.max(axis=0), block.high)
         assert block.levels[0].scale_max == pytest.approx(part.scales.max())
-    ls.write_blocks(tmp_path / "b", chunks(capture, 5000), 4.0, block_max=150)
+    ls.io.write_blocks(tmp_path / "b", chunks(capture, 5000), 4.0, block_max=150)
     for path in (tmp_path / "a").glob("*"):
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
     assert not list((tmp_path / "a").glob("*.part"))
@@ -112,10 +112,10 @@ def test_every_gaussian_is_in_one_block(tmp_path: Path) -> None:
 
 def test_blocks_are_read_into_memory_once(tmp_path: Path) -> None:
     """And one of them beside: not as rows first and as Gaussians then."""
-    index = ls.write_blocks(tmp_path, [random_gaussians(1, 20_000, 3, extent=(9.0, 9.0, 9.0))], 3.0, block_max=1000)
+    index = ls.io.write_blocks(tmp_path, [random_gaussians(1, 20_000, 3, extent=(9.0, 9.0, 9.0))], 3.0, block_max=1000)
     tracemalloc.start()
     try:
-        loaded = ls.load_blocks(index, ls.all_blocks(index))
+        loaded = ls.io.load_blocks(index, ls.io.all_blocks(index))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -125,7 +125,7 @@ def test_blocks_are_read_into_memory_once(tmp_path: Path) -> None:
 def test_gaussians_in_one_place_stay_together(tmp_path: Path) -> None:
     """They cannot be cut, however many there are."""
     one = random_gaussians(1, count=1)
-    index = ls.write_blocks(tmp_path, [ls.merge([one] * 40)], 8.0, block_max=10)
+    index = ls.io.write_blocks(tmp_path, [ls.merge([one] * 40)], 8.0, block_max=10)
     assert [block.levels[0].count for block in index.blocks] == [40]
 
 
@@ -134,42 +134,42 @@ def test_gaussians_in_one_place_stay_together(tmp_path: Path) -> None:
 def test_a_view_shows_what_the_whole_capture_shows(name: str, antialiased: bool, tmp_path: Path) -> None:
     """To the bit, of the blocks that it sees, and so do windows, which see fewer; samples that move in pixels, too."""
     capture = replace(street(), antialiased=antialiased)
-    index = ls.write_blocks(tmp_path, chunks(capture), 3.0, block_max=200)
+    index = ls.io.write_blocks(tmp_path, chunks(capture), 3.0, block_max=200)
     camera = VIEWS[name]
     config = ls.RenderConfig(aovs=("sample_count",), samples=3)
     renderer = ls.create_renderer(config, "cpu")
     whole = renderer.render(ls.Scene([all_of(index)]), camera)
-    seen = ls.visible_blocks(index, camera)
+    seen = ls.io.visible_blocks(index, camera)
     assert 0 < len(seen) < 0.8 * len(index.blocks)
-    frame = renderer.render(ls.Scene([ls.load_blocks(index, seen)]), camera)
+    frame = renderer.render(ls.Scene([ls.io.load_blocks(index, seen)]), camera)
     for image in ("color", "alpha", "depth", "normal"):
         np.testing.assert_array_equal(getattr(frame, image), getattr(whole, image), image)
     window = camera.windows(2, 2)[3]
-    fewer = ls.visible_blocks(index, window)
+    fewer = ls.io.visible_blocks(index, window)
     assert set(fewer) <= set(seen)
     if fewer:
-        part = renderer.render(ls.Scene([ls.load_blocks(index, fewer)]), window)
+        part = renderer.render(ls.Scene([ls.io.load_blocks(index, fewer)]), window)
         left, top = window.image_corner
         np.testing.assert_array_equal(part.color, whole.color[top:, left:])
 
 
 def test_far_blocks_are_coarser(tmp_path: Path) -> None:
     """Levels have a quarter of the Gaussians each; near blocks are of the finest, and all are without a tolerance."""
-    index = ls.write_blocks(tmp_path, chunks(street(degree=0)), 6.0, levels=2, block_max=800)
+    index = ls.io.write_blocks(tmp_path, chunks(street(degree=0)), 6.0, levels=2, block_max=800)
     for block in index.blocks:
         counts = [level.count for level in block.levels]
         assert counts[1] == max(1, counts[0] // 4) and counts[2] == max(1, counts[1] // 4)
         assert block.levels[0].scale_mean < block.levels[2].scale_mean
     camera = ls.Camera.look_at((-15.0, -2.0, 0.0), (0, 0, 0), (0.0, -1.0, 0.0), width=320, height=200)
-    assert {part.level for part in ls.visible_blocks(index, camera)} == {0}
-    parts = ls.visible_blocks(index, camera, pixels=12.0)
+    assert {part.level for part in ls.io.visible_blocks(index, camera)} == {0}
+    parts = ls.io.visible_blocks(index, camera, pixels=12.0)
     assert {part.level for part in parts} >= {0, 1}
     depth = {part.level: [] for part in parts}
     for part in parts:
         block = index.blocks[part.block]
         depth[part.level].append(0.5 * (block.low[0] + block.high[0]))
     assert np.mean(depth[0]) < np.mean(depth[max(depth)])
-    assert ls.load_blocks(index, parts).count < index.count
+    assert ls.io.load_blocks(index, parts).count < index.count
 
 
 def test_a_plan_of_workers(tmp_path: Path) -> None:
@@ -177,55 +177,55 @@ def test_a_plan_of_workers(tmp_path: Path) -> None:
     capture = random_gaussians(
         5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0), scale_range=(0.01, 0.05)
     )
-    index = ls.write_blocks(tmp_path, chunks(capture), 3.0, block_max=100)
+    index = ls.io.write_blocks(tmp_path, chunks(capture), 3.0, block_max=100)
     cameras = [VIEWS["from inside"], VIEWS["wide"], VIEWS["from inside"], VIEWS["narrow"]]
     size = index.row_bytes * index.count
-    (one,) = ls.plan_views(index, cameras, 1, size)
-    seen = {part for camera in cameras for part in ls.visible_blocks(index, camera)}
+    (one,) = ls.io.plan_views(index, cameras, 1, size)
+    seen = {part for camera in cameras for part in ls.io.visible_blocks(index, camera)}
     assert one.tiles == 4 and one.too_large == 0
     assert (
         one.held_bytes
         == one.moved_bytes
         == index.row_bytes * sum(index.blocks[part.block].levels[0].count for part in seen)
     )
-    two = ls.plan_views(index, cameras, 2, size)
+    two = ls.io.plan_views(index, cameras, 2, size)
     assert [plan.views for plan in two] == [range(2), range(2, 4)]
     assert sum(plan.moved_bytes for plan in two) > one.moved_bytes
     above = ls.Camera.look_at((0.0, -30.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=96, height=96, fov_y=0.8)
-    needed = index.row_bytes * ls.load_blocks(index, ls.visible_blocks(index, above)).count
-    (enough,) = ls.plan_views(index, [above, above], 1, needed)
+    needed = index.row_bytes * ls.io.load_blocks(index, ls.io.visible_blocks(index, above)).count
+    (enough,) = ls.io.plan_views(index, [above, above], 1, needed)
     assert (enough.tiles, enough.held_bytes, enough.moved_bytes) == (2, needed, needed)
-    (small,) = ls.plan_views(index, [above, above], 1, int(0.7 * needed))
+    (small,) = ls.io.plan_views(index, [above, above], 1, int(0.7 * needed))
     assert small.tiles == 8 and small.too_large == 0
     assert small.held_bytes <= 0.7 * needed and small.moved_bytes > needed
-    (tiny,) = ls.plan_views(index, cameras, 1, 100)
+    (tiny,) = ls.io.plan_views(index, cameras, 1, 100)
     assert tiny.too_large > 0
     with pytest.raises(ls.ConfigError, match="workers is 0"):
-        ls.plan_views(index, cameras, 0, size)
+        ls.io.plan_views(index, cameras, 0, size)
 
 
 def test_mistakes(tmp_path: Path) -> None:
     """One line each."""
     capture = street(50)
     with pytest.raises(ls.ConfigError, match="cell is 0"):
-        ls.write_blocks(tmp_path / "a", [capture], 0)
+        ls.io.write_blocks(tmp_path / "a", [capture], 0)
     with pytest.raises(ls.SceneError, match="zero Gaussians"):
-        ls.write_blocks(tmp_path / "a", [], 1.0)
+        ls.io.write_blocks(tmp_path / "a", [], 1.0)
     with pytest.raises(ls.SceneError, match="differ in the degree"):
-        ls.write_blocks(tmp_path / "a", [capture, street(50, degree=0)], 1.0)
+        ls.io.write_blocks(tmp_path / "a", [capture, street(50, degree=0)], 1.0)
     assert not (tmp_path / "a").exists()  # nothing is left of what failed
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "cell0_0_0.part").write_bytes(b"left by a run that was killed")
-    index = ls.write_blocks(tmp_path / "a", [capture], 1.0)
+    index = ls.io.write_blocks(tmp_path / "a", [capture], 1.0)
     np.testing.assert_array_equal(sorted_rows(all_of(index)), sorted_rows(capture))
     with pytest.raises(ls.FormatError, match="holds a complete capture in blocks"):
-        ls.write_blocks(tmp_path / "a", [capture], 1.0)
+        ls.io.write_blocks(tmp_path / "a", [capture], 1.0)
     away = ls.Camera.look_at((0, -900, 0), (0, -1000, 0), (0, 0, 1))
-    assert ls.visible_blocks(index, away) == []
+    assert ls.io.visible_blocks(index, away) == []
     with pytest.raises(ls.SceneError, match="no block is visible"):
-        ls.load_blocks(index, [])
+        ls.io.load_blocks(index, [])
     with pytest.raises(ls.SceneError, match="chosen for pinholes"):
-        ls.visible_blocks(index, replace(away, model=ls.CameraModel.FISHEYE))
+        ls.io.visible_blocks(index, replace(away, model=ls.CameraModel.FISHEYE))
 
 
 @pytest.mark.parametrize(
@@ -241,22 +241,22 @@ def test_mistakes(tmp_path: Path) -> None:
 )
 def test_damaged_indices(tmp_path: Path, change: dict[str, object], message: str) -> None:
     """What is wrong, in a line; files outside of the folder are not opened."""
-    ls.write_blocks(tmp_path, [street(50)], 1.0)
+    ls.io.write_blocks(tmp_path, [street(50)], 1.0)
     path = tmp_path / "blocks.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(ls.FormatError, match=message):
-        ls.open_blocks(tmp_path)
+        ls.io.open_blocks(tmp_path)
 
 
 def test_blocks_that_were_cut_off(tmp_path: Path) -> None:
     """A file that is shorter than its index says; a folder without an index."""
-    index = ls.write_blocks(tmp_path, [street(50)], 100.0)
+    index = ls.io.write_blocks(tmp_path, [street(50)], 100.0)
     path = tmp_path / index.blocks[0].levels[0].file
     path.write_bytes(path.read_bytes()[:-4])
     with pytest.raises(ls.FormatError, match="the capture is not whole"):
-        ls.open_blocks(tmp_path)
+        ls.io.open_blocks(tmp_path)
     with pytest.raises(ls.FormatError, match="shorter than the index says"):
         all_of(index)
     (tmp_path / "blocks.json").unlink()
-    with pytest.raises(ls.MissingFileError):
-        ls.open_blocks(tmp_path)
+    with pytest.raises(ls.errors.MissingFileError):
+        ls.io.open_blocks(tmp_path)

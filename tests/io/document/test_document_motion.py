@@ -95,7 +95,7 @@ def assert_same_animation(mine: ls.Animation | None, other: ls.Animation) -> Non
 
 def test_the_animation_is_that_of_the_file(file: Path) -> None:
     """What stands still is in its scene once, actors are not in it, and it has the cameras."""
-    document = ls.SceneDocument.open(file)
+    document = ls.io.SceneDocument.open(file)
     assert_same_animation(document.animation, ls.load_animation(file))
     assert len(document.scene().splats) == 2
     hidden = document.changed(1, hidden=True)
@@ -105,7 +105,7 @@ def test_the_animation_is_that_of_the_file(file: Path) -> None:
 def test_animations_of_programs_keep_light_and_cameras(file: Path) -> None:
     """Also when it is one that was read; the camera that moves is not listed twice."""
     animation = ls.load_animation(file)
-    document = ls.SceneDocument.of(animation)
+    document = ls.io.SceneDocument.of(animation)
     assert not document.problems
     assert_same_animation(document.animation, animation)
     assert [camera.name for camera in document.cameras] == ["front", "flight"]
@@ -118,10 +118,10 @@ def test_cameras_that_scene_files_cannot_hold_are_named() -> None:
         **{field.name: getattr(camera, field.name) for field in fields(camera)} | {"cx": 3.0, "name": "off"}
     )
     path = ls.CameraPath([camera, ls.Camera.look_at((0, 0, 6), (0, 0, 0))])
-    document = ls.SceneDocument.of(ls.Animation(ls.Scene([random_gaussians(1, count=4)]), (), [off, camera], 5.0, 2))
+    document = ls.io.SceneDocument.of(ls.Animation(ls.Scene([random_gaussians(1, count=4)]), (), [off, camera], 5.0, 2))
     assert [camera.name for camera in document.cameras] == ["good"]
     assert len(document.problems) == 1 and document.problems[0].startswith("camera off is left out")
-    moving = ls.SceneDocument.of(ls.Animation(ls.Scene(), camera_path=path))
+    moving = ls.io.SceneDocument.of(ls.Animation(ls.Scene(), camera_path=path))
     assert "the camera that moves is left out" in moving.problems[0]
 
 
@@ -146,7 +146,7 @@ def test_cameras_come_back_from_their_tables(values: dict[str, Any]) -> None:
     """All kinds; what is in focus only matters to a lens."""
     camera = ls.Camera.look_at(**values)
     animation = ls.Animation(ls.Scene(), (), [camera])
-    (found,) = ls.SceneDocument.of(animation).cameras
+    (found,) = ls.io.SceneDocument.of(animation).cameras
     if not camera.aperture:
         assert math.isclose(found.focus_distance, camera.focus_distance, rel_tol=1e-9)
     assert_same_camera(found, camera if camera.name else replace(camera, name=found.name))
@@ -154,8 +154,8 @@ def test_cameras_come_back_from_their_tables(values: dict[str, Any]) -> None:
 
 def test_the_animation_can_be_edited(file: Path) -> None:
     """Its rate, its length and its light; what is taken away leaves nothing; what is wrong is named."""
-    document = ls.SceneDocument.open(file)
-    lighting = ls.AvatarLightingConfig(direct=0.25, shadows=False)
+    document = ls.io.SceneDocument.open(file)
+    lighting = ls.config.AvatarLightingConfig(direct=0.25, shadows=False)
     edited = document.with_animation(fps=5.0, duration=3.0, frames=None, lighting=lighting)
     animation = edited.animation
     assert animation is not None and (animation.fps, animation.frame_count) == (5.0, 15)
@@ -163,7 +163,7 @@ def test_the_animation_can_be_edited(file: Path) -> None:
     edited.save(file.with_name("edited.toml"))
     saved = ls.load_animation(file.with_name("edited.toml"))
     assert (saved.fps, saved.frame_count, saved.lighting) == (5.0, 15, lighting)
-    without = edited.with_animation(fps=None, duration=None, lighting=ls.AvatarLightingConfig())
+    without = edited.with_animation(fps=None, duration=None, lighting=ls.config.AvatarLightingConfig())
     assert "animation" not in without.top
     with pytest.raises(ls.FormatError, match="fps"):
         document.with_animation(fps=-1.0)

@@ -31,7 +31,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.usefixtures("folder")
 def test_another_material_leaves_the_gaussians_of_a_changed_capture() -> None:
     """Cropped, and of another kernel degree: neither is done again."""
-    document, number = ls.SceneDocument.of(ls.Scene()).added(
+    document, number = ls.io.SceneDocument.of(ls.Scene()).added(
         "splats", {"path": "capture.ply", "kernel_degree": 4, "material": {"roughness": 0.3}, **BOX}
     )
     before, after = (d.entry(number).splats[0] for d in (document, document.changed(number, material={"ior": 2.0})))
@@ -52,7 +52,7 @@ def test_another_material_leaves_the_gaussians_of_a_changed_capture() -> None:
 @pytest.mark.usefixtures("folder")
 def test_what_is_moved_stays_itself(kind: EntryKind, table: dict[str, object]) -> None:
     """The capture and its material, a shape, a mesh with another material."""
-    document, number = ls.SceneDocument.of(ls.Scene()).added(kind, table)
+    document, number = ls.io.SceneDocument.of(ls.Scene()).added(kind, table)
     before, after = (d.entry(number) for d in (document, document.placed(number, MOVED)))
     np.testing.assert_array_equal(present(after.world_from_file), MOVED)
     for mine, other in zip(after.splats, before.splats, strict=True):
@@ -64,7 +64,7 @@ def test_what_is_moved_stays_itself(kind: EntryKind, table: dict[str, object]) -
 @pytest.mark.usefixtures("folder")
 def test_actors_keep_their_pose_while_others_are_edited() -> None:
     """At the same time; at another one they have another."""
-    document, _ = ls.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
+    document, _ = ls.io.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
     document, light = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     pose = document.scene(0.5).splats[0]
     assert document.changed(light, intensity=2.0).scene(0.5).splats[0] is pose
@@ -74,7 +74,7 @@ def test_actors_keep_their_pose_while_others_are_edited() -> None:
 @pytest.mark.usefixtures("folder")
 def test_crops_that_no_document_has_are_gone() -> None:
     """Who drags a box leaves a capture at each step: a million Gaussians have hundreds of megabytes."""
-    document, number = ls.SceneDocument.of(ls.Scene()).added("splats", {"path": "capture.ply", **BOX})
+    document, number = ls.io.SceneDocument.of(ls.Scene()).added("splats", {"path": "capture.ply", **BOX})
     left: list[weakref.ref[ls.Gaussians]] = []
     for k in range(10):
         left.append(weakref.ref(document.entry(number).splats[0].gaussians))
@@ -86,7 +86,7 @@ def test_crops_that_no_document_has_are_gone() -> None:
 def test_large_arrays_are_not_checked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a mesh whose material changes, and of an environment that is turned."""
     scene = ls.Scene(meshes=[ls.sphere(1.0)], lights=[ls.LightEnvironment(np.ones((4, 8, 3), np.float32))])
-    document = ls.SceneDocument.of(scene)
+    document = ls.io.SceneDocument.of(scene)
     checked: list[int] = []
     isfinite = np.isfinite
     monkeypatch.setattr(np, "isfinite", lambda values: (checked.append(np.size(values)), isfinite(values))[1])

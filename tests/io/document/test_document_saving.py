@@ -27,7 +27,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def again(scene: Any, name: str = "scene.toml") -> ls.Scene:
     """The scene, or the document, saved and loaded."""
-    document = scene if isinstance(scene, ls.SceneDocument) else ls.SceneDocument.of(scene)
+    document = scene if isinstance(scene, ls.io.SceneDocument) else ls.io.SceneDocument.of(scene)
     document.save(name)
     return expect_kind(ls.Scene, ls.load(name))
 
@@ -105,7 +105,7 @@ def test_materials_of_meshes_are_whole() -> None:
 def test_a_material_that_was_edited_is_saved_as_it_is_seen() -> None:
     """Also when it is of the other kind than the mesh had."""
     mesh = ls.Mesh(TRIANGLE, [[0, 1, 2]], material=ls.MaterialPbr(roughness=0.1, base_color=(0.1, 0.2, 0.3)))
-    document = ls.SceneDocument.of(mesh).changed(0, material={"type": "simple", "diffuse": 0.5})
+    document = ls.io.SceneDocument.of(mesh).changed(0, material={"type": "simple", "diffuse": 0.5})
     seen = expect_kind(ls.MaterialSimple, document.scene().meshes[0].mesh.material)
     saved = expect_kind(ls.MaterialSimple, again(document).meshes[0].mesh.material)
     assert (saved.diffuse, saved.base_color) == (seen.diffuse, seen.base_color) == ((0.5,) * 3, (0.1, 0.2, 0.3))
@@ -120,16 +120,16 @@ def test_environments_come_back_to_the_bit() -> None:
 
 def test_files_of_others_are_not_written_over() -> None:
     """What lies in the folder of assets stays, unless it may be replaced; that which the scene names stays always."""
-    ls.SceneDocument.of(random_gaussians(1, count=20)).save("scene.toml")
+    ls.io.SceneDocument.of(random_gaussians(1, count=20)).save("scene.toml")
     there, kept = Path("scene.assets/capture_0.ply"), Path("scene.assets/capture_0.ply").read_bytes()
     Path("scene.toml").unlink()
     assert again(random_gaussians(2, count=7)).splats[0].gaussians.count == 7
     assert there.read_bytes() == kept
-    document, _ = ls.SceneDocument.of(random_gaussians(3, count=5)).added("splats", {"path": str(there)})
+    document, _ = ls.io.SceneDocument.of(random_gaussians(3, count=5)).added("splats", {"path": str(there)})
     document.save("scene.toml", overwrite=True)
     scene = expect_kind(ls.Scene, ls.load("scene.toml"))
     assert [splat.gaussians.count for splat in scene.splats] == [5, 20]
-    ls.SceneDocument.of(random_gaussians(3, count=3)).save("scene.toml", overwrite=True)
+    ls.io.SceneDocument.of(random_gaussians(3, count=3)).save("scene.toml", overwrite=True)
     assert expect_kind(ls.Scene, ls.load("scene.toml")).splats[0].gaussians.count == 3
     assert there.read_bytes() != kept
 
@@ -138,7 +138,7 @@ def test_what_cannot_be_saved_leaves_nothing() -> None:
     """An actor that a program made is refused before anything is written."""
     capture = random_gaussians(1, count=4)
     with pytest.raises(ls.FormatError, match="walker was made by a program"):
-        ls.SceneDocument.of(ls.Animation(ls.Scene([capture]), [ls.Actor(capture, name="walker")])).save("scene.toml")
+        ls.io.SceneDocument.of(ls.Animation(ls.Scene([capture]), [ls.Actor(capture, name="walker")])).save("scene.toml")
     assert not list(Path().iterdir())
 
 
@@ -147,10 +147,10 @@ def test_paths_lead_out_of_linked_folders() -> None:
     ls.save("capture.ply", random_gaussians(1, count=4))
     Path("far/away").mkdir(parents=True)
     os.symlink("far/away", "near", target_is_directory=True)
-    document = ls.SceneDocument.open("capture.ply")
+    document = ls.io.SceneDocument.open("capture.ply")
     assert len(again(document, "near/scene.toml").splats) == 1
     assert 'path = "../../capture.ply"' in Path("near/scene.toml").read_text()
-    from_link = ls.SceneDocument.open("near/scene.toml")
+    from_link = ls.io.SceneDocument.open("near/scene.toml")
     assert len(again(from_link, "other.toml").splats) == 1
 
 
@@ -160,7 +160,7 @@ def test_only_paths_are_moved() -> None:
     material = 'material = { texture_wraps = { normal_texture = "clamp" } }'
     Path("scene.toml").write_text(f'[[splats]]\npath = "capture.ply"\n{material}\n')
     Path("below").mkdir()
-    (splat,) = again(ls.SceneDocument.open("scene.toml"), "below/scene.toml").splats
+    (splat,) = again(ls.io.SceneDocument.open("scene.toml"), "below/scene.toml").splats
     clamp = ls.TextureWrap.CLAMP
     assert expect_kind(ls.MaterialPbr, splat.material).texture_wraps == {"normal_texture": (clamp, clamp)}
 
@@ -171,7 +171,7 @@ def test_names_that_are_no_text_are_refused() -> None:
     name = os.fsdecode(b"wei\xdf.ply")
     ls.save(name, random_gaussians(1, count=4))
     with pytest.raises(ls.FormatError, match=r"scene.toml: cannot be written: a file that it names"):
-        ls.SceneDocument.open(name).save("scene.toml")
+        ls.io.SceneDocument.open(name).save("scene.toml")
     assert not Path("scene.toml").exists()
 
 
@@ -179,7 +179,7 @@ def test_names_that_are_no_text_are_refused() -> None:
 def test_scene_files_are_called_so(suffix: str) -> None:
     """No other file could be loaded again."""
     with pytest.raises(ls.FormatError, match=r"is no \.toml"):
-        ls.SceneDocument.of(ls.Scene()).save(f"scene{suffix}")
+        ls.io.SceneDocument.of(ls.Scene()).save(f"scene{suffix}")
 
 
 @pytest.mark.data
@@ -187,7 +187,7 @@ def test_scene_files_are_called_so(suffix: str) -> None:
 def test_real_captures_are_seen_and_saved_as_they_are(data_dir: Path, name: str) -> None:
     """The file by its path; what a program has loaded to the bit, but for opacities that no logit of float32 has."""
     loaded = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name))
-    document = ls.SceneDocument.open(data_dir / "splats" / name).changed(0, sh_degree=0)
+    document = ls.io.SceneDocument.open(data_dir / "splats" / name).changed(0, sh_degree=0)
     for scene in (document.scene(), again(document, "opened.toml")):
         assert scene.splats[0].sh_degree == 0
         for key, values in loaded.arrays().items():
@@ -209,8 +209,8 @@ def test_absolute_paths_stay_absolute_and_relative_ones_relative(tmp_path: Path)
     far = str(tmp_path / "assets" / "far.obj")
     scene = tmp_path / "scene.toml"
     scene.write_text(f'[[meshes]]\npath = "assets/near.obj"\n\n[[meshes]]\npath = "{far}"\n')
-    ls.SceneDocument.open(scene).save(tmp_path / "saved" / "again.toml")
-    saved = ls.SceneDocument.open(tmp_path / "saved" / "again.toml")
+    ls.io.SceneDocument.open(scene).save(tmp_path / "saved" / "again.toml")
+    saved = ls.io.SceneDocument.open(tmp_path / "saved" / "again.toml")
     assert [entry.table["path"] for entry in saved.entries] == ["../assets/near.obj", far]
 
 
@@ -220,8 +220,8 @@ def test_files_that_are_opened_by_relative_names_are_saved_so(tmp_path: Path, mo
     for name in ("near.obj", "far.obj"):
         Path(name).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "saved").mkdir()
-    document = ls.SceneDocument.open(["near.obj", tmp_path / "far.obj"])
+    document = ls.io.SceneDocument.open(["near.obj", tmp_path / "far.obj"])
     document.save("saved/scene.toml")
-    saved = ls.SceneDocument.open("saved/scene.toml")
+    saved = ls.io.SceneDocument.open("saved/scene.toml")
     assert [entry.table["path"] for entry in saved.entries] == ["../near.obj", str(tmp_path / "far.obj")]
     assert len(saved.scene().meshes) == 2

@@ -87,7 +87,7 @@ def test_numbers_of_numpy_are_written_as_numbers() -> None:
     """Those of a light, and a spot a little wider than a half space, which programs may have."""
     light = ls.LightPoint(np.zeros(3), intensity=cast(Any, np.float32(0.1)), enabled=cast(Any, np.bool_(False)))
     wide = ls.LightSpot((0, 0, 0), (0, 0, 1), outer_angle=math.pi / 2 + 5e-7)
-    first, second = ls.SceneDocument.of(ls.Scene(lights=[light, wide])).scene().lights
+    first, second = ls.io.SceneDocument.of(ls.Scene(lights=[light, wide])).scene().lights
     assert first.intensity == np.float32(0.1) and first.enabled is False
     assert expect_kind(ls.LightSpot, second).outer_angle == math.pi / 2
 
@@ -96,7 +96,7 @@ def test_numbers_of_numpy_are_written_as_numbers() -> None:
 def test_the_environment_that_lights_is_kept(order: tuple[int, int], tmp_path: Path) -> None:
     """A scene may have others, which are off; a scene file has one."""
     skies = [ls.LightEnvironment(intensity=1.0, enabled=False), ls.LightEnvironment(intensity=5.0)]
-    document = ls.SceneDocument.of(ls.Scene(lights=[skies[k] for k in order]))
+    document = ls.io.SceneDocument.of(ls.Scene(lights=[skies[k] for k in order]))
     document.save(tmp_path / "scene.toml")
     for scene in (document.scene(), expect_kind(ls.Scene, ls.load(tmp_path / "scene.toml"))):
         assert [(sky.intensity, sky.enabled) for sky in scene.lights] == [(5.0, True)]
@@ -104,7 +104,7 @@ def test_the_environment_that_lights_is_kept(order: tuple[int, int], tmp_path: P
 
 def test_edits_take_what_programs_have() -> None:
     """Arrays, tuples and paths; the document has copies, and its tables cannot be written to."""
-    document, number = ls.SceneDocument.of(ls.Scene()).added("lights", {"type": "point", "position": (1, 2, 3)})
+    document, number = ls.io.SceneDocument.of(ls.Scene()).added("lights", {"type": "point", "position": (1, 2, 3)})
     position = np.array([4.0, 5.0, 6.0])
     document = document.changed(number, position=position, intensity=np.float64(2.0))
     position[0] = 99.0
@@ -120,6 +120,6 @@ def test_edits_take_what_programs_have() -> None:
 @pytest.mark.parametrize("matrix", [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), "here"])
 def test_places_that_are_none_are_refused(matrix: Any) -> None:
     """In one line, whatever they are."""
-    document = ls.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
+    document = ls.io.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
     with pytest.raises(ls.SceneError, match="world_from_file"):
         document.placed(0, matrix)

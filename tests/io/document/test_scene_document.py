@@ -112,7 +112,7 @@ def assert_same(mine: Any, other: Any) -> None:
 
 def test_a_document_shows_what_the_file_shows(folder: Path) -> None:
     """Its scene, settings, cameras and up."""
-    document = ls.SceneDocument.open(folder / "scene.toml")
+    document = ls.io.SceneDocument.open(folder / "scene.toml")
     assert [entry.kind for entry in document.entries] == ["splats", "meshes", "lights", "environment"]
     assert_same_scene(document.scene(), ls.load(folder / "scene.toml"))  # pyright: ignore[reportArgumentType]
     assert document.config == ls.load_config(folder / "scene.toml")
@@ -121,7 +121,7 @@ def test_a_document_shows_what_the_file_shows(folder: Path) -> None:
 
 def test_what_is_saved_is_what_was_seen(folder: Path) -> None:
     """After an edit of each kind, in another folder; and the file that was opened is as it was."""
-    document = ls.SceneDocument.open(folder / "scene.toml")
+    document = ls.io.SceneDocument.open(folder / "scene.toml")
     document = document.placed(0, np.diag([2.0, 2.0, 2.0, 1.0])).changed(1, material={"roughness": 0.7})
     document = document.changed(2, target=None, direction=[0.0, 1.0, -1.0], intensity=7.0)
     document, _ = document.added("meshes", {"shape": "box", "size": [1.0, 2.0, 3.0], "position": [0.0, 0.0, 9.0]})
@@ -141,7 +141,7 @@ def test_what_is_saved_is_what_was_seen(folder: Path) -> None:
 
 def test_files_that_are_there_are_not_overwritten_unasked(folder: Path) -> None:
     """One line, and the file stays; asked to, it is replaced. Only scene files are written."""
-    document = ls.SceneDocument.open(folder / "scene.toml").removed(3)
+    document = ls.io.SceneDocument.open(folder / "scene.toml").removed(3)
     with pytest.raises(ls.FormatError, match="is there already"):
         document.save(folder / "scene.toml")
     assert (folder / "scene.toml").read_text() == SCENE
@@ -153,7 +153,7 @@ def test_files_that_are_there_are_not_overwritten_unasked(folder: Path) -> None:
 
 def test_edits_share_what_they_leave(folder: Path) -> None:
     """The same objects: renderers know assets by identity, and to undo is to keep the old document."""
-    before = ls.SceneDocument.open(folder / "scene.toml")
+    before = ls.io.SceneDocument.open(folder / "scene.toml")
     scene = before.scene()
     after = before.placed(0, np.eye(4)).changed(2, intensity=3.0)
     assert after.scene().splats[0].gaussians is scene.splats[0].gaussians
@@ -163,7 +163,7 @@ def test_edits_share_what_they_leave(folder: Path) -> None:
 
 def test_refused_edits_name_the_key_and_change_nothing(folder: Path) -> None:
     """An unknown key, a value out of range, a file that is not there, a kind and an id that there are not."""
-    document = ls.SceneDocument.open(folder / "scene.toml")
+    document = ls.io.SceneDocument.open(folder / "scene.toml")
     entries = document.entries
     with pytest.raises(ls.FormatError, match="roughness is 7"):
         document.changed(0, material={"roughness": 7})
@@ -184,7 +184,7 @@ def test_refused_edits_name_the_key_and_change_nothing(folder: Path) -> None:
 
 def test_hidden_entries_are_left_out_and_owners_follow(folder: Path) -> None:
     """Instances count captures first, then meshes; lights that are hidden are off."""
-    document = ls.SceneDocument.open(folder / "scene.toml")
+    document = ls.io.SceneDocument.open(folder / "scene.toml")
     assert [document.owner(number).id for number in range(3)] == [0, 1, 1]
     hidden = document.changed(0, hidden=True).changed(2, enabled=False)
     assert [hidden.owner(number).id for number in range(2)] == [1, 1]
@@ -196,7 +196,7 @@ def test_hidden_entries_are_left_out_and_owners_follow(folder: Path) -> None:
 
 def test_split_entries_show_the_same(folder: Path) -> None:
     """Each mesh of the file by itself, where it was, with the material that it had."""
-    document = ls.SceneDocument.open(folder / "scene.toml")
+    document = ls.io.SceneDocument.open(folder / "scene.toml")
     split = document.split(1)
     assert [entry.name for entry in split.entries if entry.kind == "meshes"] == ["red", "blue"]
     assert_same_scene(replace(split.scene(), meshes=()), replace(document.scene(), meshes=()))
@@ -209,7 +209,7 @@ def test_split_entries_show_the_same(folder: Path) -> None:
 
 def test_ids_are_never_used_again(folder: Path) -> None:
     """Whoever holds the id of something that is gone does not get another one's."""
-    document = ls.SceneDocument.open(folder / "scene.toml")
+    document = ls.io.SceneDocument.open(folder / "scene.toml")
     document, first = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     _, second = document.removed(first).added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     assert first != second
@@ -218,13 +218,13 @@ def test_ids_are_never_used_again(folder: Path) -> None:
 def test_files_that_cannot_be_read_are_left_out_and_listed(folder: Path) -> None:
     """A line each; if nothing is left, that is an error."""
     (folder / "broken.ply").write_text("ply\nnonsense")
-    document = ls.SceneDocument.open([folder / "row.ply", folder / "broken.ply", folder / "gone.obj"])
+    document = ls.io.SceneDocument.open([folder / "row.ply", folder / "broken.ply", folder / "gone.obj"])
     assert len(document.entries) == 1 and len(document.problems) == 2
     assert "broken.ply" in document.problems[0] and "gone.obj" in document.problems[1]
     with pytest.raises(ls.FormatError, match="broken"):
-        ls.SceneDocument.open(folder / "broken.ply")
+        ls.io.SceneDocument.open(folder / "broken.ply")
     with pytest.raises(ls.ConfigError, match="both scene files"):
-        ls.SceneDocument.open([folder / "scene.toml", folder / "scene.toml"])
+        ls.io.SceneDocument.open([folder / "scene.toml", folder / "scene.toml"])
 
 
 def memory_scene() -> ls.Scene:
@@ -257,7 +257,7 @@ def memory_scene() -> ls.Scene:
 def test_scenes_in_memory_are_saved_with_their_assets(tmp_path: Path) -> None:
     """The file shows the same, and names files of its own folder; what is shared is written once."""
     scene = memory_scene()
-    document = ls.SceneDocument.of(scene)
+    document = ls.io.SceneDocument.of(scene)
     assert_same_scene(document.scene(), scene)
     assert document.scene().splats[0].gaussians is document.scene().splats[1].gaussians
     document.save(tmp_path / "made.toml")
@@ -274,7 +274,7 @@ def test_actors_in_memory_are_shown_and_not_saved(tmp_path: Path) -> None:
     still = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     motion = ls.Keyframes([0.0, 1.0], [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], still, [1.0, 1.0])
     animation = ls.Animation(ls.Scene([row()]), [ls.Actor(row(), motion, name="walker")], fps=10.0, frame_count=11)
-    document = ls.SceneDocument.of(animation)
+    document = ls.io.SceneDocument.of(animation)
     assert document.scene(0.5).splats[1].transform[0, 3] == pytest.approx(2.0)
     assert document.owner(1, 0.5).name == "walker"
     again = document.animation
@@ -353,7 +353,7 @@ def test_what_stands_upright_stands_upright_in_another_up(tmp_path: Path) -> Non
         '[[meshes]]\nshape = "box"\nrotation_degrees = [30.0, 0.0, 0.0]\nname = "leans"\n'
         '[[lights]]\ntype = "directional"\ndirection = [0.0, 1.0, 0.0]\n'
     )
-    before, up = ls.SceneDocument.open(tmp_path / "scene.toml"), tilted(25.0)
+    before, up = ls.io.SceneDocument.open(tmp_path / "scene.toml"), tilted(25.0)
     after = before.with_up(up)
     np.testing.assert_allclose(after.scene().up_direction, up, atol=1e-12)
     for old, new in zip(before.entries, after.entries, strict=True):
@@ -384,7 +384,7 @@ def test_what_stands_upright_stands_upright_in_another_up(tmp_path: Path) -> Non
 def test_meshes_without_a_capture_stay_in_another_up(tmp_path: Path) -> None:
     """They have the ground by which up is measured; their words become numbers, which mean the same in the new up."""
     (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\nupright = true\nground = 1.0\n')
-    before = ls.SceneDocument.open(tmp_path / "scene.toml")
+    before = ls.io.SceneDocument.open(tmp_path / "scene.toml")
     after = before.with_up("z-up")
     places = [np.asarray(document.entries[0].world_from_file) for document in (before, after)]
     np.testing.assert_allclose(places[1], places[0], atol=1e-9)
@@ -401,7 +401,7 @@ def test_an_environment_that_is_upright_turns_with_up(tmp_path: Path) -> None:
     ls.save(tmp_path / "row.ply", row())
     for w, expected in ((0.0, tilted(25.0)), (0.1, None)):
         (tmp_path / "scene.toml").write_text(text.format(w))
-        before = ls.SceneDocument.open(tmp_path / "scene.toml")
+        before = ls.io.SceneDocument.open(tmp_path / "scene.toml")
         after = before.with_up(tilted(25.0))
         skies: list[Any] = [document.scene().lights[0] for document in (before, after)]
         rotations = [rotation_matrix(sky.rotation_wxyz) for sky in skies]
@@ -411,6 +411,6 @@ def test_an_environment_that_is_upright_turns_with_up(tmp_path: Path) -> None:
 @pytest.mark.parametrize("up", ["upwards", (0.0, 0.0, 0.0), (math.nan, 0.0, 1.0)])
 def test_an_up_that_is_no_direction_is_refused(up: Any) -> None:
     """In one line, and the document stays as it was."""
-    document = ls.SceneDocument.of(ls.Scene())
+    document = ls.io.SceneDocument.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="up is"):
         document.with_up(up)

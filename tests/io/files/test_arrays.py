@@ -108,7 +108,7 @@ def test_pipes_folders_and_missing_files_are_named(tmp_path: Path) -> None:
         read_arrays(tmp_path / "pipe.npz", KIND)
     with pytest.raises(ls.FormatError, match="is a folder"):
         read_arrays(tmp_path, KIND)
-    with pytest.raises(ls.MissingFileError):
+    with pytest.raises(ls.errors.MissingFileError):
         read_arrays(tmp_path / "missing.npz", KIND)
 
 

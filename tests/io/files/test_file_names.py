@@ -34,7 +34,7 @@ ROUND_TRIPS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]
     ".ply": (lambda path: ls.save(path, capture(3)), ls.load),
     ".compressed.ply": (lambda path: ls.save(path, capture(3)), ls.load),
     ".spz": (lambda path: ls.save(path, capture(3)), ls.load),
-    ".exr": (_picture, ls.load_radiance),
+    ".exr": (_picture, ls.io.load_radiance),
     ".json": (lambda path: ls.save_cameras(path, [_camera()]), ls.load_cameras),
     ".toml": (lambda path: ls.save_config(path, ls.RenderConfig()), ls.load_config),
     ".webp": (lambda path: ls.save_animation(path, [np.zeros((8, 8, 3))] * 2, 10.0), ls.load_image),
@@ -62,7 +62,7 @@ def test_impossible_names(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "read", [ls.load, ls.load_cameras, ls.load_image, ls.load_rig, lambda path: ls.load_sequence(path, 5.0)]
+    "read", [ls.load, ls.load_cameras, ls.load_image, ls.avatars.load_rig, lambda path: ls.io.load_sequence(path, 5.0)]
 )
 def test_too_long_names(tmp_path: Path, read: Callable[[Path], object]) -> None:
     """Longer than the system can hold."""
@@ -75,7 +75,7 @@ def test_damaged_exr_says_one_line(tmp_path: Path) -> None:
     _picture(tmp_path / "sky.exr")
     stored = (tmp_path / "sky.exr").read_bytes()
     (tmp_path / "sky.exr").write_bytes(stored[: len(stored) // 2])
-    program = "import sys, lumisplat as ls\ntry: ls.load_radiance(sys.argv[1])\nexcept ls.FormatError as e: print(e)"
+    program = "import sys, lumisplat as ls\ntry: ls.io.load_radiance(sys.argv[1])\nexcept ls.FormatError as e: print(e)"
     command = [sys.executable, "-c", program, os.fspath(tmp_path / "sky.exr")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == (f"{tmp_path}/sky.exr: damaged, or not an EXR file\n", "")

@@ -20,22 +20,22 @@ LOADERS: dict[str, Callable[[Path], Any]] = {
     "b.toml": ls.load_config,
     "c.toml": ls.load_animation,
     "cameras.json": ls.load_cameras,
-    "camera_path.json": ls.load_camera_path,
+    "camera_path.json": ls.io.load_camera_path,
     "a.png": ls.load_image,
-    "a.hdr": ls.load_radiance,
-    "b.glb": ls.load_rig,
-    "frames": lambda folder: ls.load_sequence(folder, 24.0),
+    "a.hdr": ls.io.load_radiance,
+    "b.glb": ls.avatars.load_rig,
+    "frames": lambda folder: ls.io.load_sequence(folder, 24.0),
     "map.npz": lambda path: ls.DeepShadowMap.load(path, device="cpu"),
 }
 
 
 @pytest.mark.parametrize("name", LOADERS)
-@pytest.mark.parametrize("kind", [FileNotFoundError, ls.FormatError, ls.MissingFileError])
+@pytest.mark.parametrize("kind", [FileNotFoundError, ls.FormatError, ls.errors.MissingFileError])
 def test_a_missing_file_is_caught_either_way(tmp_path: Path, name: str, kind: type[Exception]) -> None:
     """As a FileNotFoundError and as the error of files; the message and ``path`` name it."""
     with pytest.raises(kind, match=r": no such (file|folder)$") as caught:
         LOADERS[name](tmp_path / name)
-    assert isinstance(caught.value, ls.MissingFileError) and caught.value.path == str(tmp_path / name)
+    assert isinstance(caught.value, ls.errors.MissingFileError) and caught.value.path == str(tmp_path / name)
 
 
 def test_other_files_that_cannot_be_read_are_not_missing(tmp_path: Path) -> None:
@@ -49,8 +49,8 @@ def test_other_files_that_cannot_be_read_are_not_missing(tmp_path: Path) -> None
 
 def test_errors_cross_processes(tmp_path: Path) -> None:
     """A pickled one is the same, with its path: worker processes raise them, too."""
-    with pytest.raises(ls.MissingFileError) as raised:
+    with pytest.raises(ls.errors.MissingFileError) as raised:
         ls.load(tmp_path / "none.ply")
     error = pickle.loads(pickle.dumps(raised.value))
-    assert type(error) is ls.MissingFileError
+    assert type(error) is ls.errors.MissingFileError
     assert (str(error), error.path) == (str(raised.value), str(tmp_path / "none.ply"))

@@ -154,7 +154,7 @@ def test_only_regular_files_are_read(tmp_path: Path, namer, kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "read", [ls.load, ls.load_cameras, ls.load_radiance, ls.load_image, ls.load_config, ls.DeepShadowMap.load]
+    "read", [ls.load, ls.load_cameras, ls.io.load_radiance, ls.load_image, ls.load_config, ls.DeepShadowMap.load]
 )
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".obj", ".glb", ".toml", ".json", ".exr"])
 def test_no_reader_waits_for_a_pipe(tmp_path: Path, read: Callable[[Path], object], suffix: str) -> None:

@@ -115,7 +115,7 @@ def test_sog_and_settings_may_begin_with_a_mark(tmp_path: Path) -> None:
     for path in (tmp_path / "sog" / "meta.json", tmp_path / "levels" / "lod-meta.json"):
         assert ls.load(_marked(path, "utf-8")).count == 9  # pyright: ignore[reportAttributeAccessIssue]
     (tmp_path / "set.toml").write_text("views = 7\n", encoding="utf-8-sig")
-    assert ls.load_dataset_config(tmp_path / "set.toml").views == 7
+    assert ls.io.load_dataset_config(tmp_path / "set.toml").views == 7
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)

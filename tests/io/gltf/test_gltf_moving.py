@@ -200,7 +200,7 @@ def test_captures_keep_their_settings(tmp_path: Path, key: str) -> None:
 def test_skins_move(tmp_path: Path) -> None:
     """As the rig of the same file does, once."""
     path = TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb")
-    moving, rig = ls.load_animation(path), ls.load_rig(path)
+    moving, rig = ls.load_animation(path), ls.avatars.load_rig(path)
     assert moving.frame_count == round(rig.duration("bend") * 25.0) + 1
     for time in (0.0, 0.3, rig.duration("bend")):
         (instance,) = moving.actors_at(time)

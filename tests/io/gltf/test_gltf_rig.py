@@ -18,9 +18,9 @@ from support.kinds import expect_kind, present
 from support.oracles.rig_oracle import posed, world_matrices
 
 
-def load(rig: TubeRig, folder: Path) -> ls.Rig:
+def load(rig: TubeRig, folder: Path) -> ls.avatars.Rig:
     """The rig, written and read."""
-    return ls.load_rig(rig.write(folder / "tube.glb"))
+    return ls.avatars.load_rig(rig.write(folder / "tube.glb"))
 
 
 def random_rig(seed: int) -> TubeRig:
@@ -142,7 +142,7 @@ def test_targets_that_move_nothing_that_is_read_have_weights_too(tmp_path: Path)
     tangents = gltf.accessor(np.zeros_like(rig.positions))
     gltf.json["meshes"][0]["primitives"][0]["targets"].append({"TANGENT": tangents})
     (tmp_path / "tube.glb").write_bytes(gltf.glb())
-    (posed,) = ls.load_rig(tmp_path / "tube.glb").poses(1.0)
+    (posed,) = ls.avatars.load_rig(tmp_path / "tube.glb").poses(1.0)
     np.testing.assert_allclose(posed.positions, rig.positions + 0.5, atol=1e-5)
 
 
@@ -161,11 +161,11 @@ def test_primitives_of_one_material_are_one_mesh(tmp_path: Path) -> None:
     rig = TubeRig(clips={"bend": BEND})
     count, faces = len(rig.positions), len(rig.triangles)
     (tmp_path / "one.glb").write_bytes(two_primitives(rig, True).glb())
-    one = ls.load_rig(tmp_path / "one.glb").pose(0.5)
+    one = ls.avatars.load_rig(tmp_path / "one.glb").pose(0.5)
     assert (one.vertex_count, one.face_count) == (2 * count, 2 * faces - 1)
     np.testing.assert_array_equal(one.positions[:count], one.positions[count:])
     (tmp_path / "two.glb").write_bytes(two_primitives(rig, False).glb())
-    two = ls.load_rig(tmp_path / "two.glb")
+    two = ls.avatars.load_rig(tmp_path / "two.glb")
     assert [mesh.material.name for mesh in two.poses(0.5)] == ["skin", "other"]
     assert [mesh.face_count for mesh in two.meshes] == [faces, faces - 1]
     with pytest.raises(ls.SceneError, match=r"2 meshes of different materials: use rig\.poses\(time\)"):
@@ -201,7 +201,7 @@ def test_what_is_hidden_at_rest_is_left_out(tmp_path: Path, caplog: pytest.LogCa
     gltf.json["nodes"][-1]["mesh"] = gltf.add("meshes", primitives=[alone], name="hat")
     (tmp_path / "two.glb").write_bytes(gltf.glb())
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        assert ls.load_rig(tmp_path / "two.glb").mesh.material.name == "skin"
+        assert ls.avatars.load_rig(tmp_path / "two.glb").mesh.material.name == "skin"
     assert "mesh 'hat' left out: at rest it has no triangles with an area" in caplog.text
     rig.nodes[1]["scale"] = [0.0, 0.0, 0.0]
     with pytest.raises(ls.FormatError, match="has no triangles with an area at rest"):
@@ -297,7 +297,7 @@ def test_damaged_rigs_are_refused_or_read(tmp_path: Path) -> None:
             damaged[at] = rng.integers(0, 256)
         (tmp_path / "tube.glb").write_bytes(bytes(damaged))
         try:
-            loaded = ls.load_rig(tmp_path / "tube.glb")
+            loaded = ls.avatars.load_rig(tmp_path / "tube.glb")
             for clip in loaded.clips:
                 loaded.poses(0.4, clip)
         except ls.FormatError as error:
@@ -314,8 +314,8 @@ def test_other_kinds_of_files_are_no_rigs(tmp_path: Path) -> None:
     with pytest.raises(
         ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb or \.gltf$"
     ):
-        ls.load_rig(tmp_path / "spot.obj")
-    assert ls.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)
+        ls.avatars.load_rig(tmp_path / "spot.obj")
+    assert ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)
 
 
 def test_a_matrix_is_not_animated(tmp_path: Path) -> None:
@@ -346,10 +346,10 @@ def test_black_vertex_colours_are_logged_and_left_out(tmp_path: Path, caplog: py
     rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
     path = rig.write(tmp_path / "tube.glb")
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        assert not present(ls.load_rig(path).mesh.colors).any()
+        assert not present(ls.avatars.load_rig(path).mesh.colors).any()
     assert "COLOR_0 makes 100 % of the vertices of 'tube' black" in caplog.text
     caplog.clear()
-    assert ls.load_rig(path, vertex_colors=False).mesh.colors is None
+    assert ls.avatars.load_rig(path, vertex_colors=False).mesh.colors is None
     assert not caplog.records
     ls.load(path)
     assert "COLOR_0 makes 100 % of the vertices of 'tube' black" in caplog.text
@@ -359,7 +359,7 @@ def test_black_vertex_colours_are_logged_and_left_out(tmp_path: Path, caplog: py
 def test_the_walker_walks(data_dir: Path) -> None:
     """The real avatar: one clip, which ends as it begins, and moves in between; at rest it is what `load` shows."""
     path = data_dir / "avatars" / "walk.glb"
-    rig = ls.load_rig(path, vertex_colors=False)
+    rig = ls.avatars.load_rig(path, vertex_colors=False)
     assert len(rig.clips) == 1
     assert rig.duration() == pytest.approx(29.0 / 30.0)
     first, middle, last = (rig.pose(share * rig.duration()).positions for share in (0.0, 0.5, 1.0))

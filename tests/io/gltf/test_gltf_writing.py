@@ -431,10 +431,10 @@ def test_other_formats_hold_gaussians_alone(tmp_path: Path) -> None:
     for asset, shown in ((ls.Scene(meshes=[QUAD_MESH]), ()), (QUAD_MESH, ()), (capture(3), tuple(cameras()))):
         with pytest.raises(ls.FormatError, match=r"a\.ply: holds Gaussians alone: scenes and meshes .* \.glb, \.gltf"):
             ls.save(tmp_path / "a.ply", asset, cameras=shown)
-    ls.check_format(tmp_path / "a.glb", scene=True)
-    ls.check_format(tmp_path / "a.compressed.ply")
+    ls.io.check_format(tmp_path / "a.glb", scene=True)
+    ls.io.check_format(tmp_path / "a.compressed.ply")
     with pytest.raises(ls.FormatError, match=r"unknown extension '\.obj', expected \.glb, \.gltf"):
-        ls.check_format(tmp_path / "a.obj", scene=True)
+        ls.io.check_format(tmp_path / "a.obj", scene=True)
 
 
 def test_names_that_are_no_text(path: Path) -> None:

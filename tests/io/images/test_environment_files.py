@@ -29,7 +29,7 @@ def pixels(seed: int, height: int = 5, width: int = 40, levels: int = 256) -> np
 def load(tmp_path: Path, data: bytes) -> np.ndarray:
     """What a file of these bytes holds."""
     (tmp_path / "a.hdr").write_bytes(data)
-    return ls.load_radiance(tmp_path / "a.hdr")
+    return ls.io.load_radiance(tmp_path / "a.hdr")
 
 
 @pytest.mark.parametrize("encoding", ["flat", "old", "new"])
@@ -123,9 +123,9 @@ def test_what_is_no_radiance_is_refused(tmp_path: Path, data: bytes, message: st
 def test_missing_files(tmp_path: Path) -> None:
     """No such file, and a folder."""
     with pytest.raises(ls.FormatError, match="no such file"):
-        ls.load_radiance(tmp_path / "lost.exr")
+        ls.io.load_radiance(tmp_path / "lost.exr")
     with pytest.raises(ls.FormatError, match="is a folder"):
-        ls.load_radiance(tmp_path)
+        ls.io.load_radiance(tmp_path)
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
@@ -134,7 +134,7 @@ def test_exr(tmp_path: Path, dtype: type) -> None:
     image = np.random.default_rng(6).uniform(0.0, 9.0, (3, 5, 3)).astype(dtype)
     planes = {name: image[..., k] for k, name in enumerate("RGB")}
     write_exr(tmp_path / "a.exr", **planes, A=np.ones((3, 5), dtype))
-    loaded = ls.load_radiance(tmp_path / "a.exr")
+    loaded = ls.io.load_radiance(tmp_path / "a.exr")
     np.testing.assert_array_equal(loaded, image.astype(np.float32))
     assert loaded.dtype == np.float32 and loaded.flags.c_contiguous and not loaded.flags.writeable
 
@@ -154,7 +154,7 @@ def test_exr_of_other_channels(tmp_path: Path, channels: dict[str, np.ndarray], 
     """A file without one of the colours, or with integer channels, is refused, and the channels are named."""
     write_exr(tmp_path / "a.exr", **channels)
     with pytest.raises(ls.FormatError, match=message):
-        ls.load_radiance(tmp_path / "a.exr")
+        ls.io.load_radiance(tmp_path / "a.exr")
 
 
 def test_truncated_exr(tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ def test_truncated_exr(tmp_path: Path) -> None:
     data = write_exr(tmp_path / "a.exr", R=noise, G=noise, B=noise).read_bytes()
     (tmp_path / "a.exr").write_bytes(data[: len(data) // 2])
     with pytest.raises(ls.FormatError, match="damaged, or not an EXR file"):
-        ls.load_radiance(tmp_path / "a.exr")
+        ls.io.load_radiance(tmp_path / "a.exr")
 
 
 def test_bad_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -172,9 +172,9 @@ def test_bad_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture
     bad = plane.copy()
     bad[0] = (np.nan, np.inf, -np.inf, -0.5)
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        ls.load_radiance(write_exr(tmp_path / "good.exr", R=plane, G=plane, B=plane))
+        ls.io.load_radiance(write_exr(tmp_path / "good.exr", R=plane, G=plane, B=plane))
         assert not caplog.records
-        image = ls.load_radiance(write_exr(tmp_path / "bad.exr", R=bad, G=plane, B=-plane))
+        image = ls.io.load_radiance(write_exr(tmp_path / "bad.exr", R=bad, G=plane, B=-plane))
     (record,) = caplog.records
     assert record.getMessage().endswith("bad.exr: values set to 0: 3 not finite, 9 negative")
     np.testing.assert_array_equal(image[0], [(0, 1, 0)] * 4)
@@ -191,7 +191,7 @@ def test_an_environment_takes_it_as_it_is(tmp_path: Path) -> None:
 def test_real_files(data_dir: Path) -> None:
     """Real environments: an HDR in runs, an EXR; twice as wide as high, and brighter than a display somewhere."""
     for name in ("composition.hdr", "envmap3.exr"):
-        image = ls.load_radiance(data_dir / "env" / name)
+        image = ls.io.load_radiance(data_dir / "env" / name)
         assert image.shape[1] == 2 * image.shape[0]
         assert image.max() > 3.0 and (image >= 0.0).all()
 
@@ -201,4 +201,4 @@ def test_pillow_does_not_know_better(tmp_path: Path) -> None:
     Image.fromarray(TEXELS).save(tmp_path / "b.png")
     (tmp_path / "b.png").rename(tmp_path / "b.exr")
     with pytest.raises(ls.FormatError, match="is a PNG image and is 8 bit"):
-        ls.load_radiance(tmp_path / "b.exr")
+        ls.io.load_radiance(tmp_path / "b.exr")

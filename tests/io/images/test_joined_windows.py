@@ -45,7 +45,7 @@ def test_png(tmp_path: Path, channels: int) -> None:
     files = {window: tmp_path / f"{number}.png" for number, window in enumerate(windows())}
     for window, path in files.items():
         write_png(path, part(image, window))
-    ls.join_windows(tmp_path / "joined.png", files)
+    ls.io.join_windows(tmp_path / "joined.png", files)
     with Image.open(tmp_path / "joined.png") as joined:
         joined.verify()
     with Image.open(tmp_path / "joined.png") as joined:
@@ -70,7 +70,7 @@ def test_exr(tmp_path: Path) -> None:
     files = {window: tmp_path / f"{number}.exr" for number, window in enumerate(windows())}
     for window, path in files.items():
         write_exr(path, {name: part(image, window) for name, image in channels.items()})
-    ls.join_windows(tmp_path / "joined.exr", files)
+    ls.io.join_windows(tmp_path / "joined.exr", files)
     write_exr(tmp_path / "whole.exr", channels)
     joined, whole = read_exr(tmp_path / "joined.exr"), read_exr(tmp_path / "whole.exr")
     assert joined.keys() == whole.keys()
@@ -104,21 +104,21 @@ def test_what_is_no_picture(tmp_path: Path) -> None:
     out = tmp_path / "joined.png"
     lacking = dict(list(files.items())[:-1])
     with pytest.raises(ls.SceneError, match="end at column"):
-        ls.join_windows(out, lacking)
+        ls.io.join_windows(out, lacking)
     with pytest.raises(ls.SceneError, match="leaves a gap"):
-        ls.join_windows(out, dict(list(files.items())[1:]))
+        ls.io.join_windows(out, dict(list(files.items())[1:]))
     with pytest.raises(ls.SceneError, match="needs a window"):
-        ls.join_windows(out, {})
+        ls.io.join_windows(out, {})
     with pytest.raises(ls.FormatError, match=r"not in '\.jpg'"):
-        ls.join_windows(tmp_path / "joined.jpg", files)
+        ls.io.join_windows(tmp_path / "joined.jpg", files)
     last = list(files)[-1]
     write_png(files[last], image)
     with pytest.raises(ls.FormatError, match="expected"):
-        ls.join_windows(out, files)
+        ls.io.join_windows(out, files)
     write_png(files[last], part(noise(4), last))
     with pytest.raises(ls.FormatError, match="4 channels, other windows 3"):
-        ls.join_windows(out, files)
+        ls.io.join_windows(out, files)
     files[last].write_bytes(b"\x89PNG")
     with pytest.raises(ls.FormatError, match="cannot be read"):
-        ls.join_windows(out, files)
+        ls.io.join_windows(out, files)
     assert not list(tmp_path.glob("joined*")) and not list(tmp_path.glob(".*"))

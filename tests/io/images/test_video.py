@@ -87,6 +87,6 @@ def test_mistakes_are_refused(tmp_path, monkeypatch):
     with pytest.raises(ls.FormatError, match="cannot be written"):
         ls.save_animation("/proc/a.mp4", [patches()])
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(ls.MissingExtraError, match=r"a video needs .* pip install 'lumisplat\[video\]'"):
+    with pytest.raises(ls.errors.MissingExtraError, match=r"a video needs .* pip install 'lumisplat\[video\]'"):
         ls.save_animation(tmp_path / "a.mp4", [patches()])
     assert not list(tmp_path.iterdir())

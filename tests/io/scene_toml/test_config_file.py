@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lumisplat as ls
-from lumisplat.config import AOVS
+from lumisplat.config.render import AOVS
 from support.files.scene_files import refuses, write_scene
 
 
@@ -34,14 +34,14 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
     },
     ls.TraceConfig: {
         "hits_per_pass": HITS,
-        "hit_distance": st.none() | st.sampled_from(ls.HitDistance),
+        "hit_distance": st.none() | st.sampled_from(ls.config.HitDistance),
         "dilation": between(0.0, 10.0),
         "sh_degree": st.integers(0, 3),
         "transmittance_min": between(0.0, 1.0),
         "depth_iso_transmittance": between(0.0, 1.0),
         "acceptance_scale": between(1e-3, 1.0),
     },
-    ls.ResponseConfig: {
+    ls.config.ResponseConfig: {
         "kernel_degree": st.none() | st.integers(0, 5),
         "min_response": st.floats(0.0, 0.97),
     },
@@ -55,20 +55,20 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
         "color_strength": between(0.0, 5.0),
     },
     ls.PathConfig: {},
-    ls.FilterConfig: {
+    ls.config.FilterConfig: {
         "frames": st.integers(1, 1024),
         "indirect_frames": st.integers(1, 1024),
         "passes": st.integers(0, 6),
         "radius": st.integers(1, 2),
     },
-    ls.ProbeConfig: {
+    ls.config.ProbeConfig: {
         "tile": st.integers(8, 64),
         "cells": st.integers(4, 16),
         "refreshed": st.floats(0.01, 1.0),
         "history": st.integers(1, 256),
         "adaptive": between(0.0, 1.0),
     },
-    ls.RadianceCacheConfig: {
+    ls.config.RadianceCacheConfig: {
         "tiles": st.integers(64, 2**20),
         "cell_size": st.floats(1e-3, 0.99),
         "history": st.none() | st.integers(1, 1024),
@@ -99,7 +99,7 @@ def configs(kind: type) -> st.SearchStrategy[Any]:
     chosen = dict(SETTINGS[kind])
     for name, hint in get_type_hints(kind).items():
         if (kind, name) == (ls.ShadowConfig, "hit_distance"):
-            chosen[name] = st.sampled_from([ls.HitDistance.PEAK, ls.HitDistance.HULL])
+            chosen[name] = st.sampled_from([ls.config.HitDistance.PEAK, ls.config.HitDistance.HULL])
         elif isinstance(hint, type) and issubclass(hint, Enum):
             chosen[name] = st.sampled_from(hint)
         elif hint is bool:
@@ -133,7 +133,7 @@ def test_what_a_file_looks_like(tmp_path: Path) -> None:
 def test_numbers_of_numpy_are_saved(tmp_path: Path) -> None:
     """They come back as Python's."""
     config = ls.RenderConfig(
-        response=ls.ResponseConfig(min_response=np.float64(0.1), kernel_degree=cast(Any, np.int64(4))),
+        response=ls.config.ResponseConfig(min_response=np.float64(0.1), kernel_degree=cast(Any, np.int64(4))),
         samples=cast(Any, np.int32(3)),
         jitter=cast(Any, np.bool_(False)),
         background=cast(Any, np.array([0.5, 0.25, 0.0])),

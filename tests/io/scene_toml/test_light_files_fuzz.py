@@ -42,7 +42,7 @@ def test_damaged_environments(tmp_path: Path, encoding: str) -> None:
         for _ in range(rng.randint(1, 4)):
             damaged[rng.randrange(len(damaged))] = rng.randrange(256)
         path.write_bytes(damaged[: rng.choice([len(data), rng.randrange(1, len(data))])])
-        loaded += survives(lambda: ls.load_radiance(path))
+        loaded += survives(lambda: ls.io.load_radiance(path))
     assert 0 < loaded < 150
 
 

@@ -51,7 +51,7 @@ def test_everything_of_an_actor_is_read(folder: Path) -> None:
     (actor,) = animation.actors
     assert (actor.name, actor.clip, actor.speed) == ("one", "carry", 2.0)
     assert not (actor.loop or actor.casts_shadow or actor.relight)
-    assert ls.AvatarLightingConfig().sun_on_actors and not animation.lighting.sun_on_actors
+    assert ls.config.AvatarLightingConfig().sun_on_actors and not animation.lighting.sun_on_actors
     assert animation.lighting.direct == 0.25 and animation.lighting.shadow_map.bins == 16
     assert (animation.fps, animation.frame_count) == (5.0, 20)  # until the last keyframe
     assert len(animation.cameras) == 1
@@ -89,7 +89,7 @@ def test_every_kind_of_file_is_an_actor(folder: Path) -> None:
     kinds = [type(actor.subject).__name__ for actor in animation.actors]
     assert kinds == [*["RiggedGaussians"] * 2, "Rig", "GaussianSequence", "Gaussians", "Gaussians", "Mesh"]
     assert animation.actors[0].subject is animation.actors[1].subject
-    assert expect_kind(ls.GaussianSequence, animation.actors[3].subject).fps == 2.0
+    assert expect_kind(ls.io.GaussianSequence, animation.actors[3].subject).fps == 2.0
     assert expect_kind(ls.Gaussians, animation.actors[5].subject).count == 50
     assert animation.frame_count == 38  # 1.5 s of frames, at 25 a second
 

@@ -202,7 +202,7 @@ def test_distortion_of_a_view(tmp_path: Path) -> None:
     text = "[[cameras]]\neye = [0, 1, 4]\ntarget = [0, 0, 0]\ndistortion = [-0.1, 0.02, 0, 0, 0.001, -0.002]\n"
     (camera,) = load(tmp_path, text)
     assert camera.distortion == (-0.1, 0.02, 0.0, 0.0, 0.001, -0.002)
-    path = ls.load_camera_path(
+    path = ls.io.load_camera_path(
         write_scene(tmp_path, text + "keyframes = [{ time = 0 }, { time = 1, eye = [1, 1, 4] }]\n")
     )
     assert path.at(0.5).distortion == camera.distortion

@@ -67,12 +67,12 @@ def test_the_other_heading_is_named(folder: Path, heading: str, name: str, probl
 
 def test_documents_know_the_heading(folder: Path) -> None:
     """Files that are opened are listed under the right heading, and shown."""
-    assert ls.SceneDocument.kind_of(folder / "capture.glb") == "splats"
-    assert ls.SceneDocument.kind_of(folder / "scene.glb") == "meshes"
-    assert ls.SceneDocument.kind_of(folder / "mesh.glb") == "meshes"
+    assert ls.io.SceneDocument.kind_of(folder / "capture.glb") == "splats"
+    assert ls.io.SceneDocument.kind_of(folder / "scene.glb") == "meshes"
+    assert ls.io.SceneDocument.kind_of(folder / "mesh.glb") == "meshes"
     (folder / "broken.glb").write_bytes(b"glTF and no more")
-    assert ls.SceneDocument.kind_of(folder / "broken.glb") == "meshes"
-    document = ls.SceneDocument.open([folder / "capture.glb", folder / "scene.glb"])
+    assert ls.io.SceneDocument.kind_of(folder / "broken.glb") == "meshes"
+    document = ls.io.SceneDocument.open([folder / "capture.glb", folder / "scene.glb"])
     assert not document.problems
     shown = document.scene()
     assert (len(shown.splats), len(shown.meshes), len(shown.lights)) == (2, 1, 1)

@@ -57,9 +57,9 @@ def test_openusd_states_up_and_first_view(tmp_path: Path) -> None:
 
 def test_blocks_state_up_and_first_view(tmp_path: Path) -> None:
     """In their index, from which all ways to load blocks take it."""
-    index = ls.write_blocks(tmp_path / "blocks", [stated()], 10.0)
+    index = ls.io.write_blocks(tmp_path / "blocks", [stated()], 10.0)
     assert_states(load_gaussians(tmp_path / "blocks"))
-    assert_states(ls.thin_blocks(index))
+    assert_states(ls.io.thin_blocks(index))
     assert stated_up(tmp_path / "blocks") is not None
 
 
@@ -164,8 +164,8 @@ def test_damaged_comments_are_left_out(tmp_path: Path, text: str) -> None:
 def test_edits_carry_up_and_first_view() -> None:
     """What cuts, thins and sorts keeps them; what joins takes them from the first set that has them."""
     one = stated()
-    box = ls.crop(one, ((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
-    for edited in (box, ls.decimate(one, 20), ls.sort_morton(one), ls.limit_sh_degree(one, 0)):
+    box = ls.editing.crop(one, ((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
+    for edited in (box, ls.editing.decimate(one, 20), ls.editing.sort_morton(one), ls.editing.limit_sh_degree(one, 0)):
         assert_states(edited)
     assert_states(ls.merge([capture(10), one]))
 
@@ -216,5 +216,5 @@ def test_up_of_a_glb_is_found_once_for_all_that_ask(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(up_module, "read_gltf", counted)
     ls.load(tmp_path / "scene.toml")
     ls.load_cameras(tmp_path / "scene.toml")
-    ls.SceneDocument.open(tmp_path / "scene.toml")
+    ls.io.SceneDocument.open(tmp_path / "scene.toml")
     assert len(reads) == 1

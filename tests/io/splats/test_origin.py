@@ -154,9 +154,9 @@ def test_edits_are_in_the_coordinates_of_the_capture() -> None:
     np.testing.assert_array_equal(home.means, far.means)
     low, high = np.array(UTM) - 0.5, np.array(UTM) + 0.5
     inside = ((wide >= low) & (wide <= high)).all(axis=1)
-    np.testing.assert_array_equal(ls.crop(far, box=(low, high)).means, far.means[inside])
+    np.testing.assert_array_equal(ls.editing.crop(far, box=(low, high)).means, far.means[inside])
     ball = np.linalg.norm(wide - UTM, axis=1) <= 0.8
-    np.testing.assert_array_equal(ls.crop(far, sphere=(UTM, 0.8)).means, far.means[ball])
+    np.testing.assert_array_equal(ls.editing.crop(far, sphere=(UTM, 0.8)).means, far.means[ball])
     both = ls.merge([far, replace(far, origin=(UTM[0] + 10.0, *UTM[1:]))])
     np.testing.assert_allclose(in_world(both)[60:, 0] - in_world(both)[:60, 0], 10.0, atol=1e-5)
     near = ls.merge([replace(far, origin=(UTM[0] + 300.0, *UTM[1:])), far])
@@ -191,7 +191,7 @@ def test_blocks_say_what_they_round(tmp_path: Path, caplog: pytest.LogCaptureFix
     """They have float32 about zero; nothing is said of captures around it."""
     near = capture((0.0, 0.0, 0.0))
     for name, shift in (("far", np.array(UTM)), ("near", np.zeros(3))):
-        stream = ls.stream_ply(write_doubles(tmp_path / f"{name}.ply", near, shift))
-        ls.write_blocks(tmp_path / name, stream, cell=8.0)
+        stream = ls.io.stream_ply(write_doubles(tmp_path / f"{name}.ply", near, shift))
+        ls.io.write_blocks(tmp_path / name, stream, cell=8.0)
         assert ("blocks have positions in float32, which is 0.5 apart" in caplog.text) is (name == "far")
         caplog.clear()

@@ -24,7 +24,7 @@ def test_frames_come_in_natural_order(tmp_path: Path) -> None:
     write_frames(tmp_path, ["f_1.ply", "f_2.ply", "f_010.ply", "f_11.ply"])
     (tmp_path / "notes.txt").write_text("no frame")
     (tmp_path / "._f_3.ply").write_text("left by a file manager")
-    sequence = ls.load_sequence(tmp_path, 2.0)
+    sequence = ls.io.load_sequence(tmp_path, 2.0)
     assert sequence.frame_count == 4 and sequence.duration == 2.0
     assert [sequence.at(k / 2.0).count for k in range(4)] == [4, 5, 6, 7]
 
@@ -32,7 +32,7 @@ def test_frames_come_in_natural_order(tmp_path: Path) -> None:
 def test_a_frame_is_shown_until_the_next(tmp_path: Path) -> None:
     """Frames with different counts are shown unchanged until the next one; nothing is interpolated."""
     write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
-    sequence = ls.load_sequence(tmp_path, 10.0)
+    sequence = ls.io.load_sequence(tmp_path, 10.0)
     for time, count in ((-1.0, 4), (0.0, 4), (0.099, 4), (0.1, 5), (0.15, 5), (0.2, 6), (50.0, 6)):
         assert sequence.at(time).count == count, time
 
@@ -76,24 +76,24 @@ def test_invalid_gaussians_can_be_dropped(tmp_path: Path) -> None:
     at = data.index(b"end_header\n") + len(b"end_header\n")
     data[at : at + 4] = np.float32(np.nan).tobytes()
     (tmp_path / "a2.ply").write_bytes(bytes(data))
-    sequence = ls.load_sequence(tmp_path, 1.0)
+    sequence = ls.io.load_sequence(tmp_path, 1.0)
     assert sequence.at(0.0).count == 10
     with pytest.raises(ls.FormatError, match=r"a2\.ply: "):
         sequence.at(1.0)
-    assert ls.load_sequence(tmp_path, 1.0, drop_invalid=True).at(1.0).count == 9
+    assert ls.io.load_sequence(tmp_path, 1.0, drop_invalid=True).at(1.0).count == 9
 
 
 def test_folders_without_frames_are_refused(tmp_path: Path) -> None:
     """One line that says what was expected."""
     with pytest.raises(ls.FormatError, match=r"holds no frames: expected files that end in .*\.spz"):
-        ls.load_sequence(tmp_path, 25.0)
+        ls.io.load_sequence(tmp_path, 25.0)
     with pytest.raises(ls.FormatError, match="no such folder"):
-        ls.load_sequence(tmp_path / "none", 25.0)
+        ls.io.load_sequence(tmp_path / "none", 25.0)
     write_frames(tmp_path, ["a1.ply", "a1.spz"])
     with pytest.raises(ls.FormatError, match=r"is a file, expected a folder"):
-        ls.load_sequence(tmp_path / "a1.ply", 25.0)
+        ls.io.load_sequence(tmp_path / "a1.ply", 25.0)
     with pytest.raises(ls.FormatError, match=r"holds frames in \.ply and \.spz, expected one kind"):
-        ls.load_sequence(tmp_path, 25.0)
+        ls.io.load_sequence(tmp_path, 25.0)
 
 
 def test_meshes_are_no_frames(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_meshes_are_no_frames(tmp_path: Path) -> None:
 
     trimesh.creation.box().export(tmp_path / "a1.ply")
     with pytest.raises(ls.FormatError, match=r"a1\.ply: is a mesh, expected a frame of Gaussians"):
-        ls.load_sequence(tmp_path, 25.0)
+        ls.io.load_sequence(tmp_path, 25.0)
 
 
 def test_bad_numbers_are_refused(tmp_path: Path) -> None:
@@ -110,6 +110,6 @@ def test_bad_numbers_are_refused(tmp_path: Path) -> None:
     write_frames(tmp_path, ["a1.ply"])
     for fps in (0.0, -1.0, float("nan"), cast(Any, "25")):
         with pytest.raises(ls.SceneError, match="fps is"):
-            ls.load_sequence(tmp_path, fps)
+            ls.io.load_sequence(tmp_path, fps)
     with pytest.raises(ls.SceneError, match="time is nan"):
-        ls.load_sequence(tmp_path, 1.0).at(float("nan"))
+        ls.io.load_sequence(tmp_path, 1.0).at(float("nan"))

@@ -196,7 +196,7 @@ def test_pictures_of_a_capture(tmp_path: Path, data_dir: Path) -> None:
     a, b = (
         renderer.render(ls.Scene(splats=[g]), camera).color for g in (biker, load_gaussians(tmp_path / "biker.sog"))
     )
-    assert ls.psnr(np.clip(a, 0, 1), np.clip(b, 0, 1)) > 60.0
+    assert ls.metrics.psnr(np.clip(a, 0, 1), np.clip(b, 0, 1)) > 60.0
     assert (tmp_path / "biker.sog").stat().st_size < 2_000_000
 
 

@@ -177,7 +177,7 @@ def test_prefixes_of_cloudcompare_are_taken_off(tmp_path: Path, prefix: str, asc
     for name, array in plain.arrays().items():
         np.testing.assert_array_equal(array, read.arrays()[name])
     if not ascii:
-        (piece,) = ls.stream_ply(path)
+        (piece,) = ls.io.stream_ply(path)
         np.testing.assert_array_equal(piece.sh, plain.sh)
 
 
@@ -212,7 +212,7 @@ def test_colours_are_red_green_and_blue_without_f_dc(tmp_path: Path, kind: str, 
     shown = 0.5 + SH_C0 * read.sh[:, 0].astype(np.float64)
     np.testing.assert_allclose(shown, colors / float(scale), atol=1e-6)
     np.testing.assert_array_equal(read.scales, load_gaussians(tmp_path / "plain.ply").scales)
-    (piece,) = ls.stream_ply(tmp_path / "rgb.ply")
+    (piece,) = ls.io.stream_ply(tmp_path / "rgb.ply")
     np.testing.assert_array_equal(piece.sh, read.sh)
 
 
@@ -262,7 +262,7 @@ def test_values_after_their_activation_are_recognised(
     np.testing.assert_allclose(read.opacities, whole.opacities, atol=1e-6)
     (line,) = caplog.messages
     assert ("positive scales, not logarithms" in line, "opacities of 0..1, not logits" in line) == (scales, opacities)
-    (piece,) = ls.stream_ply(path)
+    (piece,) = ls.io.stream_ply(path)
     np.testing.assert_array_equal(piece.opacities, read.opacities)
     np.testing.assert_array_equal(piece.scales, read.scales)
 

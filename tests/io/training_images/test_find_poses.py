@@ -22,24 +22,24 @@ def test_missing_extra(tmp_path, monkeypatch):
     for k in range(2):
         write_png(tmp_path / f"{k}.png", np.full((8, 8, 3), 0.5))
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    with pytest.raises(ls.MissingExtraError, match=r"find_poses needs .* pip install 'lumisplat\[poses\]'"):
-        ls.find_poses(tmp_path)
+    with pytest.raises(ls.errors.MissingExtraError, match=r"find_poses needs .* pip install 'lumisplat\[poses\]'"):
+        ls.io.find_poses(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"0.png", "1.png"}
 
 
 def test_folders_without_photographs(tmp_path):
     """No folder, no photographs, a single one, and poses that are there already."""
-    with pytest.raises(ls.MissingFileError, match="nowhere: no such folder"):
-        ls.find_poses(tmp_path / "nowhere")
+    with pytest.raises(ls.errors.MissingFileError, match="nowhere: no such folder"):
+        ls.io.find_poses(tmp_path / "nowhere")
     with pytest.raises(ls.FormatError, match="has no photographs, expected two or more"):
-        ls.find_poses(tmp_path)
+        ls.io.find_poses(tmp_path)
     write_png(tmp_path / "a.png", np.full((8, 8, 3), 0.5))
     with pytest.raises(ls.FormatError, match="has one photograph, expected two or more"):
-        ls.find_poses(tmp_path)
+        ls.io.find_poses(tmp_path)
     write_png(tmp_path / "b.png", np.full((8, 8, 3), 0.5))
     (tmp_path / "sparse").mkdir()
     with pytest.raises(ls.FormatError, match="sparse: is there already"):
-        ls.find_poses(tmp_path)
+        ls.io.find_poses(tmp_path)
 
 
 @needs_colmap
@@ -50,7 +50,7 @@ def test_grey_pictures_have_no_poses(tmp_path):
         write_png(tmp_path / "images" / f"grey {k}.png", np.full((60, 80, 3), 0.5))
     told: list[tuple[str, float]] = []
     with pytest.raises(ls.FormatError, match="no poses were found for its 3 photographs: they show too little texture"):
-        ls.find_poses(tmp_path, progress=lambda what, share: told.append((what, share)))
+        ls.io.find_poses(tmp_path, progress=lambda what, share: told.append((what, share)))
     assert {path.name for path in tmp_path.iterdir()} == {"images"}
     steps = ["finding features", "choosing pairs", "comparing photographs", "finding poses"]
     assert list(dict.fromkeys(what.partition(",")[0] for what, _ in told)) == steps
@@ -67,7 +67,7 @@ def test_what_is_taken_from_one_place_has_no_poses(tmp_path):
         turned = wide.rotate(7.0 * k, Image.Resampling.BICUBIC).crop((80, 120, 400, 360))
         turned.save(tmp_path / "images" / f"{k}.png")
     with pytest.raises(ls.FormatError, match="must be taken from different places: walk around things"):
-        ls.find_poses(tmp_path, ordered=True)
+        ls.io.find_poses(tmp_path, ordered=True)
     assert {path.name for path in tmp_path.iterdir()} == {"images"}
 
 
@@ -95,9 +95,9 @@ def test_an_interrupted_call_goes_on(tmp_path, data_dir, caplog):
     ):
         caplog.clear()
         with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command continues"):
-            ls.find_poses(tmp_path, ordered=True, progress=until(step, share))
+            ls.io.find_poses(tmp_path, ordered=True, progress=until(step, share))
         assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
-    assert ls.find_poses(tmp_path, ordered=True).is_dir()
+    assert ls.io.find_poses(tmp_path, ordered=True).is_dir()
     assert "goes on from features of 10 of 10 photographs, 45 compared pairs" in caplog.text
     assert {path.name for path in tmp_path.iterdir()} == {"images", "sparse"}
     found = ls.load_cameras(tmp_path / "sparse" / "0")
@@ -117,7 +117,7 @@ def test_the_fox_stands_where_it_stood(tmp_path, data_dir):
     (tmp_path / "images").mkdir()
     for image in sorted((source / "images").iterdir())[:24]:
         shutil.copy(image, tmp_path / "images" / f"a {image.name}")
-    model = ls.find_poses(tmp_path)
+    model = ls.io.find_poses(tmp_path)
     assert model == tmp_path / "sparse" / "0"
     known = {f"a {camera.name}": camera for camera in ls.load_cameras(source / "transforms.json")}
     found = ls.load_cameras(model)
@@ -132,7 +132,7 @@ def test_the_fox_stands_where_it_stood(tmp_path, data_dir):
     for camera in found:
         between = camera.camera_from_world[:3, :3] @ turn.T @ known[camera.name].camera_from_world[:3, :3].T
         assert np.degrees(np.arccos(0.5 * (np.trace(between) - 1.0))) < 1.5
-    read = ls.load_photographs(tmp_path)
+    read = ls.io.load_photographs(tmp_path)
     assert read.points is not None and len(read.points) > 500
 
 

@@ -51,7 +51,7 @@ def test_of_each_stretch_the_sharpest_frame_is_taken(tmp_path: Path) -> None:
     sharp = [3, 5, 14]
     pictures = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
     told: list[float] = []
-    files = ls.extract_frames(
+    files = ls.io.extract_frames(
         filmed(tmp_path / "a.mp4", pictures), tmp_path / "walk", progress=lambda _, share: told.append(share)
     )
     assert [file.relative_to(tmp_path).as_posix() for file in files] == [f"walk/images/{n:04}.jpg" for n in (1, 2, 3)]
@@ -63,8 +63,8 @@ def test_of_each_stretch_the_sharpest_frame_is_taken(tmp_path: Path) -> None:
 def test_a_stretch_as_long_as_the_film_has_one_photograph_and_a_short_one_all_frames(tmp_path: Path) -> None:
     """Whatever the length."""
     film = filmed(tmp_path / "a.mp4", [scene(number) for number in range(7)])
-    assert len(ls.extract_frames(film, tmp_path / "one", every=10.0)) == 1
-    assert len(ls.extract_frames(film, tmp_path / "all", every=0.01)) == 7
+    assert len(ls.io.extract_frames(film, tmp_path / "one", every=10.0)) == 1
+    assert len(ls.io.extract_frames(film, tmp_path / "all", every=0.01)) == 7
 
 
 def test_sharpness_falls_with_blur() -> None:
@@ -82,7 +82,7 @@ def test_frames_that_are_stored_on_their_side_are_turned(tmp_path: Path) -> None
     film = filmed(tmp_path / "a.mp4", [scene(0)] * 3)
     for angle, where in ((90, np.s_[-20:]), (-90, np.s_[:20]), (180, np.s_[:, -20:])):
         turned = turned_film(film, tmp_path / f"{angle}.mp4", angle)
-        (file,) = ls.extract_frames(turned, tmp_path / f"turned {angle}")
+        (file,) = ls.io.extract_frames(turned, tmp_path / f"turned {angle}")
         red = pixels(file)[where].reshape(-1, 3).mean(axis=0)
         assert red[0] > 200.0 and red[1] < 60.0, angle
         assert pixels(file).shape[:2] == (SIZE[::-1] if angle == 180 else SIZE)
@@ -104,7 +104,7 @@ def test_large_frames_are_made_smaller(tmp_path: Path) -> None:
     """Never larger."""
     film = filmed(tmp_path / "a.mp4", [scene(0)] * 2)
     for size, expected in ((48, (48, 32)), (1600, SIZE)):
-        (file,) = ls.extract_frames(film, tmp_path / str(size), size=size)
+        (file,) = ls.io.extract_frames(film, tmp_path / str(size), size=size)
         assert pixels(file).shape[1::-1] == expected
 
 
@@ -112,7 +112,7 @@ def test_hdr_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """HLG, as telephones film it by default."""
     film = filmed(tmp_path / "a.mp4", [scene(0)] * 2, color_trc=18)
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        ls.extract_frames(film, tmp_path / "walk")
+        ls.io.extract_frames(film, tmp_path / "walk")
     assert "is HDR (HLG)" in caplog.text and caplog.text.count("HDR (") == 1
 
 
@@ -131,11 +131,11 @@ def test_films_that_show_nothing_are_refused(tmp_path: Path) -> None:
         ("still", [noisy(still, 2.0) for _ in range(12)], "still.mp4: shows the same throughout"),
     ):
         with pytest.raises(ls.FormatError, match=message):
-            ls.extract_frames(filmed(tmp_path / f"{name}.mp4", pictures), tmp_path / "walk")
+            ls.io.extract_frames(filmed(tmp_path / f"{name}.mp4", pictures), tmp_path / "walk")
         assert not list(tmp_path.glob("walk/*"))
     wide = scene(1).resize((2 * SIZE[0], SIZE[1]))
     slow = [wide.crop((k // 4, 0, k // 4 + SIZE[0], SIZE[1])) for k in range(12)]
-    assert len(ls.extract_frames(filmed(tmp_path / "slow.mp4", slow), tmp_path / "slow")) == 3, "two pixels in all"
+    assert len(ls.io.extract_frames(filmed(tmp_path / "slow.mp4", slow), tmp_path / "slow")) == 3, "two pixels in all"
 
 
 def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,7 +152,7 @@ def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeyp
         container.mux(sound.encode(frame))
         container.mux(sound.encode())
     for name, to, error, message in (
-        ("none.mp4", "walk", ls.MissingFileError, "none.mp4"),
+        ("none.mp4", "walk", ls.errors.MissingFileError, "none.mp4"),
         ("text.mp4", "walk", ls.FormatError, "text.mp4: is no film that can be read"),
         ("cut.mp4", "walk", ls.FormatError, "cut.mp4: is no film that can be read"),
         ("sound.mp4", "walk", ls.FormatError, "has no pictures"),
@@ -160,11 +160,11 @@ def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeyp
         ("a.mp4", "file/walk", ls.FormatError, "cannot be written"),
     ):
         with pytest.raises(error, match=message):
-            ls.extract_frames(tmp_path / name, tmp_path / to)
+            ls.io.extract_frames(tmp_path / name, tmp_path / to)
         assert not list(tmp_path.glob("walk/*"))
     for every, size in ((0.0, 100), (1.0, 3)):
         with pytest.raises(ls.ConfigError):
-            ls.extract_frames(film, tmp_path / "walk", every=every, size=size)
+            ls.io.extract_frames(film, tmp_path / "walk", every=every, size=size)
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(ls.MissingExtraError, match=r"lumisplat\[video\]"):
-        ls.extract_frames(film, tmp_path / "walk")
+    with pytest.raises(ls.errors.MissingExtraError, match=r"lumisplat\[video\]"):
+        ls.io.extract_frames(film, tmp_path / "walk")

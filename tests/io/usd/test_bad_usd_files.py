@@ -93,7 +93,7 @@ def moving_scene() -> ls.Animation:
     """Something that moves, deforms and is looked at by a camera that moves: values with samples in time."""
     cameras = [ls.Camera.look_at((x, 2, 1), (0, 0, 0), name="view") for x in (3, 4)]
     crate = ls.Actor(ls.box(0.3), ls.Keyframes([0, 1], [(0, 0, 3), (1, 0, 3)]), name="crate")
-    waving = ls.GaussianSequence([Path("1"), Path("2")], 2.0, lambda path: capture(4, seed=int(path.name)))
+    waving = ls.io.GaussianSequence([Path("1"), Path("2")], 2.0, lambda path: capture(4, seed=int(path.name)))
     scene = ls.Scene([capture(5)])
     return ls.Animation(
         scene,

@@ -84,7 +84,7 @@ def test_rigs_and_their_gaussians_are_baked(tmp_path: Path, caplog: pytest.LogCa
     They are read again at each time, between frames in between; `ls.load` shows the first.
     """
     usd_core()
-    rig = ls.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
+    rig = ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
     bound = ls.bind_gaussians(rig, 40)
     saved = ls.Animation(
         ls.Scene(up="y-up"), [ls.Actor(rig, name="skin"), ls.Actor(bound, name="fur")], fps=4.0, frame_count=4

@@ -158,7 +158,7 @@ def test_pictures_are_the_same(tmp_path: Path) -> None:
     before = ls.render(saved, camera, config, device="cpu").pixels_srgb()
     after = ls.render(loaded, ls.load_cameras(tmp_path / "a.usdz")[0], config, device="cpu").pixels_srgb()
     assert before.std() > 0.05
-    assert ls.psnr(before, after) > 90.0
+    assert ls.metrics.psnr(before, after) > 90.0
 
 
 def test_a_mesh_alone(tmp_path: Path) -> None:

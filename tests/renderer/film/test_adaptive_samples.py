@@ -117,7 +117,7 @@ def test_a_frame_ends_when_its_time_is_over() -> None:
 
 def veil() -> tuple[ls.Scene, ls.Camera, ls.RenderConfig]:
     """One white Gaussian: each sample of a pixel is white with the probability of its alpha, else black."""
-    hit = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    hit = ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT)
     settings = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE, trace=hit, lighting=False, jitter=False, samples=1, aovs=("sample_count",)
     )
@@ -203,7 +203,7 @@ def test_wrong_limits_are_refused(changes: dict[str, Any], message: str) -> None
 def test_what_cannot_be_adaptive_says_so() -> None:
     """Rasterised pixels, and those that share their draws; by default they are even instead."""
     gaussian, camera, settings = veil()
-    shared = ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC, shared_draws=True)
+    shared = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
     for changes, message in (
         ({"pipeline": ls.Pipeline.HYBRID, "lighting": True}, r"needs rays from the camera: Pipeline\.PATH"),
         ({"shadow_rays": shared}, "draws of their own"),

@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.config import PATH_PARTS
+from lumisplat.config.render import PATH_PARTS
 from lumisplat.constants import SH_C0
 from lumisplat.device.structs.gi import EmitterBox
 from lumisplat.math.transforms import rotation_from_degrees
@@ -234,7 +234,10 @@ def test_relit_gaussians_receive_and_block_the_light_of_captures() -> None:
         ls.gaussians_from_mesh(ls.plane(0.5, 0.5, material=material), 800), material=material, position=(0.0, 0.5, 0.6)
     )
     scene, camera = ls.Scene([placed(1.0), floor, plate]), view(48, 32)
-    truth, frame = paths(scene, 128, camera, path=ls.PathConfig(primary=ls.PathPrimary.ISO)), after(scene, 32, camera)
+    truth, frame = (
+        paths(scene, 128, camera, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO)),
+        after(scene, 32, camera),
+    )
     lit = frame.instance_index == 1
     assert frame.color[lit].mean() == pytest.approx(truth.color[lit].mean(), rel=0.06)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.config import PATH_PARTS
+from lumisplat.config.render import PATH_PARTS
 from lumisplat.scene.lights import Light
 from support.scenes.lit_scene import LAMPS, SKY, camera, scene
 from support.scenes.path_scenes import (
@@ -61,7 +61,7 @@ SHINING: dict[str, tuple[list[ls.Mesh], list[Light], float]] = {
 def test_means_of_samples_are_what_is_known(name: str) -> None:
     """Irradiance of a floor as the mean of 256 frames, without neighbours: its error is noise."""
     meshes, lights, truth = SHINING[name]
-    settings = ls.RealtimeConfig(filter=ls.FilterConfig(frames=256, passes=0))
+    settings = ls.RealtimeConfig(filter=ls.config.FilterConfig(frames=256, passes=0))
     shown = ls.Scene(meshes=[FLOOR, *meshes], lights=lights)
     assert_is(irradiance(sequence(shown, DOWN, 256, 0, realtime=settings), 0.5), truth)
 
@@ -71,7 +71,7 @@ def test_a_dim_sky_beside_a_bright_lamp_makes_no_bright_pixels() -> None:
     sky = ls.LightEnvironment(color=(1.0, 1.0, 1.0), intensity=0.1, visible=False)
     floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), replace(diffuse(0.5), roughness=0.5, specular=1.0))
     slanted = ls.Camera.look_at((0, 0.3, 1.9), (0, 0, 0), (0, 1, 0), width=48, height=32, fov_y=0.1)
-    settings = ls.RealtimeConfig(antialiasing=False, filter=ls.FilterConfig(frames=1, passes=0))
+    settings = ls.RealtimeConfig(antialiasing=False, filter=ls.config.FilterConfig(frames=1, passes=0))
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0, aovs=("direct_glossy",), realtime=settings)
     renderer = ls.create_renderer(config, device="cpu")
     shown = ls.Scene(meshes=[floor], lights=[sky, ls.LightPoint((0.0, 2.0, 1.9), intensity=20.0)])
@@ -104,9 +104,9 @@ def test_two_surfaces_in_a_pixel(name: str) -> None:
     wall = quad((-3, -3, 1), (0, 6, 0), (6, 0, 0), replace(diffuse(0.5), base_color=(0.9, 0.5, 0.1)))
     shown = ls.Scene([wide_sheet(0.0, 0.6, 0.4)], [wall], [lamps[name]])
     front = ls.Camera.look_at((0.0, 0.0, -1.0), (0.0, 0.0, 0.0), width=24, height=16, fov_y=0.02)
-    settings = ls.RealtimeConfig(filter=ls.FilterConfig(frames=256, passes=0))
+    settings = ls.RealtimeConfig(filter=ls.config.FilterConfig(frames=256, passes=0))
     found = sequence(shown, front, 64, 0, realtime=settings).color.mean(axis=(0, 1), dtype=np.float64)
-    truth = paths(shown, front, 64, 0, path=ls.PathConfig(primary=ls.PathPrimary.ISO))
+    truth = paths(shown, front, 64, 0, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO))
     truth = truth.color.mean(axis=(0, 1), dtype=np.float64)
     assert truth[0] > 1.15 * truth[2] > 0.0
     np.testing.assert_allclose(found, truth, rtol=0.01)

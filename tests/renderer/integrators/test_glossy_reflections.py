@@ -52,7 +52,7 @@ def floors_mean(shown: ls.Scene, settings: ls.RenderConfig, seeds: int) -> tuple
 
 def agree(settings: ls.RenderConfig, shown: ls.Scene, bounces: int = 1) -> None:
     """Frames show what those of paths do, within four standard errors, which are below 1 %, and more than without."""
-    first = ls.PathConfig(primary=ls.PathPrimary.ISO)
+    first = ls.PathConfig(primary=ls.config.PathPrimary.ISO)
     pathed = replace(settings, pipeline=ls.Pipeline.PATH, samples=10, max_bounces=bounces, path=first)
     (found, error), (expected, off) = floors_mean(shown, settings, 6), floors_mean(shown, pathed, 6)
     either = np.hypot(error, off)

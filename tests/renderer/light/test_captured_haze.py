@@ -70,8 +70,8 @@ def test_each_gaussian_shows_as_its_set_says(opacity: float, first: str, pipelin
         np.testing.assert_allclose(middle, expected, rtol=3e-3)
 
 
-@pytest.mark.parametrize("strategy", [ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS])
-def test_random_hits_have_the_same_mean(strategy: ls.TraceStrategy) -> None:
+@pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
+def test_random_hits_have_the_same_mean(strategy: ls.config.TraceStrategy) -> None:
     """Three veils of both kinds, by rays that each see one Gaussian, or one pass."""
     splats = [
         ls.SplatInstance(veil(2.0, 0.3, GREEN)),

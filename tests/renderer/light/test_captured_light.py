@@ -170,7 +170,7 @@ def test_gain_and_tone_mapping_are_of_all_that_captures_light(pipeline: ls.Pipel
     """A stop is twice the light in every pipeline; the gain that is found exposes a gray ball as its gray room."""
     color = np.array([0.5, 0.5, 0.5])
     scene = ls.Scene([shell(color, radius=30.0)], [ball()])
-    gain = ls.estimate_capture_gain(scene, device="cpu")
+    gain = ls.avatars.estimate_capture_gain(scene, device="cpu")
 
     def shown(**settings: Any) -> ls.Frame:
         is_realtime = pipeline is ls.Pipeline.REALTIME

@@ -113,7 +113,7 @@ def test_stochastic_splats_average_to_sorted_ones() -> None:
     """In unlit frames, to the blend of all; jitter off, so that only chance differs."""
     captures = replace(scene(), meshes=(), lights=())
     exact = ls.render(captures, camera(), config(ls.Pipeline.RASTER), device="cpu")
-    chance = ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
+    chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
     errors = []
     for samples in (16, 256):
         settings = config(ls.Pipeline.RASTER, raster=chance, jitter=False, samples=samples)
@@ -126,7 +126,7 @@ def test_stochastic_splats_average_to_sorted_ones() -> None:
 
 def test_stochastic_splats_are_the_same_in_every_order_and_way() -> None:
     """No order enters: sets may change places, and pixels may be worked on one by one."""
-    chance = ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
+    chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
     settings = config(ls.Pipeline.RASTER, raster=chance, samples=3)
     frames = [renderer_of(way, settings).render(scene(), camera()) for way in WAYS]
     for frame in frames[1:]:
@@ -134,8 +134,8 @@ def test_stochastic_splats_are_the_same_in_every_order_and_way() -> None:
     assert np.unique(frames[0].alpha[frames[0].depth < np.inf]).size <= 4  # each sample covers a pixel, or not
 
 
-@pytest.mark.parametrize("strategy", [ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS])
-def test_stochastic_samples_are_lit_one_by_one(strategy: ls.TraceStrategy) -> None:
+@pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
+def test_stochastic_samples_are_lit_one_by_one(strategy: ls.config.TraceStrategy) -> None:
     """Close to the sorted frame on surfaces as thin as these: the mean of lit samples, not a lit mean."""
     settings = config(trace=ls.TraceConfig(strategy=strategy), shadows=ls.Shadows.OFF, samples=64, jitter=False)
     exact = replace(settings, trace=ls.TraceConfig(), samples=1)
@@ -281,8 +281,8 @@ def test_thin_captures_over_nothing_keep_their_colour(pipeline: ls.Pipeline) -> 
     sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
     paper = ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1))
     for material in (None, paper):
-        for strategy in (ls.RasterStrategy.SORTED, ls.RasterStrategy.STOCHASTIC):
-            chance = strategy is ls.RasterStrategy.STOCHASTIC
+        for strategy in (ls.config.RasterStrategy.SORTED, ls.config.RasterStrategy.STOCHASTIC):
+            chance = strategy is ls.config.RasterStrategy.STOCHASTIC
             settings = config(
                 pipeline,
                 background=None,

@@ -212,7 +212,7 @@ def test_thin_relit_splats_average_to_the_sorted_frame() -> None:
     capture = curtain(rows=5, opacity=0.35)
     splats = ls.SplatInstance(capture, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1)))
     scene = ls.Scene(splats=[splats], lights=[replace(FACING, direction=(0.0, 0.3, 1.0))])
-    chance = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    chance = ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT)
     for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), None):
         common = {"shadows": ls.Shadows.OFF, "background": background, "jitter": False}
         exact = lit(scene, **common)

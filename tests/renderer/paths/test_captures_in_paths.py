@@ -93,8 +93,8 @@ def test_a_panel_behind_a_panel_lights_by_what_gets_through() -> None:
     np.testing.assert_allclose(frame.color, 0.6 * linear(0.5), rtol=0.01)
 
 
-@pytest.mark.parametrize("primary", list(ls.PathPrimary))
-def test_what_paths_meet_first(primary: ls.PathPrimary) -> None:
+@pytest.mark.parametrize("primary", list(ls.config.PathPrimary))
+def test_what_paths_meet_first(primary: ls.config.PathPrimary) -> None:
     """Two lit sheets of unlike albedo: the iso surface blends them and lights the blend, particles are lit one by one.
 
     Their display-referred means differ, as light does not.
@@ -104,7 +104,7 @@ def test_what_paths_meet_first(primary: ls.PathPrimary) -> None:
         lights=[ls.LightDirectional((0, 0, 1), intensity=np.pi, casts_shadow=False)],
     )
     frame: Any = paths(scene, view(), SAMPLES, 0, path=ls.PathConfig(primary=primary))
-    if primary is ls.PathPrimary.PARTICLE:
+    if primary is ls.config.PathPrimary.PARTICLE:
         assert_is(frame.color[..., 1], 0.6 * 0.1 + 0.4 * 0.9 * 0.9)
     else:
         traced = ls.render(scene, view(), ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
@@ -116,7 +116,7 @@ def test_a_lamp_behind_a_lit_sheet_is_as_bright_for_either_primary(opacity: floa
     """Where the sheet is blended, too: by what gets through, whether or not it has an iso-opacity surface."""
     lamp = ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)
     scene = ls.Scene(splats=[wide_sheet(0.0, opacity, 0.0)], lights=[lamp])
-    for primary in ls.PathPrimary:
+    for primary in ls.config.PathPrimary:
         frame = paths(scene, view(), 256, 0, path=ls.PathConfig(primary=primary))
         np.testing.assert_allclose(frame.color.mean(), 1.0 - opacity, rtol=0.02)
 
@@ -133,7 +133,7 @@ def test_stochastic_shadows_are_as_bright_as_exact_ones() -> None:
     down = ls.Camera.look_at((1.5, 0.5, 0.7), (1.5, 0, 0.7), (0, 0, 1), width=16, height=16, fov_y=0.02)
     means = [
         paths(scene, down, 128, 0, shadow_rays=ls.ShadowConfig(method=method)).color.mean()
-        for method in (ls.ShadowMethod.EXACT, ls.ShadowMethod.STOCHASTIC)
+        for method in (ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.STOCHASTIC)
     ]
     assert means[0] > 0.01
     np.testing.assert_allclose(means[1], means[0], rtol=0.02)

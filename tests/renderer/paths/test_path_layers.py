@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.config import PATH_PARTS
+from lumisplat.config.render import PATH_PARTS
 from support.scenes.lit_scene import LAMPS, SKY, camera, scene
 from support.scenes.path_scenes import cube_without_ceiling, diffuse, paths, quad, wide_sheet
 

@@ -38,7 +38,7 @@ def test_direct_light_is_that_of_traced_rays(light: Light, kind: str) -> None:
     view = ls.Camera.look_at((0.3, 0.6, -1.4), (0.0, -0.1, 0.0), width=48, height=36, fov_y=0.7)
     traced = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
-        trace=ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT),
+        trace=ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT),
         shadows=ls.Shadows.SOFT,
         samples=64,
     )

@@ -30,7 +30,7 @@ from support.scenes.raster_scenes import (
 
 Doubles = npt.NDArray[np.float64]
 
-MEAN = ls.RasterConfig(surface=ls.GaussianSurface.MEAN)
+MEAN = ls.RasterConfig(surface=ls.config.GaussianSurface.MEAN)
 LAMP = ls.LightDirectional((0.2, 0.1, 1.0), intensity=3.0)
 MATTE = ls.MaterialPbr(specular=0.0)
 CENTRE = (24, 32)
@@ -182,7 +182,7 @@ UNCHANGED = {
     "traced": (relit(random_gaussians(5)), ls.RenderConfig(pipeline=ls.Pipeline.TRACE)),
     "stochastic": (
         relit(random_gaussians(5)),
-        ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC), samples=2),
+        ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC), samples=2),
     ),
 }
 
@@ -191,7 +191,7 @@ UNCHANGED = {
 def test_what_has_another_surface_is_the_same(kind: str) -> None:
     """To the bit: unlit frames, captures that are kept, rays, and samples of one Gaussian each."""
     scene, config = UNCHANGED[kind]
-    mean = replace(config, raster=replace(config.raster, surface=ls.GaussianSurface.MEAN))
+    mean = replace(config, raster=replace(config.raster, surface=ls.config.GaussianSurface.MEAN))
     iso, other = (ls.render(scene, front_camera(), settings, device="cpu") for settings in (config, mean))
     np.testing.assert_array_equal(iso.color, other.color)
     np.testing.assert_array_equal(iso.depth, other.depth)

@@ -33,9 +33,9 @@ def by_shown(camera: ls.Camera) -> np.ndarray:
 
 def with_features(
     scene: ls.Scene, camera: ls.Camera, threads: int | None = None
-) -> tuple[np.ndarray, ls.SplatGradients]:
+) -> tuple[np.ndarray, ls.gradients.SplatGradients]:
     """What features show, and derivatives of colour, alpha and them."""
-    renderer, surface = differentiable(threads), ls.SurfaceFeatures.of(scene, camera)
+    renderer, surface = differentiable(threads), ls.gradients.SurfaceFeatures.of(scene, camera)
     renderer.render(scene, camera)
     shown = renderer.render_features(np.concatenate([surface.values, numbers(len(surface.values))], axis=1))
     found = renderer.gradients(*by_pixels(camera), dL_dfeatures=by_shown(camera), pose=True)
@@ -130,7 +130,7 @@ def test_instances_have_features_of_their_own() -> None:
     aside = np.eye(4)
     aside[0, 3] = 100.0  # out of sight
     both = ls.Scene([ls.SplatInstance(gaussians, place), ls.SplatInstance(gaussians, aside)])
-    assert len(ls.SurfaceFeatures.of(both, camera).values) == 2 * gaussians.count
+    assert len(ls.gradients.SurfaceFeatures.of(both, camera).values) == 2 * gaussians.count
     _, twice = with_features(both, camera)
     assert twice.features is not None and not twice.features[gaussians.count :].any()
 

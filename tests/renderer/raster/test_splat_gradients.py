@@ -14,7 +14,7 @@ from support.oracles.gradient_oracle import Loss, Parameters, differences
 from support.scenes.gradient_scenes import BACKGROUND, by_pixels, check_instances, cloud, opaque, vars_of, view
 
 
-def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None) -> ls.SplatGradients:
+def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None) -> ls.gradients.SplatGradients:
     """Of the pixels of ``by_pixels``."""
     renderer = ls.DifferentiableRenderer(ls.RenderConfig(background=BACKGROUND), "cpu", threads=threads)
     renderer.render(scene, camera)
@@ -194,7 +194,7 @@ def test_only_what_is_drawn_unlit_and_sorted_is_differentiated() -> None:
     for config in (
         ls.RenderConfig(pipeline=ls.Pipeline.HYBRID),
         ls.RenderConfig(lighting=True),
-        ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)),
+        ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)),
     ):
         with pytest.raises(ls.ConfigError, match=r"^gradients are those of"):
             ls.DifferentiableRenderer(config, "cpu")

@@ -123,7 +123,7 @@ def test_degrees_of_captures_may_differ(way: str) -> None:
     soft = renderer_of(way, TRACE).render(ls.Scene([left, right]), view())
     np.testing.assert_array_equal(mixed.alpha[:, :12], soft.alpha[:, :12])
     assert np.abs(mixed.alpha[:, 12:] - soft.alpha[:, 12:]).max() > 0.1
-    forced = replace(TRACE, response=ls.ResponseConfig(kernel_degree=2))
+    forced = replace(TRACE, response=ls.config.ResponseConfig(kernel_degree=2))
     np.testing.assert_array_equal(renderer_of(way, forced).render(ls.Scene([left, sharp]), view()).alpha, soft.alpha)
 
 

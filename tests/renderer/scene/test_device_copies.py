@@ -176,7 +176,7 @@ def test_rebuilt_hierarchies_are_shrunk_anew() -> None:
     """Shared draws shrink the nodes of a hierarchy level by level: one that was rebuilt has other levels."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=144, height=96)
     shown = dataclasses.replace(shown, meshes=[sphere(0.1, rows=6, columns=8)])
-    shared = ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC, shared_draws=True)
+    shared = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
     settings = config(ls.Pipeline.HYBRID, samples=2, shadow_rays=shared)
     renderer = ls.Renderer(settings, GraphLauncher())
     capture, rng = shown.splats[0].gaussians, np.random.default_rng(5)

@@ -43,9 +43,11 @@ def one_near_each_ray(count: int, *, own: bool) -> tuple[ls.Gaussians, np.ndarra
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("method", [ls.ShadowMethod.EXACT, ls.ShadowMethod.FIRST_HITS], ids=lambda method: method.value)
+@pytest.mark.parametrize(
+    "method", [ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.FIRST_HITS], ids=lambda method: method.value
+)
 @pytest.mark.parametrize("own", [False, True], ids=["planes", "own normals"])
-def test_near_gaussians_block_by_their_layer(schedule: str, method: ls.ShadowMethod, own: bool) -> None:
+def test_near_gaussians_block_by_their_layer(schedule: str, method: ls.config.ShadowMethod, own: bool) -> None:
     """As the float64 twin has it, also where the set is placed turned and larger; without a normal none does."""
     gaussians, points, normals, ways = one_near_each_ray(1200, own=own)
     near = np.full(len(points), 4.0 * 0.1)

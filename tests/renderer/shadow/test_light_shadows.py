@@ -261,10 +261,10 @@ STACK_LIGHT = ls.LightPoint((0.1, 2.2, -0.1), color=(1.0, 0.9, 0.8), intensity=5
 
 
 @PIPELINES
-@pytest.mark.parametrize("method", ls.ShadowMethod, ids=lambda method: method.value)
-def test_gaussians_let_through_the_product(pipeline: ls.Pipeline, method: ls.ShadowMethod) -> None:
+@pytest.mark.parametrize("method", ls.config.ShadowMethod, ids=lambda method: method.value)
+def test_gaussians_let_through_the_product(pipeline: ls.Pipeline, method: ls.config.ShadowMethod) -> None:
     """Along each shadow ray the product of 1 - alpha; also of the nearest eight of four, and by chance on average."""
-    samples = 64 if method is ls.ShadowMethod.STOCHASTIC else 1
+    samples = 64 if method is ls.config.ShadowMethod.STOCHASTIC else 1
     settings = {"samples": samples, "shadow_rays": ls.ShadowConfig(method=method), "jitter": False}
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), **settings)
@@ -293,8 +293,8 @@ def test_stochastic_shadows_are_grain_and_not_blotches(pipeline: ls.Pipeline) ->
         lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), samples=16, jitter=False, shadow_rays=shadow_rays)
         for shadow_rays in (
             ls.ShadowConfig(),
-            ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),
-            ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC, shared_draws=True),
+            ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC),
+            ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True),
         )
     ]
     exact, *by_chance = (arriving_share(frame) for frame in frames)

@@ -16,8 +16,10 @@ OVERHEAD = ls.LightDirectional((0.1, -1.0, 0.05), intensity=3.0)
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("method", [ls.ShadowMethod.EXACT, ls.ShadowMethod.FIRST_HITS], ids=lambda method: method.value)
-def test_of_two_gaussians_the_smaller_decides(schedule: str, method: ls.ShadowMethod) -> None:
+@pytest.mark.parametrize(
+    "method", [ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.FIRST_HITS], ids=lambda method: method.value
+)
+def test_of_two_gaussians_the_smaller_decides(schedule: str, method: ls.config.ShadowMethod) -> None:
     """A Gaussian counts from its own offset or the surface's on, whichever is nearer: in scales, and in world units."""
     rig = ShadowRig(schedule)
     for scale, placed, t_min, absolute, arrives in (

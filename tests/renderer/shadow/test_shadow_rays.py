@@ -109,17 +109,17 @@ def test_product_is_the_twins(rig: ShadowRig, degree: int) -> None:
 @pytest.mark.parametrize("response", [{"min_response": 0.2}, {"kernel_degree": 5}])
 def test_product_follows_the_response(rig: ShadowRig, response: dict[str, Any]) -> None:
     """Where Gaussians end, and how they respond, is what it is for rays from the camera."""
-    assert_as_twin(rig, placed_scene(), ls.RenderConfig(response=ls.ResponseConfig(**response)), seed=20)
+    assert_as_twin(rig, placed_scene(), ls.RenderConfig(response=ls.config.ResponseConfig(**response)), seed=20)
 
 
 def test_product_does_not_depend_on_where_gaussians_are_hit(rig: ShadowRig) -> None:
     """It is that of all which peak before the light."""
-    assert_as_twin(rig, placed_scene(), seed=20, hit_distance=ls.HitDistance.HULL)
+    assert_as_twin(rig, placed_scene(), seed=20, hit_distance=ls.config.HitDistance.HULL)
 
 
 def test_settings_of_the_tracer_do_not_steer_shadows(rig: ShadowRig) -> None:
     """Nor those of the rasteriser: the same bits, of the product and of the first hits."""
-    trace = ls.TraceConfig(hit_distance=ls.HitDistance.HULL, transmittance_min=0.5, hits_per_pass=4, sh_degree=0)
+    trace = ls.TraceConfig(hit_distance=ls.config.HitDistance.HULL, transmittance_min=0.5, hits_per_pass=4, sh_degree=0)
     others = ls.RenderConfig(trace=trace, raster=ls.RasterConfig(transmittance_min=0.5))
     shadows: list[dict[str, Any]] = [{"color_strength": 1.0}, {"method": FIRST, "hits": 4}]
     for shadow in shadows:
@@ -236,7 +236,7 @@ def test_first_hits_never_darken_more(rig: ShadowRig) -> None:
     np.testing.assert_allclose(many, exact, atol=rounding)
     assert (np.abs(many - exact) < 2e-6).mean() > 0.99
     assert_as_twin(rig, placed_scene(), seed=63, method=FIRST, hits=4)
-    assert_as_twin(rig, placed_scene(), seed=64, method=FIRST, hits=4, hit_distance=ls.HitDistance.HULL)
+    assert_as_twin(rig, placed_scene(), seed=64, method=FIRST, hits=4, hit_distance=ls.config.HitDistance.HULL)
 
 
 # --- Meshes ---
@@ -524,7 +524,7 @@ def test_shrunk_trees_change_nothing(
     rig: ShadowRig, degree: int, response: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every ray meets in them what it meets in the whole ones, whatever the kernel and the number of instances."""
-    config = ls.RenderConfig(response=ls.ResponseConfig(**response))
+    config = ls.RenderConfig(response=ls.config.ResponseConfig(**response))
     asset = replace(random_gaussians(85, 150, center=(0, 0, 0), scale_range=(0.01, 0.4)), kernel_degree=degree)
     poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.5 + 0.3 * i, (0.2 * i, -0.1 * i, 4.0)) for i in range(3)]
     scene = ls.Scene([*(ls.SplatInstance(asset, pose) for pose in poses), random_gaussians(86, 100)])

@@ -80,7 +80,7 @@ def test_some_rays_have_no_footprint(why: str) -> None:
     if why == "antialiased":
         gaussians = replace(gaussians, antialiased=True)
     elif why == "antialiasing on":
-        changes = {"antialiasing": ls.Antialiasing.ON}
+        changes = {"antialiasing": ls.config.Antialiasing.ON}
     else:
         camera = front_camera(48, 32, 8.0, model=ORTHOGRAPHIC)
     frame = traced(ls.Scene([gaussians]), camera, **changes)
@@ -94,7 +94,7 @@ def test_antialiasing_off_widens_all() -> None:
     """Also captures that are antialiased by their own account."""
     plain = random_gaussians(63, 200, scale_range=(0.005, 0.05))
     camera = front_camera(48, 32, 40.0)
-    off = traced(ls.Scene([replace(plain, antialiased=True)]), camera, antialiasing=ls.Antialiasing.OFF)
+    off = traced(ls.Scene([replace(plain, antialiased=True)]), camera, antialiasing=ls.config.Antialiasing.OFF)
     np.testing.assert_array_equal(off.color, traced(ls.Scene([plain]), camera).color)
 
 

@@ -14,7 +14,7 @@ from support.oracles.trace_oracle import camera_rays
 from support.scenes.raster_scenes import random_gaussians, similarity
 from support.scenes.trace_scenes import small_camera
 
-MEAN, PEAK = ls.HitDistance.MEAN, ls.HitDistance.PEAK
+MEAN, PEAK = ls.config.HitDistance.MEAN, ls.config.HitDistance.PEAK
 
 
 def mixed_scene() -> ls.Scene:

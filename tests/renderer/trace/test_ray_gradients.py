@@ -30,7 +30,7 @@ def config(**trace: Any) -> ls.RenderConfig:
 
 def gradients_of(
     scene: ls.Scene, camera: ls.Camera, settings: ls.RenderConfig | None = None, threads: int | None = None
-) -> ls.SplatGradients:
+) -> ls.gradients.SplatGradients:
     """Of the pixels of ``by_pixels``."""
     renderer = ls.DifferentiableRenderer(settings or config(), "cpu", threads=threads)
     renderer.render(scene, camera)
@@ -77,7 +77,7 @@ def test_derivatives_are_central_differences_of_the_twin(degree: int) -> None:
 
 def test_so_are_those_in_the_order_of_peaks_without_widths() -> None:
     """Of large Gaussians that cross each other, which the order of their means shows in another way."""
-    settings = config(dilation=0.0, hit_distance=ls.HitDistance.PEAK)
+    settings = config(dilation=0.0, hit_distance=ls.config.HitDistance.PEAK)
     check_frame(cloud(4, COUNT), view(*SIZE), settings, dilation=0.0, by_peak=True)
 
 
@@ -102,7 +102,7 @@ def test_those_of_any_rays_are_central_differences_of_the_twin() -> None:
     directions = rng.uniform(-0.7, 0.7, (count, 3)) - origins
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     by_color, by_alpha = rng.normal(size=(count, 3)).astype(np.float32), rng.normal(size=count).astype(np.float32)
-    found = ls.ray_gradients(ls.Scene([gaussians]), origins, directions, by_color, -by_alpha, device="cpu")
+    found = ls.gradients.ray_gradients(ls.Scene([gaussians]), origins, directions, by_color, -by_alpha, device="cpu")
     loss = RayLoss(
         *(origins.astype(np.float32).astype(np.float64), directions, np.zeros(count), np.zeros(count)),
         *(by_color.astype(np.float64), by_alpha.astype(np.float64)),
@@ -313,7 +313,7 @@ def test_only_what_is_drawn_unlit_sorted_and_once_is_differentiated() -> None:
     with pytest.raises(ls.ConfigError, match="render a frame first"):
         ls.DifferentiableRenderer(config(), "cpu").gradients(np.zeros((30, 36, 3)))
     for settings in (
-        config(strategy=ls.TraceStrategy.STOCHASTIC_HIT),
+        config(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT),
         replace(config(), lighting=True),
         replace(config(), samples=4),
         replace(config(), noise=0.01),

@@ -89,12 +89,12 @@ def in_mirror(scene: ls.Scene, camera: ls.Camera) -> tuple[ls.Scene, ls.Camera]:
 @pytest.mark.parametrize(
     ("strategy", "width"),
     [
-        (ls.TraceStrategy.STOCHASTIC_HIT, 80),
-        pytest.param(ls.TraceStrategy.STOCHASTIC_HIT, 160, marks=pytest.mark.deep),
-        pytest.param(ls.TraceStrategy.STOCHASTIC_PASS, 160, marks=pytest.mark.deep),
+        (ls.config.TraceStrategy.STOCHASTIC_HIT, 80),
+        pytest.param(ls.config.TraceStrategy.STOCHASTIC_HIT, 160, marks=pytest.mark.deep),
+        pytest.param(ls.config.TraceStrategy.STOCHASTIC_PASS, 160, marks=pytest.mark.deep),
     ],
 )
-def test_stochastic_frames_converge(data_dir: Path, strategy: ls.TraceStrategy, width: int) -> None:
+def test_stochastic_frames_converge(data_dir: Path, strategy: ls.config.TraceStrategy, width: int) -> None:
     """The mean of 256 is 40 dB from the sorted frame, of 64 six less: the error falls as the root of their number."""
     scene, camera = view_of(data_dir, "biker.compressed.ply", width)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, jitter=False)

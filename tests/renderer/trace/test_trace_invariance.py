@@ -27,7 +27,7 @@ from support.scenes.raster_scenes import (
 )
 
 WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
-STRATEGIES = list(ls.TraceStrategy)
+STRATEGIES = list(ls.config.TraceStrategy)
 SORTED, HIT, PASS = STRATEGIES
 IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
@@ -39,7 +39,7 @@ def way(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-def settings(strategy: ls.TraceStrategy = SORTED, seed: int = 0, **changes: object) -> ls.RenderConfig:
+def settings(strategy: ls.config.TraceStrategy = SORTED, seed: int = 0, **changes: object) -> ls.RenderConfig:
     """Settings of the ray tracer; ``changes`` are fields of ``TraceConfig``."""
     trace = replace(ls.TraceConfig(strategy=strategy), **changes)
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, trace=trace, seed=seed)
@@ -102,13 +102,13 @@ def fog(count: int = 400, seed: int = 61) -> ls.Gaussians:
 # --- Order ---
 
 
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
-def test_order_in_the_set_does_not_matter(way: str, hit_distance: ls.HitDistance) -> None:
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
+def test_order_in_the_set_does_not_matter(way: str, hit_distance: ls.config.HitDistance) -> None:
     """Shuffled Gaussians make the same image to the bit, their indices apart: in one pass, and in many.
 
     On a GPU, peaks of two Gaussians of the fog can round to the same distance: the set then orders them.
     """
-    swapped = 0.02**2 if way.startswith("cuda") and hit_distance is ls.HitDistance.PEAK else 0.0
+    swapped = 0.02**2 if way.startswith("cuda") and hit_distance is ls.config.HitDistance.PEAK else 0.0
     for gaussians in (random_gaussians(71, 300, degree=1), fog()):
         order = np.random.default_rng(0).permutation(gaussians.count)
         config = settings(hit_distance=hit_distance)
@@ -133,8 +133,8 @@ def test_equal_distances_keep_the_order_of_the_scene(way: str) -> None:
         assert render(way, scene, camera).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
 
 
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
-def test_instances_sort_together(way: str, hit_distance: ls.HitDistance) -> None:
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
+def test_instances_sort_together(way: str, hit_distance: ls.config.HitDistance) -> None:
     """A set cut into several instances makes the same image as the whole."""
     gaussians = joined(random_gaussians(72, 200, degree=1), fog(300))
     firsts = np.array([0, 170, 330, 500])
@@ -159,7 +159,7 @@ HIDDEN = {
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_hidden_gaussians_change_nothing(way: str, strategy: ls.TraceStrategy) -> None:
+def test_hidden_gaussians_change_nothing(way: str, strategy: ls.config.TraceStrategy) -> None:
     """What cannot be seen leaves every image as it was, to the bit, though every tree is another one."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
@@ -173,7 +173,7 @@ def test_hidden_gaussians_change_nothing(way: str, strategy: ls.TraceStrategy) -
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_empty_views(way: str, strategy: ls.TraceStrategy) -> None:
+def test_empty_views(way: str, strategy: ls.config.TraceStrategy) -> None:
     """With nothing in sight there is only background: no alpha, no surface, no normal."""
     for background in ((0.2, 0.5, 1.0), None):
         config = replace(settings(strategy), background=background, lighting=False)
@@ -200,8 +200,8 @@ def discs() -> ls.Scene:
     return ls.Scene([joined(*layers)])
 
 
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
-def test_passes_show_every_layer(way: str, hit_distance: ls.HitDistance) -> None:
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
+def test_passes_show_every_layer(way: str, hit_distance: ls.config.HitDistance) -> None:
     """Of 150 discs, nearly all of the same distance, none is lost and none is shown twice, in lists of any length."""
     camera = view(3, 3, 100.0)
     for k in (4, 16):
@@ -209,8 +209,8 @@ def test_passes_show_every_layer(way: str, hit_distance: ls.HitDistance) -> None
         assert_close(frame.alpha, np.full((3, 3), 1.0 - 0.98**150), atol=1e-4, name=f"alpha in passes of {k}")
 
 
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
-def test_passes_do_not_matter(hit_distance: ls.HitDistance) -> None:
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
+def test_passes_do_not_matter(hit_distance: ls.config.HitDistance) -> None:
     """Lists of 4, 16 and 64 hits, for one ray and for packets, show hundreds of Gaussians the same."""
     scene = ls.Scene([fog()], [quad(3.5, tilt=0.3)])
     few, some = (settings(hits_per_pass=k, hit_distance=hit_distance) for k in (4, 16))
@@ -256,10 +256,10 @@ SCENES = many_scenes()
 
 
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_packets_show_what_single_rays_show(
-    strategy: ls.TraceStrategy, hit_distance: ls.HitDistance, name: str
+    strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, name: str
 ) -> None:
     """Sixteen rays that walk together meet what each meets alone, to rounding."""
     scene, camera = SCENES[name]
@@ -267,7 +267,7 @@ def test_packets_show_what_single_rays_show(
     together, alone = (render(way, scene, camera, config) for way in ("cpu", "cpu as cuda"))
     for image in IMAGES:
         one, other = getattr(together, image), getattr(alone, image)
-        if hit_distance is not ls.HitDistance.HULL:
+        if hit_distance is not ls.config.HitDistance.HULL:
             assert_close(one, other, atol=2e-6, name=image)
         else:  # rounding is amplified where a ray only touches a hull
             assert_close(one, other, atol=2e-5, name=image)
@@ -275,13 +275,13 @@ def test_packets_show_what_single_rays_show(
     assert together.alpha.max() > 0.0
 
 
-@pytest.mark.parametrize("normal_method", list(ls.NormalMethod))
+@pytest.mark.parametrize("normal_method", list(ls.config.NormalMethod))
 @pytest.mark.parametrize(
-    "hit_distance", [ls.HitDistance.PEAK, pytest.param(ls.HitDistance.HULL, marks=pytest.mark.deep)]
+    "hit_distance", [ls.config.HitDistance.PEAK, pytest.param(ls.config.HitDistance.HULL, marks=pytest.mark.deep)]
 )
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_packets_are_single_rays_to_the_bit(
-    strategy: ls.TraceStrategy, hit_distance: ls.HitDistance, normal_method: ls.NormalMethod
+    strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, normal_method: ls.config.NormalMethod
 ) -> None:
     """But for what compilers fuse: packets do for each ray what it does alone, operation by operation.
 
@@ -296,14 +296,14 @@ def test_packets_are_single_rays_to_the_bit(
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_ellipsoid_normals_of_packets(strategy: ls.TraceStrategy) -> None:
+def test_ellipsoid_normals_of_packets(strategy: ls.config.TraceStrategy) -> None:
     """The other normals likewise, and they are others.
 
     Not at each pixel: a small alpha enlarges the rounding of the weights that are divided by it, and where a ray grazes
     an ellipsoid, the normal depends on the root of a small difference. Which operations are fused moves both.
     ``test_packets_are_single_rays_to_the_bit`` checks every pixel.
     """
-    config = settings(strategy, normal_method=ls.NormalMethod.ELLIPSOID)
+    config = settings(strategy, normal_method=ls.config.NormalMethod.ELLIPSOID)
     together, alone = (render(way, full_scene(), view(), config) for way in ("cpu", "cpu as cuda"))
     apart = np.abs(together.normal - alone.normal).max(axis=-1)
     assert (apart <= 2e-6).mean() > 0.99 and apart.mean() < 2e-7
@@ -311,8 +311,8 @@ def test_ellipsoid_normals_of_packets(strategy: ls.TraceStrategy) -> None:
     assert np.abs(together.normal - render("cpu", full_scene(), view(), settings(strategy)).normal).max() > 0.1
 
 
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
-def test_parts_of_the_image(way: str, hit_distance: ls.HitDistance) -> None:
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
+def test_parts_of_the_image(way: str, hit_distance: ls.config.HitDistance) -> None:
     """A camera that sees a part of the image, cut anywhere, shows that part: other packets, the same rays."""
     config = settings(hit_distance=hit_distance)
     for scene in (full_scene(), ls.Scene([fog()]), inside()):
@@ -327,7 +327,7 @@ def test_parts_of_the_image(way: str, hit_distance: ls.HitDistance) -> None:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_images_repeat(way: str, strategy: ls.TraceStrategy) -> None:
+def test_images_repeat(way: str, strategy: ls.config.TraceStrategy) -> None:
     """The same image again, after another one, from another renderer and on any number of threads, is bit-equal."""
     scene, config = full_scene(), replace(settings(strategy), samples=2)
     warm = renderer_of(way, config)
@@ -377,12 +377,12 @@ def test_buffers_settle(way: str) -> None:
 # --- Place ---
 
 
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 @pytest.mark.parametrize(
     ("scale", "offset"), [(1.7, (3.0, -5.0, 11.0)), (1e-3, (0.0, 0.0, 0.0)), (1e3, (1e4, 0.0, 0.0))]
 )
 def test_moving_everything_together(
-    way: str, hit_distance: ls.HitDistance, scale: float, offset: tuple[float, float, float]
+    way: str, hit_distance: ls.config.HitDistance, scale: float, offset: tuple[float, float, float]
 ) -> None:
     """Scene and camera moved, turned and scaled as one make the same picture; depths scale."""
     move = similarity((0.2, 1.0, -0.4), 2.2, scale, offset)
@@ -458,7 +458,7 @@ def test_normals_that_hybrid_frames_do_not_have(caplog: pytest.LogCaptureFixture
     scene, camera = ls.Scene([random_gaussians(1, count=5)]), front_camera(8, 8)
     for pipeline, lines in ((ls.Pipeline.HYBRID, 1), (ls.Pipeline.TRACE, 0), (ls.Pipeline.RASTER, 0)):
         caplog.clear()
-        trace = ls.TraceConfig(normal_method=ls.NormalMethod.ELLIPSOID)
+        trace = ls.TraceConfig(normal_method=ls.config.NormalMethod.ELLIPSOID)
         renderer = ls.create_renderer(ls.RenderConfig(pipeline=pipeline, lighting=False, trace=trace), "cpu")
         for _ in range(2):
             renderer.render(scene, camera)

@@ -21,7 +21,7 @@ from support.scenes.raster_scenes import front_camera, octahedron, one_gaussian,
 from support.scenes.trace_scenes import changed_rays
 
 WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
-STRATEGIES = list(ls.TraceStrategy)
+STRATEGIES = list(ls.config.TraceStrategy)
 SORTED, HIT, PASS = STRATEGIES
 IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
 BLACK = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0))
@@ -38,7 +38,7 @@ def way(request: pytest.FixtureRequest) -> str:
 def renderer(
     way: str,
     samples: int = 1,
-    strategy: ls.TraceStrategy = SORTED,
+    strategy: ls.config.TraceStrategy = SORTED,
     jitter: bool = True,
     background: tuple[float, float, float] | None = (0.1, 0.2, 0.3),
 ) -> ls.Renderer:
@@ -106,7 +106,7 @@ def test_samples_average_as_they_are_shown(way: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", [HIT, PASS])
-def test_samples_of_a_pixel_differ(way: str, strategy: ls.TraceStrategy) -> None:
+def test_samples_of_a_pixel_differ(way: str, strategy: ls.config.TraceStrategy) -> None:
     """Each draws anew, so that every pixel comes near its expectation, without any sub-pixel offset."""
     faint = ls.Scene([one_gaussian(scale=50.0, opacity=0.3)])
     frame = renderer(way, 64, strategy, jitter=False).render(faint, view(12, 9))
@@ -145,7 +145,7 @@ def test_surface_is_that_of_the_first_sample(way: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_resumed_frames_are_those_rendered_at_once(way: str, strategy: ls.TraceStrategy) -> None:
+def test_resumed_frames_are_those_rendered_at_once(way: str, strategy: ls.config.TraceStrategy) -> None:
     """Eight samples, three and then five, and one by one are the same to the bit, and say how many they are."""
     whole = renderer(way, 8, strategy).render(scene(), view())
     assert whole.samples == 8

@@ -19,7 +19,7 @@ from support.oracles.trace_oracle import background_of, camera_rays, outcomes_on
 from support.scenes.trace_scenes import Case, changed_rays, copies, small_camera, stochastic_cases, trace_config
 from support.twins import TWINS
 
-HIT, PASS = ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS
+HIT, PASS = ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS
 CASES = {case.name: case for case in stochastic_cases()}
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 """Where statistics are made: all ways draw the same numbers, as ``test_ways_draw_the_same`` shows."""
@@ -32,7 +32,7 @@ strategies = pytest.mark.parametrize("strategy", [HIT, PASS], ids=lambda strateg
 devices = pytest.mark.parametrize("device", DEVICES)
 
 
-def random_case(name: str, strategy: ls.TraceStrategy, **changes: object) -> Case:
+def random_case(name: str, strategy: ls.config.TraceStrategy, **changes: object) -> Case:
     """A case with a random strategy, every sample through the pixel's centre."""
     case = CASES[name]
     return replace(case, config=changed_rays(case.config, strategy=strategy, jitter=False, **changes))
@@ -44,7 +44,7 @@ def samples_of(case: Case) -> int:
 
 
 @cache
-def frames_of(name: str, strategy: ls.TraceStrategy, device: str) -> list[ls.Frame]:
+def frames_of(name: str, strategy: ls.config.TraceStrategy, device: str) -> list[ls.Frame]:
     """One frame a seed."""
     case = random_case(name, strategy)
     config = replace(case.config, samples=samples_of(case))
@@ -52,7 +52,7 @@ def frames_of(name: str, strategy: ls.TraceStrategy, device: str) -> list[ls.Fra
 
 
 @cache
-def twin_of(name: str, strategy: ls.TraceStrategy) -> dict[str, np.ndarray]:
+def twin_of(name: str, strategy: ls.config.TraceStrategy) -> dict[str, np.ndarray]:
     """Expectation and variance of a case."""
     case = random_case(name, strategy)
     return TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
@@ -92,7 +92,7 @@ def brightest(case: Case) -> float:
 @devices
 @strategies
 @pytest.mark.parametrize("name", CASES)
-def test_mean_is_the_expectation(name: str, strategy: ls.TraceStrategy, device: str) -> None:
+def test_mean_is_the_expectation(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
     """Of colour and alpha, over samples and seeds, pixel by pixel and over all of them; in mirrors and glass too."""
     frames, twin = frames_of(name, strategy, device), twin_of(name, strategy)
     count = len(frames) * samples_of(CASES[name])
@@ -115,7 +115,7 @@ def test_mean_is_the_expectation(name: str, strategy: ls.TraceStrategy, device: 
 @devices
 @strategies
 @pytest.mark.parametrize("name", CASES)
-def test_noise_is_the_variance(name: str, strategy: ls.TraceStrategy, device: str) -> None:
+def test_noise_is_the_variance(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
     """Frames of different seeds scatter about the expectation as independent samples do: no less, no more."""
     frames, twin = frames_of(name, strategy, device), twin_of(name, strategy)
     samples = samples_of(CASES[name])
@@ -135,7 +135,7 @@ def test_noise_is_the_variance(name: str, strategy: ls.TraceStrategy, device: st
 @devices
 @strategies
 @pytest.mark.parametrize("name", ["instances", "mesh", "linear, hull"])
-def test_every_sample_is_an_outcome(name: str, strategy: ls.TraceStrategy, device: str) -> None:
+def test_every_sample_is_an_outcome(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
     """A sample shows one Gaussian, one pass, or what is behind: all images are of that, as often as expected."""
     case = random_case(name, strategy)
     world = world_of(case.scene, case.config)
@@ -189,7 +189,7 @@ def test_scaled_acceptance(device: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", [HIT, PASS], ids=lambda strategy: strategy.value)
-def test_wrong_expectations_are_rejected(strategy: ls.TraceStrategy) -> None:
+def test_wrong_expectations_are_rejected(strategy: ls.config.TraceStrategy) -> None:
     """The tests have power: Gaussians 5 % fainter, accepted a little sooner, or blended too short, would be noticed."""
     frames, twin = frames_of("passes of 4", strategy, "cpu"), twin_of("passes of 4", strategy)
     case = random_case("passes of 4", strategy)
@@ -203,7 +203,7 @@ def test_wrong_expectations_are_rejected(strategy: ls.TraceStrategy) -> None:
         trace_oracle.render(
             case.scene,
             case.camera,
-            changed_rays(case.config, strategy=ls.TraceStrategy.SORTED, transmittance_min=0.5),
+            changed_rays(case.config, strategy=ls.config.TraceStrategy.SORTED, transmittance_min=0.5),
         )["color"],
     ]
     mean = np.mean([frame.color for frame in frames], axis=0, dtype=np.float64).reshape(-1, 3)
@@ -214,7 +214,7 @@ def test_wrong_expectations_are_rejected(strategy: ls.TraceStrategy) -> None:
 
 
 @strategies
-def test_ways_draw_the_same(strategy: ls.TraceStrategy, way: str) -> None:
+def test_ways_draw_the_same(strategy: ls.config.TraceStrategy, way: str) -> None:
     """The same seed shows the same on every device and in every schedule, but for rounding; another seed does not."""
     case = random_case("instances", strategy)
     config = replace(case.config, samples=8, seed=5)
@@ -227,7 +227,7 @@ def test_ways_draw_the_same(strategy: ls.TraceStrategy, way: str) -> None:
 
 
 @strategies
-def test_one_pass_holds_all(strategy: ls.TraceStrategy) -> None:
+def test_one_pass_holds_all(strategy: ls.config.TraceStrategy) -> None:
     """Where nothing is behind the first pass, a stochastic pass that is taken has sorting's colour, unpremultiplied."""
     scene, camera = ls.Scene([copies(12, 173)]), small_camera(8, 6, 8.0)
     config = trace_config(None, strategy=strategy, jitter=False)

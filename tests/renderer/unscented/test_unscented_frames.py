@@ -20,12 +20,12 @@ NAMES = list(LENSES)
 
 def unscented(**changes: object) -> ls.RenderConfig:
     """Settings of such frames; ``changes`` are of ``RasterConfig``."""
-    return ls.RenderConfig(raster=replace(ls.RasterConfig(projection=ls.Projection.UNSCENTED), **changes))
+    return ls.RenderConfig(raster=replace(ls.RasterConfig(projection=ls.config.Projection.UNSCENTED), **changes))
 
 
 def traced(dilation: float = 0.3) -> ls.RenderConfig:
     """Settings of the frames of rays that they are compared with."""
-    trace = ls.TraceConfig(dilation=dilation, hit_distance=ls.HitDistance.MEAN)
+    trace = ls.TraceConfig(dilation=dilation, hit_distance=ls.config.HitDistance.MEAN)
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
 
 
@@ -245,7 +245,7 @@ def test_what_it_cannot_draw_is_refused() -> None:
         ls.render(scene, orthographic, unscented(), device="cpu")
     with pytest.raises(ls.SceneError, match=r"^camera has an aperture of 0\.1, .* use Pipeline\.TRACE$"):
         ls.render(scene, lens(40.0, aperture=0.1), unscented(), device="cpu")
-    for change in ({"strategy": ls.RasterStrategy.STOCHASTIC}, {"surface": ls.GaussianSurface.MEAN}):
+    for change in ({"strategy": ls.config.RasterStrategy.STOCHASTIC}, {"surface": ls.config.GaussianSurface.MEAN}):
         with pytest.raises(ls.ConfigError, match=r"^\w+\.(STOCHASTIC|MEAN) does not go with Projection\.UNSCENTED"):
             ls.render(scene, lens(40.0), unscented(**change), device="cpu")
     with pytest.raises(ls.ConfigError, match=r"^Projection\.UNSCENTED does not go with Pipeline\.REALTIME"):

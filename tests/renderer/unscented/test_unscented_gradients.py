@@ -27,11 +27,13 @@ VIEWS = {
 
 def config_of(**changes: Any) -> ls.RenderConfig:
     """Settings; ``changes`` are of ``RasterConfig``."""
-    raster = replace(ls.RasterConfig(projection=ls.Projection.UNSCENTED), **changes)
+    raster = replace(ls.RasterConfig(projection=ls.config.Projection.UNSCENTED), **changes)
     return ls.RenderConfig(background=BACKGROUND, raster=raster)
 
 
-def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None, **changes: Any) -> ls.SplatGradients:
+def gradients_of(
+    scene: ls.Scene, camera: ls.Camera, threads: int | None = None, **changes: Any
+) -> ls.gradients.SplatGradients:
     """Of the pixels of ``by_pixels``."""
     renderer = ls.DifferentiableRenderer(config_of(**changes), "cpu", threads=threads)
     renderer.render(scene, camera)

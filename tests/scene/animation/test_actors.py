@@ -18,9 +18,9 @@ MOVE = ls.Keyframes([0.0, 2.0], positions=[[0, 0, 0], [0, 4, 0]])
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> ls.Rig:
+def rig(tmp_path: Path) -> ls.avatars.Rig:
     """A rig of two clips, of one and of two seconds."""
-    return ls.load_rig(TubeRig(clips={"bend": BEND, "carry": CARRY}).write(tmp_path / "tube.glb"))
+    return ls.avatars.load_rig(TubeRig(clips={"bend": BEND, "carry": CARRY}).write(tmp_path / "tube.glb"))
 
 
 def test_keyframes_carry_what_is_placed():
@@ -34,7 +34,7 @@ def test_keyframes_carry_what_is_placed():
     np.testing.assert_array_equal(still.transform, TURN)
 
 
-def test_clips_repeat_or_hold(rig: ls.Rig) -> None:
+def test_clips_repeat_or_hold(rig: ls.avatars.Rig) -> None:
     """A clip repeats at the actor's speed, or stays at its end."""
     rigged = ls.bind_gaussians(rig, 300)
 
@@ -51,7 +51,7 @@ def test_clips_repeat_or_hold(rig: ls.Rig) -> None:
     assert ls.Actor(rigged, speed=2.0).own_duration == 0.5
 
 
-def test_every_subject_is_shown(rig: ls.Rig) -> None:
+def test_every_subject_is_shown(rig: ls.avatars.Rig) -> None:
     """Meshes and rigs become mesh instances, scenes all of their instances, each with its own placement."""
     (posed,) = ls.Actor(rig).at(0.5)
     np.testing.assert_array_equal(expect_kind(ls.MeshInstance, posed).mesh.positions, rig.pose(0.5).positions)
@@ -72,7 +72,7 @@ def test_captures_of_a_scene_stay_as_they_are_lit():
     assert ls.Actor(scene, name="walker").at(1.0)[0].name == "walker"
 
 
-def test_an_animation_has_its_times(rig: ls.Rig) -> None:
+def test_an_animation_has_its_times(rig: ls.avatars.Rig) -> None:
     """Frames have a constant distance in time, and actors are in order."""
     gaussians = random_gaussians(1, count=5)
     animation = ls.Animation(ls.Scene(), [ls.Actor(gaussians, MOVE), ls.Actor(rig)], fps=10.0, frame_count=20)
@@ -103,7 +103,7 @@ def test_bad_actors_are_refused(settings, problem):
         ls.Actor(**{"subject": random_gaussians(1, count=5), **settings})
 
 
-def test_a_clip_that_is_not_there_is_refused(rig: ls.Rig) -> None:
+def test_a_clip_that_is_not_there_is_refused(rig: ls.avatars.Rig) -> None:
     """The message lists the clips."""
     with pytest.raises(ls.SceneError, match="no clip 'walk', it has 'bend', 'carry'"):
         ls.Actor(rig, clip="walk")

@@ -114,7 +114,7 @@ def test_nerfstudio_paths(tmp_path):
     np.testing.assert_allclose(first.world_from_camera[:3, 2], (0, 0, -1))  # looks along -z
     np.testing.assert_allclose(first.world_from_camera[:3, 1], (0, -1, 0))  # y up
     np.testing.assert_allclose(second.world_from_camera[:3, 2], (-1, 0, 0))
-    path = ls.load_camera_path(tmp_path / "camera_path.json")
+    path = ls.io.load_camera_path(tmp_path / "camera_path.json")
     assert path.duration == pytest.approx(2 / 30)
     assert len(path.frames(30.0)) == 3
     np.testing.assert_allclose(path.frames(30.0)[1].camera_from_world, second.camera_from_world, atol=1e-12)
@@ -135,7 +135,7 @@ def test_wrong_nerfstudio_paths_are_refused(tmp_path, changes, message):
     """In one line that names the file."""
     (tmp_path / "camera_path.json").write_text(json.dumps(nerfstudio(**changes)))
     with pytest.raises(ls.FormatError, match=message):
-        ls.load_camera_path(tmp_path / "camera_path.json")
+        ls.io.load_camera_path(tmp_path / "camera_path.json")
 
 
 FLIGHT = """
@@ -169,7 +169,7 @@ def folder(tmp_path) -> Path:
 
 def test_keyframes_of_a_scene_file(folder):
     """The first moving camera is the path; what a keyframe leaves out stays; a list of cameras has its first view."""
-    path = ls.load_camera_path(write_scene(folder, FLIGHT))
+    path = ls.io.load_camera_path(write_scene(folder, FLIGHT))
     assert path.duration == 2.5 and [camera.name for camera in path.cameras] == ["flight"] * 2
     assert path.cameras[1].fov_y == pytest.approx(math.radians(40))
     x, y, z = path.at(1.2).camera_from_world[:3, :3] @ (0, 1, 0) + path.at(1.2).camera_from_world[:3, 3]
@@ -198,5 +198,5 @@ def test_a_moving_camera_makes_an_animation(folder):
 def test_wrong_keyframes_are_refused(folder, text, message):
     """At their line."""
     with pytest.raises(ls.FormatError) as caught:
-        ls.load_camera_path(write_scene(folder, text))
+        ls.io.load_camera_path(write_scene(folder, text))
     refuses(caught, folder, message)

@@ -25,7 +25,7 @@ def covariances(gaussians: ls.Gaussians, thin: bool = True) -> np.ndarray:
 
 def bound(rig: TubeRig, folder, count: int = COUNT) -> ls.RiggedGaussians:
     """The rig, written, read and bound."""
-    return ls.bind_gaussians(ls.load_rig(rig.write(folder / "tube.glb")), count)
+    return ls.bind_gaussians(ls.avatars.load_rig(rig.write(folder / "tube.glb")), count)
 
 
 def affine_rig(matrix: np.ndarray) -> TubeRig:
@@ -166,7 +166,7 @@ def test_several_meshes_share_the_count(tmp_path):
     few = gltf.accessor(tube()[2][:60].reshape(-1))
     gltf.json["meshes"][0]["primitives"].append({**first, "indices": few, "material": black})
     (tmp_path / "two.glb").write_bytes(gltf.glb())
-    rigged = ls.bind_gaussians(ls.load_rig(tmp_path / "two.glb"), 1201)
+    rigged = ls.bind_gaussians(ls.avatars.load_rig(tmp_path / "two.glb"), 1201)
     assert rigged.count == rigged.at(0.3).count == 1201
     dark = (rigged.gaussians.albedo == 0.0).all(axis=1).mean()
     assert dark == pytest.approx(60 / (len(tube()[2]) + 60), abs=0.01)
@@ -175,14 +175,14 @@ def test_several_meshes_share_the_count(tmp_path):
 @pytest.mark.parametrize("count", [0, -5, 2.5, True, 10**9])
 def test_impossible_counts_are_refused(count, tmp_path):
     """A count is a whole number that there is room for."""
-    rig = ls.load_rig(TubeRig().write(tmp_path / "tube.glb"))
+    rig = ls.avatars.load_rig(TubeRig().write(tmp_path / "tube.glb"))
     with pytest.raises(ls.SceneError, match="count is"):
         ls.bind_gaussians(rig, count)
 
 
 def test_only_rigs_are_bound(tmp_path):
     """A mesh is not a rig and is refused."""
-    rig = ls.load_rig(TubeRig().write(tmp_path / "tube.glb"))
+    rig = ls.avatars.load_rig(TubeRig().write(tmp_path / "tube.glb"))
     with pytest.raises(ls.SceneError, match="takes a Rig of load_rig, got a Mesh"):
         ls.bind_gaussians(rig.mesh)  # pyright: ignore[reportArgumentType]
 
@@ -190,7 +190,7 @@ def test_only_rigs_are_bound(tmp_path):
 @pytest.mark.data
 def test_the_walker_stays_whole(data_dir):
     """The real avatar over its clip: always as many, all on the posed mesh, discs facing out of it."""
-    rigged = ls.bind_gaussians(ls.load_rig(data_dir / "avatars" / "walk.glb", vertex_colors=False), 5000)
+    rigged = ls.bind_gaussians(ls.avatars.load_rig(data_dir / "avatars" / "walk.glb", vertex_colors=False), 5000)
     for time in np.linspace(0.0, rigged.rig.duration(), 5):
         shown = rigged.at(float(time))
         assert shown.count == 5000

@@ -34,34 +34,36 @@ def test_crop_by_a_box(capture: ls.Gaussians) -> None:
     low, high = np.array([-1.0, -0.5, 3.5]), np.array([0.5, 1.0, 5.0])
     expected = [i for i, mean in enumerate(capture.means) if (mean >= low).all() and (mean <= high).all()]
     assert 5 < len(expected) < 95
-    assert rows_of(ls.crop(capture, box=(low, high)), capture) == expected
+    assert rows_of(ls.editing.crop(capture, box=(low, high)), capture) == expected
     mixed = ([low[0], high[1], low[2]], [high[0], low[1], high[2]])
-    assert rows_of(ls.crop(capture, box=mixed), capture) == expected
-    assert rows_of(ls.crop(capture, box=(low, high), outside=True), capture) == sorted({*range(100)} - {*expected})
+    assert rows_of(ls.editing.crop(capture, box=mixed), capture) == expected
+    assert rows_of(ls.editing.crop(capture, box=(low, high), outside=True), capture) == sorted(
+        {*range(100)} - {*expected}
+    )
     one = capture.means[7]
-    assert rows_of(ls.crop(capture, box=(one, one)), capture) == [7]
+    assert rows_of(ls.editing.crop(capture, box=(one, one)), capture) == [7]
 
 
 def test_crop_by_a_sphere_and_both(capture: ls.Gaussians) -> None:
     """Within the radius; box and sphere together keep what is in both."""
     center, radius = np.array([0.2, 0.1, 4.0]), 1.2
     inside = np.linalg.norm(capture.means.astype(np.float64) - center, axis=1) <= radius
-    assert rows_of(ls.crop(capture, sphere=(center, radius)), capture) == np.flatnonzero(inside).tolist()
+    assert rows_of(ls.editing.crop(capture, sphere=(center, radius)), capture) == np.flatnonzero(inside).tolist()
     box = ((-9, -9, -9), (9, 9, 4))
     both = inside & (capture.means[:, 2] <= 4)
-    assert rows_of(ls.crop(capture, box=box, sphere=(center, radius)), capture) == np.flatnonzero(both).tolist()
+    assert rows_of(ls.editing.crop(capture, box=box, sphere=(center, radius)), capture) == np.flatnonzero(both).tolist()
 
 
 def test_nothing_to_do_is_the_same_capture(capture: ls.Gaussians) -> None:
     """What removes nothing copies nothing."""
-    assert ls.crop(capture, sphere=((0, 0, 4), 100.0)) is capture
-    assert ls.select(capture, opacity=(0.0, 1.0)) is capture
-    assert ls.limit_sh_degree(capture, 2) is capture
-    padded = ls.limit_sh_degree(capture, 3, pad=True)
+    assert ls.editing.crop(capture, sphere=((0, 0, 4), 100.0)) is capture
+    assert ls.editing.select(capture, opacity=(0.0, 1.0)) is capture
+    assert ls.editing.limit_sh_degree(capture, 2) is capture
+    padded = ls.editing.limit_sh_degree(capture, 3, pad=True)
     assert padded.sh.shape[1] == 16 and not padded.sh[:, capture.sh.shape[1] :].any()
     np.testing.assert_array_equal(padded.sh[:, : capture.sh.shape[1]], capture.sh)
-    assert ls.limit_sh_degree(capture, capture.sh_degree, pad=True) is capture
-    assert ls.decimate(capture, 100) is capture
+    assert ls.editing.limit_sh_degree(capture, capture.sh_degree, pad=True) is capture
+    assert ls.editing.decimate(capture, 100) is capture
 
 
 @pytest.mark.parametrize(
@@ -87,13 +89,13 @@ def test_select_by_each_value(capture: ls.Gaussians, name: str, values: Any) -> 
     for limits in ((low, None), (None, high), (low, high)):
         kept = all_values >= (low if limits[0] is not None else -np.inf)
         kept &= all_values <= (high if limits[1] is not None else np.inf)
-        selected = ls.select(capture, **{name: limits})
+        selected = ls.editing.select(capture, **{name: limits})
         assert rows_of(selected, capture) == np.flatnonzero(kept).tolist()
 
 
 def test_select_by_several_values(capture: ls.Gaussians) -> None:
     """All ranges count."""
-    both = ls.select(capture, opacity=(0.5, None), z=(None, 4.0))
+    both = ls.editing.select(capture, opacity=(0.5, None), z=(None, 4.0))
     assert rows_of(both, capture) == np.flatnonzero((capture.opacities >= 0.5) & (capture.means[:, 2] <= 4)).tolist()
 
 
@@ -115,7 +117,7 @@ def test_floaters_are_removed_and_backgrounds_stay() -> None:
     """Lonely small Gaussians go; lonely wide ones, which reach others, stay."""
     cloud, solid = cloud_with_strays()
     heard: list[float] = []
-    assert rows_of(ls.remove_floaters(cloud, progress=heard.append), cloud) == list(range(solid))
+    assert rows_of(ls.editing.remove_floaters(cloud, progress=heard.append), cloud) == list(range(solid))
     assert heard == sorted(heard) and heard[-1] == 1.0
 
 
@@ -130,13 +132,13 @@ def test_neighbours_are_counted_exactly(neighbours: int, reach: float) -> None:
     others = (np.einsum("ijk,ijk->ij", steps, steps) <= radii[:, None] ** 2).sum(axis=1) - 1
     kept = np.flatnonzero(others >= neighbours)
     assert 0 < kept.size < 700
-    assert rows_of(ls.remove_floaters(capture, neighbours, reach), capture) == kept.tolist()
+    assert rows_of(ls.editing.remove_floaters(capture, neighbours, reach), capture) == kept.tolist()
 
 
 def test_limited_harmonics_keep_the_lower_ones(capture: ls.Gaussians) -> None:
     """Degrees above go, those below keep their bits."""
     for degree in (0, 1):
-        limited = ls.limit_sh_degree(capture, degree)
+        limited = ls.editing.limit_sh_degree(capture, degree)
         assert limited.sh_degree == degree
         np.testing.assert_array_equal(limited.sh, capture.sh[:, : (degree + 1) ** 2])
         assert limited.means is capture.means
@@ -144,7 +146,7 @@ def test_limited_harmonics_keep_the_lower_ones(capture: ls.Gaussians) -> None:
 
 def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
     """A permutation, by which neighbours in memory are nearer to each other."""
-    ordered = ls.sort_morton(capture)
+    ordered = ls.editing.sort_morton(capture)
     assert sorted(rows_of(ordered, capture)) == list(range(100))
     walk = [np.linalg.norm(np.diff(one.means, axis=0), axis=1).mean() for one in (ordered, capture)]
     assert walk[0] < 0.5 * walk[1]
@@ -153,28 +155,34 @@ def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (ls.crop, "crop takes a box or a sphere"),
-        (lambda g: ls.crop(g, box=((0, 0, 0), (1, 1))), "box has the point .*, expected three finite numbers"),
-        (lambda g: ls.crop(g, box=cast(Any, (1, 2, 3))), "box is .*, expected two corners"),
-        (lambda g: ls.crop(g, sphere=((0, 0, np.nan), 1.0)), "sphere has the point"),
-        (lambda g: ls.crop(g, sphere=((0, 0, 0), -1.0)), "radius of sphere is -1.0, expected a number above 0"),
+        (ls.editing.crop, "crop takes a box or a sphere"),
+        (lambda g: ls.editing.crop(g, box=((0, 0, 0), (1, 1))), "box has the point .*, expected three finite numbers"),
+        (lambda g: ls.editing.crop(g, box=cast(Any, (1, 2, 3))), "box is .*, expected two corners"),
+        (lambda g: ls.editing.crop(g, sphere=((0, 0, np.nan), 1.0)), "sphere has the point"),
+        (lambda g: ls.editing.crop(g, sphere=((0, 0, 0), -1.0)), "radius of sphere is -1.0, expected a number above 0"),
         (
-            lambda g: ls.crop(g, sphere=((99, 0, 0), 1.0)),
+            lambda g: ls.editing.crop(g, sphere=((99, 0, 0), 1.0)),
             r"nothing is left of 100 Gaussians, whose means lie within \(",
         ),
-        (ls.select, "select takes at least one range"),
-        (lambda g: ls.select(g, opacity=(0.7, 0.3)), r"opacity is \(0.7, 0.3\), expected the smaller value first"),
-        (lambda g: ls.select(g, opacity=(np.nan, None)), "expected the smaller value first"),
-        (lambda g: ls.select(g, x=cast(Any, 3.0)), "x is 3.0, expected its smallest and largest value"),
-        (lambda g: ls.select(g, opacity=(2.0, None)), "nothing is left of 100"),
-        (lambda g: ls.select(replace(g, roughness=None), roughness=(0, 1)), "cannot go by roughness: the capture has"),
-        (lambda g: ls.remove_floaters(g, 0), "neighbours is 0"),
-        (lambda g: ls.remove_floaters(g, 3, 0.0), "reach is 0.0, expected a number above 0"),
-        (lambda g: ls.remove_floaters(g, 1000, 1e-6), "nothing is left"),
-        (lambda g: ls.limit_sh_degree(g, 4), "degree is 4"),
-        (lambda g: ls.decimate(g, 0), "count is 0"),
-        (lambda g: ls.decimate(g, cast(Any, 0.25)), "count is 0.25, expected a whole number"),
-        (lambda _: ls.crop(cast(Any, "a.ply"), sphere=((0, 0, 0), 1.0)), "crop takes Gaussians, got a str"),
+        (ls.editing.select, "select takes at least one range"),
+        (
+            lambda g: ls.editing.select(g, opacity=(0.7, 0.3)),
+            r"opacity is \(0.7, 0.3\), expected the smaller value first",
+        ),
+        (lambda g: ls.editing.select(g, opacity=(np.nan, None)), "expected the smaller value first"),
+        (lambda g: ls.editing.select(g, x=cast(Any, 3.0)), "x is 3.0, expected its smallest and largest value"),
+        (lambda g: ls.editing.select(g, opacity=(2.0, None)), "nothing is left of 100"),
+        (
+            lambda g: ls.editing.select(replace(g, roughness=None), roughness=(0, 1)),
+            "cannot go by roughness: the capture has",
+        ),
+        (lambda g: ls.editing.remove_floaters(g, 0), "neighbours is 0"),
+        (lambda g: ls.editing.remove_floaters(g, 3, 0.0), "reach is 0.0, expected a number above 0"),
+        (lambda g: ls.editing.remove_floaters(g, 1000, 1e-6), "nothing is left"),
+        (lambda g: ls.editing.limit_sh_degree(g, 4), "degree is 4"),
+        (lambda g: ls.editing.decimate(g, 0), "count is 0"),
+        (lambda g: ls.editing.decimate(g, cast(Any, 0.25)), "count is 0.25, expected a whole number"),
+        (lambda _: ls.editing.crop(cast(Any, "a.ply"), sphere=((0, 0, 0), 1.0)), "crop takes Gaussians, got a str"),
         (lambda _: ls.merge([]), "merge takes at least one capture"),
         (lambda g: ls.merge(cast(Any, [g, 3])), "merge takes a list of Gaussians, got a int"),
         (lambda g: ls.merge(cast(Any, g.means[0, 0])), "captures is one float32, expected a list"),

@@ -41,7 +41,7 @@ def test_one_gaussian_has_the_moments_of_all() -> None:
     extra = {"normals": normals, "albedo": rng.random((40, 3)), "roughness": rng.random(40)}
     gaussians = random_gaussians(3, count=40, degree=2, extent=(0.1, 0.1, 0.1), scale_range=(0.3, 0.6), **extra)
     gaussians = replace(gaussians, opacities=gaussians.opacities * 0.02)
-    one = ls.decimate(gaussians, 1)
+    one = ls.editing.decimate(gaussians, 1)
     shapes_ = covariances(gaussians)
     size = np.sqrt([0.5 * (np.trace(c) ** 2 - np.trace(c @ c)) for c in shapes_])  # the trace of the adjugate
     mass = gaussians.opacities * size
@@ -66,7 +66,7 @@ def test_sums_over_the_whole_capture_stay(count: int) -> None:
     """However many are left: exactly that number, and mean and covariance of the whole mixture as before."""
     gaussians = random_gaussians(4, count=300, degree=1, scale_range=(0.2, 0.9))
     gaussians = replace(gaussians, opacities=gaussians.opacities * 0.01)  # none reaches opacity 1
-    fewer = ls.decimate(gaussians, count)
+    fewer = ls.editing.decimate(gaussians, count)
     assert (fewer.count, fewer.sh_degree) == (count, 1)
     everything = np.zeros(300, np.intp)
     whole, left = moments_of(gaussians), moments_of(fewer)
@@ -82,7 +82,7 @@ def test_discs_of_a_plane_stay_flat() -> None:
     means = np.column_stack([x.ravel(), y.ravel(), np.full(1024, 5.0)])
     scales = np.tile([0.7, 0.7, 1e-4], (1024, 1))
     plane = ls.Gaussians(means, np.tile([1, 0, 0, 0], (1024, 1)), scales, np.full(1024, 0.9), np.zeros((1024, 1, 3)))
-    fewer = ls.decimate(plane, 100)
+    fewer = ls.editing.decimate(plane, 100)
     assert fewer.scales.min(axis=1).max() < 1.1e-4
     np.testing.assert_allclose(np.abs(ls.estimate_normals(fewer)), np.tile([0, 0, 1], (100, 1)), atol=1e-3)
     np.testing.assert_allclose(fewer.means[:, 2], 5.0, atol=1e-5)
@@ -95,7 +95,7 @@ def test_colours_are_kept_apart() -> None:
     mixed = ls.Gaussians(
         rng.uniform(0, 1, (400, 3)), np.tile([1, 0, 0, 0], (400, 1)), np.full((400, 3), 0.1), np.full(400, 0.5), sh
     )
-    fewer = ls.decimate(mixed, 100)
+    fewer = ls.editing.decimate(mixed, 100)
     purple = np.abs(fewer.sh[:, 0, 0]) < 1.0
     assert np.count_nonzero(purple) <= 5
 
@@ -106,7 +106,7 @@ def test_copies_and_invisible_ones() -> None:
     for opacity in (0.0, 1.0):
         copies = replace(one.subset(np.zeros(1000, np.int64)), opacities=np.full(1000, opacity))
         passes: list[float] = []
-        fewer = ls.decimate(copies, 3, progress=passes.append)
+        fewer = ls.editing.decimate(copies, 3, progress=passes.append)
         assert fewer.count == 3
         assert len(passes) < 40  # each pass merges a good share, also where all costs are equal
         np.testing.assert_allclose(fewer.means, np.repeat(one.means, 3, axis=0), atol=1e-6)
@@ -118,7 +118,7 @@ def test_the_same_bits_again_and_progress() -> None:
     """Nothing is random; progress grows to 1."""
     gaussians = random_gaussians(9, count=3000)
     heard: list[float] = []
-    first, second = ls.decimate(gaussians, 200, progress=heard.append), ls.decimate(gaussians, 200)
+    first, second = ls.editing.decimate(gaussians, 200, progress=heard.append), ls.editing.decimate(gaussians, 200)
     for name, values in first.arrays().items():
         np.testing.assert_array_equal(values, second.arrays()[name])
     assert heard == sorted(heard) and heard[-1] == 1.0 and len(heard) > 4
@@ -141,7 +141,7 @@ def test_better_than_leaving_out(data_dir: Path, share: float, better: float) ->
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     count = int(biker.count * share)
     passes: list[float] = []
-    merged = ls.decimate(biker, count, progress=passes.append)
+    merged = ls.editing.decimate(biker, count, progress=passes.append)
     assert len(passes) <= 4.0 * math.log2(1.0 / share)  # each merges a sixth or more: about a second together
     chosen = np.random.default_rng(0).choice(biker.count, count, replace=False)
     opaque = np.argsort(-biker.opacities, kind="stable")[:count]
@@ -156,5 +156,5 @@ def test_better_than_leaving_out(data_dir: Path, share: float, better: float) ->
         return np.clip(renderer.render(ls.Scene(splats=[gaussians]), camera).color, 0.0, 1.0)
 
     whole = picture(biker)
-    decibels = [ls.psnr(picture(one), whole) for one in (merged, biker.subset(chosen), biker.subset(opaque))]
+    decibels = [ls.metrics.psnr(picture(one), whole) for one in (merged, biker.subset(chosen), biker.subset(opaque))]
     assert decibels[0] > max(decibels[1:]) + better

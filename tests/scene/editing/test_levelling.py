@@ -48,7 +48,7 @@ GUITAR = np.concatenate(
 )
 
 
-def off(found: ls.UpEstimate | ls.Gaussians, up: np.ndarray) -> float:
+def off(found: ls.editing.UpEstimate | ls.Gaussians, up: np.ndarray) -> float:
     """Degrees by which what was found is off."""
     return math.degrees(math.acos(min(1.0, float(np.array(present(found.up)) @ up))))
 
@@ -64,7 +64,7 @@ def turned(points: np.ndarray, degrees: tuple[float, float, float]) -> tuple[ls.
 def test_the_ground_tells_which_way_is_up(points: np.ndarray, degrees: tuple[float, float, float]) -> None:
     """A thing on a ground, and a room from inside, to a quarter of a degree; no wall, table or ceiling is a ground."""
     one, up = turned(points, degrees)
-    found = ls.find_up(ls.Scene([one]))
+    found = ls.editing.find_up(ls.Scene([one]))
     assert found.source == "ground"
     assert off(found, up) < 0.25
     assert present(found.height) == pytest.approx(0.0, abs=0.02)
@@ -74,11 +74,11 @@ def test_the_ground_tells_which_way_is_up(points: np.ndarray, degrees: tuple[flo
 def test_a_level_capture_stands_along_an_axis() -> None:
     """It is turned, says so, and is level to whoever looks at it next."""
     one, _ = turned(GARDEN, (20.0, 10.0, -15.0))
-    level = ls.level(one)
+    level = ls.editing.level(one)
     assert level.up == (0.0, -1.0, 0.0)
     lowest = level.means[:3000, 1]
     assert np.std(lowest) < 0.02
-    assert off(ls.find_up(ls.Scene([replace(level, up=None)])), DOWN) < 0.25
+    assert off(ls.editing.find_up(ls.Scene([replace(level, up=None)])), DOWN) < 0.25
 
 
 @pytest.mark.parametrize("stated", ["z-up", "y-up", (0.1, 0.2, 0.9)])
@@ -86,9 +86,9 @@ def test_a_capture_is_levelled_to_the_axis_that_it_states(stated: Any) -> None:
     """Files of nerfstudio stay z up: the axis is that nearest to what the file says, however the ground is tilted."""
     axis = np.array(ls.Scene(up="y-up" if stated == "y-up" else "z-up").up_direction)
     turn = np.cross(DOWN, axis)
-    aligned = ls.level(capture(GARDEN, up=axis), DOWN) if turn.any() or axis[1] > 0 else capture(GARDEN)
+    aligned = ls.editing.level(capture(GARDEN, up=axis), DOWN) if turn.any() or axis[1] > 0 else capture(GARDEN)
     crooked = replace(ls.transform(aligned, rotation_degrees=(8.0, -6.0, 5.0)), up=stated)
-    level = ls.level(crooked)
+    level = ls.editing.level(crooked)
     assert level.up == tuple(axis)
     assert np.std((level.means @ axis)[:3000]) < 0.02
 
@@ -96,16 +96,16 @@ def test_a_capture_is_levelled_to_the_axis_that_it_states(stated: Any) -> None:
 def test_a_thing_without_a_ground_stands_along_its_own_axis() -> None:
     """Its back, flat as it is, is no ground; and what stands straight already is left as it is."""
     one, up = turned(GUITAR, (20.0, 15.0, -25.0))
-    found = ls.find_up(ls.Scene([one]))
+    found = ls.editing.find_up(ls.Scene([one]))
     assert found.source == "axes"
     assert off(found, up) < 3.0
-    assert off(ls.find_up(ls.Scene([capture(GUITAR)])), DOWN) < 1e-5
+    assert off(ls.editing.find_up(ls.Scene([capture(GUITAR)])), DOWN) < 1e-5
 
 
 def test_a_stated_up_stays_where_there_is_no_ground() -> None:
     """The cameras knew better than the shape of what they saw."""
     up = (0.2, 0.1, 0.9)
-    found = ls.find_up(ls.Scene([capture(GUITAR, up=up)]))
+    found = ls.editing.find_up(ls.Scene([capture(GUITAR, up=up)]))
     assert (found.source, found.height) == ("stated", None)
     assert off(found, np.array(up) / np.linalg.norm(up)) < 1e-5
 
@@ -113,7 +113,7 @@ def test_a_stated_up_stays_where_there_is_no_ground() -> None:
 def test_a_wall_is_no_ground_of_a_capture_that_states_its_up() -> None:
     """However large it is: 50 degrees from what the cameras say is the end."""
     wall = floor()[:, [1, 0, 2]]
-    found = ls.find_up(ls.Scene([capture(wall, up=DOWN)]))
+    found = ls.editing.find_up(ls.Scene([capture(wall, up=DOWN)]))
     assert found.source == "stated"
 
 
@@ -123,7 +123,7 @@ def test_a_ball_has_no_up() -> None:
     ball = rng.normal(size=(2000, 3))
     ball /= np.linalg.norm(ball, axis=1)[:, None]
     with pytest.raises(ls.SceneError, match="as long as it is wide: name three points"):
-        ls.find_up(ls.Scene([capture(ball)]))
+        ls.editing.find_up(ls.Scene([capture(ball)]))
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
@@ -134,7 +134,7 @@ def test_three_points_tell_which_way_is_up(degrees: tuple[float, float, float], 
     corners = ls.transform(
         capture(np.array([(-3.0, 0, -3.0), (3.0, 0, -3.0), (0.0, 0, 3.0)])), rotation_degrees=degrees
     )
-    found = ls.find_up(ls.Scene([one]), corners.means[list(order)])
+    found = ls.editing.find_up(ls.Scene([one]), corners.means[list(order)])
     assert found.source == "points"
     assert off(found, up) < 1e-3
     assert present(found.height) == pytest.approx(0.0, abs=1e-5)
@@ -154,23 +154,23 @@ def test_three_points_tell_which_way_is_up(degrees: tuple[float, float, float], 
 def test_points_that_are_no_ground_are_refused(points: Any) -> None:
     """Too few, on a line, or none at all."""
     with pytest.raises(ls.SceneError, match=r"at least three points|lie on a line"):
-        ls.find_up(ls.Scene([capture(GARDEN)]), points)
+        ls.editing.find_up(ls.Scene([capture(GARDEN)]), points)
 
 
 def test_scenes_without_captures_are_refused() -> None:
     """There is nothing to look at."""
     with pytest.raises(ls.SceneError, match="the scene has none"):
-        ls.find_up(ls.Scene())
+        ls.editing.find_up(ls.Scene())
 
 
 def test_up_of_placed_captures_is_in_the_world() -> None:
     """Instances are looked at where they stand."""
     place = ls.SplatInstance(capture(GARDEN), rotation_degrees=(90.0, 0.0, 0.0), scale_by=3.0)
-    found = ls.find_up(ls.Scene([place]))
+    found = ls.editing.find_up(ls.Scene([place]))
     assert off(found, place.transform[:3, :3] @ DOWN / 3.0) < 0.25
 
 
 def test_the_same_capture_gives_the_same_bits() -> None:
     """Chance is drawn from a fixed seed."""
     one, _ = turned(ROOM, (25.0, 60.0, 30.0))
-    assert ls.find_up(ls.Scene([one])) == ls.find_up(ls.Scene([one]))
+    assert ls.editing.find_up(ls.Scene([one])) == ls.editing.find_up(ls.Scene([one]))

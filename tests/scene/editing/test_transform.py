@@ -68,14 +68,14 @@ def test_a_moved_camera_sees_the_same(pipeline: ls.Pipeline, scale: float, seed:
     config = ls.RenderConfig(pipeline=pipeline, background=(0.0, 0.0, 0.0))
     before = ls.render(ls.Scene(splats=[capture]), camera, config, device="cpu")
     after = ls.render(ls.Scene(splats=[moved]), moved_camera(camera, new_from_old, scale), config, device="cpu")
-    flat = ls.render(ls.Scene(splats=[ls.limit_sh_degree(capture, 0)]), camera, config, device="cpu")
+    flat = ls.render(ls.Scene(splats=[ls.editing.limit_sh_degree(capture, 0)]), camera, config, device="cpu")
     # Harmonics matter here; float32 coordinates of about 10 move edges of footprints by little.
     assert np.abs(flat.color - before.color).max() > 0.2
-    assert ls.psnr(np.clip(after.color, 0, 1), np.clip(before.color, 0, 1)) > 70.0
+    assert ls.metrics.psnr(np.clip(after.color, 0, 1), np.clip(before.color, 0, 1)) > 70.0
     # The same as placing the capture as it is.
     placed = ls.Scene(splats=[ls.SplatInstance(capture, new_from_old)])
     instance = ls.render(placed, moved_camera(camera, new_from_old, scale), config, device="cpu")
-    assert ls.psnr(np.clip(after.color, 0, 1), np.clip(instance.color, 0, 1)) > 70.0
+    assert ls.metrics.psnr(np.clip(after.color, 0, 1), np.clip(instance.color, 0, 1)) > 70.0
 
 
 def test_shapes_normals_and_materials() -> None:

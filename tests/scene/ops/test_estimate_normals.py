@@ -17,7 +17,7 @@ from support.kinds import present
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
 from support.scenes.sphere import unit
 
-AXIS, PLANE = ls.NormalEstimate.SMALLEST_AXIS, ls.NormalEstimate.PCA
+AXIS, PLANE = ls.config.NormalEstimate.SMALLEST_AXIS, ls.config.NormalEstimate.PCA
 
 
 def _plate() -> ls.Mesh:
@@ -50,7 +50,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("method", [AXIS, PLANE])
 @pytest.mark.parametrize("name", SHAPES)
-def test_normals_point_outwards(name: str, method: ls.NormalEstimate) -> None:
+def test_normals_point_outwards(name: str, method: ls.config.NormalEstimate) -> None:
     """Of more than 99 % of the Gaussians, convex or concave, and they are about the surface's own."""
     gaussians, truth = bare(SHAPES[name], 12_000)
     normals = ls.estimate_normals(gaussians, method)
@@ -134,7 +134,7 @@ def test_planes_are_smoother_where_gaussians_are_round() -> None:
 
 @pytest.mark.parametrize("method", [AXIS, PLANE])
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_a_few_gaussians_have_normals(method: ls.NormalEstimate, count: int) -> None:
+def test_a_few_gaussians_have_normals(method: ls.config.NormalEstimate, count: int) -> None:
     """Unit ones, whatever there is around them; all in one place, too."""
     for gaussians in (random_gaussians(6, count), one_gaussian(opacity=0.0, scale=(0.1, 0.2, 1e-6))):
         for some in (gaussians, replace(gaussians, means=np.zeros((gaussians.count, 3)))):

@@ -54,7 +54,7 @@ def write_relightable_set(folder: Path, gaussians: ls.Gaussians) -> Path:
     write_radiance(folder / "relit" / "dusk.exr", sky(0.5))
     (folder / "set.json").write_text(json.dumps({"specular": 0.5}))
     layers = LayerRenderer.of(gaussians, "cpu")
-    dusk = ls.LightEnvironment(ls.load_radiance(folder / "relit" / "dusk.exr"), visible=False)
+    dusk = ls.LightEnvironment(ls.io.load_radiance(folder / "relit" / "dusk.exr"), visible=False)
     scene = relit_scene(gaussians, (dusk,), (1.0, 1.0, 1.0), 0.5)
     relighter = ls.create_renderer(replace(CONFIG, background=None), "cpu")
     unlit = ls.create_renderer(ls.RenderConfig(background=None), "cpu")

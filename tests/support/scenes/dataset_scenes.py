@@ -25,7 +25,7 @@ def distance_to_block(point: Doubles) -> float:
     return float(np.linalg.norm(np.maximum(np.maximum(BLOCK_LOW - point, point - BLOCK_HIGH), 0.0)))
 
 
-def small_config(**changes: Any) -> ls.DatasetConfig:
+def small_config(**changes: Any) -> ls.config.DatasetConfig:
     """Settings of few small views without further layers; ``changes`` replace them."""
     settings: dict[str, Any] = {"views": 4, "width": 32, "height": 24, "layers": (), "seed": 3}
-    return ls.DatasetConfig(**(settings | changes))
+    return ls.config.DatasetConfig(**(settings | changes))

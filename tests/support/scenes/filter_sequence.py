@@ -34,7 +34,7 @@ class FilterSequence:
     def __init__(self, threads: int = 1, parallel: bool = False, *, shared: int = 1, **settings: int) -> None:
         self._buffers = Buffers("cpu")
         launcher = Launcher("cpu", threads=threads, parallel=parallel)
-        self.filter = LightFilter(launcher, self._buffers, ls.FilterConfig(**settings), "light", shared)
+        self.filter = LightFilter(launcher, self._buffers, ls.config.FilterConfig(**settings), "light", shared)
         self.frame = 0
         self.known_share = 1.0
         """Of the next frames, as of ``Motion``."""

@@ -40,12 +40,14 @@ def by_pixels(camera: ls.Camera, seed: int = 7) -> tuple[np.ndarray, np.ndarray]
     return rng.normal(size=(*shape, 3)).astype(np.float32), rng.normal(size=shape).astype(np.float32)
 
 
-def vars_of(found: ls.SplatGradients | ls.RayGradients) -> dict[str, np.ndarray]:
+def vars_of(found: ls.gradients.SplatGradients | ls.gradients.RayGradients) -> dict[str, np.ndarray]:
     """The derivatives by the first set, by name."""
     return {name: getattr(found.sets[0], name) for name in ("means", "rotations_wxyz", "scales", "opacities", "sh")}
 
 
-def check_instances(gaussians: ls.Gaussians, place: np.ndarray, find: Callable[[ls.Scene], ls.SplatGradients]) -> None:
+def check_instances(
+    gaussians: ls.Gaussians, place: np.ndarray, find: Callable[[ls.Scene], ls.gradients.SplatGradients]
+) -> None:
     """Two instances of a set, both in sight, have the derivatives of two sets together, and the pose those of one set.
 
     Args:

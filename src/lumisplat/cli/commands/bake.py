@@ -60,7 +60,7 @@ class Bake(PlacingCommand, DeviceCommand, SetCommand):
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
             return
-        ls.check_format(self.output)  # found now, rather than after the work
+        ls.io.check_format(self.output)  # found now, rather than after the work
         check_folder(self.output.absolute().parent, self.output)
         config = self._config()
         light = EnvironmentOptions(environment=self.environment, environment_rotation=self.environment_rotation)
@@ -115,6 +115,6 @@ def _joined(scene: ls.Scene) -> ls.Gaussians:
 
 def _placed(instance: ls.SplatInstance) -> ls.Gaussians:
     """A set where its instance places it."""
-    gaussians = ls.limit_sh_degree(instance.gaussians, instance.sh_degree)
+    gaussians = ls.editing.limit_sh_degree(instance.gaussians, instance.sh_degree)
     matrix = instance.transform
     return gaussians if (matrix == ls.SplatInstance(gaussians).transform).all() else ls.transform(gaussians, matrix)

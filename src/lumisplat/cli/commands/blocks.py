@@ -66,7 +66,7 @@ class Blocks(LoadingCommand):
             cell = self.cell or max(_cell(part) for part in parts)
             self._check_room(output, parts)
             cutting = partial(report, "cutting")
-            index = ls.write_blocks(output, _pieces(parts), cell, levels=self.coarser, progress=cutting)
+            index = ls.io.write_blocks(output, _pieces(parts), cell, levels=self.coarser, progress=cutting)
         levels = counted(self.coarser, "coarser level") if self.coarser else "no coarser levels"
         print(
             f"{output}: {index.count:,} Gaussians in {counted(len(index.blocks), 'block')}, cubes of {cell:g} and "
@@ -96,23 +96,25 @@ class Blocks(LoadingCommand):
             )
         return self.output
 
-    def _part(self, path: Path, report: Report) -> ls.PlyStream | ls.Gaussians:
+    def _part(self, path: Path, report: Report) -> ls.io.PlyStream | ls.Gaussians:
         """A capture, which is read later if it can be."""
-        if ls.can_stream(path):
-            return ls.stream_ply(path, drop_invalid=self.drop_invalid, progress=partial(report, f"reading {path.name}"))
+        if ls.io.can_stream(path):
+            return ls.io.stream_ply(
+                path, drop_invalid=self.drop_invalid, progress=partial(report, f"reading {path.name}")
+            )
         loaded = self.load_asset(path, report)
         if not isinstance(loaded, ls.Gaussians):
             raise ls.FormatError(path, "is not one capture: lumisplat convert makes one of a scene's")
         return loaded
 
-    def _check_room(self, output: Path, parts: Sequence[ls.PlyStream | ls.Gaussians]) -> None:
+    def _check_room(self, output: Path, parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> None:
         """Refuses what the disk has no room for.
 
         Raises:
             FormatError: There is less.
         """
         count = sum(part.count for part in parts)
-        sh_count = max(part.sh_count if isinstance(part, ls.PlyStream) else part.sh.shape[1] for part in parts)
+        sh_count = max(part.sh_count if isinstance(part, ls.io.PlyStream) else part.sh.shape[1] for part in parts)
         needed = 4 * (11 + 3 * sh_count) * count * (_LEVEL_SHARE if self.coarser else 1.0)
         there = next(path for path in (output, *output.absolute().parents) if path.exists())
         free = shutil.disk_usage(there).free
@@ -135,8 +137,8 @@ class Blocks(LoadingCommand):
             raise ls.ConfigError(f"--memory is {self.memory:g}, expected GB above 0")
         if not 0.0 <= self.lod_pixels < math.inf:
             raise ls.ConfigError(f"--lod-pixels is {self.lod_pixels:g}, expected 0 or more")
-        index, cameras = ls.open_blocks(folder), ls.load_cameras(self.cameras)
-        plans = ls.plan_views(index, cameras, self.workers, int(1e9 * self.memory), pixels=self.lod_pixels)
+        index, cameras = ls.io.open_blocks(folder), ls.load_cameras(self.cameras)
+        plans = ls.io.plan_views(index, cameras, self.workers, int(1e9 * self.memory), pixels=self.lod_pixels)
         whole = index.row_bytes * index.count
         print(
             f"{folder}: {index.count:,} Gaussians, {counted(len(index.blocks), 'block')}, {byte_size(whole)} (finest)"
@@ -159,7 +161,7 @@ class Blocks(LoadingCommand):
         print_columns(["worker", "views", "windows", "held at most", "loaded", "too large"], rows)
 
 
-def _pieces(parts: Sequence[ls.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaussians]:
+def _pieces(parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaussians]:
     """All captures, a piece at a time."""
     for part in parts:
         if isinstance(part, ls.Gaussians):
@@ -168,9 +170,9 @@ def _pieces(parts: Sequence[ls.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaussia
             yield from part
 
 
-def _cell(part: ls.PlyStream | ls.Gaussians) -> float:
+def _cell(part: ls.io.PlyStream | ls.Gaussians) -> float:
     """An edge of cubes that suits a capture."""
-    if isinstance(part, ls.PlyStream):
+    if isinstance(part, ls.io.PlyStream):
         return part.cell()
     low, high = part.bounds()
     return float((high - low).max()) or 1.0

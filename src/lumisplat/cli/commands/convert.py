@@ -108,7 +108,7 @@ class Convert(LevelsCommand):
             raise ls.ConfigError("several captures are joined only with -o: lumisplat convert A B -o OUT")
         if target is None or not sources:
             raise ls.ConfigError("convert needs what it reads and what it writes: lumisplat convert IN OUT")
-        ls.check_format(target)  # found now, rather than after the work
+        ls.io.check_format(target)  # found now, rather than after the work
         for option, given in (
             (f"--columns {self.columns}", self.columns != "lumisplat"),
             ("--incident", self.incident),
@@ -146,26 +146,26 @@ class Convert(LevelsCommand):
                 center, (radius,) = _halves(numbers("--sphere", self.sphere, 4, "0,0,0,2"), 3)
                 sphere = (center, radius)
             given = [name for name, value in (("--box", box), ("--sphere", sphere)) if value is not None]
-            yield ", ".join(given), lambda g: ls.crop(g, box, sphere, outside=self.outside)
+            yield ", ".join(given), lambda g: ls.editing.crop(g, box, sphere, outside=self.outside)
         elif self.outside:
             raise ls.ConfigError("--outside needs --box or --sphere")
         if self.keep:
             ranges = _value_ranges(self.keep)
-            yield "--keep", lambda g: ls.select(g, **ranges)
+            yield "--keep", lambda g: ls.editing.select(g, **ranges)
         if (neighbours := self.floaters) is not None:
             bar = partial(report, "looking for floaters")
-            yield "--floaters", lambda g: ls.remove_floaters(g, neighbours, progress=bar)
+            yield "--floaters", lambda g: ls.editing.remove_floaters(g, neighbours, progress=bar)
         if (degree := self.sh_degree) is not None:
-            yield "--sh-degree", lambda g: ls.limit_sh_degree(g, degree, pad=True)
+            yield "--sh-degree", lambda g: ls.editing.limit_sh_degree(g, degree, pad=True)
         if (share := self.decimate) is not None:
             merging = partial(report, "merging neighbours")
-            yield "--decimate", lambda g: ls.decimate(g, _count_of(share, g.count), progress=merging)
+            yield "--decimate", lambda g: ls.editing.decimate(g, _count_of(share, g.count), progress=merging)
         if self.level:
             yield "--level", lambda g: _levelled(g, done)
         if self.scale != 1.0 or self.rotate is not None or self.translate is not None:
             yield "--scale, --rotate, --translate", self._placed
         if self.morton:
-            yield "--morton", ls.sort_morton
+            yield "--morton", ls.editing.sort_morton
 
     def _placed(self, gaussians: ls.Gaussians) -> ls.Gaussians:
         turn = (0.0, 0.0, 0.0) if self.rotate is None else vector("--rotate", self.rotate, "180,0,0")
@@ -182,8 +182,8 @@ _BY = {
 
 def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
     """A capture whose up is an axis; what was found and turned is a line of ``done``."""
-    found = ls.find_up(ls.Scene([gaussians]))
-    level = ls.level(gaussians, found.up)
+    found = ls.editing.find_up(ls.Scene([gaussians]))
+    level = ls.editing.level(gaussians, found.up)
     assert level.up is not None
     cosine = sum(before * after for before, after in zip(found.up, level.up, strict=True))
     how = _BY.get(found.source)
@@ -208,12 +208,12 @@ def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:
 
 
 def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
-    """Reads ``opacity=0.1..``, ``scale_max=..0.5`` and ``x=-1..1`` as arguments of `lumisplat.select`.
+    """Reads ``opacity=0.1..``, ``scale_max=..0.5`` and ``x=-1..1`` as arguments of `lumisplat.editing.select`.
 
     Raises:
         ConfigError: A text is none of that, names an unknown value, or one for the second time.
     """
-    known = [name for name, p in inspect.signature(ls.select).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    known = [name for name, p in inspect.signature(ls.editing.select).parameters.items() if p.kind is p.KEYWORD_ONLY]
     ranges: dict[str, _Range] = {}
     for text in texts:
         name, equals, limits = text.partition("=")

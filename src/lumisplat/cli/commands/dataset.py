@@ -76,7 +76,7 @@ class Dataset(FrameCommand, PlacingCommand):
         print(lines)
         self.finish()
 
-    def settings(self) -> ls.DatasetConfig:
+    def settings(self) -> ls.config.DatasetConfig:
         """The settings of the file, with those that were given in their place.
 
         Raises:
@@ -91,7 +91,7 @@ class Dataset(FrameCommand, PlacingCommand):
             raise ls.ConfigError(
                 f"{single[0]} is of one camera, and views are random: [poses] of --settings says where"
             )
-        config = ls.DatasetConfig() if self.file is None else ls.load_dataset_config(self.file)
+        config = ls.config.DatasetConfig() if self.file is None else ls.io.load_dataset_config(self.file)
         given = {
             "views": self.views,
             "seed": self.seed,
@@ -104,10 +104,10 @@ class Dataset(FrameCommand, PlacingCommand):
         if self.objects:
             for path in self.objects:
                 if not path.exists():
-                    raise ls.MissingFileError(path, "no such file")
+                    raise ls.errors.MissingFileError(path, "no such file")
             config = replace(config, objects=replace(config.objects, files=tuple(map(str, self.objects))))
         if self.cameras is not None:
-            config = replace(config, poses=replace(config.poses, where=ls.PosePlaces.CAMERAS))
+            config = replace(config, poses=replace(config.poses, where=ls.config.PosePlaces.CAMERAS))
         return config
 
     def open_frames(self, report: Report) -> FrameJob:
@@ -135,7 +135,7 @@ class Dataset(FrameCommand, PlacingCommand):
         renderer = self.start_renderer(report, config, profile=self.stats)
         scene = self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
-        views = ls.DatasetViews(
+        views = ls.dataset.DatasetViews(
             scene,
             settings,
             cameras=cameras,
@@ -162,7 +162,7 @@ class Dataset(FrameCommand, PlacingCommand):
 
     def finish(self) -> None:
         """Writes what follows from all views, once they are there, and prints what there is."""
-        summary = ls.finish_dataset(self.output, self.settings())
+        summary = ls.dataset.finish_dataset(self.output, self.settings())
         if summary.missing:
             are, them = ("is", "it") if summary.missing == 1 else ("are", "them")
             print(f"{counted(summary.missing, 'view')} {are} missing: the same command without --frames makes {them}")
@@ -179,21 +179,21 @@ class Dataset(FrameCommand, PlacingCommand):
             f"{summary.test} to test by{shards}; {self.output / 'contact_sheet.png'} shows the first"
         )
 
-    def _cameras(self, settings: ls.DatasetConfig) -> list[ls.Camera]:
+    def _cameras(self, settings: ls.config.DatasetConfig) -> list[ls.Camera]:
         """The cameras near which views are.
 
         Raises:
             ConfigError: They are wanted, and neither --cameras nor a scene.toml has any.
             FormatError: The file cannot be read, or --cameras has none.
         """
-        if settings.poses.where is not ls.PosePlaces.CAMERAS:
+        if settings.poses.where is not ls.config.PosePlaces.CAMERAS:
             return []
         cameras = self.load_cameras(self.cameras, scene_file(self.scene))
         if not cameras:
             raise ls.ConfigError("views are to be near cameras, and there are none: give --cameras FILE")
         return cameras
 
-    def _origin(self, settings: ls.DatasetConfig, config: ls.RenderConfig, device: str) -> dict[str, str]:
+    def _origin(self, settings: ls.config.DatasetConfig, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a view follows from, except its number."""
         # Not the settings file: what it says is among the settings, and some of that may change.
         files = [*self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
@@ -222,9 +222,9 @@ class _ViewMaker:
         source: Renders frames.
     """
 
-    def __init__(self, command: Dataset, views: ls.DatasetViews, source: FrameSource) -> None:
+    def __init__(self, command: Dataset, views: ls.dataset.DatasetViews, source: FrameSource) -> None:
         self._command, self._views, self._source = command, views, source
-        self._view: ls.DatasetView | None = None
+        self._view: ls.dataset.DatasetView | None = None
 
     def render(self, index: int, report: Report) -> ls.Frame:
         """Renders a view."""

@@ -61,7 +61,7 @@ class Delight(LevelsCommand, DeviceCommand):
             self.quiet_warp()
             capture = self._loaded(report)
             try:
-                found = ls.estimate_materials(capture, config, device=self.device, progress=report)
+                found = ls.inverse.estimate_materials(capture, config, device=self.device, progress=report)
             except ls.SceneError as error:
                 raise ls.FormatError(self.capture, str(error)) from None
             report("writing", 0.0)
@@ -75,7 +75,7 @@ class Delight(LevelsCommand, DeviceCommand):
             told = "the sky as an image" if not found.is_inside else "is not written: a room has no sky"
             print(f"{self.sky}: {told}")
 
-    def _save_sky(self, found: ls.MaterialEstimate, sky: Path, capture: ls.Gaussians) -> None:
+    def _save_sky(self, found: ls.inverse.MaterialEstimate, sky: Path, capture: ls.Gaussians) -> None:
         """Writes the image of the sky.
 
         Raises:
@@ -106,7 +106,7 @@ class Delight(LevelsCommand, DeviceCommand):
                 self.output,
                 "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others have no room for materials",
             )
-        ls.check_format(self.output)  # whether what writes it is installed
+        ls.io.check_format(self.output)  # whether what writes it is installed
         if self.sky is not None and self.sky.suffix.lower() != ".exr":
             raise ls.FormatError(self.sky, "unknown extension for the image of a sky, expected .exr")
         for path in (self.output, self.sky):

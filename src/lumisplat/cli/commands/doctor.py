@@ -33,7 +33,7 @@ class Doctor(Command):
         """
         if not self.debug:
             quiet_warp()
-        found = ls.diagnose()
+        found = ls.diagnostics.diagnose()
         if self.json:
             print(json.dumps(asdict(found) | {"problems": found.problems}, indent=2, default=str))
         else:
@@ -42,7 +42,7 @@ class Doctor(Command):
             raise ls.DeviceError("; ".join(found.problems))
 
 
-def _print(found: ls.Diagnosis) -> None:
+def _print(found: ls.diagnostics.Diagnosis) -> None:
     print_table(
         f"Lumisplat {found.version}",
         [

@@ -89,10 +89,10 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if self.pipeline is not None:
             config = replace(config, pipeline=ls.Pipeline(self.pipeline))
         if self.projection is not None:
-            config = replace(config, raster=replace(config.raster, projection=ls.Projection(self.projection)))
+            config = replace(config, raster=replace(config.raster, projection=ls.config.Projection(self.projection)))
         if config.background is None:
             raise ls.ConfigError("--background is transparent, expected a colour over which pictures are compared")
-        keeps_lenses = not config.pipeline.rasterises or config.raster.projection is ls.Projection.UNSCENTED
+        keeps_lenses = not config.pipeline.rasterises or config.raster.projection is ls.config.Projection.UNSCENTED
         if self.output is not None:
             check_folder(self.output)
         with progress_bars() as report:
@@ -141,16 +141,16 @@ class Evaluate(LoadingCommand, DeviceCommand):
             raise ls.ConfigError(f"{counted(len(captures), 'capture')} given, expected one with --materials")
         if self.output is not None:
             inside = self.output.resolve().is_relative_to(folder.resolve())
-            check_report(self.output, _files_of(ls.load_photographs(folder)) if inside else ())
+            check_report(self.output, _files_of(ls.io.load_photographs(folder)) if inside else ())
         found = self.environment or captures[0].with_suffix(".environment.exr")
-        light = ls.load_radiance(found) if self.environment or found.is_file() else None
+        light = ls.io.load_radiance(found) if self.environment or found.is_file() else None
         config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
         with progress_bars() as report:
             self.quiet_warp()
             capture = self.load_asset(captures[0], report)
             if not isinstance(capture, ls.Gaussians):
                 raise ls.FormatError(captures[0], "is no capture, expected Gaussians")
-            result = ls.evaluate_materials(
+            result = ls.inverse.evaluate_materials(
                 capture,
                 folder,
                 environment=light,
@@ -168,14 +168,14 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
     def _views(
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
-    ) -> Sequence[ls.Photograph]:
+    ) -> Sequence[ls.io.Photograph]:
         """The photographs that are held out.
 
         Raises:
             ConfigError: None is, or the report would take their place.
             FormatError: The folder cannot be read.
         """
-        photographs = ls.load_photographs(
+        photographs = ls.io.load_photographs(
             folder,
             scale=self.scale,
             hold_out=self.hold_out,
@@ -190,15 +190,15 @@ class Evaluate(LoadingCommand, DeviceCommand):
         return photographs.held_out
 
 
-def _files_of(photographs: ls.Photographs) -> list[Path]:
+def _files_of(photographs: ls.io.Photographs) -> list[Path]:
     """Of all: those of a folder for training may have the names of those that are held out in another."""
     return [view.path for view in (*photographs.training, *photographs.held_out)]
 
 
-def _common_scales(views: Sequence[ls.Photograph]) -> int:
+def _common_scales(views: Sequence[ls.io.Photograph]) -> int:
     """How many scales of MS-SSIM suit all photographs; fewer than five are said."""
     smallest = min((view.camera for view in views), key=lambda camera: min(camera.width, camera.height))
-    scales = ls.ms_ssim_scales(smallest.height, smallest.width)
+    scales = ls.metrics.ms_ssim_scales(smallest.height, smallest.width)
     if 0 < scales < 5:
         size = f"{smallest.width} x {smallest.height}"
         _log.warning("ms-ssim has %d scales: photographs of %s pixels are too small for 5", scales, size)

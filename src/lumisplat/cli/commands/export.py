@@ -43,7 +43,7 @@ class Export(PlacingCommand):
 
     def run(self) -> None:
         """Loads, writes, and prints what is in the file."""
-        ls.check_format(self.output, scene=True)  # found now, rather than after the work
+        ls.io.check_format(self.output, scene=True)  # found now, rather than after the work
         check_folder(self.output.absolute().parent, self.output)
         cameras = self._cameras()
         with progress_bars() as report:

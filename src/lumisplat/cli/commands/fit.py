@@ -93,7 +93,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         config = self._config(scene_settings(file))
         with progress_bars() as report:
             self.quiet_warp()
-            document = ls.SceneDocument.open(scenes, partial(self.load_asset, report=report))
+            document = ls.io.SceneDocument.open(scenes, partial(self.load_asset, report=report))
             if document.problems:
                 raise ls.SceneError(document.problems[0])
             fit = ls.fit_lights(

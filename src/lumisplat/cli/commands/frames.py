@@ -38,7 +38,7 @@ class Frames(Command):
         from PIL import Image
 
         with progress_bars() as report:
-            files = ls.extract_frames(self.film, self.output, every=self.every, size=self.size, progress=report)
+            files = ls.io.extract_frames(self.film, self.output, every=self.every, size=self.size, progress=report)
         with Image.open(files[0]) as first:
             width, height = first.size
         print(f"{files[0].parent}: {counted(len(files), 'photograph')} of {width} x {height}")

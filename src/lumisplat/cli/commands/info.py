@@ -21,7 +21,7 @@ from lumisplat.cli.output.console import byte_size, counted, print_table, progre
 if TYPE_CHECKING:
     from lumisplat.math.arrays import FloatArray
 
-    Held = ls.BlockIndex | ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
+    Held = ls.io.BlockIndex | ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
 
 _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
@@ -63,7 +63,7 @@ class Info(LevelsCommand):
         kind, held = self._load(path)
         size = ("file", byte_size(size_on_disk(path)))
         match held:
-            case ls.BlockIndex():
+            case ls.io.BlockIndex():
                 print_table(str(path), [("kind", kind), size, *block_rows(held)])
             case ls.Gaussians():
                 print_table(str(path), [("kind", kind), size, *gaussian_rows(held)])
@@ -83,7 +83,7 @@ class Info(LevelsCommand):
         kind, held = self._load(path)
         head = {"file": str(path), "kind": kind, "bytes": size_on_disk(path)}
         match held:
-            case ls.BlockIndex():
+            case ls.io.BlockIndex():
                 return head | describe.block_facts(held)
             case ls.Gaussians():
                 return head | describe.capture_facts(held)
@@ -106,9 +106,9 @@ class Info(LevelsCommand):
         if _holds_cameras(path):
             return "cameras", ls.load_cameras(path)
         if self.lod is None and (folder := block_folder(path)) is not None:
-            return "blocks", ls.open_blocks(folder)
+            return "blocks", ls.io.open_blocks(folder)
         if suffix in (".hdr", ".pic", ".exr"):
-            return "radiance", ls.load_radiance(path)
+            return "radiance", ls.io.load_radiance(path)
         with progress_bars() as report:
             asset = self.load_asset(path, report)
         kinds = {ls.Gaussians: "capture", ls.Mesh: "mesh", ls.Scene: "scene"}
@@ -135,7 +135,7 @@ def _animation(path: Path) -> ls.Animation | None:
     return ls.load_animation(path)
 
 
-def _rig(path: Path) -> ls.Rig | None:
+def _rig(path: Path) -> ls.avatars.Rig | None:
     """The rig of a glTF file; None: it has neither joints nor clips, or none that can be played."""
     if path.suffix.lower() not in (".glb", ".gltf"):
         return None
@@ -143,7 +143,7 @@ def _rig(path: Path) -> ls.Rig | None:
     if not isinstance(document, dict) or not ("animations" in document or "skins" in document):
         return None
     try:
-        return ls.load_rig(path)
+        return ls.avatars.load_rig(path)
     except ls.SceneError:  # what is shown is what a scene shows of it, at rest
         return None
 

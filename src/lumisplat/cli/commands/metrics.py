@@ -123,7 +123,7 @@ class Metrics(LoadingCommand):
 
     def _light_figures(self, avatar: _Capture, scene: _Capture) -> Figures:
         """The figures of light, by name."""
-        points = ls.LitPoints.of(avatar)
+        points = ls.metrics.LitPoints.of(avatar)
         options = {} if self.radius is None else {"radius": self.radius}
         return {name: _metric(name)(points, scene, **options) for name in _OF_LIGHT}
 
@@ -169,7 +169,7 @@ def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tu
         for name in names:
             try:
                 row[name] = _figure(name, pair)
-            except ls.MissingExtraError as error:
+            except ls.errors.MissingExtraError as error:
                 problems.setdefault(f"no {name}: {error}", error)
             except ls.SceneError as error:
                 problems.setdefault(str(error), error)
@@ -203,14 +203,14 @@ def _loaded_picture(path: Path) -> npt.NDArray[np.float32]:
 
 def _metric(name: str) -> Callable[..., float]:
     """The library's function of a metric."""
-    return getattr(ls, name)
+    return getattr(ls.metrics, name)
 
 
 @lru_cache(maxsize=2)
 def _shadow_strength(path: Path) -> npt.NDArray[np.float32]:
     """The mean of the channels: of linear files as it is, of others as they are shown."""
     linear = path.suffix.lower() in (".exr", ".hdr")
-    return (ls.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
+    return (ls.io.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
 
 
 def _counted(files: Sequence[Path]) -> str:

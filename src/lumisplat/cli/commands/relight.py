@@ -65,11 +65,11 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
             return
-        config = ls.RelightConfig(
+        config = ls.config.RelightConfig(
             exponent=self.exponent,
             scale_max=self.scale_max,
             gamma=self.gamma,
-            normals=ls.NormalEstimate(self.normals),
+            normals=ls.config.NormalEstimate(self.normals),
         )
         at = None if self.at is None else vector("--at", self.at, "0,1,2.5")
         self._check_outputs()
@@ -83,7 +83,7 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
             scene = self.load_scene(self.scene, report, given_up=parse_up(self.up))
             place = at or _middle(avatar)
             report("gathering light", 0.0)
-            probe = ls.EnvironmentProbe.capture(scene, place, self.degree, near=self.near, renderer=renderer)
+            probe = ls.avatars.EnvironmentProbe.capture(scene, place, self.degree, near=self.near, renderer=renderer)
             report("relighting", 0.0)
             relit = ls.relight(avatar, probe, config).gaussians
             report("writing", 0.0)
@@ -95,7 +95,7 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
 
     def _check_outputs(self) -> None:
         """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
-        ls.check_format(self.output)
+        ls.io.check_format(self.output)
         if self.probe is not None and self.probe.suffix.lower() != ".exr":
             raise ls.FormatError(self.probe, "unknown extension for the image of a probe, expected .exr")
 
@@ -112,7 +112,7 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
         )
 
     def _print_summary(
-        self, relit: ls.Gaussians, probe: ls.EnvironmentProbe, place: tuple[float, float, float]
+        self, relit: ls.Gaussians, probe: ls.avatars.EnvironmentProbe, place: tuple[float, float, float]
     ) -> None:
         """Prints what was written, how bright the light is, and which --gamma keeps the avatar's brightness."""
         mean = _CONSTANT_HARMONIC * probe.coefficients[0]

@@ -128,12 +128,12 @@ class Render(ViewsCommand, FrameCommand):
             has_layers = bool(self._layers.names)
             tiles = Tiles.of(shots, [*frames.wanted], tiles_text, self.output, _STAMP, has_layers=has_layers)
             if splits_samples:
-                shared = SharedSamples.of_tiles(tiles, ls.sample_blocks(source.renderer, pictures.scene))
+                shared = SharedSamples.of_tiles(tiles, ls.farm.sample_blocks(source.renderer, pictures.scene))
                 return self._shared_job(pictures, frames, shared)
             shots = list(tiles.shots)
             frames = replace(frames, folder=tiles.folder, wanted=tiles.wanted, unit="tile")
         elif splits_samples:
-            blocks = ls.sample_blocks(source.renderer, pictures.scene)
+            blocks = ls.farm.sample_blocks(source.renderer, pictures.scene)
             shared = SharedSamples.of(shots, [*frames.wanted], blocks, self.output, _STAMP)
             return self._shared_job(pictures, frames, shared)
         elif folder != self.output:
@@ -184,8 +184,8 @@ class Render(ViewsCommand, FrameCommand):
         """Blocks of samples of all pictures or tiles, and these."""
         source, scene = pictures.source, pictures.scene
 
-        def write(made: ls.Frame | ls.SamplePart, index: int) -> None:
-            if isinstance(made, ls.SamplePart):
+        def write(made: ls.Frame | ls.farm.SamplePart, index: int) -> None:
+            if isinstance(made, ls.farm.SamplePart):
                 made.save(shared.folder.path(index))
             else:
                 self._write(pictures, made, shared.shot(index))
@@ -275,16 +275,16 @@ class Render(ViewsCommand, FrameCommand):
         if self._layers.deep:
             renderer = pictures.source.renderer
             camera = pictures.source.focused(pictures.scene, shot.camera)
-            deep = ls.render_deep(pictures.scene, camera, frame, renderer.config, device=renderer.device)
+            deep = ls.layers.render_deep(pictures.scene, camera, frame, renderer.config, device=renderer.device)
             deep.save(shot.path.with_suffix(".deep.exr"))
         mattes = self._mattes(pictures.scene, shot.camera, pictures.source.renderer)
         pictures.writer.write(frame, shot.path, mattes)
 
-    def _mattes(self, scene: ls.Scene, camera: ls.Camera, renderer: ls.Renderer) -> ls.Mattes | None:
+    def _mattes(self, scene: ls.Scene, camera: ls.Camera, renderer: ls.Renderer) -> ls.layers.Mattes | None:
         """Mattes of a picture, if they are asked for."""
         if not self._layers.cryptomatte:
             return None
-        return ls.render_mattes(scene, camera, renderer.config, device=renderer.device)
+        return ls.layers.render_mattes(scene, camera, renderer.config, device=renderer.device)
 
     def _warm_up(self) -> WarmUp:
         """How frames in real time come to a picture; --samples counts them."""

@@ -81,7 +81,7 @@ class ShadowMap(PlacingCommand, DeviceCommand):
 
     def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
         """Writes the capture with the shadows; a summary."""
-        config = ls.AvatarLightingConfig(
+        config = ls.config.AvatarLightingConfig(
             shadow_map=self._map_config(), relight=False, **without_none({"direct": self.direct})
         )
         scene = ls.Scene(splats=(ls.SplatInstance(capture),))
@@ -111,14 +111,14 @@ class ShadowMap(PlacingCommand, DeviceCommand):
             f"{byte_size(self.output.stat().st_size)}"
         )
 
-    def _map_config(self) -> ls.DeepShadowConfig:
+    def _map_config(self) -> ls.config.DeepShadowConfig:
         """The settings of the map."""
         changes = without_none({"strength": self.strength, "resolution": self.resolution})
         if self.absorption is not None:
-            changes["absorption"] = ls.Absorption(self.absorption)
+            changes["absorption"] = ls.config.Absorption(self.absorption)
         if self.sampling is not None:
-            changes["sampling"] = ls.ReceiverSampling(self.sampling)
-        return replace(ls.DeepShadowConfig(), **changes)
+            changes["sampling"] = ls.config.ReceiverSampling(self.sampling)
+        return replace(ls.config.DeepShadowConfig(), **changes)
 
     def _lights(self) -> tuple[ls.LightPoint | ls.LightDirectional, ...]:
         """The lights that were given."""

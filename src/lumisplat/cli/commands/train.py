@@ -120,7 +120,7 @@ class Train(DeviceCommand):
         for made in (self._config, self._materials_config, self._seconds, self._checked_background):
             made()
 
-    def make(self, report: Report) -> tuple[ls.TrainResult, ls.FoundMaterials | None]:
+    def make(self, report: Report) -> tuple[ls.training.TrainResult, ls.inverse.FoundMaterials | None]:
         """Trains, and writes the capture.
 
         Args:
@@ -134,10 +134,10 @@ class Train(DeviceCommand):
             LumisplatError: As of `lumisplat.train`.
         """
         if self.poses is not None and not any((self.folder / name).exists() for name in _POSES):
-            ls.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
+            ls.io.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
         config = self._config()
         try:
-            photographs = ls.load_photographs(
+            photographs = ls.io.load_photographs(
                 self.folder,
                 scale=self.scale,
                 hold_out=self.hold_out,
@@ -159,15 +159,19 @@ class Train(DeviceCommand):
             raise KeyboardInterrupt(f"{self._again} continues; with --stop-after 1s, it writes the capture") from None
         return result, self._materials(result, photographs, self._materials_config(), report)
 
-    def tell(self, result: ls.TrainResult, found: ls.FoundMaterials | None) -> None:
+    def tell(self, result: ls.training.TrainResult, found: ls.inverse.FoundMaterials | None) -> None:
         """Says what came of it."""
         self._tell(result)
         if found is not None:
             self._tell_materials(found)
 
     def _materials(
-        self, result: ls.TrainResult, photographs: ls.Photographs, config: ls.MaterialsConfig, report: Report
-    ) -> ls.FoundMaterials | None:
+        self,
+        result: ls.training.TrainResult,
+        photographs: ls.io.Photographs,
+        config: ls.config.MaterialsConfig,
+        report: Report,
+    ) -> ls.inverse.FoundMaterials | None:
         """Finds and writes materials, once training has come to its end."""
         if not self.relightable or not result.is_finished:
             return None
@@ -177,7 +181,7 @@ class Train(DeviceCommand):
             moved = zip(photographs.training, result.cameras, strict=True)
             photographs = replace(photographs, training=tuple(replace(one, camera=camera) for one, camera in moved))
         try:
-            found = ls.find_materials(
+            found = ls.inverse.find_materials(
                 result.gaussians, photographs, config, output=self.output, device=self.device, progress=report
             )
         except KeyboardInterrupt:
@@ -185,7 +189,7 @@ class Train(DeviceCommand):
         write_materials(self.output.with_suffix(".training") / "materials", found, photographs, self.device)
         return found
 
-    def _tell_materials(self, found: ls.FoundMaterials) -> None:
+    def _tell_materials(self, found: ls.inverse.FoundMaterials) -> None:
         """Says what is beside the capture, and what is doubtful."""
         sky = self.output.with_name(self.output.stem + ".environment.exr")
         print(f"{sky}: the sky; {self.output.with_suffix('.training')}/materials has pictures of both")
@@ -199,8 +203,8 @@ class Train(DeviceCommand):
         """The time after which it ends; None: none is given."""
         return None if self.stop_after is None else seconds_of("--stop-after", self.stop_after)
 
-    def _materials_config(self) -> ls.MaterialsConfig:
-        return ls.MaterialsConfig(iterations=self.material_steps, seed=self.seed)
+    def _materials_config(self) -> ls.config.MaterialsConfig:
+        return ls.config.MaterialsConfig(iterations=self.material_steps, seed=self.seed)
 
     def _config(self) -> ls.TrainConfig:
         given = (self.flatness, self.normals, self.depth_spread)
@@ -211,9 +215,9 @@ class Train(DeviceCommand):
             iterations=self.iterations,
             cap=self.cap,
             sh_degree=self.sh_degree,
-            densification=ls.Densification(self.densification),
+            densification=ls.config.Densification(self.densification),
             pipeline=ls.Pipeline(self.pipeline),
-            projection=ls.Projection(self.projection),
+            projection=ls.config.Projection(self.projection),
             kernel_degree=self.kernel_degree,
             antialiased=self.antialiased,
             exposures=self.exposures,
@@ -245,7 +249,7 @@ class Train(DeviceCommand):
             raise ls.ConfigError(f"{error}, or random: another one in each step") from None
         return self.background
 
-    def _tell(self, result: ls.TrainResult) -> None:
+    def _tell(self, result: ls.training.TrainResult) -> None:
         """Says what came of it."""
         score = result.score
         if score is not None:

@@ -47,7 +47,7 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
     unit = job.frames.unit
     progress = FrameProgress(report, f"{unit}s", len(missing), fewer if unit == "frame" else "", unit)
     made = 0
-    frame: ls.Frame | ls.SamplePart | None = None
+    frame: ls.Frame | ls.farm.SamplePart | None = None
     for index in missing:
         try:
             frame = job.make(index, report)

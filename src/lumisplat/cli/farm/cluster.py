@@ -94,7 +94,7 @@ def _load_ray() -> Any:
         return importlib.import_module("ray")
     except ImportError:
         what = "lumisplat farm, which runs on Ray (plain commands share frames by --frames and --resume),"
-        raise ls.MissingExtraError(what, "farm") from None
+        raise ls.errors.MissingExtraError(what, "farm") from None
 
 
 def _has_token() -> bool:

@@ -82,7 +82,7 @@ class FrameJob:
     summarise: Callable[[Any, int], None] | None = None
     """Prints what so many frames took, of which the given one is the last."""
 
-    def make(self, index: int, report: Report) -> ls.Frame | ls.SamplePart | None:
+    def make(self, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart | None:
         """Renders a frame and writes it whole, unless it is there.
 
         Returns:
@@ -126,4 +126,4 @@ def is_mistake(error: BaseException, frames: FrameList) -> bool:
     """Whether an error of the first frame that is made will come of all: a setting, a file or a package."""
     if isinstance(error, ls.FormatError):
         return not frames.folder.holds(error.path)
-    return isinstance(error, ls.ConfigError | ls.SceneError | ls.MissingExtraError)
+    return isinstance(error, ls.ConfigError | ls.SceneError | ls.errors.MissingExtraError)

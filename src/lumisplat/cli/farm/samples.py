@@ -94,7 +94,7 @@ class SharedSamples:
         """Whether a unit is a picture or tile, else a block of one."""
         return index % (len(self.blocks) + 1) == len(self.blocks)
 
-    def make(self, source: FrameSource, scene: ls.Scene, index: int, report: Report) -> ls.Frame | ls.SamplePart:
+    def make(self, source: FrameSource, scene: ls.Scene, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart:
         """A block, or a picture or tile of its blocks.
 
         Args:
@@ -111,13 +111,13 @@ class SharedSamples:
         camera = source.focused(scene, self.shot(index).camera)
         if not self.is_shot(index):
             block = self.blocks[index % (len(self.blocks) + 1)]
-            return ls.render_samples(source.renderer, scene, camera, block, progress=report)
-        return source.finished(ls.merge_samples(source.renderer, scene, camera, self._parts(index)))
+            return ls.farm.render_samples(source.renderer, scene, camera, block, progress=report)
+        return source.finished(ls.farm.merge_samples(source.renderer, scene, camera, self._parts(index)))
 
-    def _parts(self, index: int) -> Iterator[ls.SamplePart]:
+    def _parts(self, index: int) -> Iterator[ls.farm.SamplePart]:
         """The blocks of a shot, loaded one by one."""
         for number in range(index - len(self.blocks), index):
-            yield ls.SamplePart.load(self.folder.path(number))
+            yield ls.farm.SamplePart.load(self.folder.path(number))
 
 
 def _units(shot: Shot, blocks: list[range]) -> list[Path]:

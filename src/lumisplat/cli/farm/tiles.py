@@ -33,7 +33,7 @@ class TiledPicture:
         """As of `PartedPicture`."""
         if not self.path.is_file():
             try:
-                ls.join_windows(self.path, self.tiles)
+                ls.io.join_windows(self.path, self.tiles)
             except ls.FormatError:
                 if not self.path.is_file():  # else another run has joined it, and removed the tiles
                     raise

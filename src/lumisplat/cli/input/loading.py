@@ -128,12 +128,12 @@ _log = logging.getLogger("lumisplat")
 class BlockViews:
     """A capture in blocks, of which each view loads what it sees; what the last one saw is kept."""
 
-    index: ls.BlockIndex
+    index: ls.io.BlockIndex
     pixels: float
-    """As of `lumisplat.visible_blocks`."""
+    """As of `lumisplat.io.visible_blocks`."""
     preview: ls.Scene
     """Some of its Gaussians, to see where it is."""
-    _parts: list[ls.BlockPart] = field(default_factory=list["ls.BlockPart"], init=False)
+    _parts: list[ls.io.BlockPart] = field(default_factory=list["ls.io.BlockPart"], init=False)
     _scene: ls.Scene | None = field(default=None, init=False)
 
     def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
@@ -150,15 +150,15 @@ class BlockViews:
         if self._scene is None or parts != self._parts:
             self._scene = None
             release()
-            shown = [replace(self.preview.splats[0], gaussians=ls.load_blocks(self.index, parts))] if parts else []
+            shown = [replace(self.preview.splats[0], gaussians=ls.io.load_blocks(self.index, parts))] if parts else []
             self._parts, self._scene = parts, replace(self.preview, splats=shown)
         return self._scene
 
-    def _seen(self, camera: ls.Camera) -> list[ls.BlockPart]:
+    def _seen(self, camera: ls.Camera) -> list[ls.io.BlockPart]:
         try:
-            return ls.visible_blocks(self.index, camera, pixels=self.pixels)
+            return ls.io.visible_blocks(self.index, camera, pixels=self.pixels)
         except ls.SceneError:  # a lens that sees around corners
-            return ls.all_blocks(self.index)
+            return ls.io.all_blocks(self.index)
 
 
 def block_views(
@@ -194,7 +194,7 @@ def block_views(
     needs = [
         "other files of the scene" * (len(paths) > 1),
         f"--pipeline {config.pipeline.value}" * config.pipeline.spawns_rays,
-        "--set raster.projection=unscented" * (config.raster.projection is ls.Projection.UNSCENTED),
+        "--set raster.projection=unscented" * (config.raster.projection is ls.config.Projection.UNSCENTED),
         "light" * (lit or config.lighting is True),
         whole,
     ]
@@ -208,8 +208,8 @@ def block_views(
             needed,
         )
         return None
-    index = ls.open_blocks(folders[0])
-    preview = ls.Scene(splats=[ls.SplatInstance(ls.thin_blocks(index))])
+    index = ls.io.open_blocks(folders[0])
+    preview = ls.Scene(splats=[ls.SplatInstance(ls.io.thin_blocks(index))])
     return BlockViews(index, pixels or 0.0, upright(preview))
 
 

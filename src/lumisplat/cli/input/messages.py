@@ -89,7 +89,7 @@ def _settings() -> tuple[dict[str, str], dict[str, str]]:
 
 def _member(found: re.Match[str]) -> str:
     """A value of a setting as it is typed."""
-    kind, setting = getattr(ls, found[1], None), _settings()[0].get(found[1])
+    kind, setting = getattr(ls.config, found[1], None), _settings()[0].get(found[1])
     if not (isinstance(kind, type) and issubclass(kind, Enum)) or found[2] not in kind.__members__:
         return found[0]
     value = kind[found[2]].value

@@ -152,7 +152,7 @@ ViewpointGroup = Annotated[ViewpointOptions, arg(name="camera"), OmitArgPrefixes
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions(ViewpointOptions):
-    """A viewpoint, with the aperture of `lumisplat.Camera` and the pixel of `lumisplat.focused`."""
+    """A viewpoint, with the aperture of `lumisplat.Camera` and the pixel of `lumisplat.rays.focused`."""
 
     aperture: Annotated[float | None, setting("UNITS", "the camera's or 0")] = None
     """Set the radius of the lens: what is not in focus is blurred."""

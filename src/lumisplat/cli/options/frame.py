@@ -131,7 +131,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         if cameras is not None or self.viewpoint.is_given:
             other = "--cameras" if cameras is not None else "a viewpoint of your own"
             raise ls.ConfigError(f"--camera-path and {other} are both given: choose one")
-        return ls.load_camera_path(path, width=self.width, height=self.height)
+        return ls.io.load_camera_path(path, width=self.width, height=self.height)
 
     def cameras_along(self, path: Path, times: Sequence[float]) -> list[ls.Camera]:
         """The cameras of --camera-path at the times of frames, over which all of the path is spread."""

@@ -74,7 +74,7 @@ class EnvironmentOptions(LightOptions):
         """
         if self.capture_gain != "auto":
             return config
-        gain = ls.estimate_capture_gain(scene, device=renderer.device)
+        gain = ls.avatars.estimate_capture_gain(scene, device=renderer.device)
         _log.info("captured light is brightened by %g stops (--capture-gain %g)", gain, gain)
         config = replace(config, capture_gain=gain)
         renderer.reconfigure(config)
@@ -101,7 +101,7 @@ class EnvironmentOptions(LightOptions):
             return None
         if not math.isfinite(self.environment_rotation or 0.0):
             raise ls.ConfigError(f"--environment-rotation is {self.environment_rotation}, expected degrees")
-        return ls.LightEnvironment(image=ls.load_radiance(self.environment), name=self.environment.stem)
+        return ls.LightEnvironment(image=ls.io.load_radiance(self.environment), name=self.environment.stem)
 
     def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None) -> ls.Scene:
         """The scene with the given environment in place of its own.

@@ -96,7 +96,11 @@ def _used_by_raster(config: ls.RenderConfig, *, lit: bool, shadowed: bool) -> li
     """Settings of samples and rays that a rasterised frame uses: those of samples, and those of shadow rays."""
     used: list[str] = []
     raster = config.raster
-    if lit or raster.strategy is ls.RasterStrategy.STOCHASTIC or raster.projection is ls.Projection.UNSCENTED:
+    if (
+        lit
+        or raster.strategy is ls.config.RasterStrategy.STOCHASTIC
+        or raster.projection is ls.config.Projection.UNSCENTED
+    ):
         used += _OF_SAMPLES
     if shadowed:
         used.append("response.")
@@ -109,7 +113,7 @@ def _lit_fog(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[
         return
     lit = {id(one.gaussians): one for one in scene.splats if one.shadow_catcher or one.material is not None}
     for one in lit.values():
-        if (remark := ls.surface_remark(one.gaussians, device=device)) is not None:
+        if (remark := ls.inverse.surface_remark(one.gaussians, device=device)) is not None:
             yield f"{one.name}: {remark}" if one.name else remark
 
 

@@ -91,12 +91,12 @@ class AnimationFrames:
             _log.warning("actors cast no shadows: %s", error)
             self._lighter.config = replace(self._lighter.config, shadows=False)
 
-    def _exposed_lighting(self) -> ls.AvatarLightingConfig:
+    def _exposed_lighting(self) -> ls.config.AvatarLightingConfig:
         """The settings, with a gamma if captures alone light the actors, do not surround them, and none is given."""
         config, scene = self._animation.lighting, self._animation.scene
         start = float(self._animation.times[0])
         relit = [one for actor in self._animation.actors if actor.relight for one in actor.at(start)]
-        if not relit or scene.lights or not config.relight or config.transfer.gamma != ls.RelightConfig().gamma:
+        if not relit or scene.lights or not config.relight or config.transfer.gamma != ls.config.RelightConfig().gamma:
             return config
         stops = _capture_gain(scene, relit, self._source.renderer.device)
         if stops <= _SURROUNDED_STOPS:
@@ -145,7 +145,7 @@ def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshIn
         return 0.0
     low, high = with_actors(ls.Scene(), actors).bulk_bounds()
     middle = 0.5 * (low + high)
-    return ls.estimate_capture_gain(around, middle, device=device)
+    return ls.avatars.estimate_capture_gain(around, middle, device=device)
 
 
 def with_actors(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance]) -> ls.Scene:

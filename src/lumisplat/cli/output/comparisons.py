@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Comparison:
     """The figures of one view."""
 
-    view: ls.Photograph
+    view: ls.io.Photograph
     figures: Figures
     share: float
     """How much of the photograph was compared, 0..1."""
@@ -36,7 +36,7 @@ class Comparison:
     """Why figures are missing."""
 
 
-def compare(view: ls.Photograph, frame: ls.Frame, scales: int) -> Comparison:
+def compare(view: ls.io.Photograph, frame: ls.Frame, scales: int) -> Comparison:
     """Compares a photograph with a frame of its camera, where its mask is at least half.
 
     Args:
@@ -50,19 +50,24 @@ def compare(view: ls.Photograph, frame: ls.Frame, scales: int) -> Comparison:
     pair, region = (frame.pixels_srgb(), view.pixels()), _region(view)
     if not region.any():
         raise ls.FormatError(view.path, "has a mask under which no pixel counts at this size")
-    metrics = {"psnr": ls.psnr, "ssim": ls.ssim, "ms-ssim": partial(ls.ms_ssim, scales=scales), "flip": ls.flip}
+    metrics = {
+        "psnr": ls.metrics.psnr,
+        "ssim": ls.metrics.ssim,
+        "ms-ssim": partial(ls.metrics.ms_ssim, scales=scales),
+        "flip": ls.metrics.flip,
+    }
     figures: Figures = {}
     problems: list[str] = []
     for name, metric in metrics.items():
         try:
             figures[name] = metric(*pair, region=region)
-        except (ls.MissingExtraError, ls.SceneError) as error:
+        except (ls.errors.MissingExtraError, ls.SceneError) as error:
             figures[name] = math.nan
             problems.append(f"no {name}: {error}")
     return Comparison(view, figures, float(region.mean()), problems)
 
 
-def write_side_by_side(view: ls.Photograph, frame: ls.Frame, path: Path) -> None:
+def write_side_by_side(view: ls.io.Photograph, frame: ls.Frame, path: Path) -> None:
     """Writes photograph, picture and difference, from left to right; what does not count has no difference.
 
     Raises:
@@ -71,7 +76,7 @@ def write_side_by_side(view: ls.Photograph, frame: ls.Frame, path: Path) -> None
     write_beside(path, [(view.pixels(), frame.pixels_srgb())], _region(view))
 
 
-def _region(view: ls.Photograph) -> npt.NDArray[np.bool_]:
+def _region(view: ls.io.Photograph) -> npt.NDArray[np.bool_]:
     """Where a photograph counts, shape (H, W)."""
     import numpy as np
 

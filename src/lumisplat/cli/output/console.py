@@ -227,7 +227,7 @@ class FrameProgress:
         self._done, self._since = 0, time.monotonic()
         report(label, 0.0)
 
-    def add(self, frame: ls.Frame | ls.SamplePart | None) -> None:
+    def add(self, frame: ls.Frame | ls.farm.SamplePart | None) -> None:
         """Counts a frame that has been rendered and written; None: another process has done that."""
         before, self._since = self._since, time.monotonic()
         self._done += 1

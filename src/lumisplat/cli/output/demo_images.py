@@ -33,7 +33,7 @@ _CONFIG = ls.RenderConfig(
     pipeline=ls.Pipeline.HYBRID,
     shadows=ls.Shadows.SOFT,
     # On average as bright as exact shadows; with this many samples no difference is visible.
-    shadow_rays=ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),
+    shadow_rays=ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC),
     tone_map=ls.ToneMap.NEUTRAL,
     samples=_SAMPLES,
     max_bounces=6,

@@ -64,7 +64,7 @@ def _origin(origin: tuple[float, float, float]) -> str:
     return "{:.12g} {:.12g} {:.12g}, which bounds are about".format(*origin)
 
 
-def block_rows(index: ls.BlockIndex) -> Rows:
+def block_rows(index: ls.io.BlockIndex) -> Rows:
     """A capture in blocks."""
     known = block_facts(index)
     counts = [f"{count:,}" for count in known["level_gaussians"]]
@@ -102,13 +102,13 @@ def _placed(rows: Rows, instance: ls.SplatInstance | ls.MeshInstance) -> Rows:
     return [*rows[:after], ("placed", box(*instance.bounds())), *rows[after:]]
 
 
-def rig_rows(rig: ls.Rig) -> Rows:
+def rig_rows(rig: ls.avatars.Rig) -> Rows:
     """A rig: its joints, and its clips with their lengths."""
     clips = ", ".join(f"{name} {rig.duration(name):.4g} s" for name in rig.clips)
     return [("joints", f"{_joint_count(rig):,}"), ("clips", clips or "none")]
 
 
-def _joint_count(rig: ls.Rig) -> int:
+def _joint_count(rig: ls.avatars.Rig) -> int:
     """Number of nodes that move vertices."""
     return len({int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes})
 
@@ -117,7 +117,7 @@ def actor_rows(actor: ls.Actor) -> Rows:
     """An actor: what it is, how it moves by itself, and how through the scene."""
     subject, rig, motion = actor.subject, actor.rig, actor.motion
     rows = [("kind", type(subject).__name__)]
-    if isinstance(subject, ls.GaussianSequence):
+    if isinstance(subject, ls.io.GaussianSequence):
         rows.append(("frames", f"{subject.frame_count:,} at {subject.fps:g} a second, {subject.duration:.4g} s"))
     if rig is not None and rig.clips:
         clip = actor.clip or rig.clips[0]
@@ -325,7 +325,7 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
     }
 
 
-def block_facts(index: ls.BlockIndex) -> Facts:
+def block_facts(index: ls.io.BlockIndex) -> Facts:
     """A capture in blocks, from its index alone."""
     low, high = index.bounds
     levels = max(len(block.levels) for block in index.blocks)
@@ -385,7 +385,7 @@ def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
     }
 
 
-def rig_facts(rig: ls.Rig) -> Facts:
+def rig_facts(rig: ls.avatars.Rig) -> Facts:
     """A rig: the number of its joints, and its clips with their lengths, seconds."""
     clips = [{"name": name, "duration": rig.duration(name)} for name in rig.clips]
     return {"joints": _joint_count(rig), "clips": clips}
@@ -404,7 +404,7 @@ def animation_facts(animation: ls.Animation) -> Facts:
 def actor_facts(actor: ls.Actor) -> Facts:
     """An actor: what it is, and how it moves."""
     rig, motion, subject = actor.rig, actor.motion, actor.subject
-    is_sequence = isinstance(subject, ls.GaussianSequence)
+    is_sequence = isinstance(subject, ls.io.GaussianSequence)
     return {
         "name": actor.name,
         "kind": type(subject).__name__,

@@ -194,7 +194,7 @@ class FrameWriter:
         names = (*self.layers, self.view or "")
         return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
 
-    def write(self, frame: ls.Frame, path: Path, mattes: ls.Mattes | None = None) -> None:
+    def write(self, frame: ls.Frame, path: Path, mattes: ls.layers.Mattes | None = None) -> None:
         """Writes one frame.
 
         Raises:

@@ -14,7 +14,9 @@ from lumisplat.cli.output.comparisons import write_beside, write_json
 from lumisplat.cli.output.images import file_stems, make_folder
 
 
-def fitted_document(document: ls.SceneDocument, fit: ls.LightFit, output: Path) -> tuple[ls.SceneDocument, list[str]]:
+def fitted_document(
+    document: ls.io.SceneDocument, fit: ls.inverse.LightFit, output: Path
+) -> tuple[ls.io.SceneDocument, list[str]]:
     """The document in the light that was found, and a line for each base colour that it cannot hold.
 
     An environment of harmonics is written as ``NAME.assets/environment.exr``, captures of other base colours beside it
@@ -39,7 +41,7 @@ def fitted_document(document: ls.SceneDocument, fit: ls.LightFit, output: Path) 
         elif entry.lights and entry.kind == "meshes":
             document = document.changed(entry.id, lights=False)
     lamps = [light for light in fit.lights if not isinstance(light, ls.LightEnvironment)]
-    for light in ls.SceneDocument.of(ls.Scene(lights=lamps)).entries:
+    for light in ls.io.SceneDocument.of(ls.Scene(lights=lamps)).entries:
         document, _ = document.added("lights", light.table)
     for light in fit.lights:
         if isinstance(light, ls.LightEnvironment):
@@ -52,11 +54,11 @@ def fitted_document(document: ls.SceneDocument, fit: ls.LightFit, output: Path) 
 
 def _sky_table(light: ls.LightEnvironment) -> dict[str, Any]:
     """The table of an environment, but for its image."""
-    (entry,) = ls.SceneDocument.of(ls.Scene(lights=[light])).entries
+    (entry,) = ls.io.SceneDocument.of(ls.Scene(lights=[light])).entries
     return {key: value for key, value in entry.table.items() if key != "path"}
 
 
-def _written(fit: ls.LightFit, output: Path) -> Path:
+def _written(fit: ls.inverse.LightFit, output: Path) -> Path:
     """The file of the harmonics' image."""
     assert fit.environment is not None
     path = _made_assets(output) / "environment.exr"
@@ -69,7 +71,7 @@ def assets_of(output: Path) -> Path:
     return output.with_name(f"{output.stem}.assets").absolute()
 
 
-def _named(document: ls.SceneDocument, path: Path) -> str:
+def _named(document: ls.io.SceneDocument, path: Path) -> str:
     """The name of a file from the folder of a document; its whole path, if that is on another drive."""
     try:
         return Path(os.path.relpath(path, document.file.absolute().parent)).as_posix()
@@ -84,7 +86,9 @@ def _made_assets(output: Path) -> Path:
     return folder
 
 
-def _with_captures(document: ls.SceneDocument, fit: ls.LightFit, output: Path) -> tuple[ls.SceneDocument, list[str]]:
+def _with_captures(
+    document: ls.io.SceneDocument, fit: ls.inverse.LightFit, output: Path
+) -> tuple[ls.io.SceneDocument, list[str]]:
     """The document with captures of the base colours that were found, each a file of its own."""
     before, after = document.scene(), fit.scene
     entries = [document.owner(number) for number in range(len(before.splats))]
@@ -102,7 +106,7 @@ def _with_captures(document: ls.SceneDocument, fit: ls.LightFit, output: Path) -
     return document, remarks
 
 
-def _with_colors(document: ls.SceneDocument, fit: ls.LightFit) -> tuple[ls.SceneDocument, list[str]]:
+def _with_colors(document: ls.io.SceneDocument, fit: ls.inverse.LightFit) -> tuple[ls.io.SceneDocument, list[str]]:
     """The document with the base colours."""
     before, after = document.scene(), fit.scene
     owned: dict[int, list[int]] = {}
@@ -128,7 +132,7 @@ _WIDTH = 480
 """Of each picture, pixels, at most."""
 
 
-def light_rows(fit: ls.LightFit) -> tuple[list[str], list[list[str]]]:
+def light_rows(fit: ls.inverse.LightFit) -> tuple[list[str], list[list[str]]]:
     """The table of the lights: power, its standard error, place, and share of the light."""
     header = ["light", "red", "green", "blue", "+-", "position", "+-", "share"]
     rows: list[list[str]] = []
@@ -151,7 +155,7 @@ def light_rows(fit: ls.LightFit) -> tuple[list[str], list[list[str]]]:
 
 def write_report(
     folder: Path,
-    fit: ls.LightFit,
+    fit: ls.inverse.LightFit,
     cameras: Sequence[ls.Camera],
     photographs: Sequence[Path],
     renderer: ls.Renderer,
@@ -171,7 +175,7 @@ def write_report(
         write_beside(folder / f"{stem}.png", [_beside(ls.load_image(photograph), frame)])
 
 
-def _figures(fit: ls.LightFit, photographs: Sequence[Path]) -> dict[str, Any]:
+def _figures(fit: ls.inverse.LightFit, photographs: Sequence[Path]) -> dict[str, Any]:
     lights = [
         {
             "light": _name(fit, number),
@@ -194,11 +198,11 @@ def _figures(fit: ls.LightFit, photographs: Sequence[Path]) -> dict[str, Any]:
     return {"lights": lights, "base_colors": fit.base_colors, "views": views, "remarks": list(fit.remarks)}
 
 
-def _name(fit: ls.LightFit, number: int) -> str:
+def _name(fit: ls.inverse.LightFit, number: int) -> str:
     return fit.lights[number].name or f"light{number}"
 
 
-def _power(fit: ls.LightFit, number: int) -> list[float]:
+def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
     """Colour times intensity of a light, of harmonics their mean radiance."""
     light = fit.lights[number]
     if fit.environment is not None and number == len(fit.lights) - 1:

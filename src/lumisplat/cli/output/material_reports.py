@@ -25,7 +25,9 @@ _SKY_MEAN = 0.3
 _SH_C0 = 0.28209479177387814
 
 
-def write_materials(folder: Path, found: ls.FoundMaterials, photographs: ls.Photographs, device: str) -> None:
+def write_materials(
+    folder: Path, found: ls.inverse.FoundMaterials, photographs: ls.io.Photographs, device: str
+) -> None:
     """Writes a picture for some views, held out ones if there are any, the sky as a picture, and figures.
 
     Raises:
@@ -93,7 +95,7 @@ _VIEW_FIGURES = (
 )
 
 
-def figure_rows(result: ls.MaterialEvaluation) -> tuple[list[str], list[list[str]]]:
+def figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list[list[str]]]:
     """The table of all figures."""
     rows: list[list[str]] = []
     for name, (label, unit, digits) in _FIGURES.items():
@@ -106,7 +108,7 @@ def figure_rows(result: ls.MaterialEvaluation) -> tuple[list[str], list[list[str
     return [f"{len(result.views)} views", "figure", ""], rows
 
 
-def write_material_report(folder: Path, result: ls.MaterialEvaluation) -> None:
+def write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) -> None:
     """Writes metrics.json and, for the worst views, a picture with a row for each thing that was found.
 
     Raises:
@@ -125,14 +127,14 @@ def write_material_report(folder: Path, result: ls.MaterialEvaluation) -> None:
         write_beside(folder / f"{stem}.png", list(view.pictures.values()))
 
 
-def _quality(view: ls.MaterialView) -> float:
+def _quality(view: ls.inverse.MaterialView) -> float:
     """By which the worst views are found: PSNR of relit pictures, else of albedo, else nearness of normals."""
     relit = mean([figures.psnr for figures in view.relit.values()])
     others = [value for value in (relit, view.albedo_psnr, -view.normal_mean) if not math.isnan(value)]
     return others[0] if others else 0.0
 
 
-def _relit(relit: Mapping[str, ls.RelitFigures]) -> dict[str, dict[str, float | str | None]]:
+def _relit(relit: Mapping[str, ls.inverse.RelitFigures]) -> dict[str, dict[str, float | str | None]]:
     return {name: plain(figures._asdict()) for name, figures in relit.items()}
 
 

@@ -128,7 +128,7 @@ def open_blocks(folder: PathLike) -> BlockIndex:
     """The index of a capture in blocks.
 
     Args:
-        folder: As of `lumisplat.write_blocks`, or its ``blocks.json``.
+        folder: As of `lumisplat.io.write_blocks`, or its ``blocks.json``.
 
     Raises:
         FormatError: There is no index, it is damaged, or a file is missing or has another size than it says.
@@ -280,7 +280,7 @@ def write_blocks(
             all of one degree; normals and materials are left out, with a log line.
         cell: Edge of the largest cubes, scene units.
         levels: Coarser levels of detail beside the finest, each with a quarter of the Gaussians of the one before, see
-            `lumisplat.decimate`.
+            `lumisplat.editing.decimate`.
         block_max: Gaussians of a block at most; more that are in one place stay together.
         progress: Called with the fraction of all Gaussians whose blocks are made, 0..1, once all have been read.
 

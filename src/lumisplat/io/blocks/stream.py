@@ -102,10 +102,10 @@ class PlyStream:
         )
 
     def cell(self, block_max: int = BLOCK_GAUSSIANS_MAX) -> float:
-        """An edge of cubes for `lumisplat.write_blocks`: few enough cubes for the file, of a sample of its Gaussians.
+        """Returns the edge of cubes that gives `lumisplat.io.write_blocks` few enough of them, by a sample.
 
         Args:
-            block_max: As of `lumisplat.write_blocks`.
+            block_max: As of `lumisplat.io.write_blocks`.
 
         Raises:
             FormatError: The file cannot be read, or no mean of the sample is finite.
@@ -126,7 +126,7 @@ class PlyStream:
 def stream_ply(
     path: PathLike, *, drop_invalid: bool = False, progress: Callable[[float], None] | None = None
 ) -> PlyStream:
-    """Opens a Gaussian PLY of any size, for `lumisplat.write_blocks`; memory is for a piece of it.
+    """Opens a Gaussian PLY of any size, for `lumisplat.io.write_blocks`; memory is for a piece of it.
 
     Means, rotations, scales, opacities and harmonics are read; a log line says if materials or normals are left out.
 

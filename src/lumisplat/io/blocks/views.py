@@ -213,11 +213,11 @@ def plan_views(
         cameras: The views in their order, as of `BlockIndex`'s ``visible``.
         workers: How many there are.
         memory_bytes: For the Gaussians that each holds, as they are on disk.
-        pixels: As of `lumisplat.visible_blocks`.
+        pixels: As of `lumisplat.io.visible_blocks`.
 
     Raises:
         ConfigError: There is no worker, or no memory.
-        SceneError: As of `lumisplat.visible_blocks`.
+        SceneError: As of `lumisplat.io.visible_blocks`.
     """
     for name, value in (("workers", workers), ("memory_bytes", memory_bytes)):
         if not is_whole(value) or value < 1:

@@ -156,7 +156,7 @@ class _Piece(NamedTuple):
 
 
 def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
-    """As `lumisplat.io.load_rig`."""
+    """As `lumisplat.avatars.load_rig`."""
     path = Path(path)
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected .glb or .gltf")

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import DelightConfig, Pipeline, RenderConfig, check_kind
+from lumisplat.config import DelightConfig, Pipeline, RenderConfig
+from lumisplat.config.checks import check_kind
 from lumisplat.constants.delight import (
     BRIGHT_CELLS,
     BRIGHT_PARTS,

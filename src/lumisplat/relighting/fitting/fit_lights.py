@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import RenderConfig, ToneMap, check_kind, check_whole
-from lumisplat.config.checks import enum_member
+from lumisplat.config import RenderConfig, ToneMap
+from lumisplat.config.checks import check_kind, check_whole, enum_member
 from lumisplat.constants.light_fit import COARSE_SAMPLES, COARSE_SIZE, FIT_SIZE, PLACES_A_SIDE, STEPS_EXPECTED
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles

@@ -9,8 +9,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from lumisplat.config import check_whole
-from lumisplat.config.checks import check_flag, is_number, suggestion
+from lumisplat.config.checks import check_flag, check_whole, is_number, suggestion
 from lumisplat.constants.light_fit import ANGLE_STEP, FIT_DEGREE_MAX, PLACE_STEP
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, read_only_view, unit_vector
@@ -271,8 +270,8 @@ class FitTask:
         lights = tuple(number for number, light in enumerate(start.lights) if light.enabled)
         if not lights and degree is None:
             raise SceneError(
-                "the scene has no lights to fit: put lamps where they may be (ls.estimate_lights finds some of a "
-                "capture), or ask for an environment_degree"
+                "the scene has no lights to fit: put lamps where they may be (ls.inverse.estimate_lights finds some of "
+                "a capture), or ask for an environment_degree"
             )
         low, high = start.bulk_bounds()
         size = float((high - low).max())

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import PATH_PARTS, REALTIME_AOVS, RenderConfig
+from lumisplat.config import RenderConfig
+from lumisplat.config.render import PATH_PARTS, REALTIME_AOVS
 from lumisplat.constants import COUNT_SUM_THREADS, NOISE_PIXELS, NOISE_SAMPLES_MIN
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.film import FilmData, LitPixels, PixelData, PixelSums

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import warp as wp
 
-from lumisplat.config import PATH_PARTS, REALTIME_AOVS, RenderConfig
+from lumisplat.config import RenderConfig
+from lumisplat.config.render import PATH_PARTS, REALTIME_AOVS
 from lumisplat.constants.realtime import INDIRECT_SHARED
 from lumisplat.renderer.gi.antialiasing import Antialiasing
 from lumisplat.renderer.gi.lobes import Lobes

@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from lumisplat.config import (
-    PATH_PARTS,
     GaussianSurface,
-    Integrator,
     PathPrimary,
     Pipeline,
     Projection,
@@ -18,6 +16,8 @@ from lumisplat.config import (
     ShadowMethod,
     Shadows,
 )
+from lumisplat.config.pipelines import Integrator
+from lumisplat.config.render import PATH_PARTS
 from lumisplat.constants import (
     AMBIENT_RAYS_OF_FRAMES,
     CAPTURED_LIGHT_DRAWS,

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from lumisplat.config import NormalEstimate, enum_member
-from lumisplat.config.checks import is_number
+from lumisplat.config import NormalEstimate
+from lumisplat.config.checks import enum_member, is_number
 from lumisplat.constants import (
     CREASE_ANGLE,
     NORMAL_NEIGHBOURS,

@@ -1,4 +1,4 @@
-"""Finds the materials of a capture and the light that its images were taken in: ``lumisplat.find_materials``."""
+"""Finds the materials of a capture and the light of its images: ``lumisplat.inverse.find_materials``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig, check_kind
+from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig
+from lumisplat.config.checks import check_kind
 from lumisplat.constants.materials import EXPOSURE_PIXELS, EXPOSURE_RANGE, EXPOSURE_VIEWS, EXPOSURES_DIFFER
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.frame.frame import Frame
@@ -84,7 +85,7 @@ def find_materials(
 
     Args:
         gaussians: A capture whose Gaussians lie on surfaces, as of `lumisplat.train` with terms on them.
-        photographs: Of it, a folder or what `lumisplat.load_photographs` has read; those of pinholes.
+        photographs: Of it, a folder or what `lumisplat.io.load_photographs` has read; those of pinholes.
         config: Settings; None: the defaults.
         output: The capture with materials, .ply, beside which the sky is written as ``NAME.environment.exr``. The
             folder ``NAME.training`` has what is needed to go on: the same call again goes on where it was interrupted,

@@ -184,7 +184,7 @@ class RenderLoop:
                         self._draw_moving(job)
                 else:
                     self._draw_at_rest(job)
-            except ls.StoppedError:  # it is drawn again when there is time
+            except ls.errors.StoppedError:  # it is drawn again when there is time
                 pass
             except Exception as error:  # a frame that fails must not end the session
                 self._give_up(job, error)

@@ -32,14 +32,16 @@ class _Stage:
     """What stands still, and what lights actors in it."""
 
     scene: ls.Scene
-    lighting: ls.AvatarLightingConfig
+    lighting: ls.config.AvatarLightingConfig
     background: tuple[float, float, float]
     lighters: dict[int, tuple[ls.Scene, ls.AvatarLighter]] = field(default_factory=lambda: {})
     """By level: its scene, and the lighter of that."""
     has_failed: bool = False
     """Whether no light could be found; actors then keep their own."""
 
-    def is_of(self, scene: ls.Scene, lighting: ls.AvatarLightingConfig, background: tuple[float, float, float]) -> bool:
+    def is_of(
+        self, scene: ls.Scene, lighting: ls.config.AvatarLightingConfig, background: tuple[float, float, float]
+    ) -> bool:
         """Whether this is what stands still, and how it is lit."""
         return (
             (self.lighting, self.background) == (lighting, background)
@@ -63,13 +65,13 @@ class ShownScenes:
 
     def __init__(self, levels: Levels, device: str, progress: Progress, report: Callable[[str], None]) -> None:
         self._levels, self._device, self._progress, self._report = levels, device, progress, report
-        self._animation: tuple[ls.SceneDocument, ls.Animation | None] | None = None
+        self._animation: tuple[ls.io.SceneDocument, ls.Animation | None] | None = None
         self._stage: _Stage | None = None
         self._last: dict[int, tuple[tuple[object, ...], ls.Scene]] = {}
         """By level: what the last scene was made of, and that scene: the same objects are not uploaded again."""
 
     def of(
-        self, document: ls.SceneDocument, config: ls.RenderConfig, time: float, level: int, *, waits: bool
+        self, document: ls.io.SceneDocument, config: ls.RenderConfig, time: float, level: int, *, waits: bool
     ) -> ls.Scene:
         """The scene of a frame.
 
@@ -139,7 +141,7 @@ class ShownScenes:
         stage.lighters[level] = still, lighter
         return lighter
 
-    def _animation_of(self, document: ls.SceneDocument) -> ls.Animation | None:
+    def _animation_of(self, document: ls.io.SceneDocument) -> ls.Animation | None:
         if self._animation is None or self._animation[0] is not document:
             self._animation = document, document.animation
         return self._animation[1]
@@ -271,7 +273,7 @@ class Levels:
             begun = time.monotonic()
             part = gaussians.subset(rows)
             for number in numbers:
-                part = ls.decimate(part, max(1, round(rows.size * LEVEL_FRACTIONS[number])))
+                part = ls.editing.decimate(part, max(1, round(rows.size * LEVEL_FRACTIONS[number])))
                 parts[number].append(part)
             done, pause = done + rows.size, 2.0 * (time.monotonic() - begun)
         made.levels |= {number: ls.merge(parts[number]) for number in numbers}

@@ -42,7 +42,7 @@ class Grip:
 class Drag:
     """What a hand moves."""
 
-    entry: ls.SceneEntry
+    entry: ls.io.SceneEntry
     """As it was when the drag began."""
     start: Matrix
     """``world_from_grip`` when it began."""
@@ -50,7 +50,7 @@ class Drag:
     """Of the animation, seconds."""
 
 
-def grip_of(entry: ls.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> Grip | None:
+def grip_of(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> Grip | None:
     """Where an entry is held: in the middle of what it shows, or where a light is; None: of a sky, or of nothing.
 
     Args:
@@ -86,7 +86,7 @@ def _grip_of_light(light: Any, extent: Extent) -> Grip | None:
     return Grip(grip, turns=not isinstance(light, ls.LightDirectional) and bool(light.aim_fields))
 
 
-def moved(document: ls.SceneDocument, entry: ls.SceneEntry, move: Matrix, time: float) -> ls.SceneDocument:
+def moved(document: ls.io.SceneDocument, entry: ls.io.SceneEntry, move: Matrix, time: float) -> ls.io.SceneDocument:
     """The document with a capture, a mesh or an actor moved in the world, as it stands at a time, seconds.
 
     Raises:
@@ -98,7 +98,7 @@ def moved(document: ls.SceneDocument, entry: ls.SceneEntry, move: Matrix, time: 
     return document.placed(entry.id, np.linalg.inv(motion) @ move @ motion @ np.asarray(entry.world_from_file))
 
 
-def dragged(document: ls.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.SceneDocument:
+def dragged(document: ls.io.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.io.SceneDocument:
     """The document with an entry moved as its grip was; an actor that moves takes its way with it.
 
     Args:
@@ -189,7 +189,7 @@ class Gizmo:
             else:
                 self._hold(entry, grip)
 
-    def _hold(self, entry: ls.SceneEntry, grip: Grip) -> None:
+    def _hold(self, entry: ls.io.SceneEntry, grip: Grip) -> None:
         extent, matrix = self._session.extent, grip.world_from_grip
         scale = extent.page_from_scene
         position, wxyz = scale * matrix[:3, 3], _wxyz(matrix[:3, :3])
@@ -250,7 +250,7 @@ class Gizmo:
             self._session.seal()
             self.follow()
 
-    def _reach_of(self, entry: ls.SceneEntry) -> float:
+    def _reach_of(self, entry: ls.io.SceneEntry) -> float:
         """Length at which axes come out of what an entry shows, scene units."""
         size = self._session.boxes.size(entry, self._session.options.time)
         return 0.0 if size is None else 0.6 * float(np.max(size))

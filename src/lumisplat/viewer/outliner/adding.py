@@ -127,14 +127,14 @@ class AddPanel:
     def _insert(self, kind: Any, table: dict[str, Any]) -> bool:
         """Adds an entry and selects it; a mesh or an actor stands beside what is there, as of `SceneDocument.added`."""
 
-        def insert(document: ls.SceneDocument) -> ls.SceneDocument:
+        def insert(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
             scene = document.scene()
             is_first = kind == "meshes" and not (scene.splats or scene.meshes)
             return self._selected(*document.added(kind, {**table, "upright": True} if is_first else table))
 
         return self._session.apply(insert)
 
-    def _selected(self, document: ls.SceneDocument, number: int) -> ls.SceneDocument:
+    def _selected(self, document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
         """The document; one of its entries is selected when it is shown."""
         self._session.selected = number
         return document
@@ -175,7 +175,7 @@ def _listed(vector: Any) -> list[float]:
     return [float(x) for x in vector]
 
 
-def with_sky(document: ls.SceneDocument, path: str) -> tuple[ls.SceneDocument, int]:
+def with_sky(document: ls.io.SceneDocument, path: str) -> tuple[ls.io.SceneDocument, int]:
     """The document with an image as its environment, in place of that which it has, and the id of that entry.
 
     Raises:
@@ -211,4 +211,4 @@ def free_name(folder: Path, name: str) -> Path:
 
 def _kind_of(path: Path) -> Any:
     """The heading of a file's entry."""
-    return "environment" if path.suffix.lower() in _SKIES else ls.SceneDocument.kind_of(path)
+    return "environment" if path.suffix.lower() in _SKIES else ls.io.SceneDocument.kind_of(path)

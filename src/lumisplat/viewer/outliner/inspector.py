@@ -79,7 +79,7 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
     return found
 
 
-def look_of(entry: ls.SceneEntry) -> str:
+def look_of(entry: ls.io.SceneEntry) -> str:
     """How a capture or a mesh looks."""
     if not entry.splats:
         given = entry.table.get("material")
@@ -115,7 +115,7 @@ class Inspector:
         """The folder of the material, which stays while its entry is selected, open or closed as people have it."""
         self._material_parts: list[Any] = []
         self._crop: Crop | None = None
-        self._followers: list[Callable[[ls.SceneEntry], None]] = []
+        self._followers: list[Callable[[ls.io.SceneEntry], None]] = []
         """Bring controls that stand for something else to where their entry is."""
         folder.visible = False
         session.on_change(self.show)
@@ -145,7 +145,7 @@ class Inspector:
         for follow in self._followers:
             follow(entry)
 
-    def _rebuild(self, entry: ls.SceneEntry | None, fields: list[tuple[Setting, Any]]) -> None:
+    def _rebuild(self, entry: ls.io.SceneEntry | None, fields: list[tuple[Setting, Any]]) -> None:
         for part in reversed(self._parts):
             part.remove()
         self._parts, self._controls, self._crop, self._followers = [], {}, None, []
@@ -168,7 +168,7 @@ class Inspector:
                 self._material = self._gui.add_folder("material", expand_by_default=False)
                 self._parts.append(self._material)
 
-    def _rebuild_material(self, entry: ls.SceneEntry, fields: list[tuple[Setting, Any]]) -> None:
+    def _rebuild_material(self, entry: ls.io.SceneEntry, fields: list[tuple[Setting, Any]]) -> None:
         """Makes the controls of another type of material, in the same folder."""
         for part in reversed(self._material_parts):
             part.remove()
@@ -180,7 +180,7 @@ class Inspector:
         with self._material:
             self._material_parts = self._add_fields(entry, fields)
 
-    def _add_fields(self, entry: ls.SceneEntry, fields: list[tuple[Setting, Any]]) -> list[Any]:
+    def _add_fields(self, entry: ls.io.SceneEntry, fields: list[tuple[Setting, Any]]) -> list[Any]:
         """Adds controls of fields, and returns them."""
         handles: list[Any] = []
         for field, value in fields:
@@ -189,7 +189,7 @@ class Inspector:
             handles += control.handles
         return handles
 
-    def _fields(self, entry: ls.SceneEntry) -> list[tuple[Setting, Any]]:
+    def _fields(self, entry: ls.io.SceneEntry) -> list[tuple[Setting, Any]]:
         """The fields of an entry, with their values."""
         if entry.kind in ("lights", "environment"):
             return light_fields(entry.lights[0], self._session.scene.up_direction)
@@ -209,7 +209,7 @@ class Inspector:
             fields += [(replace(field, name=f"material.{field.name}"), getattr(material, field.name)) for field in own]
         return fields
 
-    def _putter(self, entry: ls.SceneEntry, field: Setting) -> Callable[[Any], None]:
+    def _putter(self, entry: ls.io.SceneEntry, field: Setting) -> Callable[[Any], None]:
         number, name = entry.id, field.name
         merge = f"{number} {name}" if field.kind in ("whole", "number", "color", "vector") else None
 
@@ -218,7 +218,7 @@ class Inspector:
 
         return put
 
-    def _add_look(self, entry: ls.SceneEntry) -> None:
+    def _add_look(self, entry: ls.io.SceneEntry) -> None:
         number = entry.id
         looks, hint = (_CAPTURE_LOOKS, _CAPTURE_HINT) if entry.splats else (_MESH_LOOKS, _MESH_HINT)
         label = "shading" if entry.splats else "material type"
@@ -228,14 +228,14 @@ class Inspector:
             if look in looks:
                 self._session.apply(lambda document: document.changed(number, **looks[look]))
 
-        def follow(now: ls.SceneEntry) -> None:
+        def follow(now: ls.io.SceneEntry) -> None:
             set_if_changed(dropdown, "value", look_of(now))
 
         dropdown.on_update(chosen(str, change))
         self._followers.append(follow)
         self._parts.append(dropdown)
 
-    def _add_temperature(self, entry: ls.SceneEntry) -> None:
+    def _add_temperature(self, entry: ls.io.SceneEntry) -> None:
         number, (low, high) = entry.id, KELVIN_RANGE
         slider = self._gui.add_slider("temperature (K)", low, high, 50.0, _WHITE_K, hint="Colour of a black body.")
 
@@ -243,7 +243,7 @@ class Inspector:
             color = _rounded_color(kelvins)
             self._session.apply(lambda document: document.changed(number, color=color), merge=f"{number} kelvin")
 
-        def follow(now: ls.SceneEntry) -> None:
+        def follow(now: ls.io.SceneEntry) -> None:
             color: Any = getattr(now.lights[0], "color", ())
             if list(color) != _rounded_color(float(slider.value)):
                 slider.value = _WHITE_K
@@ -252,7 +252,7 @@ class Inspector:
         self._followers.append(follow)
         self._parts.append(slider)
 
-    def _add_turn(self, entry: ls.SceneEntry) -> None:
+    def _add_turn(self, entry: ls.io.SceneEntry) -> None:
         number = entry.id
         slider = self._gui.add_slider("rotation (°)", -180.0, 180.0, 1.0, 0.0, hint="About the vertical.")
         start = _sky_rotation(entry)
@@ -262,7 +262,7 @@ class Inspector:
             keys = {"rotation_wxyz": turned_about(start, self._session.scene.up_direction, degrees)}
             self._session.apply(lambda document: document.changed(number, **keys), merge=f"{number} turn")
 
-        def follow(now: ls.SceneEntry) -> None:
+        def follow(now: ls.io.SceneEntry) -> None:
             nonlocal start
             turned = turned_about(start, self._session.scene.up_direction, float(slider.value))
             if not np.allclose(turned, _sky_rotation(now), atol=1e-9):
@@ -274,7 +274,7 @@ class Inspector:
         self._parts.append(slider)
 
 
-def put_field(document: ls.SceneDocument, number: int, name: str, value: Any) -> ls.SceneDocument:
+def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any) -> ls.io.SceneDocument:
     """The document with another value of a field of an entry, as the inspector names them.
 
     Raises:
@@ -305,7 +305,7 @@ def put_field(document: ls.SceneDocument, number: int, name: str, value: Any) ->
     return document.changed(number, **_without_words(entry, name), **{name: _plain(value)})
 
 
-def _without_words(entry: ls.SceneEntry, name: str) -> dict[str, Any]:
+def _without_words(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
     """Keys that say in words what a field says: where a light looks, and how large it is."""
     light: Any = entry.lights[0] if entry.kind == "lights" else None
     if light is None or name not in light.aim_fields:
@@ -359,7 +359,7 @@ def _moved(matrix: Any, name: str, value: Any) -> Any:
     return moved
 
 
-def _sky_rotation(entry: ls.SceneEntry) -> tuple[float, ...]:
+def _sky_rotation(entry: ls.io.SceneEntry) -> tuple[float, ...]:
     sky: Any = entry.lights[0]
     return tuple(float(x) for x in sky.rotation_wxyz)
 
@@ -441,7 +441,7 @@ class Crop:
         self._session.apply(lambda document: cropped(document, number, ends, reach, everything), merge=f"{number} crop")
 
 
-def crop_reach(document: ls.SceneDocument, number: int, session: Session) -> tuple[Ends, Ends]:
+def crop_reach(document: ls.io.SceneDocument, number: int, session: Session) -> tuple[Ends, Ends]:
     """The box around all Gaussians of a capture's file, and that which sliders reach: near its bulk."""
     entry = document.changed(number, crop_low=None, crop_high=None).entry(number)
     means = np.concatenate([np.asarray(instance.gaussians.means, np.float64) for instance in entry.splats])
@@ -453,7 +453,7 @@ def crop_reach(document: ls.SceneDocument, number: int, session: Session) -> tup
     return everything, np.array([box[0] - margin, box[1] + margin])
 
 
-def crop_ends(entry: ls.SceneEntry, reach: Ends) -> Ends:
+def crop_ends(entry: ls.io.SceneEntry, reach: Ends) -> Ends:
     """Where the sliders of a capture stand."""
     low, high = entry.table.get("crop_low"), entry.table.get("crop_high")
     if low is None or high is None:
@@ -467,7 +467,9 @@ def crop_table(ends: Ends) -> str:
     return "\n".join(["| | from | to |", "| --- | ---: | ---: |", *rows])
 
 
-def cropped(document: ls.SceneDocument, number: int, ends: Ends, reach: Ends, everything: Ends) -> ls.SceneDocument:
+def cropped(
+    document: ls.io.SceneDocument, number: int, ends: Ends, reach: Ends, everything: Ends
+) -> ls.io.SceneDocument:
     """The document with a capture cropped to what is between the ends of sliders.
 
     Args:

@@ -50,7 +50,7 @@ class LevelPanel:
     def fit(self) -> None:
         """Makes the normal of the captures' ground up."""
         try:
-            found = ls.find_up(self._session.scene)
+            found = ls.editing.find_up(self._session.scene)
         except ls.LumisplatError as error:
             self._session.report(f"{error}: click three points of the ground")
             return

@@ -66,7 +66,7 @@ class Outliner:
         if number in self._session.locked and action != "hide":
             self._session.report(f"{self._session.state.document.entry(number).name} is locked: unlock it in the list")
             return
-        edits: dict[str, Callable[[ls.SceneDocument], ls.SceneDocument]] = {
+        edits: dict[str, Callable[[ls.io.SceneDocument], ls.io.SceneDocument]] = {
             "duplicate": self._duplicate,
             "hide": lambda document: hidden(document, number, not document.entry(number).hidden),
             "delete": lambda document: document.removed(number),
@@ -77,7 +77,7 @@ class Outliner:
         if done and action in ("delete", "split"):
             self._session.select(None)
 
-    def _duplicate(self, document: ls.SceneDocument) -> ls.SceneDocument:
+    def _duplicate(self, document: ls.io.SceneDocument) -> ls.io.SceneDocument:
         """Selected, a little aside, so that it is seen that there are two."""
         assert self._session.selected is not None
         document, number = document.duplicated(self._session.selected)
@@ -115,14 +115,14 @@ class Outliner:
         set_if_changed(self._placing, "visible", has_form)
 
 
-def hidden(document: ls.SceneDocument, number: int, hides: bool) -> ls.SceneDocument:
+def hidden(document: ls.io.SceneDocument, number: int, hides: bool) -> ls.io.SceneDocument:
     """The document with an entry hidden, or shown again; lights are switched off and on."""
     if document.entry(number).kind in ("lights", "environment"):
         return document.changed(number, enabled=False if hides else None)
     return document.changed(number, hidden=True if hides else None)
 
 
-def on_ground(document: ls.SceneDocument, number: int) -> ls.SceneDocument:
+def on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
     """The document with an entry standing where the lowest point of all others is.
 
     Raises:
@@ -146,7 +146,7 @@ _PARTS_MAX = 8
 
 
 def tree_html(
-    document: ls.SceneDocument,
+    document: ls.io.SceneDocument,
     boxes: Boxes,
     selected: int | None = None,
     time: float = 0.0,
@@ -175,14 +175,14 @@ def tree_html(
     return f'<div class="lumi-list" data-to="{html.escape(channel)}">{"".join(rows)}</div>'
 
 
-def kind_name(entry: ls.SceneEntry) -> str:
+def kind_name(entry: ls.io.SceneEntry) -> str:
     """What people call an object of its kind."""
     if entry.kind != "lights":
         return KIND_NAMES[entry.kind]
     return "sun" if entry.table["type"] == "directional" else f"{entry.table['type']} light"
 
 
-def _entry_row(entry: ls.SceneEntry, *, is_selected: bool, is_locked: bool) -> str:
+def _entry_row(entry: ls.io.SceneEntry, *, is_selected: bool, is_locked: bool) -> str:
     """The row of an entry."""
     sun = entry.kind == "lights" and entry.table["type"] == "directional"
     states = " selected" * is_selected + " hidden" * entry.hidden
@@ -201,7 +201,7 @@ def _detail(text: str) -> str:
     return f'<div class="lumi-detail">{html.escape(text)}</div>'
 
 
-def _details(entry: ls.SceneEntry, boxes: Boxes, time: float) -> list[str]:
+def _details(entry: ls.io.SceneEntry, boxes: Boxes, time: float) -> list[str]:
     """How much it is, and how large."""
     instances = entry.at(time)
     gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
@@ -214,7 +214,7 @@ def _details(entry: ls.SceneEntry, boxes: Boxes, time: float) -> list[str]:
     return [" · ".join(parts)]
 
 
-def _parts(document: ls.SceneDocument, entry: ls.SceneEntry) -> list[str]:
+def _parts(document: ls.io.SceneDocument, entry: ls.io.SceneEntry) -> list[str]:
     """The meshes of an entry's file, if there are several."""
     names = document.part_names(entry.id) if len(entry.meshes) > 1 else []
     listed = [name or f"part {number}" for number, name in enumerate(names[:_PARTS_MAX])]

@@ -49,7 +49,7 @@ class FilesPanel:
         gui.add_button("save the scene").on_click(pressed(lambda _: self.save()))
         gui.add_button("command line").on_click(pressed(self._show_command))
 
-    def suggest(self, document: ls.SceneDocument) -> None:
+    def suggest(self, document: ls.io.SceneDocument) -> None:
         """Suggests a name that is not that of the file that was opened."""
         stem = re.sub(r"[^A-Za-z0-9 ._-]", "_", document.file.stem).lstrip(" ._-") or "scene"
         self._name.value = f"{stem[:70]}-edited.toml"

@@ -42,7 +42,7 @@ class RenderingPanel:
             self._rest = SettingsPanel(gui, config, self._put, session.report, without=(*_FIRST, "aovs"))
         self._actors = gui.add_folder("light of actors", expand_by_default=False, visible=False)
         with self._actors:
-            self._lighting = SettingsPanel(gui, ls.AvatarLightingConfig(), self._put_lighting, session.report)
+            self._lighting = SettingsPanel(gui, ls.config.AvatarLightingConfig(), self._put_lighting, session.report)
         self._top: object = None
         session.on_change(self._show)
 
@@ -52,7 +52,7 @@ class RenderingPanel:
     def _put_realtime(self, change: Callable[[ls.RealtimeConfig], ls.RealtimeConfig], field: str | None) -> None:
         self._put(lambda config: replace(config, realtime=change(config.realtime)), field)
 
-    def _put_lighting(self, change: Callable[[Any], ls.AvatarLightingConfig], field: str | None) -> None:
+    def _put_lighting(self, change: Callable[[Any], ls.config.AvatarLightingConfig], field: str | None) -> None:
         self._session.apply(
             lambda document: document.with_animation(lighting=change(_lighting(document))),
             merge=None if field is None else f"lighting {field}",
@@ -78,7 +78,7 @@ class RenderingPanel:
             self._lighting.show(_lighting(state.document))
 
 
-def _lighting(document: ls.SceneDocument) -> ls.AvatarLightingConfig:
+def _lighting(document: ls.io.SceneDocument) -> ls.config.AvatarLightingConfig:
     """How the actors of a document are lit."""
     animation = document.animation
-    return ls.AvatarLightingConfig() if animation is None else animation.lighting
+    return ls.config.AvatarLightingConfig() if animation is None else animation.lighting

@@ -37,7 +37,7 @@ def import_viser() -> Any:
     try:
         import viser
     except ImportError:
-        raise ls.MissingExtraError("the viewer", "view") from None
+        raise ls.errors.MissingExtraError("the viewer", "view") from None
     let_threads_push()
     return viser
 

@@ -46,8 +46,11 @@ def unused_settings(config: ls.RenderConfig, *, lit: bool) -> dict[str, str]:
 def _excluded(config: ls.RenderConfig) -> dict[str, str]:
     """Returns the settings whose other choices would be refused beside the rest, each with what excludes them."""
     raster, excluded = config.raster, dict[str, str]()
-    is_sorted, is_iso = raster.strategy is ls.RasterStrategy.SORTED, raster.surface is ls.GaussianSurface.ISO
-    if raster.projection is ls.Projection.UNSCENTED:
+    is_sorted, is_iso = (
+        raster.strategy is ls.config.RasterStrategy.SORTED,
+        raster.surface is ls.config.GaussianSurface.ISO,
+    )
+    if raster.projection is ls.config.Projection.UNSCENTED:
         excluded |= {"raster.strategy": _SORTED} if is_sorted else {}
         excluded |= {"raster.surface": _ISO} if is_iso else {}
     elif config.pipeline.is_sequence or not is_sorted or not is_iso:

@@ -33,13 +33,13 @@ class Key:
         return table | ({"exposure": self.camera.exposure} if self.camera.exposure else {})
 
 
-def keys_of(document: ls.SceneDocument) -> list[Mapping[str, Any]]:
+def keys_of(document: ls.io.SceneDocument) -> list[Mapping[str, Any]]:
     """The keyframes of the camera that flies, in their order; empty: there is none."""
     flights: list[list[Mapping[str, Any]]] = [t["keyframes"] for t in _cameras(document) if "keyframes" in t]
     return flights[0] if flights else []
 
 
-def with_key(document: ls.SceneDocument, key: Key, seconds: float) -> ls.SceneDocument:
+def with_key(document: ls.io.SceneDocument, key: Key, seconds: float) -> ls.io.SceneDocument:
     """The document with one more place at the end of the flight; an animation that would end before lasts as long.
 
     Args:
@@ -59,7 +59,7 @@ def with_key(document: ls.SceneDocument, key: Key, seconds: float) -> ls.SceneDo
     return document
 
 
-def without_key(document: ls.SceneDocument, number: int) -> ls.SceneDocument:
+def without_key(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
     """The document with a place of the flight left out, by its number; later ones come as much sooner.
 
     Raises:
@@ -73,7 +73,7 @@ def without_key(document: ls.SceneDocument, number: int) -> ls.SceneDocument:
     return _with_keys(document, kept, None)
 
 
-def with_key_moved(document: ls.SceneDocument, number: int, by: int) -> ls.SceneDocument:
+def with_key_moved(document: ls.io.SceneDocument, number: int, by: int) -> ls.io.SceneDocument:
     """The document with a place of the flight swapped with the one before it, or after it; the times stay.
 
     Args:
@@ -104,19 +104,21 @@ def camera_of(key: Mapping[str, Any], up: tuple[float, float, float], size: tupl
     return ls.Camera.look_at(eye, target, key.get("up", up), width=width, height=height, fov_y=fov)
 
 
-def _checked_keys(document: ls.SceneDocument, number: int) -> list[Mapping[str, Any]]:
+def _checked_keys(document: ls.io.SceneDocument, number: int) -> list[Mapping[str, Any]]:
     keys = keys_of(document)
     if not 0 <= number < len(keys):
         raise ls.SceneError(f"there is no key view {number + 1}: the camera path has {len(keys)}")
     return keys
 
 
-def without_flight(document: ls.SceneDocument) -> ls.SceneDocument:
+def without_flight(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
     """The document without the flight."""
     return _with_keys(document, [], None)
 
 
-def _with_keys(document: ls.SceneDocument, keys: list[Mapping[str, Any]], camera: ls.Camera | None) -> ls.SceneDocument:
+def _with_keys(
+    document: ls.io.SceneDocument, keys: list[Mapping[str, Any]], camera: ls.Camera | None
+) -> ls.io.SceneDocument:
     """The document with other keyframes of its flight; a new flight has the size of a camera."""
     tables: list[dict[str, Any]] = []
     is_found = False
@@ -131,7 +133,7 @@ def _with_keys(document: ls.SceneDocument, keys: list[Mapping[str, Any]], camera
     return document.with_cameras(tables)
 
 
-def _cameras(document: ls.SceneDocument) -> list[Mapping[str, Any]]:
+def _cameras(document: ls.io.SceneDocument) -> list[Mapping[str, Any]]:
     return cast("list[Mapping[str, Any]]", document.top.get("cameras", []))
 
 

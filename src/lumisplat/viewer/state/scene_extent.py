@@ -69,7 +69,7 @@ Box = tuple[Array, Array]
 """Lowest and highest corner, shape (3,) each."""
 
 
-def pose_of(entry: ls.SceneEntry, time: float) -> Array | None:
+def pose_of(entry: ls.io.SceneEntry, time: float) -> Array | None:
     """Where an entry stands at a time, seconds, a similarity, shape (4, 4); None: of lights."""
     if entry.world_from_file is None:
         return None
@@ -84,7 +84,7 @@ class Boxes:
         self._held: dict[int, tuple[tuple[object, ...], Box]] = {}
         """By entry: what was measured, and its box."""
 
-    def of(self, entry: ls.SceneEntry, time: float = 0.0) -> Box | None:
+    def of(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Box | None:
         """The box around the bulk of what an entry shows at a time, in its file's coordinates; None: of lights.
 
         Raises:
@@ -100,12 +100,12 @@ class Boxes:
             self._held[entry.id] = held
         return held[1]
 
-    def keep(self, document: ls.SceneDocument) -> None:
+    def keep(self, document: ls.io.SceneDocument) -> None:
         """Forgets the boxes, and so the assets, of entries that a document does not have."""
         present = {entry.id for entry in document.entries}
         self._held = {number: held for number, held in self._held.items() if number in present}
 
-    def size(self, entry: ls.SceneEntry, time: float = 0.0) -> Array | None:
+    def size(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Array | None:
         """Lengths of an entry's box along its own axes, as large as it stands in the scene, shape (3,)."""
         box, pose = self.of(entry, time), pose_of(entry, time)
         return None if box is None or pose is None else scale_of(pose) * (box[1] - box[0])

@@ -22,7 +22,7 @@ from lumisplat.viewer.words import page_words
 class State:
     """All that can be undone."""
 
-    document: ls.SceneDocument = field(default_factory=lambda: ls.SceneDocument.of(ls.Scene()))
+    document: ls.io.SceneDocument = field(default_factory=lambda: ls.io.SceneDocument.of(ls.Scene()))
     config: ls.RenderConfig = field(default_factory=ls.RenderConfig)
     exposure: float = 0.0
     """Stops, of lit frames."""
@@ -129,7 +129,7 @@ class Session:
 
     def apply(
         self,
-        edit: Callable[[ls.SceneDocument], ls.SceneDocument],
+        edit: Callable[[ls.io.SceneDocument], ls.io.SceneDocument],
         merge: str | None = None,
         *,
         within: float = MERGE_S,
@@ -206,7 +206,7 @@ class Session:
         return shown_views(self.state.config, lit=self.is_lit)
 
     @property
-    def selected_entry(self) -> ls.SceneEntry | None:
+    def selected_entry(self) -> ls.io.SceneEntry | None:
         """The entry that people edit."""
         return next((entry for entry in self.state.document.entries if entry.id == self.selected), None)
 

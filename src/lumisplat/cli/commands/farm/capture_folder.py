@@ -62,7 +62,7 @@ class CaptureFolder(FrameFolder):
         """Removes also what the trainings have left: they begin anew."""
         stamp.unlink(missing_ok=True)
         for index in range(len(self.names or ())):
-            ls.forget_training(self.path(index).with_suffix(".ply"))
+            ls.training.forget_training(self.path(index).with_suffix(".ply"))
             self._unfinished(index).unlink(missing_ok=True)
         super()._clear(stamp)
 

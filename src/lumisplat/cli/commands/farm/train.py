@@ -52,7 +52,7 @@ class FarmTrain(Train):
         self._trainings()
         for folder in self.folder:
             if not folder.is_dir():
-                raise ls.MissingFileError(folder, "no such folder")
+                raise ls.errors.MissingFileError(folder, "no such folder")
         TrainSettings.read(self.settings, self._names()).warn_of_unused()
         run_farm(self, overwrite=self.overwrite, video=None)
         folder = self._folder()

@@ -54,7 +54,7 @@ class TrainSettings:
         try:
             document = toml_values(path)
         except FileNotFoundError:
-            raise ls.MissingFileError(path, "no such file") from None
+            raise ls.errors.MissingFileError(path, "no such file") from None
         except (OSError, ValueError) as error:
             raise ls.FormatError(path, f"cannot be read as TOML: {error}") from None
         for name, table in document.items():

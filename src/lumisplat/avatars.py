@@ -1,0 +1,24 @@
+"""Rigged figures made of Gaussians, and the light of a capture on them."""
+
+from lumisplat.io.load_save import load_rig
+from lumisplat.relighting.actors import shadowed
+from lumisplat.relighting.avatar_lighter import AvatarLighter
+from lumisplat.relighting.capture_gain import estimate_capture_gain
+from lumisplat.relighting.probe import EnvironmentProbe
+from lumisplat.relighting.probe_transfer import relight
+from lumisplat.scene.animation.actors import Actor
+from lumisplat.scene.animation.rig import Rig
+from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians, bind_gaussians
+
+__all__ = [
+    "Actor",
+    "AvatarLighter",
+    "EnvironmentProbe",
+    "Rig",
+    "RiggedGaussians",
+    "bind_gaussians",
+    "estimate_capture_gain",
+    "load_rig",
+    "relight",
+    "shadowed",
+]
