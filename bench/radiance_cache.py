@@ -31,7 +31,7 @@ def main() -> None:
 def row(count: int, device: str) -> dict[str, float]:
     """Milliseconds of each pass, and what the cache holds in the end."""
     from lumisplat.config import RadianceCacheConfig
-    from lumisplat.renderer.gi.radiance_cache import RadianceCache
+    from lumisplat.renderer.realtime.radiance_cache import RadianceCache
     from lumisplat.runtime.buffers import Buffers
     from lumisplat.runtime.launcher import Launcher
 

@@ -68,7 +68,6 @@ LAYERS = (
     "renderer.raster",
     "renderer.unscented",
     "renderer.gradients",
-    "renderer.gi",
     "renderer.realtime",
     "renderer.integrators",
     "renderer",

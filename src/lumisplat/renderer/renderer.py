@@ -46,8 +46,7 @@ from lumisplat.renderer.checks import (
 from lumisplat.renderer.film.film import Film
 from lumisplat.renderer.given_rays import checked_distances, checked_rays
 from lumisplat.renderer.integrators.integrators import Integrators
-from lumisplat.renderer.light.grain_warning import GrainWarning
-from lumisplat.renderer.light.media_warning import MediaWarning
+from lumisplat.renderer.light.light_warnings import LightWarnings
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.raster_hits import RasterHits
@@ -112,8 +111,7 @@ class Renderer:
         self._queries = RayQueries(launcher, buffers, config, self._tracer, self._integrators)
         self._profiles = RayProfiles(launcher, buffers, config)
         self._warnings = RasterWarnings()
-        self._grain = GrainWarning()
-        self._media = MediaWarning()
+        self._light_warnings = LightWarnings()
         self._surroundings = MeshSurroundings()
         self._developed: tuple[FramePlan, FrameStats] | None = None
         """Of the last frame, as long as the film has its samples."""
@@ -238,7 +236,7 @@ class Renderer:
         with self._launcher.stoppable(None if plan.has_history else stop):
             counts, budget = self._sampled(plan, camera.exposure, resume, progress)
         images = self._images(plan, camera, encodes=encode)
-        self._media.warn_of(plan, scene, self._buffers)
+        self._light_warnings.warn_of_media(plan, scene, self._buffers)
         frame = self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
         self._developed = None if frame.stats is None else (plan, frame.stats)
         return frame
@@ -306,7 +304,7 @@ class Renderer:
         buffers = self._buffers if has_same_buffers else None
         other = Renderer(config, self._launcher, self._progress, compiles=False, buffers=buffers)
         other._scene.take_assets(self._scene)
-        other._warnings, other._grain, other._media = self._warnings, self._grain, self._media  # each warns once
+        other._warnings, other._light_warnings = self._warnings, self._light_warnings  # each warns once
         self._launcher.drop_graphs()
         vars(self).update(vars(other))
 
@@ -349,7 +347,7 @@ class Renderer:
         """Samples the synced scene on the film: what was counted, and how many samples of what noise there are."""
         self._film.begin(self._scene, plan, resume, part)
         first = part.first if part is not None else 0 if resume is None else resume.samples
-        self._grain.warn_of(plan, first + plan.samples)
+        self._light_warnings.warn_of_noise(plan, first + plan.samples)
         is_estimated = plan.noise is not None or plan.time_limit is not None or progress is not None
         budget = SampleBudget(plan, first, partial(self._film.noise, exposure) if is_estimated else None)
         while not budget.is_spent:

@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.config import ShadowMethod
 from lumisplat.demo.shapes import icosphere
 from lumisplat.math.color import decode_srgb
-from lumisplat.renderer.shadow import stochastic_bvh
+from lumisplat.renderer.shadow import shadow_rays
 from support.files.splat_files import load_gaussians
 from support.oracles import shadow_oracle
 from support.oracles.raster_oracle import normalized
@@ -531,7 +531,7 @@ def test_shrunk_trees_change_nothing(
     rays = rays_around(87, 1000)
     found = {}
     for rays_per_gaussian in (0.0, np.inf):
-        monkeypatch.setattr(stochastic_bvh, "SHRINK_RAYS_PER_GAUSSIAN", rays_per_gaussian)
+        monkeypatch.setattr(shadow_rays, "SHRINK_RAYS_PER_GAUSSIAN", rays_per_gaussian)
         found[rays_per_gaussian] = [
             rig.light(scene, *rays, config, sample=sample, method=STOCHASTIC, shared_draws=True) for sample in range(8)
         ]
@@ -551,7 +551,7 @@ def test_shrunk_trees_follow_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     rays = rays_around(90)
     shadows = {}
     for rays_per_gaussian in (0.0, np.inf):
-        monkeypatch.setattr(stochastic_bvh, "SHRINK_RAYS_PER_GAUSSIAN", rays_per_gaussian)
+        monkeypatch.setattr(shadow_rays, "SHRINK_RAYS_PER_GAUSSIAN", rays_per_gaussian)
         rig = ShadowRig()
         shadows[rays_per_gaussian] = [
             rig.light(scene, *rays, sample=sample, method=STOCHASTIC, shared_draws=True)

@@ -106,7 +106,7 @@ def reprojected(seen: Seen, before: Seen, history: Light) -> Light:
     return Light(scale * found.frames, scale[:, None, None] * found.light, scale[:, None, None] * found.moments)
 
 
-def kept_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
+def retained_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
     """Share of its history that each pixel keeps, by the samples of 5 x 5 pixels; shape (pixels,)."""
     found, expected = luminance(samples), luminance(history.light)
     variance = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
@@ -151,11 +151,11 @@ def accumulated(
     """A history with the samples of one more frame."""
     sampled = sampled & (seen.share > 0.0)
     samples = np.where(sampled[:, None, None], samples, 0.0)
-    kept = kept_shares(seen, history, samples, sampled, shared)
+    retained = retained_shares(seen, history, samples, sampled, shared)
     if known_share < 1.0:
-        kept = np.minimum(kept, shares_inside(seen, history, samples, sampled))
-        kept *= np.where(history.frames < limits.YOUNG_FRAMES, known_share, 1.0)
-    count = kept * history.frames + 1.0
+        retained = np.minimum(retained, shares_inside(seen, history, samples, sampled))
+        retained *= np.where(history.frames < limits.YOUNG_FRAMES, known_share, 1.0)
+    count = retained * history.frames + 1.0
     bright = luminance(samples)
     moments = np.stack([bright, bright * bright], axis=-1)
     add = np.where(sampled, 1.0 / count, 0.0)[:, None, None]

@@ -24,15 +24,15 @@ def exponential_draws(key: int, seed: int, frame: int, count: int) -> Array:
     return -np.log1p(-(steps + 0.5) * 2.0**-24)
 
 
-def kept_lights(draws: Array, weights: Array, count: int) -> tuple[npt.NDArray[np.intp], Array]:
+def chosen_lights(draws: Array, weights: Array, count: int) -> tuple[npt.NDArray[np.intp], Array]:
     """Numbers of the lights that a cell keeps, ascending, and the probability of each."""
     reached = np.flatnonzero(weights > 0.0)
     if len(reached) <= count:
         return reached, np.ones(len(reached))
     ranks = draws[reached] / weights[reached]
     order = np.argsort(ranks, kind="stable")
-    kept = np.sort(reached[order[:count]])
-    return kept, -np.expm1(-weights[kept] * ranks[order[count]])
+    chosen = np.sort(reached[order[:count]])
+    return chosen, -np.expm1(-weights[chosen] * ranks[order[count]])
 
 
 def point_weights(positions: Array, powers: Array, center: Array, half: float) -> Array:

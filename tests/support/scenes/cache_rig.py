@@ -8,7 +8,7 @@ import numpy as np
 
 from lumisplat.config import RadianceCacheConfig
 from lumisplat.device.structs.radiance_cache import CachePoints, CacheSamples
-from lumisplat.renderer.gi.radiance_cache import RadianceCache
+from lumisplat.renderer.realtime.radiance_cache import RadianceCache
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.radiance_cache_oracle import Samples

@@ -11,7 +11,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.structs.gi import LightHistory, SurfaceLight, SurfacePixels
-from lumisplat.renderer.realtime.gbuffer import Surfaces
+from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
 from lumisplat.renderer.realtime.light_filter import LightFilter
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, device_array
@@ -63,7 +63,7 @@ class FilterSequence:
             motion=SimpleNamespace(camera=camera_rows(before.camera), known_share=self.known_share),
             image_size=(seen.camera.width, seen.camera.height),
         )
-        surfaces = Surfaces(1, now, self._before or now)
+        surfaces = PixelSurfaces(1, now, self._before or now)
         found = self.filter.filter(cast(DeviceScene, scene), surfaces, light, self.frame)
         self._seen, self._before = seen, now
         self.frame += 1

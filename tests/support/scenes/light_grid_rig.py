@@ -14,7 +14,7 @@ from lumisplat.constants.realtime import GRID_LIGHTS
 from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.gi import LightGrid
 from lumisplat.device.structs.shading import ShadingScene, ShadingSettings
-from lumisplat.renderer.gi import light_grid_kernels as kernels
+from lumisplat.renderer.realtime import light_grid_kernels as kernels
 from lumisplat.renderer.scene.lights import LightTable
 from lumisplat.runtime.buffers import Buffers, assign_table
 from lumisplat.runtime.launcher import Launcher

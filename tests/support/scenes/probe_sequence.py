@@ -10,7 +10,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.config import ProbeConfig
-from lumisplat.renderer.gi.screen_probes import ScreenProbes
+from lumisplat.renderer.realtime.screen_probes import ScreenProbes
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
 from support.scenes.gi_surfaces import Doubles, Seen, camera_rows

@@ -21,13 +21,7 @@ from lumisplat.scene.lights import LightEnvironment
 
 
 class DirectLight:
-    """Adds direct light to waves of rays.
-
-    Args:
-        launcher: Runs the kernels.
-        buffers: Holds the arrays.
-        config: Settings.
-    """
+    """Adds direct light to waves of rays."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
@@ -43,12 +37,12 @@ class DirectLight:
         return modules
 
     def begin_sample(self, sample: int) -> None:
-        """Prepares the shadow rays of a sample, before its first wave."""
+        """Begins a sample, before its first wave."""
         self._shadows.begin_sample(sample)
 
     def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds the light of all lights that a wave's interactions reflect."""
-        # Shadow-only sets are darkened by the blocked share of all light, so they need unshadowed lights, too.
+        """Adds the light that a wave's interactions reflect of all lights."""
+        # Shadow catchers are darkened by the blocked share of all light, so they need unshadowed lights, too.
         one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_only)
         if plan.has_unshadowed and not one_by_one:
             with self._launcher.stage("shade"):
@@ -93,7 +87,7 @@ class DirectLight:
             )
 
     def _add_one_by_one(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, *, also_unshadowed: bool) -> None:
-        """Adds each shadowed light, and each unshadowed one if light images or shadow-only sets need it."""
+        """Adds each shadowed light, and each unshadowed one if images of lights or shadow catchers need it."""
         images = self.images(scene, plan, wave.count) if self._wants_images(plan, wave) else None
         arrivals = Arrivals()
         if plan.has_shadow_only:
@@ -132,11 +126,11 @@ class DirectLight:
                 self._launcher.run_banded(kernels.add_caught, wave.count, *inputs)
 
     def _caught(self, number: int, wave: RayWave) -> DeviceArray:
-        """What of a light is sent to the shadow catchers of a wave, and what arrives there."""
+        """Light of one light at the shadow catchers of a wave, first unshadowed, then shadowed."""
         return self._buffers.get(f"light.caught{number}", wp.vec3, 2 * wave.count)
 
     def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: Arrivals) -> None:
-        """Finds how much of the ambient light around shadow catchers is open."""
+        """Finds the share of ambient light that reaches shadow catchers."""
         rays, media = self._shadow_rays(wave), self._media(plan, wave)
         for number in range(plan.ambient_rays):
             inputs = number, scene.shading, wave.data, rays, media
@@ -160,7 +154,7 @@ class DirectLight:
         return contributions
 
     def _visibility(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> DeviceArray:
-        """What of the contributions arrives, by the shadow rays."""
+        """Visibility of the contributions, by the shadow rays."""
         skips = wave.row.interactions.shadow_only
         with self._launcher.stage("shadow"):
             return self._shadows.trace(

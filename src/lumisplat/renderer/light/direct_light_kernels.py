@@ -1,7 +1,7 @@
 """Direct light with shadow rays, light by light. One item is one ray of a wave, with its two interactions.
 
 ``spawn_shadow_rays`` and ``add_light`` run before and after the shadow rays of each light; ``darken_captured`` follows
-the last light, for shadow-only sets.
+the last light, for shadow catchers.
 """
 
 import warp as wp
@@ -36,9 +36,9 @@ def spawn_shadow_rays(
     media_out: wp.array[wp.vec4i],
     contributions_out: wp.array[wp.vec3],
 ):
-    """Shadow rays from the interactions towards light ``number``, the media at their origins, and what it contributes.
+    """Unshadowed contributions of light ``number``, shadow rays towards it, and the media at their origins.
 
-    The contributions are unshadowed; ``media_out`` is without elements where no medium absorbs.
+    ``media_out`` is without elements where no medium absorbs.
     """
     i = start + wp.tid()
     stride = contributions_out.shape[0] // 2
@@ -76,7 +76,7 @@ def add_light(
 ):
     """Adds a light to the radiance of rays, times ``visibility`` if it is ``shadowed``.
 
-    The last three arrays are the light's own images, and what of it is sent to shadow catchers and arrives there;
+    The last three arrays are the images of this light alone, unshadowed and shadowed, and its light at shadow catchers;
     without elements if the frame does not ask for them.
     """
     i = start + wp.tid()
@@ -110,7 +110,7 @@ def spawn_ambient_rays(
     rays_out: RayData,
     media_out: wp.array[wp.vec4i],
 ):
-    """Item = ray: shadow ray ``number`` of its sample in a random direction, by cosine, if it sees a shadow catcher.
+    """Item = ray: shadow ray ``number`` of its sample in a random direction, by cosine, if it hits a shadow catcher.
 
     ``media_out`` is without elements where no medium absorbs.
     """
@@ -135,7 +135,7 @@ def spawn_ambient_rays(
 
 @wp.kernel
 def add_open(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: Arrivals):
-    """Item = ray: adds what an ambient ray found to be open."""
+    """Item = ray: adds the visibility of ambient light along an ambient ray."""
     i = start + wp.tid()
     if rays.is_active[i]:
         arrivals_inout.open[i] += visibility[i]
@@ -149,15 +149,15 @@ def darken_captured(
     arrivals_inout: Arrivals,
     wave_inout: wp.array[WaveData],
 ):
-    """The share of captured colours that shadows leave (differential rendering, Debevec 1998).
+    """Item = ray: factor of captured colours in shadow (differential rendering, Debevec 1998).
 
-    What of a captured colour is light of the scene's lights leaves the emission, for the lights' own images.
+    The part of a captured colour that is light of the scene's lights moves from the emission to the lights' own images.
 
     Args:
-        start: First item: a ray.
-        ambient_rays: How many of each have found what is open; 0: ambient light is not blocked.
+        start: First item.
+        ambient_rays: Ambient rays of each; 0: ambient light is not blocked.
         scene: The scene.
-        arrivals_inout: Light that was sent, and what of it arrived; receives what of it is reflected.
+        arrivals_inout: Light unshadowed and shadowed; receives the reflectance.
         wave_inout: The wave.
     """
     i = start + wp.tid()
@@ -199,7 +199,7 @@ def add_caught(
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: adds to a light's own images what of a catcher's captured colour is light of it."""
+    """Item = ray: adds to a light's own images that part of a catcher's captured colour which is its light."""
     i = start + wp.tid()
     direct_inout[i] += wp.cw_mul(arrivals.reflectance[i], caught[i])
     arrived_inout[i] += wp.cw_mul(arrivals.reflectance[i], caught[caught.shape[0] // 2 + i])

@@ -52,7 +52,7 @@ def far_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
 
 @wp.func
 def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Whether the environment is a part of what ray ``i`` sees; paths add it where they go on."""
+    """Whether the environment is visible to ray ``i``; paths add it when they continue."""
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_NOTHING
     return wave[0].traces_paths == 0 and sees_far(i, wave)
@@ -71,7 +71,7 @@ def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.arr
 
 @wp.func
 def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
-    """Writes which branches of a ray go on, if the wave may branch."""
+    """Writes which branches of a ray continue, if the wave may branch."""
     if wave[0].may_branch != 0:
         wave[0].branches[i] = branches[0]
         wave[0].branches[wave[0].path_weights.shape[0] + i] = branches[1]
@@ -79,7 +79,7 @@ def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
 
 @wp.func
 def store_no_lobe(i: int, wave: wp.array[WaveData]):
-    """Writes that no highlight of a ray sends one on, if the frame has such rays."""
+    """Writes that a ray has no branch within a highlight, if the frame has such rays."""
     place = 2 * wave[0].path_weights.shape[0] + i
     if wave[0].may_branch != 0 and place < wave[0].branches.shape[0]:
         wave[0].branches[place] = 0
@@ -87,7 +87,7 @@ def store_no_lobe(i: int, wave: wp.array[WaveData]):
 
 @wp.func
 def store_no_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes what an inactive ray sees: the background if it is a camera's, else black."""
+    """Writes the radiance of an inactive ray: the background if it is a camera's, else black."""
     from_camera = wave[0].from_camera != 0
     shows = from_camera and scene[0].settings[0].camera_sees != SEES_NOTHING
     wave[0].radiance.captured[i] = wp.where(from_camera, scene[0].settings[0].background, wp.vec3(0.0))
@@ -191,7 +191,7 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
 def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     """Writes the radiance of a lit ray before direct light, and its interactions.
 
-    That is captured colours that are kept, emission, and the far radiance in branches that are not traced.
+    It is the sum of unlit captured colours, emission, and far radiance in branches that are not traced.
     """
     over_light = is_over_light(i, scene, wave)
     surface = splat_surface(i, over_light, scene, wave)
@@ -219,8 +219,8 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     if reflects_light(surface):
         material = scene[0].materials[surface.instance]
         if material.shadow_only == 0:
-            kept = wp.where(material.keeps_capture != 0, 1.0, 0.0)
-            change = material.emissive + material.ambient - wp.vec3(kept)
+            captured = wp.where(material.keeps_capture != 0, 1.0, 0.0)
+            change = material.emissive + material.ambient - wp.vec3(captured)
             light += surface.share * wp.cw_mul(change, surface.albedo)
     wave[0].radiance.captured[i] = surface.captured
     wave[0].radiance.captured_weight[i] = surface.weight
@@ -242,7 +242,7 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
 
 @wp.func
 def store_media(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Takes what the medium of a ray absorbs off its weight, and notes a medium that was left without being entered."""
+    """Multiplies a ray's weight by the transmittance of its medium, and marks media left without being entered."""
     if wave[0].weights and scene[0].settings[0].absorbs != 0:
         share = passed_by_ray(i, scene, wave)
         wave[0].path_weights[i] = wave[0].path_weights[i] * wp.max(share)

@@ -1,4 +1,4 @@
-"""Host pass: the radiance of a wave before direct light, and its interactions, written once and read by all lights."""
+"""Host pass: radiance of a wave before direct light, and its interactions, written once and read by all lights."""
 
 from __future__ import annotations
 
@@ -17,28 +17,20 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 SHADOW_RAY_FIELDS = ("spawn_point", "spawn_t_min", "geometric_normal", "smooth_height")
 """Fields of interactions that only shadow rays need."""
 
-
 ROUGH_GLASS_FIELDS = {"transmitted", "thin_walled", "metallic", "metal"}
-"""Fields of interactions that only rough surfaces need which transmit."""
-
+"""Fields of interactions that only rough glass needs."""
 
 LAYER_FIELDS = {"rescattered", "coat", "coat_alpha", "sheen", "sheen_alpha", "sheen_curve"}
-"""Fields of interactions that only layers need, and what is scattered more than once."""
-
+"""Fields of interactions that only clearcoat, sheen and multiple scattering need."""
 
 RECEIVED_FIELDS = frozenset(
     {"captured_all", "captured_part", "received", "sent", "arrived", "own_sent", "own_arrived", "ambient", "open"}
 )
-"""Of the radiance of rays: what paths find of the light on shadow catchers."""
+"""Fields of the radiance of rays for light on shadow catchers, which paths find."""
 
 
 class Surfaces:
-    """Makes a wave of rays from their hits.
-
-    Args:
-        launcher: Runs the kernels.
-        buffers: Holds the arrays.
-    """
+    """Makes a wave of rays from their hits."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -66,10 +58,10 @@ class Surfaces:
         Args:
             scene: The scene on the device.
             plan: The plan of the frame.
-            hits: What the rays hit.
-            number: How many specular bounces the rays have behind them.
-            carried: What the rays bring along; None in the primary wave.
-            may_branch: Whether smooth meshes reflect and refract rays that are worth tracing.
+            hits: The rays and their hits.
+            number: Specular bounces of the rays so far.
+            carried: State of the rays from earlier waves; None in the primary wave.
+            may_branch: Whether smooth meshes may reflect and refract rays.
             on_paths: Whether the rays are those of paths, in frames that trace paths.
         """
         with self._launcher.stage("shade"):

@@ -1,1 +1,1 @@
-"""Sequences of frames in which light bounces: the passes of a frame, and what is kept for the next one."""
+"""Sequences of frames in which light bounces: one host pass for each stage, with its kernels beside it."""

@@ -16,23 +16,18 @@ SPLATS, MESHES = 0, 1
 
 
 @dataclass(frozen=True, slots=True)
-class Surfaces:
-    """The surfaces of one kind."""
+class PixelSurfaces:
+    """The surfaces of one kind that the pixels of two frames show."""
 
     kind: int
     """SPLATS or MESHES."""
     now: SurfacePixels
     before: SurfacePixels
-    """Of the frame before."""
+    """Those of the frame before."""
 
 
 class GBuffer:
-    """Keeps the surfaces of two frames.
-
-    Args:
-        launcher: Runs the kernels.
-        buffers: Holds the arrays.
-    """
+    """Holds the surfaces of two frames."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -43,25 +38,19 @@ class GBuffer:
         """The kernel modules."""
         return [kernels]
 
-    def forget(self) -> None:
-        """No surface was there before."""
+    def reset(self) -> None:
+        """Begins a new sequence of frames."""
         self._kinds_before = ()
 
-    def store(self, scene: DeviceScene, wave: RayWave, frame: int) -> list[Surfaces]:
-        """The surfaces of the kinds that the scene has.
-
-        Args:
-            scene: The scene on the device, synced.
-            wave: The first wave of the frame, with one ray a pixel.
-            frame: Its number.
-        """
-        kinds = kinds_of(scene)
+    def store(self, scene: DeviceScene, wave: RayWave, frame: int) -> list[PixelSurfaces]:
+        """Stores the surfaces that a first wave of one ray a pixel hits; one element for each kind in the scene."""
+        kinds = (SPLATS,) * (scene.gaussian_count > 0) + (MESHES,) * (scene.triangle_count > 0)
         with self._launcher.stage("gbuffer"):
             surfaces = [self._store(scene, wave, frame, kind) for kind in kinds]
         self._kinds_before = kinds
         return surfaces
 
-    def _store(self, scene: DeviceScene, wave: RayWave, frame: int, kind: int) -> Surfaces:
+    def _store(self, scene: DeviceScene, wave: RayWave, frame: int, kind: int) -> PixelSurfaces:
         now, before = self._pixels(scene, kind, frame), self._pixels(scene, kind, frame + 1)
         if kind not in self._kinds_before:
             device_array(before.share).zero_()
@@ -72,13 +61,8 @@ class GBuffer:
         else:
             inputs = scene.camera, scene.shading, motion.meshes, wave.data, now
             run(kernels.store_mesh_surfaces, wave.count, *inputs)
-        return Surfaces(kind, now, before)
+        return PixelSurfaces(kind, now, before)
 
     def _pixels(self, scene: DeviceScene, kind: int, frame: int) -> SurfacePixels:
         width, height = scene.image_size
         return self._buffers.struct(f"gbuffer.{kind}.{frame % 2}", SurfacePixels, width * height)
-
-
-def kinds_of(scene: DeviceScene) -> tuple[int, ...]:
-    """The kinds of surfaces that pixels may show."""
-    return (SPLATS,) * (scene.gaussian_count > 0) + (MESHES,) * (scene.triangle_count > 0)

@@ -16,11 +16,13 @@ wp.set_module_options(SHADE_OPTIONS)
 
 
 @wp.func
-def store_surface(j: int, pixel: int, wave: wp.array[WaveData], out: SurfacePixels):
-    """Writes what both kinds of surfaces have, of interaction ``j``."""
+def store_surface(j: int, pixel: int, camera: wp.array[CameraData], wave: wp.array[WaveData], out: SurfacePixels):
+    """Writes the fields that both kinds of surfaces have in common, of interaction ``j``."""
+    position = wave[0].interactions.position[j]
     out.share[pixel] = wave[0].interactions.weight[j]
-    out.position[pixel] = wave[0].interactions.position[j]
+    out.position[pixel] = position
     out.normal[pixel] = wave[0].interactions.normal[j]
+    out.distance[pixel] = wp.length(position - camera[0].eye)
     interaction = load_interaction(j, wave)
     cosine = wp.max(wp.dot(interaction.normal, interaction.wo), 0.0)
     out.albedo[pixel] = diffuse_albedo(interaction.bsdf, cosine)
@@ -46,15 +48,13 @@ def store_splat_surfaces(
     surfaces_out.share[pixel] = 0.0
     if not (wave[0].rays.is_active[i] and wave[0].interactions.exists[i]) or wave[0].interactions.shadow_only[i]:
         return
+    store_surface(i, pixel, camera, wave, surfaces_out)
     surface = splat_surface(i, True, scene, wave)
-    store_surface(i, pixel, wave, surfaces_out)
-    position = wave[0].interactions.position[i]
-    surfaces_out.distance[pixel] = wp.length(position - camera[0].eye)
-    asset = scene[0].splats[surface.instance].asset
-    largest = wp.max(scene[0].attributes[asset].scales[surface.gaussian])
-    surfaces_out.extent[pixel] = scene[0].splats[surface.instance].scale * largest
+    instance = scene[0].splats[surface.instance]
+    largest = wp.max(scene[0].attributes[instance.asset].scales[surface.gaussian])
+    surfaces_out.extent[pixel] = instance.scale * largest
     surfaces_out.previous[pixel] = splat_before(
-        position, surface.instance, surface.gaussian, scene[0].splats, assets, motions
+        wave[0].interactions.position[i], surface.instance, surface.gaussian, scene[0].splats, assets, motions
     )
 
 
@@ -76,15 +76,9 @@ def store_mesh_surfaces(
     j = wave[0].rays.is_active.shape[0] + i
     if not (wave[0].rays.is_active[i] and wave[0].interactions.exists[j]):
         return
-    store_surface(j, pixel, wave, surfaces_out)
-    position = wave[0].interactions.position[j]
-    surfaces_out.distance[pixel] = wp.length(position - camera[0].eye)
+    store_surface(j, pixel, camera, wave, surfaces_out)
+    hit = wave[0].meshes
     surfaces_out.extent[pixel] = 0.0
     surfaces_out.previous[pixel] = mesh_before(
-        position,
-        wave[0].meshes.instance[i],
-        wave[0].meshes.face[i],
-        wave[0].meshes.weights[i],
-        scene[0].meshes,
-        motions,
+        wave[0].interactions.position[j], hit.instance[i], hit.face[i], hit.weights[i], scene[0].meshes, motions
     )

@@ -1,22 +1,36 @@
-"""Host pass: indirect light of the surfaces that pixels show, by screen probes and the radiance cache."""
+"""Host pass: indirect light of the surfaces that pixels show, by screen probes and the radiance cache.
+
+Secondary rays leave probes, cells of the cache and highlights (docs/method/realtime.md#rays).
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import warp as wp
+
 from lumisplat.config import RenderConfig
-from lumisplat.constants import PACKET_RAYS
-from lumisplat.device.structs.gi import LobeRays, SurfaceLight, SurfacePixels
+from lumisplat.constants import PACKET_RAYS, SHADE_BANDS_PER_THREAD
+from lumisplat.constants.realtime import SPECULAR_WAVES
+from lumisplat.device.structs.gi import BouncedRays, LobeRays, OnwardRays, SurfaceLight, SurfacePixels
+from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
-from lumisplat.renderer.gi.radiance_cache import RadianceCache
-from lumisplat.renderer.gi.screen_probes import ScreenProbes
+from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime import indirect_light_kernels as kernels
-from lumisplat.renderer.realtime.bounced_light import BouncedLight
-from lumisplat.renderer.realtime.gbuffer import Surfaces
+from lumisplat.renderer.realtime import secondary_ray_kernels as ray_kernels
+from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
+from lumisplat.renderer.realtime.light_grid import LightGrids
+from lumisplat.renderer.realtime.radiance_cache import RadianceCache
+from lumisplat.renderer.realtime.screen_probes import ScreenProbes
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace.path_gaussians import Dark
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.runtime.buffers import Buffers, device_array
+from lumisplat.renderer.trace.ray_wave import Carried, RayWave
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.runtime.primitives import prefix_sum
 
 
 class IndirectLight:
@@ -34,69 +48,96 @@ class IndirectLight:
         self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer, shadows: ShadowRays
     ) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._bounced = BouncedLight(launcher, buffers, config, tracer, shadows)
-        self._interval = config.realtime.light_interval
+        self._rays = SecondaryRays(launcher, buffers, tracer, shadows)
+        self._interval, self._follows_lobes = config.realtime.light_interval, config.realtime.highlight_rays
         self._offset = config.shadow_rays.offset
         self.cache = RadianceCache(launcher, buffers, config.realtime.cache)
-        """What surfaces around reflect."""
         self.probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed, self._offset)
-        """What sees light from other surfaces."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """The kernel modules of a frame."""
-        return [*self._bounced.modules(plan), kernels, *self.probes.modules(), *self.cache.modules()]
+        return [*self._rays.modules(plan), kernels, *self.probes.modules(), *self.cache.modules()]
 
-    def forget(self) -> None:
-        """Drops all that earlier frames have found."""
+    def reset(self) -> None:
+        """Begins a new sequence of frames."""
         self.cache.reset()
         self.probes.reset()
+
+    def start_lobes(self, scene: DeviceScene, wave: RayWave, frame: int) -> tuple[LobeRays, RayData | None]:
+        """Starts rays within the highlights of a first wave, before later waves overwrite its surfaces.
+
+        The host waits for their number.
+
+        Returns:
+            Which pixels have a ray, and the rays; None if there are none.
+        """
+        width, height = scene.image_size
+        squares = -(-width // 2) * -(-height // 2)
+        run = self._launcher.run_banded
+        lobes = self._buffers.struct("lobes", LobeRays, squares, without={"seen"})
+        if not self._follows_lobes:
+            device_array(lobes.slot).fill_(-1)
+            return lobes, None
+        follows, ends = (self._buffers.get(f"lobes.{name}", wp.int32, squares) for name in ("follows", "ends"))
+        run(ray_kernels.choose_lobes, squares, frame, scene.camera, wave.data, lobes, follows)
+        prefix_sum(follows, ends, inclusive=True)
+        count = int(device_array(ends)[-1:].numpy()[0])
+        if count == 0:
+            return lobes, None
+        rays = self._buffers.struct("lobes.rays", RayData, grown_capacity(count))
+        rays.is_active.zero_()
+        run(ray_kernels.start_lobes, squares, scene.camera, wave.data, ends, lobes, rays)
+        return lobes, rays
 
     def find(
         self,
         scene: DeviceScene,
         plan: FramePlan,
-        surfaces: list[Surfaces],
-        highlights: tuple[LobeRays, RayData | None],
+        surfaces: list[PixelSurfaces],
+        lobes: tuple[LobeRays, RayData | None],
         frame: int,
     ) -> list[SurfaceLight]:
-        """The light of this frame, for the surfaces of each kind.
+        """Finds the indirect light of a frame, for the surfaces of each kind.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
-            surfaces: What its pixels show.
-            highlights: Rays within their highlights.
+            surfaces: Those that its pixels show.
+            lobes: Rays within their highlights, by `start_lobes`.
             frame: Number of the frame.
         """
         with self._launcher.stage("probes"):
-            shown = self._shown(surfaces)
+            shown = self._larger(surfaces)
             self.probes.place(shown, scene.camera, scene.motion.camera, scene.image_size, frame)
             if scene.motion.known_share < 1.0:
                 self.probes.outdate(scene.motion.known_share)
                 self.cache.outdate(scene.motion.known_share)
             rays = self.probes.rays(frame)
-        hits = self._bounced.find(scene, plan, rays, "probe_rays", sees_lights=False)
+        hits = self._rays.trace(scene, plan, rays, "probe_rays", sees_lights=False)
         self.cache.insert(hits.samples, frame)
         self._bounce(scene, plan, frame)
         reflected = self.cache.look_up(hits.samples)
         with self._launcher.stage("probes"):
-            self.probes.update(*self._bounced.seen(hits, reflected, "probe_rays"))
-        lobes = self._follow(scene, plan, *highlights, frame)
+            self.probes.update(*self._rays.radiance(hits, reflected, "probe_rays"))
+        lobe_rays = self._follow_lobes(scene, plan, *lobes, frame)
         with self._launcher.stage("probes"):
-            light = [self._received(scene, kind, lobes) for kind in surfaces]
+            light = [self._received(scene, kind, lobe_rays) for kind in surfaces]
         self.cache.evict(frame)
         return light
 
-    def _follow(
+    def _follow_lobes(
         self, scene: DeviceScene, plan: FramePlan, lobes: LobeRays, rays: RayData | None, frame: int
     ) -> LobeRays:
-        """What the rays within highlights see: by direct light of their own, since cells would show in narrow ones."""
+        """Finds the radiance of rays within highlights.
+
+        Direct light at their hits is sampled: narrow highlights would show the cells of the cache.
+        """
         if rays is not None:
-            hits = self._bounced.find(scene, plan, rays, "lobe_rays")
+            hits = self._rays.trace(scene, plan, rays, "lobe_rays")
             self.cache.insert(hits.samples, frame)
             reflected = self.cache.look_up_indirect(hits.samples)
             self._launcher.run_banded(kernels.add_direct, len(rays.t_max), hits.samples, reflected)
-            lobes.seen, _ = self._bounced.seen(hits, reflected, "lobe_rays")
+            lobes.seen, _ = self._rays.radiance(hits, reflected, "lobe_rays")
         return lobes
 
     def _bounce(self, scene: DeviceScene, plan: FramePlan, frame: int) -> None:
@@ -106,27 +147,131 @@ class IndirectLight:
         rays = self._buffers.struct("cache.rays", RayData, -(-count // PACKET_RAYS) * PACKET_RAYS)
         with self._launcher.stage("bounced"):
             self._launcher.run_banded(kernels.start_cache_rays, len(rays.t_max), self._offset, points, rays)
-        hits = self._bounced.find(scene, plan, rays, "cache_rays")
+        hits = self._rays.trace(scene, plan, rays, "cache_rays")
         self.cache.insert(hits.samples, frame)
         self.cache.add_bounces(
-            points, hits.samples, lambda reflected: self._bounced.seen(hits, reflected, "cache_rays")[0]
+            points, hits.samples, lambda reflected: self._rays.radiance(hits, reflected, "cache_rays")[0]
         )
 
-    def _shown(self, surfaces: list[Surfaces]) -> SurfacePixels:
-        """The surface of each pixel that is the most of it."""
+    def _larger(self, surfaces: list[PixelSurfaces]) -> SurfacePixels:
+        """The surface of each pixel that covers more of it."""
         if len(surfaces) == 1:
             return surfaces[0].now
         count = len(device_array(surfaces[0].now.share))
-        shown = self._buffers.struct("gbuffer.shown", SurfacePixels, count)
-        self._launcher.run_banded(kernels.choose_surfaces, count, surfaces[0].now, surfaces[1].now, shown)
-        return shown
+        larger = self._buffers.struct("gbuffer.shown", SurfacePixels, count)
+        self._launcher.run_banded(kernels.choose_surfaces, count, surfaces[0].now, surfaces[1].now, larger)
+        return larger
 
-    def _received(self, scene: DeviceScene, kind: Surfaces, lobes: LobeRays) -> SurfaceLight:
-        """What surfaces of one kind reflect of what the probes and the rays within their highlights see."""
+    def _received(self, scene: DeviceScene, kind: PixelSurfaces, lobes: LobeRays) -> SurfaceLight:
+        """Light that surfaces of one kind reflect of probes and of rays within their highlights."""
         probes = self.probes
         irradiance = probes.irradiance(kind.now)
         light = self._buffers.struct(f"indirect_light.{kind.kind}", SurfaceLight, len(irradiance))
-        seen = probes.grid, scene.camera, kind.now, probes.probes, probes.adaptive_of, probes.light
-        inputs = kind.kind, *seen, irradiance, lobes, self._interval, light
+        inputs = kind.kind, probes.grid, scene.camera, kind.now, probes.probes, probes.adaptive_of, probes.light
+        inputs = *inputs, irradiance, lobes, self._interval, light
         self._launcher.run_banded(kernels.receive_light, len(irradiance), *inputs)
         return light
+
+
+@dataclass(frozen=True, slots=True)
+class SecondaryHits:
+    """Hits of secondary rays, shaded by direct light."""
+
+    rays: BouncedRays
+    samples: CacheSamples
+    """The surfaces, and the radiance that they reflect of lights and the environment."""
+
+
+class SecondaryRays:
+    """Traces and shades rays that leave surfaces."""
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, shadows: ShadowRays) -> None:
+        self._launcher, self._buffers, self._tracer, self._shadows = launcher, buffers, tracer, shadows
+        self._surfaces = Surfaces(launcher, buffers)
+        self._grids = LightGrids(launcher, buffers)
+
+    def modules(self, plan: FramePlan) -> list[KernelModule]:
+        """The kernel modules of a frame."""
+        modules: list[KernelModule] = [ray_kernels, *self._surfaces.modules(), *self._grids.modules()]
+        modules += self._tracer.modules(plan, bounced=True)
+        if plan.casts_shadows:
+            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, part=True)
+        return modules
+
+    def trace(
+        self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str, *, sees_lights: bool = True
+    ) -> SecondaryHits:
+        """Finds the surfaces that rays hit, with direct light there; at smooth surfaces rays continue.
+
+        Args:
+            scene: The scene on the device.
+            plan: Plan of the frame.
+            rays: A multiple of ``PACKET_RAYS``.
+            name: Of the buffers that hold the result.
+            sees_lights: Whether captures that are sampled as lights are visible to the rays; not to rays from surfaces
+                that receive the light of these captures otherwise.
+        """
+        count, run = len(rays.t_max), self._launcher.run_banded
+        samples = self._buffers.struct(f"{name}.samples", CacheSamples, count)
+        bounced = self._buffers.struct(f"{name}.bounced", BouncedRays, count)
+        shadow_rays = self._buffers.struct(f"{name}.shadow_rays", RayData, count)
+        found = samples, bounced, shadow_rays
+        run(ray_kernels.clear_rays, count, *found)
+        goes_on = plan.max_bounces > 0
+        onward = self._onward(plan, count) if goes_on else OnwardRays()
+        media = device_array(onward.media) if plan.has_media else None
+        carried = Carried(device_array(onward.weights), media) if goes_on else None
+        marked, mirrored = scene.captured_emitters.marked, device_array(onward.mirrored) if goes_on else None
+        dark = None if sees_lights or marked is None else Dark(marked, mirrored)
+        for _ in range(1 + SPECULAR_WAVES * goes_on):
+            hits = self._tracer.find_hits(scene, rays, name, bounced=True, dark=dark)
+            with self._launcher.stage("bounced"):
+                wave = self._surfaces.shade(scene, plan, hits, 1, carried=carried, may_branch=False)
+                grid = self._grids.of_wave(scene, wave)
+                inputs = not plan.casts_shadows, grid, scene.camera, scene.shading, wave.data, *found, onward
+                run(ray_kernels.shade_hits, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)
+            if not goes_on or self._number(onward) == 0:
+                break
+            rays = onward.rays
+        with self._launcher.stage("bounced"):
+            visibility = bounced.sampled
+            if plan.casts_shadows:
+                visibility = self._shadows.trace(
+                    scene, shadow_rays, None, f"{name}.visibility", of_splats=plan.splat_shadows, part=True
+                )
+            run(ray_kernels.light_samples, count, bounced, shadow_rays, visibility, samples)
+        return SecondaryHits(bounced, samples)
+
+    def radiance(self, hits: SecondaryHits, reflected: DeviceArray, name: str) -> tuple[DeviceArray, DeviceArray]:
+        """Radiance of the rays, linear, and the distances of their hits; inf: none.
+
+        Args:
+            hits: Their hits.
+            reflected: Radiance that the surfaces there reflect of all light, linear.
+            name: Of the buffers that hold the result.
+        """
+        count = len(reflected)
+        radiance = self._buffers.get(f"{name}.radiance", wp.vec3, count)
+        distance = self._buffers.get(f"{name}.distance", wp.float32, count)
+        inputs = hits.rays, hits.samples, reflected, radiance, distance
+        self._launcher.run_banded(ray_kernels.add_reflected, count, *inputs)
+        return radiance, distance
+
+    def _onward(self, plan: FramePlan, count: int) -> OnwardRays:
+        """State of rays that may continue at smooth surfaces, at their start."""
+        onward, get = OnwardRays(), self._buffers.get
+        onward.rays = self._buffers.struct("bounced.onward", RayData, count)
+        onward.goes_on = get("bounced.goes_on", wp.int32, count)
+        onward.way, onward.mirrored = get("bounced.way", wp.float32, count), get("bounced.mirrored", wp.int32, count)
+        onward.weights = get("bounced.weights", wp.vec3, count)
+        if plan.has_media:
+            onward.media = get("bounced.media", wp.vec4i, count)
+        self._launcher.run_banded(ray_kernels.begin_onward, count, onward)
+        return onward
+
+    def _number(self, onward: OnwardRays) -> int:
+        """How many rays continue. The host waits for it."""
+        goes_on = device_array(onward.goes_on)
+        ends = self._buffers.get("bounced.ends", wp.int32, len(goes_on))
+        prefix_sum(goes_on, ends, inclusive=True)
+        return int(ends[-1:].numpy()[0])

@@ -1,4 +1,4 @@
-"""Between the surfaces that pixels show, screen probes and the radiance cache (docs/method/realtime.md)."""
+"""Indirect light of surfaces by screen probes and the radiance cache (docs/method/realtime.md)."""
 
 import warp as wp
 
@@ -21,12 +21,12 @@ wp.set_module_options({"enable_backward": False})
 
 LIFT = wp.constant(wp.float32(RAY_LIFT))
 GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
-"""Mixed into the seed: other numbers than those of other look-ups."""
+"""Mixed into the seed, so that random numbers differ from those of other look-ups."""
 
 
 @wp.kernel
 def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, shown_out: SurfacePixels):
-    """Item = pixel: the surface that is the most of it."""
+    """Item = pixel: the surface that covers more of it."""
     pixel = start + wp.tid()
     chosen = splats
     if meshes.share[pixel] > splats.share[pixel]:
@@ -41,13 +41,9 @@ def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, sh
 
 @wp.kernel
 def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: RayData):
-    """Item = ray: leaves a point of the cache, by the cosine of its normal.
+    """Item = ray: leaves a point of the cache, by the cosine of its normal; rays without a point are not active.
 
-    Args:
-        start: First item.
-        offset: Scales of a Gaussian within which Gaussians do not block the ray.
-        points: Those of the cache.
-        rays_out: The rays; behind those of the points none is active.
+    Gaussians within ``offset`` times the scale of the point's Gaussian do not block it.
     """
     i = start + wp.tid()
     rays_out.is_active[i] = False
@@ -77,7 +73,7 @@ def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: R
 
 @wp.kernel
 def add_direct(start: int, samples: CacheSamples, reflected_inout: wp.array[wp.vec3]):
-    """Item = ray: adds what the surface that it meets reflects of the light that it has sampled."""
+    """Item = ray: adds the sampled direct light that the surface at its hit reflects."""
     i = start + wp.tid()
     if samples.is_active[i]:
         reflected_inout[i] += samples.radiance[i]
@@ -85,7 +81,7 @@ def add_direct(start: int, samples: CacheSamples, reflected_inout: wp.array[wp.v
 
 @wp.func
 def reflected_direction(pixel: int, key: wp.uint32, frame: int, view: wp.vec3, surfaces: SurfacePixels) -> wp.vec3:
-    """A direction from which the highlight of a pixel's surface reflects light, unit."""
+    """A random direction within the highlight of a pixel's surface, unit."""
     normal = surfaces.normal[pixel]
     alpha = wp.max(surfaces.alpha[pixel], ALPHA_GGX_MIN)
     facet = facet_mirrored(normal, view, alpha, sobol_2d(key, frame))
@@ -105,7 +101,7 @@ def radiance_of_probes(
     adaptive_of: wp.array[int],
     seen: ProbeLight,
 ) -> wp.vec3:
-    """What probes see along a direction of a pixel's highlight."""
+    """Radiance of probes along a random direction within a pixel's highlight."""
     view = wp.normalize(camera[0].eye - surfaces.position[pixel])
     key = pixel_key_of(pixel, wp.bit_xor(grids[0].seed, GLOSSY_SEED))
     direction = reflected_direction(pixel, key, grids[0].frame, view, surfaces)
@@ -128,20 +124,20 @@ def receive_light(
     interval: int,
     light_out: SurfaceLight,
 ):
-    """Item = pixel: what its surface reflects of what probes see.
+    """Item = pixel: light that its surface reflects of probes and of rays within highlights.
 
     Args:
         start: First item.
-        slot: Which of the pixels' surfaces these are.
-        grids: How the probes lie on the pixels.
-        camera: Of the frame.
-        surfaces: What the pixels show.
+        slot: Kind of the surfaces.
+        grids: Layout of the probes.
+        camera: Camera of the frame.
+        surfaces: Surfaces of the pixels.
         probes: The probes.
         adaptive_of: Adaptive probes of tiles.
-        seen: What the probes see.
-        irradiance: Of the surfaces, by the probes.
-        lobes: Rays within their highlights.
-        interval: Frames in which each pixel has a sample, 1 or 2.
+        seen: Radiance of the probes.
+        irradiance: Irradiance of the surfaces, by the probes.
+        lobes: Rays within highlights.
+        interval: Frames in which each pixel has its turn, 1 or 2.
         light_out: Diffuse over the albedo, and glossy.
     """
     pixel = start + wp.tid()

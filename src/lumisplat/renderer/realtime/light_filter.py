@@ -1,4 +1,4 @@
-"""Host pass: light of surfaces without its noise, by means over frames and neighbours (Schied et al. 2017)."""
+"""Host pass: removes noise from the light of surfaces, by means over frames and neighbours (Schied et al. 2017)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import warp as wp
 from lumisplat.config import FilterConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.gi import FilteredLight, LightHistory, SurfaceLight
-from lumisplat.renderer.realtime import a_trous_filter_kernels, temporal_filter_kernels
-from lumisplat.renderer.realtime.gbuffer import Surfaces
+from lumisplat.renderer.realtime import light_filter_kernels as kernels
+from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
@@ -21,8 +21,8 @@ class LightFilter:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        name: Of the light; that of its history.
-        shared: Pixels that share each sample of the light.
+        name: Name of the buffers that hold the history.
+        shared: Pixels that share each sample of the light, and so its noise.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, name: str, shared: int) -> None:
@@ -33,61 +33,53 @@ class LightFilter:
     @staticmethod
     def modules() -> list[KernelModule]:
         """The kernel modules."""
-        return [temporal_filter_kernels, a_trous_filter_kernels]
+        return [kernels]
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Drops the history."""
         self._has_history = False
 
-    def filter(self, scene: DeviceScene, surfaces: Surfaces, light: SurfaceLight, frame: int) -> FilteredLight:
-        """The light without noise.
-
-        Args:
-            scene: With the camera, and that of the frame before.
-            surfaces: What the pixels show, of the kind that the light is of.
-            light: The samples of the frame.
-            frame: Its number.
-        """
+    def filter(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> FilteredLight:
+        """Filters the light samples of a frame, for the surfaces of the kind that they are of."""
         with self._launcher.stage("accumulate"):
             history = self._accumulate(scene, surfaces, light, frame)
         with self._launcher.stage("filter"):
             return self._smooth(scene, surfaces, history)
 
     def frames(self, scene: DeviceScene, frame: int) -> DeviceArray:
-        """Frames that the light of each pixel is a mean of, as filtered in a frame; float."""
+        """Length of each pixel's history in a frame, as float."""
         return device_array(self._history(scene, frame).frames)
 
-    def _accumulate(self, scene: DeviceScene, surfaces: Surfaces, light: SurfaceLight, frame: int) -> LightHistory:
-        """Means over frames."""
+    def _accumulate(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> LightHistory:
+        """Adds samples to the means over frames."""
         before, now = self._history(scene, frame - 1), self._history(scene, frame)
         if not self._has_history:
             device_array(before.frames).zero_()
         self._has_history = True
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
         inputs = surfaces.now, surfaces.before, scene.camera, scene.motion.camera, before, found
-        self._run(scene, temporal_filter_kernels.reproject, *inputs)
+        self._run(scene, kernels.reproject, *inputs)
         settings = float(self._config.frames), scene.motion.known_share, self._shared
         inputs = surfaces.now, scene.camera, light, found, now
-        self._run(scene, temporal_filter_kernels.accumulate, *settings, *inputs)
+        self._run(scene, kernels.accumulate, *settings, *inputs)
         return now
 
-    def _smooth(self, scene: DeviceScene, surfaces: Surfaces, history: LightHistory) -> FilteredLight:
-        """Means over neighbours, twice as far apart from pass to pass."""
+    def _smooth(self, scene: DeviceScene, surfaces: PixelSurfaces, history: LightHistory) -> FilteredLight:
+        """Averages over neighbours, whose distance doubles from pass to pass."""
         light = FilteredLight()
         light.diffuse, light.glossy = history.diffuse, history.glossy
         light.variance = self._buffers.get("filter.variance", wp.vec2, len(history.frames))
-        self._run(scene, a_trous_filter_kernels.estimate_variance, surfaces.now, scene.camera, history, light.variance)
+        self._run(scene, kernels.estimate_variance, surfaces.now, scene.camera, history, light.variance)
         for number in range(self._config.passes):
             is_last = number == self._config.passes - 1
             name = f"{self._name}.filtered" if is_last else f"filter.pass{number % 2}"
             filtered = self._buffers.struct(name, FilteredLight, len(history.frames))
             inputs = self._config.radius, 2**number, surfaces.now, scene.camera, history.frames, light, filtered
-            self._run(scene, a_trous_filter_kernels.filter_pass, *inputs)
+            self._run(scene, kernels.filter_pass, *inputs)
             light = filtered
         return light
 
     def _run(self, scene: DeviceScene, kernel: Kernel, *inputs: object) -> None:
-        """An item a pixel."""
         width, height = scene.image_size
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernel, width * height, wp.vec2i(width, height), *inputs, bands=bands)

@@ -1,4 +1,4 @@
-"""Indirect light of what smooth surfaces show in real time (docs/method/realtime.md#mirrors)."""
+"""Light at the hits of reflected and refracted rays in real time (docs/method/realtime.md#mirrors)."""
 
 import warp as wp
 
@@ -20,7 +20,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def beside(j: int, ray: int, width: float, interaction: Interaction, wave: wp.array[WaveData]) -> wp.vec3:
-    """A random point of the plane of an interaction, at most so far away: over frames, it hides the edges of cells."""
+    """A random point of an interaction's plane, within ``width``: averaged over frames, it hides edges of cells."""
     key = branch_key(wave[0].rays.sample_key[ray], CELL_BRANCH + j // wave[0].rays.is_active.shape[0])
     u = sobol_2d(key, 0)
     return interaction.position + (width * wp.sqrt(u[0])) * around(interaction.normal, 0.0, 1.0, u[1])
@@ -33,17 +33,11 @@ def list_surfaces(
     camera: wp.array[CameraData],
     wave: wp.array[WaveData],
     samples_out: CacheSamples,
-    places_out: wp.array[wp.vec3],
+    points_out: wp.array[wp.vec3],
 ):
-    """Item = interaction: its surface, as the cache is asked for it, and where.
+    """Item = interaction: its surface as a query of the cache, and a point in its plane to look up.
 
-    Args:
-        start: First item.
-        cell_size: Width of cells as a share of their distance: places are random within it; 0: they are not.
-        camera: Of the frame.
-        wave: Of the rays.
-        samples_out: The surfaces.
-        places_out: In their planes.
+    The point is random within ``cell_size``, the width of cells as a share of their distance; 0: it is the hit itself.
     """
     j = start + wp.tid()
     ray = j % wave[0].rays.is_active.shape[0]
@@ -55,7 +49,7 @@ def list_surfaces(
     cosine = wp.max(wp.dot(interaction.normal, interaction.wo), 0.0)
     samples_out.from_eye[j] = wp.length(interaction.position - camera[0].eye)
     samples_out.position[j] = interaction.position
-    places_out[j] = beside(j, ray, 0.5 * cell_size * samples_out.from_eye[j], interaction, wave)
+    points_out[j] = beside(j, ray, 0.5 * cell_size * samples_out.from_eye[j], interaction, wave)
     samples_out.normal[j] = interaction.normal
     samples_out.direction[j] = -interaction.wo
     samples_out.distance[j] = wp.length(interaction.position - wave[0].rays.origin[ray])
@@ -66,13 +60,7 @@ def list_surfaces(
 
 @wp.kernel
 def add_cached(start: int, indirect: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
-    """Item = ray: adds indirect light of the surfaces that it meets.
-
-    Args:
-        start: First item.
-        indirect: What they reflect of it, one element an interaction.
-        wave_inout: Of the rays.
-    """
+    """Item = ray: adds the indirect light that its surfaces reflect, one element of ``indirect`` an interaction."""
     i = start + wp.tid()
     count = wave_inout[0].rays.is_active.shape[0]
     if not wave_inout[0].rays.is_active[i]:
@@ -91,7 +79,7 @@ def sample_emitters(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Item = ray: unshadowed light of one point of the triangles that shine, at one of its surfaces; its shadow ray."""
+    """Item = ray: unshadowed light of a point of the emissive triangles, at one of its surfaces, and its shadow ray."""
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
     rays_out.is_active[i] = False
@@ -119,18 +107,7 @@ def sample_light_of_cells(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Item = ray: unshadowed light of one of those of its cell, over its chance to be that; its shadow ray.
-
-    Args:
-        start: First item.
-        slot: Which of the cell's.
-        no_shadows: Light passes through everything.
-        grid: Of the wave.
-        scene: The scene.
-        wave: Of the rays.
-        contributions_out: The light.
-        rays_out: Shadow rays.
-    """
+    """Item = ray: unshadowed light of the one in ``slot`` of its cell of the grid, over its probability; shadow ray."""
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
     rays_out.is_active[i] = False
@@ -156,7 +133,7 @@ def add_samples(
     visibility: wp.array[wp.vec3],
     wave_inout: wp.array[WaveData],
 ):
-    """Item = ray: adds what arrives of these."""
+    """Item = ray: adds a light sample times its visibility."""
     i = start + wp.tid()
     light = contributions[i]
     if rays.is_active[i]:
@@ -166,6 +143,6 @@ def add_samples(
 
 @wp.kernel
 def subtract(start: int, wave: wp.array[WaveData], before: wp.array[wp.vec3], difference_out: wp.array[wp.vec3]):
-    """Item = ray: by how much more light it shows than before."""
+    """Item = ray: its radiance minus that of ``before``."""
     i = start + wp.tid()
     difference_out[i] = wave[0].radiance.light[i] - before[i]

@@ -1,4 +1,4 @@
-"""Host pass: what smooth surfaces reflect and refract in real time: as in hybrid frames, and with indirect light."""
+"""Host pass: reflections and refractions of smooth surfaces in real time (docs/method/realtime.md#mirrors)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants.realtime import GRID_LIGHTS
 from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
-from lumisplat.renderer.gi.light_grid import LightGrids
-from lumisplat.renderer.gi.radiance_cache import RadianceCache
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime import mirror_kernels as kernels
+from lumisplat.renderer.realtime.light_grid import LightGrids
+from lumisplat.renderer.realtime.radiance_cache import RadianceCache
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
@@ -26,15 +26,15 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class Mirrors:
-    """Follows the rays that smooth surfaces send on.
+    """Follows reflected and refracted rays as in hybrid frames, and adds indirect light at their hits.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        tracer: Finds their hits.
+        tracer: Finds the hits of rays.
         shadows: Follows shadow rays; its sample has begun.
-        cache: Has indirect light.
+        cache: Provides indirect light.
     """
 
     def __init__(
@@ -69,26 +69,23 @@ class Mirrors:
         return modules
 
     def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
-        """Adds what they show to the first wave; that alone, linear, one element a ray.
+        """Adds reflections and refractions to the first wave, which may branch.
 
-        Args:
-            scene: The scene on the device.
-            plan: Plan of the frame.
-            first: The first wave, which may branch.
-            sample: Number of the frame.
+        Returns:
+            Their radiance alone, linear, one vec3 a ray.
         """
-        shown = self._buffers.get("mirrors.shown", wp.vec3, first.count)
+        added = self._buffers.get("mirrors.shown", wp.vec3, first.count)
         before = self._buffers.get("mirrors.before", wp.vec3, first.count)
         before.assign(first.row.radiance.light)
         self._direct_light.begin_sample(sample)
         waves = self._waves(scene, plan, first)
         for near, far in reversed(list(itertools.pairwise(waves))):
             self._specular.gather(scene, near, far)
-        self._launcher.run_banded(kernels.subtract, first.count, first.data, before, shown)
-        return shown
+        self._launcher.run_banded(kernels.subtract, first.count, first.data, before, added)
+        return added
 
     def _waves(self, scene: DeviceScene, plan: FramePlan, first: RayWave) -> list[RayWave]:
-        """The first wave, and those that branch off it."""
+        """The first wave, and the waves that branch off it."""
         waves = [first]
         for number in range(1, plan.max_bounces + 1):
             self._specular.number(waves[-1])
@@ -107,7 +104,7 @@ class Mirrors:
         return waves
 
     def _add_lights(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds direct light: of all lights one by one, or, of many, of those of the cells of the light grid."""
+        """Adds direct light of all lights one by one, or, of many lights, of those that the light grid chooses."""
         if self._grids.is_needed(scene) and not plan.has_shadow_only:
             grid = self._grids.of_wave(scene, wave)
             for slot in range(GRID_LIGHTS + 1):
@@ -118,7 +115,7 @@ class Mirrors:
             self._add_samples(scene, plan, wave, kernels.sample_emitters)
 
     def _add_samples(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: Kernel, *inputs: object) -> None:
-        """Adds what arrives of one sample a ray, by a kernel that takes these inputs."""
+        """Adds one light sample a ray, by a kernel that takes these inputs."""
         count, get, run = wave.count, self._buffers.get, self._launcher.run_banded
         sampled = get("mirrors.sampled", wp.vec3, count)
         rays = self._buffers.struct("mirrors.shadow_rays", RayData, count)
@@ -131,10 +128,10 @@ class Mirrors:
         run(kernels.add_samples, count, sampled, rays, visibility, wave.data)
 
     def _add_cached(self, scene: DeviceScene, wave: RayWave) -> None:
-        """Adds the indirect light of what a wave meets."""
+        """Adds the indirect light of the surfaces that a wave hits."""
         samples = self._buffers.struct("mirrors.samples", CacheSamples, 2 * wave.count)
-        places = self._buffers.get("mirrors.places", wp.vec3, 2 * wave.count)
-        inputs = self._hidden_width, scene.camera, wave.data, samples, places
+        points = self._buffers.get("mirrors.points", wp.vec3, 2 * wave.count)
+        inputs = self._hidden_width, scene.camera, wave.data, samples, points
         self._launcher.run_banded(kernels.list_surfaces, 2 * wave.count, *inputs)
-        indirect = self._cache.look_up_indirect(samples, places)
+        indirect = self._cache.look_up_indirect(samples, points)
         self._launcher.run_banded(kernels.add_cached, wave.count, indirect, wave.data)

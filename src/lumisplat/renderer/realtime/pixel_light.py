@@ -1,4 +1,7 @@
-"""Host pass: direct light of the surfaces that pixels show, by one shadow ray a pixel."""
+"""Host pass: direct light of the surfaces that pixels show, by one shadow ray a pixel.
+
+The method is in docs/method/realtime.md#direct and #captured-emitters.
+"""
 
 from __future__ import annotations
 
@@ -8,43 +11,46 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.gi import FilteredLight, PixelLight, SurfaceLight
 from lumisplat.device.structs.rays import RayData
-from lumisplat.renderer.gi.light_grid import LightGrids
 from lumisplat.renderer.light.direct_light import DirectLight
-from lumisplat.renderer.realtime import pixel_light_kernels as kernels
-from lumisplat.renderer.realtime.captured_light import CapturedLights
-from lumisplat.renderer.realtime.gbuffer import Surfaces
+from lumisplat.renderer.realtime import captured_emitter_kernels, pixel_light_kernels
+from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
+from lumisplat.renderer.realtime.light_grid import LightGrids
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.frame_plan import FramePlan, SplatShadows
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
+
+_OF_MESHES = SplatShadows(on_reflecting=False, on_shadow_only=False)
 
 
 class PixelLights:
-    """Samples direct light.
+    """Samples direct light of lights, of emissive meshes, and of captures that are sampled as lights.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
         shadows: Follows shadow rays; its sample has begun.
-        tracer: Finds what rays to captures see.
+        tracer: Finds what rays towards captures hit.
     """
 
     def __init__(
         self, launcher: Launcher, buffers: Buffers, config: RenderConfig, shadows: ShadowRays, tracer: RayTracer
     ) -> None:
-        self._launcher, self._buffers, self._shadows = launcher, buffers, shadows
+        self._launcher, self._buffers, self._shadows, self._tracer = launcher, buffers, shadows, tracer
         self._interval, self._is_smoothed = config.realtime.light_interval, config.realtime.filter.passes >= 2
+        self._follows_lobes = config.realtime.highlight_rays and config.max_bounces != 0
         self._grids = LightGrids(launcher, buffers)
         self._direct_light = DirectLight(launcher, buffers, config)
-        self._captured = CapturedLights(launcher, buffers, config, shadows, tracer)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """The kernel modules of a frame."""
-        modules: list[KernelModule] = [kernels, *self._grids.modules(), *self._captured.modules(plan)]
+        modules: list[KernelModule] = [pixel_light_kernels, *self._grids.modules()]
+        if plan.keeps_captures:
+            modules += [captured_emitter_kernels, *self._shadows.modules(_OF_MESHES, has_meshes=plan.has_meshes)]
         if not plan.casts_shadows:
             return modules
         if plan.has_shadow_only:
@@ -52,45 +58,38 @@ class PixelLights:
         return [*modules, *self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes)]
 
     def sample(
-        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[Surfaces], frame: int
+        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[PixelSurfaces], frame: int
     ) -> list[SurfaceLight]:
-        """One sample of the light of each pixel whose turn it is, for one of its surfaces; those of each kind.
+        """Samples a light for one surface of each pixel that has its turn; the samples of each kind of surface.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
             wave: The first wave.
-            surfaces: What its pixels show.
+            surfaces: Those that its pixels show.
             frame: Number of the frame.
         """
-        count, run = wave.count, self._launcher.run_banded
+        count = wave.count
         interval = self._interval
         if scene.captured_emitters.boxes is not None and self._is_smoothed:
             interval = 2  # a sample has two rays then
         light = self._buffers.struct("pixel_light", PixelLight, count)
         rays = self._buffers.struct("pixel_light.rays", RayData, count)
-        bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
-        run(kernels.number_samples, count, interval, frame, scene.camera, wave.data)
+        inputs = interval, frame, scene.camera, wave.data
+        self._launcher.run_banded(pixel_light_kernels.number_samples, count, *inputs)
         grid = self._grids.of_wave(scene, wave)
         with self._launcher.stage("lights"):
             inputs = not plan.casts_shadows, interval, frame, grid, scene.camera
             inputs = *inputs, scene.shading, wave.data, light, rays
-            run(kernels.sample_lights, count, *inputs, bands=bands)
+            self._run(pixel_light_kernels.sample_lights, count, *inputs)
         visibility = self._visibility(scene, plan, rays)
-        self._captured.add(scene, plan, wave, light, rays, visibility=visibility)
+        self._add_captured(scene, plan, wave, light, rays, visibility=visibility)
         with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
     def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: int) -> None:
-        """Writes what shadows leave of captures that are shadow-only; the wave's other interactions are gone then.
-
-        Args:
-            scene: The scene on the device.
-            plan: Plan of the frame.
-            wave: The first wave.
-            sample: Number of the frame.
-        """
-        self._launcher.run_banded(kernels.keep_shadow_only, 2 * wave.count, wave.data)
+        """Darkens shadow catchers; only their interactions exist in the wave afterwards."""
+        self._launcher.run_banded(pixel_light_kernels.select_shadow_catchers, 2 * wave.count, wave.data)
         self._direct_light.begin_sample(sample)
         self._direct_light.add(scene, plan, wave)
 
@@ -98,21 +97,21 @@ class PixelLights:
         self,
         scene: DeviceScene,
         wave: RayWave,
-        kind: Surfaces,
+        kind: PixelSurfaces,
         light: FilteredLight,
         layers: tuple[DeviceArray, DeviceArray],
     ) -> None:
-        """Adds filtered light of one kind of surfaces to what rays see.
+        """Adds filtered light of one kind of surfaces to the rays of a first wave, and to two layers.
 
         Args:
             scene: The scene on the device.
             wave: The first wave.
             kind: The surfaces.
-            light: What they reflect.
-            layers: Diffuse and glossy, one element a ray; receive the same.
+            light: Light that they reflect.
+            layers: Diffuse and glossy, one element a ray.
         """
         inputs = scene.camera, wave.data, kind.now, light, *layers
-        self._launcher.run_banded(kernels.add_surface_light, wave.count, *inputs)
+        self._launcher.run_banded(pixel_light_kernels.add_surface_light, wave.count, *inputs)
 
     def _visibility(self, scene: DeviceScene, plan: FramePlan, rays: RayData) -> DeviceArray:
         if not plan.casts_shadows:
@@ -120,11 +119,49 @@ class PixelLights:
         with self._launcher.stage("shadow"):
             return self._shadows.trace(scene, rays, None, "pixel_light.visibility", of_splats=plan.splat_shadows)
 
+    def _add_captured(
+        self,
+        scene: DeviceScene,
+        plan: FramePlan,
+        wave: RayWave,
+        light: PixelLight,
+        rays: RayData,
+        *,
+        visibility: DeviceArray,
+    ) -> None:
+        """Adds light of captures that are sampled as lights, by one ray each.
+
+        The samples then include their shadow rays' ``visibility``, and none of these rays is active.
+        """
+        kernels, count, get = captured_emitter_kernels, wave.count, self._buffers.get
+        boxes, marked = scene.captured_emitters.boxes, scene.captured_emitters.marked
+        if boxes is None or marked is None:
+            return
+        reflected = self._buffers.struct("captured_light", PixelLight, count, {"slot"})
+        sent = self._buffers.struct("captured_light.rays", RayData, count)
+        with self._launcher.stage("lights"):
+            inputs = self._follows_lobes, boxes, scene.shading, wave.data
+            self._run(kernels.start_captured_rays, count, *inputs, light.slot, reflected, sent)
+        meshes = self._tracer.find_meshes(scene, sent, "captured_light.meshes")
+        ends, is_glass = get("captured_light.ends", wp.float32, count), get("captured_light.is_glass", wp.int32, count)
+        run = self._launcher.run_banded
+        run(kernels.end_behind_glass, count, scene.shading, sent, meshes, ends, is_glass)
+        emitted = self._tracer.find_emitted(scene, sent, ends, marked, "captured_light.seen")
+        passed = get("captured_light.passed", wp.vec3, count)
+        if plan.max_bounces > 0:  # there may be glass
+            run(kernels.start_through_glass, count, is_glass, emitted, sent)
+            passed = self._shadows.trace(scene, sent, None, "captured_light.passed", of_splats=_OF_MESHES)
+        inputs = scene.shading, emitted, reflected, is_glass, passed, visibility
+        run(kernels.add_captured_light, count, *inputs, light, rays)
+
     def _store(
-        self, scene: DeviceScene, kind: Surfaces, light: PixelLight, rays: RayData, visibility: DeviceArray
+        self, scene: DeviceScene, kind: PixelSurfaces, light: PixelLight, rays: RayData, visibility: DeviceArray
     ) -> SurfaceLight:
         width, height = scene.image_size
         sampled = self._buffers.struct(f"surface_light.{kind.kind}", SurfaceLight, width * height)
         inputs = kind.kind, scene.camera, light, rays, visibility, kind.now.albedo, sampled
-        self._launcher.run_banded(kernels.store_light, len(rays.t_max), *inputs)
+        self._launcher.run_banded(pixel_light_kernels.store_light, len(rays.t_max), *inputs)
         return sampled
+
+    def _run(self, kernel: Kernel, count: int, *inputs: object) -> None:
+        self._launcher.run_banded(kernel, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)

@@ -1,4 +1,4 @@
-"""Direct light of the surfaces that pixels show: one sample of one light a pixel (docs/method/realtime.md#direct)."""
+"""Direct light of the surfaces that pixels show: one light sample a pixel (docs/method/realtime.md#direct)."""
 
 import warp as wp
 
@@ -21,10 +21,7 @@ LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
 
 @wp.kernel
 def number_samples(start: int, interval: int, frame: int, camera: wp.array[CameraData], wave_inout: wp.array[WaveData]):
-    """Item = ray: the number of its sample becomes that of its pixel's sample of light, if the frame has one.
-
-    Without gaps, as low-discrepancy sequences are made.
-    """
+    """Item = ray: numbers its light sample, if its pixel has its turn: without gaps, for low-discrepancy sequences."""
     i = start + wp.tid()
     at = pixel_of_ray(camera[0].width, i)
     if wave_inout[0].rays.is_active[i] and has_turn(at[0], at[1], interval, frame):
@@ -49,14 +46,14 @@ def sample_lights(
     Args:
         start: First item.
         no_shadows: Whether nothing blocks light.
-        interval: Frames in which each pixel has a sample, 1 or 2.
+        interval: Frames in which each pixel has its turn, 1 or 2.
         frame: Number of the frame.
-        grid: Of the wave.
-        camera: The camera.
+        grid: Light grid of the wave.
+        camera: Camera of the frame.
         scene: The scene.
         wave: The first wave, its samples numbered.
-        light_out: The samples, unshadowed.
-        rays_out: The shadow rays.
+        light_out: Unshadowed samples.
+        rays_out: Shadow rays.
     """
     i = start + wp.tid()
     rays_out.is_active[i] = False
@@ -92,18 +89,7 @@ def store_light(
     albedo: wp.array[wp.vec3],
     light_out: SurfaceLight,
 ):
-    """Item = ray: writes what arrives as the sample of its pixel, for the surfaces of one kind.
-
-    Args:
-        start: First item.
-        slot: The kind: 0, Gaussians, or 1, meshes.
-        camera: The camera.
-        light: Unshadowed.
-        rays: The shadow rays.
-        visibility: What each leaves, where it is active.
-        albedo: Of the surfaces, one a pixel.
-        light_out: Receives the samples.
-    """
+    """Item = ray: writes the shadowed sample of its pixel, for surfaces of one kind (``slot``), over their albedo."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -123,8 +109,8 @@ def store_light(
 
 
 @wp.kernel
-def keep_shadow_only(start: int, wave_inout: wp.array[WaveData]):
-    """Item = interaction: it exists no more unless it is with a shadow-only set."""
+def select_shadow_catchers(start: int, wave_inout: wp.array[WaveData]):
+    """Item = interaction: removes it unless it is on a shadow catcher."""
     j = start + wp.tid()
     if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
         wave_inout[0].interactions.exists[j] = False
@@ -140,17 +126,7 @@ def add_surface_light(
     diffuse_inout: wp.array[wp.vec3],
     glossy_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: adds light of the surfaces of one kind to what the ray sees, and to its layers.
-
-    Args:
-        start: First item.
-        camera: The camera.
-        wave: Of the rays.
-        surfaces: The surfaces.
-        light: What they reflect.
-        diffuse_inout: Layer, one element a ray.
-        glossy_inout: Layer.
-    """
+    """Item = ray: adds light of its pixel's surface of one kind to its radiance, and to two layers."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

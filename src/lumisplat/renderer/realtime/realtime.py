@@ -10,14 +10,12 @@ import warp as wp
 from lumisplat.config import RenderConfig
 from lumisplat.config.render import PATH_PARTS, REALTIME_AOVS
 from lumisplat.constants.realtime import INDIRECT_SHARED
-from lumisplat.renderer.gi.antialiasing import Antialiasing
-from lumisplat.renderer.gi.lobes import Lobes
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
-from lumisplat.renderer.realtime.gbuffer import MESHES, SPLATS, GBuffer
-from lumisplat.renderer.realtime.gbuffer import Surfaces as PixelSurfaces
+from lumisplat.renderer.realtime.antialiasing import Antialiasing
+from lumisplat.renderer.realtime.debug_layers import DebugLayers
+from lumisplat.renderer.realtime.gbuffer import MESHES, SPLATS, GBuffer, PixelSurfaces
 from lumisplat.renderer.realtime.indirect_light import IndirectLight
-from lumisplat.renderer.realtime.kept import Kept
 from lumisplat.renderer.realtime.light_filter import LightFilter
 from lumisplat.renderer.realtime.mirrors import Mirrors
 from lumisplat.renderer.realtime.pixel_light import PixelLights
@@ -38,9 +36,9 @@ class RealtimeIntegrator:
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays, and what is kept from frame to frame.
+        buffers: Holds the arrays, and the histories from frame to frame.
         config: Settings.
-        tracer: Finds the hits of the rays on which light bounces.
+        tracer: Finds the hits of rays.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
@@ -51,13 +49,12 @@ class RealtimeIntegrator:
         self._shadows = ShadowRays(launcher, buffers, config)
         self._gbuffer = GBuffer(launcher, buffers)
         self._lights = PixelLights(launcher, buffers, config, self._shadows, tracer)
-        self._lobes = Lobes(launcher, buffers, follows=config.realtime.highlight_rays)
         self._indirect = IndirectLight(launcher, buffers, config, tracer, self._shadows)
         self._mirrors = Mirrors(
             launcher, buffers, config, tracer=tracer, shadows=self._shadows, cache=self._indirect.cache
         )
         self._antialiasing = Antialiasing(launcher, buffers)
-        self._kept = Kept(launcher, buffers)
+        self._debug_layers = DebugLayers(launcher, buffers)
         self._bounces = config.max_bounces != 0
         of_indirect = replace(settings, frames=min(settings.frames, settings.indirect_frames))
         lights = {"direct": (settings, 1), "indirect": (of_indirect, INDIRECT_SHARED)}
@@ -67,27 +64,20 @@ class RealtimeIntegrator:
             for kind in (SPLATS, MESHES)
         }
         self._size: tuple[int, int] | None = None
-        self._has_told_size = False
+        self._has_warned_of_size = False
         self._layers: dict[str, DeviceArray] = {}
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """The kernel modules of a frame, but for primary hits."""
         modules = [*self._indirect.modules(plan), *self._surfaces.modules(), *self._gbuffer.modules()]
-        modules += [*self._lights.modules(plan), *LightFilter.modules(), *self._lobes.modules()]
+        modules += [*self._lights.modules(plan), *LightFilter.modules()]
         modules += self._mirrors.modules(plan) if plan.max_bounces > 0 else []
         modules += self._antialiasing.modules() if plan.jitters else []
-        return [*modules, *self._kept.modules()] if plan.aovs & {*REALTIME_AOVS} else modules
+        return [*modules, *self._debug_layers.modules()] if plan.aovs & {*REALTIME_AOVS} else modules
 
     def forget(self) -> None:
-        """Drops all that earlier frames have found, when the next one begins."""
+        """Begins a new sequence with the next frame: all histories are dropped."""
         self._size = None
-
-    def _forget(self) -> None:
-        self._gbuffer.forget()
-        self._indirect.forget()
-        self._antialiasing.forget()
-        for light in self._filters.values():
-            light.forget()
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """The first wave, with the radiance of its rays.
@@ -95,7 +85,7 @@ class RealtimeIntegrator:
         Args:
             scene: The scene on the device, synced.
             plan: Plan of the frame.
-            hits: The rays, and what they hit.
+            hits: The rays and their hits.
             sample: Number of the frame.
         """
         self._begin(scene.image_size)
@@ -107,19 +97,19 @@ class RealtimeIntegrator:
             surfaces = self._gbuffer.store(scene, wave, sample)
         with frame_pass("direct"):
             light = {"direct": self._lights.sample(scene, plan, wave, surfaces, sample)}
-        highlights = None
+        lobes = None
         if self._bounces:
             with frame_pass("indirect"):
-                highlights = self._lobes.start(scene, wave, sample)
+                lobes = self._indirect.start_lobes(scene, wave, sample)
         if plan.max_bounces > 0:
             with frame_pass("mirrors"):
                 self._layers["indirect_glossy"].assign(self._mirrors.add(scene, plan, wave, sample))
         if plan.has_shadow_only and plan.casts_shadows:
             with frame_pass("direct"):
                 self._lights.darken(scene, plan, wave, sample)
-        if highlights and surfaces:
+        if lobes and surfaces:
             with frame_pass("indirect"):
-                light["indirect"] = self._indirect.find(scene, plan, surfaces, highlights, sample)
+                light["indirect"] = self._indirect.find(scene, plan, surfaces, lobes, sample)
         for name, samples in light.items():
             for kind, noisy in zip(surfaces, samples, strict=True):
                 with frame_pass("filters"):
@@ -130,9 +120,9 @@ class RealtimeIntegrator:
         if plan.jitters:
             with frame_pass("antialiasing"):
                 self._antialiasing.average(scene, plan, wave, self._layers, sample)
-        if explaining := sorted(plan.aovs & {*REALTIME_AOVS}):
+        if wanted := sorted(plan.aovs & {*REALTIME_AOVS}):
             with frame_pass("views"):
-                self._layers |= self._explained(explaining, scene, surfaces, wave.count, sample)
+                self._layers |= self._debug_images(wanted, scene, surfaces, wave.count, sample)
         return wave
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
@@ -140,39 +130,40 @@ class RealtimeIntegrator:
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
 
     def _begin(self, size: tuple[int, int]) -> None:
-        """Begins a frame; one of another size than the last is the first of a sequence, which is told once."""
+        """Begins a frame; a frame of another size begins a new sequence, which is logged once."""
         if self._size == size:
             return
-        if self._size is not None and not self._has_told_size:
+        if self._size is not None and not self._has_warned_of_size:
             before, now = ("{} x {}".format(*pixels) for pixels in (self._size, size))
             _log.warning("the camera's size has changed from %s to %s: the sequence begins anew", before, now)
-            self._has_told_size = True
-        self._forget()
+            self._has_warned_of_size = True
+        for part in (self._gbuffer, self._indirect, self._antialiasing, *self._filters.values()):
+            part.reset()
         self._size = size
 
-    def _explained(
+    def _debug_images(
         self, names: list[str], scene: DeviceScene, surfaces: list[PixelSurfaces], count: int, frame: int
     ) -> dict[str, DeviceArray]:
-        """Images of what the frame keeps, by their names."""
-        kept, images, indirect = self._kept, dict[str, DeviceArray](), self._indirect
+        """Draws debug layers, by their names."""
+        debug, images, indirect = self._debug_layers, dict[str, DeviceArray](), self._indirect
         for name in names:
             if name == "motion":
-                images[name] = kept.motion(scene, surfaces, count)
+                images[name] = debug.motion(scene, surfaces, count)
             elif name == "history":
                 frames = [self._filters["direct", kind.kind].frames(scene, frame) for kind in surfaces]
-                images[name] = kept.history(scene, surfaces, frames, count)
+                images[name] = debug.history(scene, surfaces, frames, count)
             elif not self._bounces or not surfaces:
-                images[name] = kept.nothing(name, count)
+                images[name] = debug.empty(name, count)
             elif name == "probes":
-                images[name] = kept.probes(scene, indirect.probes, count)
+                images[name] = debug.probes(scene, indirect.probes, count)
             elif name == "cache":
-                images[name] = kept.cache(scene, indirect.cache, surfaces, count)
+                images[name] = debug.cache(scene, indirect.cache, surfaces, count)
             else:
-                images[name] = kept.cache_cells(scene, indirect.cache, surfaces, count)
+                images[name] = debug.cache_cells(scene, indirect.cache, surfaces, count)
         return images
 
     def _begin_layers(self, wave: RayWave) -> None:
-        """The layers, without light but for what surfaces emit."""
+        """Clears the layers of light, but for the emission of surfaces."""
         self._layers = {name: self._buffers.get(f"realtime.{name}", wp.vec3, wave.count) for name in PATH_PARTS}
         for image in self._layers.values():
             image.zero_()

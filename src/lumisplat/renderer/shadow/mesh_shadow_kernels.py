@@ -1,4 +1,4 @@
-"""How much of a light passes meshes. One item is one ray."""
+"""Transmittance of shadow rays through meshes. One item is one ray."""
 
 import warp as wp
 
@@ -67,8 +67,8 @@ def pass_triangle(
 
 
 @wp.func
-def way_inside(passage: MeshPassage, shadow: MeshShadowRay, number: int) -> float:
-    """Length of the way inside instance ``number``, of a shadow ray that has passed all of its triangles."""
+def length_inside(passage: MeshPassage, shadow: MeshShadowRay, number: int) -> float:
+    """Length inside instance ``number`` of a shadow ray that has passed all of its triangles."""
     entries = passage.entries
     if is_in(shadow.media, number):
         entries += 1
@@ -111,13 +111,13 @@ def pass_instance(
             push_all_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), shadow.t_max - ray.begin)
     light = passage.light
     if scene.instances[number].material.is_medium != 0:
-        inside = way_inside(passage, shadow, number)
+        inside = length_inside(passage, shadow, number)
         light = wp.cw_mul(light, passed(scene.instances[number].material.absorption, inside))
 
 
 @wp.func
 def light_past_meshes(shadow: MeshShadowRay, scene: MeshBvh) -> wp.vec3:
-    """What all meshes on a shadow ray let through."""
+    """Transmittance of all meshes on a shadow ray."""
     light = wp.vec3(1.0)
     inverse = inverse_or_large(shadow.direction)
     storage = LinkStackStorage()
@@ -148,13 +148,11 @@ def shadow_by_meshes(
     light_out: wp.array[wp.vec3],
     limit_out: wp.array[float],
 ):
-    """What all meshes between the origin and ``t_max`` let through.
+    """Transmittance of all meshes between the origin and ``t_max``.
 
-    Glass blocks the rays for which ``opaque`` says so; without elements, it blocks none. ``media`` are those at the
-    origins, in air without elements.
-
-    ``limit_out`` is how far along the ray Gaussians may block what is left: 0 where nothing is, and for rays that skip
-    shadow-only sets if ``meshes_only`` block these.
+    Glass blocks rays that are ``opaque``, none without elements. Origins are in ``media``, in air without elements.
+    ``limit_out`` is how far along the ray Gaussians may block the rest: 0 where nothing is left, and for rays that skip
+    shadow catchers if ``meshes_only`` block these.
     """
     i = start + wp.tid()
     t_max = rays.t_max[i]

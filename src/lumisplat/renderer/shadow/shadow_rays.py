@@ -1,4 +1,4 @@
-"""Host pass: how much light passes Gaussians and meshes on its way to the points that it may shine on."""
+"""Host pass: transmittance of shadow rays through Gaussians and meshes (docs/method/shadows.md)."""
 
 from __future__ import annotations
 
@@ -8,18 +8,28 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import HitDistance, RenderConfig, ShadowMethod
-from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD, TRAVERSE_STACK_SMALL
-from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED, HIT_HULL, HIT_PEAK, ShadowData
+from lumisplat.constants import (
+    PACKET_RAYS,
+    RAY_BANDS_PER_THREAD,
+    SHRINK_INSTANCES_MAX,
+    SHRINK_RAYS_PER_GAUSSIAN,
+    TILE_BANDS_PER_THREAD,
+    TRAVERSE_STACK_SMALL,
+)
+from lumisplat.device.structs.bvh import (
+    DRAWS_NONE,
+    DRAWS_PER_RAY,
+    DRAWS_SHARED,
+    HIT_HULL,
+    HIT_PEAK,
+    AssetBvh,
+    Node,
+    ShadowData,
+)
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import ON_ALL, SplatShadows
-from lumisplat.renderer.shadow import (
-    gaussian_shadow_kernels,
-    incoherent_shadow_kernels,
-    mesh_shadow_kernels,
-    stochastic_bvh_kernels,
-)
-from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
+from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels, stochastic_bvh_kernels
 from lumisplat.renderer.trees.ray_order import RAY_ORDER_MODULES, ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -33,7 +43,7 @@ class ShadowRays:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings; they do not change.
-        name: Of the buffers.
+        name: Name of the buffers.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, name: str = "shadow") -> None:
@@ -54,11 +64,11 @@ class ShadowRays:
         if self._draws == DRAWS_SHARED:
             modules += [stochastic_bvh_kernels]
         if self._traces_one_by_one(part=part):
-            return [incoherent_shadow_kernels, *RAY_ORDER_MODULES, *modules]
+            return [gaussian_shadow_kernels, *RAY_ORDER_MODULES, *modules]
         return [shadow_kernel_of(self._launcher, self._config).module, *modules]
 
     def begin_sample(self, sample: int) -> None:
-        """Before the rays of a sample: stochastic shadows are drawn anew for each."""
+        """Begins a sample: stochastic shadows have new random numbers in each."""
         if self._draws != DRAWS_NONE:
             self._table["sample"] = sample
             assign_table(self._settings, self._table)
@@ -76,19 +86,19 @@ class ShadowRays:
         of_splats: SplatShadows = ON_ALL,
         part: bool = False,
     ) -> DeviceArray:
-        """How much of the light from ``t_max`` arrives at each ray's origin: linear, per channel, 0..1, as wp.vec3.
+        """Transmittance of each ray up to ``t_max``: linear, per channel, 0..1, as wp.vec3.
 
         Args:
             scene: Up to date for rays.
             rays: From the point to the light, a multiple of ``PACKET_RAYS``. Meshes count from the origin on, Gaussians
-                from ``t_min``; ``t_max`` is the light's distance, inf for one infinitely far. Where no ray is active,
-                the result is any number.
-            skips: Array of bool: rays that pass through instances that are ``shadow_only``. None: none does.
+                from ``t_min``; ``t_max`` is the light's distance, inf for one infinitely far. The result of inactive
+                rays is undefined.
+            skips: Whether each ray passes through shadow catchers. None: none does.
             name: Of the buffer that holds the result.
-            opaque: Array of bool: rays that glass blocks. None: it blocks none.
-            media: Array of wp.vec4i: those at the origins, as ``Boundary``. None: all are in air.
-            part: Neighbouring rays go to different lights or start far apart: each goes through Gaussians alone.
-            of_splats: What shadows Gaussians may cast; without any, the scene needs no hierarchies of them.
+            opaque: Whether glass blocks each ray. None: it blocks none.
+            media: Media at the origins, wp.vec4i as of ``Boundary``. None: all are in air.
+            part: Whether rays are incoherent, so that each goes through Gaussians alone.
+            of_splats: Shadows that Gaussians may cast; without any, the scene needs no hierarchies of them.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
         light = self._buffers.get(name, wp.vec3, count)
@@ -106,7 +116,7 @@ class ShadowRays:
         bands = RAY_BANDS_PER_THREAD * self._launcher.threads
         if self._traces_one_by_one(part=part):
             order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
-            kernel = incoherent_shadow_kernels.shadow_ray_by_ray
+            kernel = gaussian_shadow_kernels.shadow_ray_by_ray
             run(kernel, count, *(order, self._settings, bvh, rays, limits, skips, light), bands=bands)
             return light
         kernel = shadow_kernel_of(self._launcher, self._config, stack=scene.bvh.stack)
@@ -128,7 +138,7 @@ class ShadowRays:
         media: wp.array[wp.vec4i] | None,
         of_splats: SplatShadows,
     ) -> wp.array[Any]:
-        """Writes what meshes let through; how far Gaussians may block what is left."""
+        """Writes the transmittance of meshes; returns how far along each ray Gaussians may block the rest."""
         count = len(rays.t_max)
         if scene.mesh_instances.shape[0] == 0:
             light.fill_(1.0)
@@ -145,7 +155,7 @@ class ShadowRays:
 
 
 def shadow_kernel_of(launcher: Launcher, config: RenderConfig, *, stack: int = TRAVERSE_STACK_SMALL) -> Any:
-    """The kernel that takes shadow rays through Gaussians on a device, with a stack of so many nodes at least."""
+    """The kernel of coherent shadow rays through Gaussians on a device, with a stack of at least so many nodes."""
     kernel_of = gaussian_shadow_kernels.shadow_kernel
     if config.shadow_rays.method is ShadowMethod.FIRST_HITS:
         kernel_of = gaussian_shadow_kernels.first_hits_shadow_kernel
@@ -153,14 +163,14 @@ def shadow_kernel_of(launcher: Launcher, config: RenderConfig, *, stack: int = T
 
 
 def draws_of(config: RenderConfig) -> int:
-    """What is drawn at random: DRAWS_NONE and so on."""
+    """Which random numbers shadows take: DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
     if config.shadow_rays.method is not ShadowMethod.STOCHASTIC:
         return DRAWS_NONE
     return DRAWS_SHARED if config.shadow_rays.shared_draws else DRAWS_PER_RAY
 
 
 def shadow_table(config: RenderConfig) -> np.ndarray:
-    """The 1-element table that kernels read the settings of shadow rays from."""
+    """Settings of shadow rays as a table of 1 element, which kernels read."""
     row = table = np.zeros(1, dtype=table_dtype(ShadowData))
     row["draws"] = draws_of(config)
     row["acceptance_scale"] = config.shadow_rays.acceptance_scale
@@ -174,3 +184,61 @@ def shadow_table(config: RenderConfig) -> np.ndarray:
     row["offset_absolute"] = config.shadow_rays.offset_absolute
     row["seed"] = config.seed
     return table
+
+
+class StochasticBvh:
+    """Shrinks bounding volume hierarchies for one stochastic sample of shadows, whose rays share their random numbers.
+
+    In such a sample, a Gaussian is an opaque ellipsoid, which ends where its alpha is below its random number, mostly
+    far inside its hull, or it does not exist at all. A fraction of the rays hit boxes around that. They only save time:
+    hits in them are decided by the numbers themselves.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, name: str) -> None:
+        self._launcher, self._buffers, self._name = launcher, buffers, name
+        self._whole: DeviceArray | None = None
+        """The assets whose hierarchies were shrunk."""
+        self._assets: DeviceArray | None = None
+        self._is_fresh = False
+        self._rays = 0
+        """Rays of the sample so far."""
+
+    def begin_sample(self) -> None:
+        """Begins another sample."""
+        self._is_fresh, self._rays = False, 0
+
+    def assets(self, scene: DeviceScene, settings: DeviceArray, *, ray_count: int) -> DeviceArray | None:
+        """The scene's assets for the sample in ``settings``: whole as long as shrinking costs more than it saves."""
+        whole = scene.bvh.assets
+        if whole is self._whole and self._is_fresh:
+            return self._assets
+        self._rays += ray_count
+        if self._rays < SHRINK_RAYS_PER_GAUSSIAN * scene.gaussian_count:
+            return whole
+        nodes = self._shrunk_nodes(scene, settings)
+        self._assets, self._whole, self._is_fresh = self._upload(scene, nodes), whole, True
+        return self._assets
+
+    def _shrunk_nodes(self, scene: DeviceScene, settings: DeviceArray) -> list[DeviceArray]:
+        nodes: list[DeviceArray] = []
+        for place, (asset, held) in enumerate(zip(scene.assets, scene.bvh.held, strict=True)):
+            bvh = held.bvh
+            if asset.instance_ids.shape[0] > SHRINK_INSTANCES_MAX:
+                nodes.append(bvh.nodes)
+                continue
+            nodes.append(self._buffers.get(f"{self._name}.nodes{place}", Node, bvh.nodes.shape[0]))
+            for first, count in reversed(bvh.levels):
+                self._launcher.run_banded(
+                    stochastic_bvh_kernels.shrink_nodes,
+                    count,
+                    *(first, settings, asset.instance_ids, scene.splat_instances, bvh.particles, bvh.nodes, nodes[-1]),
+                )
+        return nodes
+
+    def _upload(self, scene: DeviceScene, nodes: list[DeviceArray]) -> DeviceArray:
+        rows: list[AssetBvh] = []
+        for held, shrunk in zip(scene.bvh.held, nodes, strict=True):
+            row = AssetBvh()
+            row.nodes, row.particles, row.gaussians = shrunk, held.bvh.particles, held.data
+            rows.append(row)
+        return self._buffers.table(f"{self._name}.assets", AssetBvh, rows)

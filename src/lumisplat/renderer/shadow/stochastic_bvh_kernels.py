@@ -27,7 +27,7 @@ def shrink_nodes(
     nodes: wp.array[Node],
     nodes_out: wp.array[Node],
 ):
-    """Boxes of a level's nodes around what of their Gaussians blocks light in a stochastic sample.
+    """Boxes of a level's nodes around those parts of their Gaussians that block light in a stochastic sample.
 
     Gaussians block as far as their alpha is above the number drawn for them, in the instance (of the ``owners``) in
     which that is farthest.

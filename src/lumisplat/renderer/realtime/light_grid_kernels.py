@@ -37,7 +37,7 @@ def find_cells(
     keys_out: wp.array[wp.int64],
     order_out: wp.array[int],
 ):
-    """Item = ray: the cell of the one of its surfaces that is lit."""
+    """Item = ray: the cell of that of its surfaces which is lit."""
     i = start + wp.tid()
     order_out[i] = i
     keys_out[i] = NO_CELL
@@ -73,16 +73,7 @@ def list_cells(
     cell_of_out: wp.array[int],
     cells_out: wp.array[wp.int64],
 ):
-    """Item = ray in the order of keys: the number of its cell; the first of a cell writes the cell's key.
-
-    Args:
-        start: First item.
-        keys: Ascending.
-        order: The ray of each.
-        ends: Cells up to each.
-        cell_of_out: By ray.
-        cells_out: Keys of the cells.
-    """
+    """Item = ray in the order of keys: the number of its cell; the first of a cell writes the cell's key."""
     i = start + wp.tid()
     number = ends[i] - 1
     if keys[i] == NO_CELL:
@@ -114,7 +105,7 @@ def largest_rank(ranks: wp.array[float], first: int) -> int:
 def choose_lights(start: int, cells: wp.array[wp.int64], scene: wp.array[ShadingScene], grid_out: LightGrid):
     """Item = cell: the lights with the smallest ranks, an exponential draw over the weight each.
 
-    The rank after theirs says how probable each was to be among them.
+    From the next rank follows the probability of each to be among them.
     """
     c = start + wp.tid()
     cell = grid_cell(cells[c])

@@ -1,4 +1,4 @@
-"""Light of captures that are sampled as lights, at the surfaces that pixels show. One item is one ray.
+"""Direct light of captures that are sampled as lights, at the surfaces that pixels show. One item is one ray.
 
 The method is in docs/method/realtime.md#captured-emitters.
 """
@@ -23,12 +23,12 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
-PLACE_BRANCH = wp.constant(9)
-"""Branch of a ray's key: where in a box."""
+POINT_BRANCH = wp.constant(9)
+"""Branch of a ray's key: the point in a box."""
 BOX_BRANCH = wp.constant(10)
-"""Which box, and how deep in it."""
+"""Branch of the choice of a box, and of the depth in it."""
 RAY_BRANCH = wp.constant(11)
-"""What the ray meets."""
+"""Branch of the hits of the ray."""
 OPAQUE = wp.constant(wp.float32(EMITTER_OPAQUE))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 
@@ -48,12 +48,12 @@ def start_captured_rays(
 
     Args:
         start: First item.
-        follows_lobes: Rays within highlights show captures: only the rest of what these reflect counts here.
-        boxes: Around the captures.
+        follows_lobes: Whether rays within highlights show captures, so that only the rest of the highlight counts here.
+        boxes: Boxes around the captures.
         scene: The scene.
         wave: The first wave, its samples numbered.
-        slots: Which surface of each ray has a sample of light; -1: none.
-        light_out: What the surface reflects of light of radiance 1 from there, over the density of the direction.
+        slots: Which surface of each ray has a light sample; -1: none.
+        light_out: Reflected radiance for radiance 1 from there, over the pdf of the direction.
         rays_out: The rays; they end behind the boxes.
     """
     i = start + wp.tid()
@@ -71,12 +71,12 @@ def start_captured_rays(
     total = total_weight(point, boxes)
     box = boxes[chosen_box(which[0], total, point, boxes)]
     sample = LightSample()
-    sample.direction = wp.normalize(point_in(box, sobol_2d(branch_key(key, PLACE_BRANCH), number), which[1]) - point)
-    density = direction_density(point, sample.direction, total, boxes)
-    if not (density[0] > 0.0 and density[0] < wp.inf):
+    sample.direction = wp.normalize(point_in(box, sobol_2d(branch_key(key, POINT_BRANCH), number), which[1]) - point)
+    pdf_and_distance = direction_density(point, sample.direction, total, boxes)
+    if not (pdf_and_distance[0] > 0.0 and pdf_and_distance[0] < wp.inf):
         return
-    sample.distance = density[1]
-    sample.irradiance = wp.vec3(1.0 / density[0])
+    sample.distance = pdf_and_distance[1]
+    sample.irradiance = wp.vec3(1.0 / pdf_and_distance[0])
     contribution = contribution_of(interaction, sample, 1.0)
     if is_black(contribution.color):
         return
@@ -102,7 +102,7 @@ def end_behind_glass(
     ends_out: wp.array[float],
     is_glass_out: wp.array[int],
 ):
-    """Ends a ray at the mesh that it meets, unless that is smooth and transmits: then where it would without it."""
+    """Ends a ray at the mesh that it hits; glass does not end it."""
     i = start + wp.tid()
     is_glass_out[i] = 0
     ends_out[i] = 0.0
@@ -118,7 +118,7 @@ def end_behind_glass(
 
 @wp.kernel
 def start_through_glass(start: int, is_glass: wp.array[int], seen: GaussianHits, rays_inout: RayData):
-    """Leaves those rays that meet glass, up to the captures behind it."""
+    """Deactivates all rays but those that hit glass, which end at the captures behind it."""
     i = start + wp.tid()
     if is_glass[i] == 0:
         rays_inout.is_active[i] = False
@@ -137,16 +137,16 @@ def add_captured_light(
     light_inout: PixelLight,
     rays_inout: RayData,
 ):
-    """Adds the light of captures to a sample of light that has passed what is before it.
+    """Adds the light of captures to a light sample, whose own shadow ray is applied here.
 
     Args:
         start: First item.
         scene: The scene.
-        seen: What rays to captures see of them, apart from what others show.
-        reflected: What surfaces reflect of light of radiance 1, of those rays that see anything.
-        is_glass: 1: the ray meets glass first.
-        passed: What that lets through.
-        visibility: What the sample's shadow ray leaves, where it is active.
+        seen: Radiance of captures on rays towards them, apart from other radiance.
+        reflected: Reflected radiance for radiance 1, as ``start_captured_rays`` writes it.
+        is_glass: 1: the ray hits glass first.
+        passed: Transmittance of the glass.
+        visibility: Visibility by the sample's shadow ray, where it is active.
         light_inout: The samples.
         rays_inout: Their shadow rays; none is active afterwards.
     """

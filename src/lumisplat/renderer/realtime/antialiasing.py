@@ -1,4 +1,4 @@
-"""Host pass: antialiasing over frames, whose samples are elsewhere in their pixels in each frame."""
+"""Host pass: temporal antialiasing of frames whose samples are jittered (docs/method/realtime.md#antialiasing)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import warp as wp
 
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.gi import ShownHistory, ShownPixels
-from lumisplat.renderer.gi import antialiasing_kernels as kernels
+from lumisplat.renderer.realtime import antialiasing_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import RayWave
@@ -15,12 +15,7 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class Antialiasing:
-    """Averages what pixels show over frames, along its motion.
-
-    Args:
-        launcher: Runs the kernels.
-        buffers: Holds the arrays, and what is kept from frame to frame.
-    """
+    """Averages the colours and layers of pixels over frames, along their motion."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -31,21 +26,16 @@ class Antialiasing:
         """The kernel modules."""
         return [kernels]
 
-    def forget(self) -> None:
-        """Drops all that earlier frames have shown."""
+    def reset(self) -> None:
+        """Drops the history."""
         self._has_history = False
 
     def average(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, layers: dict[str, DeviceArray], frame: int
     ) -> None:
-        """Makes what the rays of a frame see, and its layers, means over frames: all with the same weights.
+        """Replaces the radiance of a first wave, and the layers that the plan asks for, by means over frames.
 
-        Args:
-            scene: The scene on the device, with the motion of its instances and of the camera.
-            plan: Plan of the frame.
-            wave: The first wave, with one ray a pixel.
-            layers: By name, one element a ray; those that the plan asks for are averaged.
-            frame: Its number.
+        All have the same weights.
         """
         width, height = scene.image_size
         size, radiance = wp.vec2i(width, height), wave.row.radiance

@@ -14,27 +14,26 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels, TileNeeds
 from lumisplat.device.structs.rays import RayData
 from lumisplat.math.directions import harmonics_of_cells, irradiance_beyond
-from lumisplat.renderer.gi import screen_probe_kernels as place_kernels
-from lumisplat.renderer.gi import screen_probe_light_kernels as light_kernels
+from lumisplat.renderer.realtime import screen_probe_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, sort_pairs
 
 _DEGREE = 2
-"""Of the harmonics: what irradiance keeps of them (Ramamoorthi and Hanrahan 2001)."""
+"""Degree of the SH, sufficient for irradiance (Ramamoorthi and Hanrahan 2001)."""
 
 
 class ScreenProbes:
-    """Probes on the surfaces that a frame shows, and what they have seen in this and earlier frames.
+    """Probes on the surfaces that a frame shows, and the radiance that they have gathered over frames.
 
     A frame is ``place``, ``rays``, their tracing by the caller, ``update``, then ``irradiance``. No element of a kernel
     is written by two items, so that the bits are the same for any number of threads.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays; not those of other probes.
+        buffers: Holds the arrays.
         config: Settings.
-        seed: Of the random numbers.
+        seed: Seed of random numbers.
         offset: Scales of a Gaussian within which Gaussians do not block rays of a probe on it.
     """
 
@@ -53,10 +52,10 @@ class ScreenProbes:
     @staticmethod
     def modules() -> list[KernelModule]:
         """The kernel modules."""
-        return [place_kernels, light_kernels]
+        return [kernels]
 
     def reset(self) -> None:
-        """Forgets what probes have seen: the next frame is the first of a sequence."""
+        """Drops all radiance: the next frame is the first of a sequence."""
         self._has_history = False
 
     def place(
@@ -70,9 +69,9 @@ class ScreenProbes:
         """Places the probes of a frame.
 
         Args:
-            surfaces: What its pixels show.
+            surfaces: Surfaces of its pixels.
             camera: Its camera, shape (1,).
-            camera_before: That of the frame before, shape (1,).
+            camera_before: Camera of the frame before, shape (1,).
             size: Width and height, pixels; a new size is a new sequence.
             frame: Number of the frame in its sequence.
         """
@@ -80,29 +79,26 @@ class ScreenProbes:
         self._allocate(size)
         self._continues = self._has_history
         self._write_grid(frame)
-        self._keep()
+        self._store_history()
         run, tiles, grids = self._launcher.run_banded, self._tiles, self._grids
         seen = grids, camera, camera_before, surfaces
-        run(place_kernels.place_in_tiles, tiles, *seen, self._before, self._adaptive_before, self.probes)
+        run(kernels.place_in_tiles, tiles, *seen, self._before, self._adaptive_before, self.probes)
         keys, order = self._list("probes.needs_keys", tiles), self._tile_order
         history = self._before, self._adaptive_before
-        run(place_kernels.find_needs, tiles, *seen, self.probes, *history, self._needs, keys, order)
+        run(kernels.find_needs, tiles, *seen, self.probes, *history, self._needs, keys, order)
         sort_pairs(keys, order, tiles)
         run(
-            place_kernels.place_adaptive,
+            kernels.place_adaptive,
             tiles,
             *(grids, camera, order, self._needs, surfaces, self._before, self.adaptive_of, self.probes),
         )
         carried = self._cells_before, self.cells
-        run(place_kernels.carry_cells, self.count, grids, self.probes, self._before, *carried)
+        run(kernels.carry_cells, self.count, grids, self.probes, self._before, *carried)
         self._has_history = True
 
     def outdate(self, share: float) -> None:
-        """The light has changed: what is known counts for this share of what it did.
-
-        After ``place``.
-        """
-        self._launcher.run_banded(light_kernels.outdate_cells, self.count * self._cell_count, share, self.cells)
+        """Lowers the weight of all radiance to a share, as the light has changed; after ``place``."""
+        self._launcher.run_banded(kernels.outdate_cells, self.count * self._cell_count, share, self.cells)
 
     def rays(self, frame: int) -> RayData:
         """One ray for each cell of the probes that this frame refreshes; those of a mesh into itself are none.
@@ -112,48 +108,48 @@ class ScreenProbes:
         self._write_grid(frame)
         run, order = self._launcher.run_banded, self._refresh_order
         keys = self._list("probes.refresh_keys", self.count)
-        run(light_kernels.rank_probes, self.count, self._grids, self.probes, keys, order)
+        run(kernels.rank_probes, self.count, self._grids, self.probes, keys, order)
         sort_pairs(keys, order, self.count)
-        run(light_kernels.start_probe_rays, self.ray_count, self._grids, order, self.probes, self._rays)
+        run(kernels.start_probe_rays, self.ray_count, self._grids, order, self.probes, self._rays)
         return self._rays
 
     def update(self, radiance: wp.array[wp.vec3], hit_distance: wp.array[float]) -> None:
-        """Adds what the rays have seen to their cells, and makes of all cells what pixels look up.
+        """Adds the radiance of rays to their cells, and filters all cells for look-ups by pixels.
 
         Args:
             radiance: Linear, one element a ray; a value that is not finite does not count.
-            hit_distance: From the origin, scene units; inf: nothing was hit.
+            hit_distance: Distance of the hits, scene units; inf: nothing was hit.
         """
         run, cells = self._launcher.run_banded, self.cells
         seen = self._refresh_order, self._rays, radiance, hit_distance
-        run(light_kernels.add_samples, self.ray_count, self._grids, *seen, self.probes, cells)
+        run(kernels.add_samples, self.ray_count, self._grids, *seen, self.probes, cells)
         weights = self._buffers.get("probes.weights", wp.float32, self.count * self._cell_count)
         places = self._camera, self.probes, self.adaptive_of, self._tile_order, cells
-        run(light_kernels.filter_cells, self.count * self._cell_count, self._grids, *places, self.light, weights)
+        run(kernels.filter_cells, self.count * self._cell_count, self._grids, *places, self.light, weights)
         tables = self._fit, self._beyond
-        run(light_kernels.project_probes, self.count, self._grids, self.probes, *tables, weights, self.light)
+        run(kernels.project_probes, self.count, self._grids, self.probes, *tables, weights, self.light)
 
     def irradiance(self, surfaces: SurfacePixels) -> DeviceArray:
-        """Irradiance of surfaces of the frame by what the probes see, linear, one vec3 a pixel; 0 without a surface."""
+        """Irradiance of surfaces of the frame by the probes, linear, one vec3 a pixel; 0 without a surface."""
         run, get, grids = self._launcher.run_banded, self._buffers.get, self._grids
         assert self._size is not None, "place before irradiance"
         pixels, tiles = self._size[0] * self._size[1], self._tiles
         found, known = get("probes.found", wp.vec3, pixels), get("probes.is_known", wp.int32, pixels)
         places = self._camera, surfaces, self.probes, self.adaptive_of, self.light
-        run(light_kernels.find_irradiance, pixels, grids, *places, found, known)
+        run(kernels.find_irradiance, pixels, grids, *places, found, known)
         means = mean = get("probes.tile_means", wp.vec4, tiles)
-        run(light_kernels.tile_means, tiles, grids, found, known, means)
+        run(kernels.tile_means, tiles, grids, found, known, means)
         while mean.shape[0] > 1:
             parts, chunks = mean, -(-mean.shape[0] // MEANS_CHUNK)
             mean = get(f"probes.means_of_{chunks}", wp.vec4, chunks)
-            run(light_kernels.add_means, chunks, parts, mean)
+            run(kernels.add_means, chunks, parts, mean)
         filled = get("probes.irradiance", wp.vec3, pixels)
-        run(light_kernels.fill_pixels, pixels, grids, surfaces, found, known, means, mean, filled)
+        run(kernels.fill_pixels, pixels, grids, surfaces, found, known, means, mean, filled)
         return filled
 
     @property
     def grid(self) -> wp.array[ProbeGrid]:
-        """How the probes lie on the pixels, for look-ups by ``lumisplat.device.gi.screen_probes``; shape (1,)."""
+        """Layout of the probes, for look-ups by ``lumisplat.device.gi.screen_probes``; shape (1,)."""
         return self._grids
 
     @property
@@ -162,7 +158,7 @@ class ScreenProbes:
         return self._refreshed * self._cell_count
 
     def _allocate(self, size: tuple[int, int]) -> None:
-        """Makes the arrays of a size; a new one has no history."""
+        """Makes the arrays of a size; a new size has no history."""
         if size == self._size:
             return
         self._size, self._has_history = size, False
@@ -205,11 +201,11 @@ class ScreenProbes:
         grid.seed = wp.uint32(self._seed)
         self._grids = self._buffers.table("probes.grid", ProbeGrid, [grid])
 
-    def _keep(self) -> None:
+    def _store_history(self) -> None:
         """Makes the probes of the last frame those of the frame before."""
         if not self._has_history:
             return
         run = self._launcher.run_banded
-        run(place_kernels.keep_probes, self.count, self.probes, self._before)
-        run(place_kernels.keep_cells, self.count * self._cell_count, self.cells, self._cells_before)
+        run(kernels.copy_probes, self.count, self.probes, self._before)
+        run(kernels.copy_cells, self.count * self._cell_count, self.cells, self._cells_before)
         copy_elements(device_array(self.adaptive_of), self._adaptive_before, self._tiles)

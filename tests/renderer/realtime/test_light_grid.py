@@ -11,7 +11,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants.realtime import GRID_LIGHTS
 from support.compare.chi_square import LIMIT, chi_square_z
-from support.oracles.light_grid_oracle import exponential_draws, kept_lights, point_weights
+from support.oracles.light_grid_oracle import chosen_lights, exponential_draws, point_weights
 from support.oracles.light_oracle import LUMINANCE
 from support.scenes.light_grid_rig import Cell, LightGridRig, cell_at
 
@@ -52,7 +52,7 @@ def test_cells_hold_what_takes_them() -> None:
 
 
 @pytest.mark.parametrize("count", [17, 300])
-def test_the_kept_are_those_of_the_twin(count: int) -> None:
+def test_chosen_lights_are_those_of_the_twin(count: int) -> None:
     """The same lights, with the same probabilities, frame by frame and by seed."""
     lights = lamps(count)
     places, powers = numbers_of(lights)
@@ -60,14 +60,14 @@ def test_the_kept_are_those_of_the_twin(count: int) -> None:
     rig = LightGridRig(lights, [CELL])
     for frame, seed in ((0, 0), (1, 0), (7, 0), (0, 5)):
         numbers, chances = (row[0] for row in rig.choose(frame, seed))
-        kept, expected = kept_lights(exponential_draws(CELL.key, seed, frame, count), weights, GRID_LIGHTS)
+        chosen, expected = chosen_lights(exponential_draws(CELL.key, seed, frame, count), weights, GRID_LIGHTS)
         order = np.argsort(numbers[chances > 0.0])
-        np.testing.assert_array_equal(numbers[chances > 0.0][order], kept)
+        np.testing.assert_array_equal(numbers[chances > 0.0][order], chosen)
         np.testing.assert_allclose(chances[chances > 0.0][order], expected, rtol=2e-5)
 
 
 @pytest.mark.parametrize(("count", "frames"), [(3, 2), (20, 700), (10_000, 700)])
-def test_sums_over_the_kept_are_those_over_all(count: int, frames: int) -> None:
+def test_sums_over_chosen_lights_are_unbiased(count: int, frames: int) -> None:
     """In the mean, of each channel, within 4 standard errors, which are below 0.7 %; by the four choices of a cell."""
     lights = [lamp for lamp in lamps(count) if np.linalg.norm(np.subtract(lamp.position, SURFACE)) > 0.9]
     sent = irradiance(lights)
@@ -91,8 +91,8 @@ def test_the_twin_has_less_noise_the_more_it_keeps() -> None:
     for count in (4, 16, 64):
         sums = []
         for frame in range(400):
-            kept, chances = kept_lights(exponential_draws(CELL.key, 0, frame, 300), weights, count)
-            sums.append((sent[kept] / chances).sum())
+            chosen, chances = chosen_lights(exponential_draws(CELL.key, 0, frame, 300), weights, count)
+            sums.append((sent[chosen] / chances).sum())
         spread.append(np.std(sums))
     assert spread[0] > 1.5 * spread[1] > 2.0 * spread[2]
 
@@ -116,19 +116,21 @@ def test_picks_follow_what_is_sent_over_its_chance() -> None:
     np.testing.assert_allclose(probability, (sent / over.sum())[picked], rtol=1e-4)
 
 
-def test_few_lights_are_all_kept() -> None:
+def test_few_lights_are_all_chosen() -> None:
     """Choices among the lights of a cell are then, to the bit, those of the loop over all."""
     rig = LightGridRig(lamps(GRID_LIGHTS), [CELL])
     numbers, chances = (row[0] for row in rig.choose(0))
     np.testing.assert_array_equal(numbers, [*range(GRID_LIGHTS), -1])
     np.testing.assert_array_equal(chances, [*np.ones(GRID_LIGHTS), 0.0])
     draws = np.random.default_rng(0).random(2000, dtype=np.float32)
-    for kept, all_lights in zip(rig.pick(draws, 0, SURFACE, NORMAL), rig.pick(draws, -1, SURFACE, NORMAL), strict=True):
-        np.testing.assert_array_equal(kept, all_lights)
+    for chosen, all_lights in zip(
+        rig.pick(draws, 0, SURFACE, NORMAL), rig.pick(draws, -1, SURFACE, NORMAL), strict=True
+    ):
+        np.testing.assert_array_equal(chosen, all_lights)
 
 
 def test_what_is_far_and_strong_is_never_lost() -> None:
-    """A lamp 1,000 units away that gives as much as a thousand near ones is always among the kept."""
+    """A lamp 1,000 units away that gives as much as a thousand near ones is always chosen."""
     strong = ls.LightPoint((800.0, 600.0, 0.0), intensity=1e9)
     rig = LightGridRig([*lamps(1000), strong], [CELL])
     for frame in range(50):

@@ -1,7 +1,7 @@
-"""Kernels of the radiance cache: samples sorted into cells, what is known there, and light between cells.
+"""Kernels of the radiance cache: samples sorted into cells, light between cells, and tiles that come and go.
 
-All are write-once: of the sorted samples of a cell, or of a tile, the first one does the work of all.
-docs/method/realtime.md#radiance-cache
+All are write-once: of the sorted samples of a cell, or of a tile, the first one does the work of all. Tiles are sorted
+keys into which new ones are merged, and out of which old ones are removed (docs/method/realtime.md#radiance-cache).
 """
 
 import warp as wp
@@ -26,7 +26,12 @@ from lumisplat.device.math.random import mix
 from lumisplat.device.math.search import first_not_below
 from lumisplat.device.structs.radiance_cache import (
     AGE_LAST,
+    COUNT_DROPPED,
+    COUNT_EVICTED,
+    COUNT_EXCESS,
     COUNT_LIVE,
+    COUNT_NEW,
+    COUNTS,
     NO_TILE,
     TILE_CELLS,
     TILE_MEANS,
@@ -53,7 +58,7 @@ def find_cells(
     sort_cells_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Tile and cell of each sample; those that are no finite number have none."""
+    """Item = sample: its tile and cell; none if it is not finite."""
     i = start + wp.tid()
     keys_out[i] = NO_TILE
     cells_out[i] = 0
@@ -87,7 +92,7 @@ def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.v
 def add_samples(
     start: int, frame: int, grid: CacheGrid, samples: CacheSamples, sorted_samples: SortedSamples, tiles: CacheTiles
 ):
-    """Adds the samples of each cell to its mean, and keeps one of them, at random, as the place of its bounce."""
+    """Adds the samples of each cell to its mean, and stores one of them, at random, as the origin of its bounce."""
     i = start + wp.tid()
     if not is_first_of_cell(sorted_samples, i):
         return
@@ -114,10 +119,10 @@ def add_samples(
     tiles.updated[at] = frame
     tiles.direct[slot * TILE_MEANS + cell] = mean_with(mean, weight, total, end - i)
     drawn = int(mix(cell_key(key, cell, frame)) % wp.uint32(end - i))
-    kept = sorted_samples.order[i + drawn]
-    tiles.position[at] = samples.position[kept]
-    tiles.normal[at] = samples.normal[kept]
-    tiles.extent[at] = samples.extent[kept]
+    chosen = sorted_samples.order[i + drawn]
+    tiles.position[at] = samples.position[chosen]
+    tiles.normal[at] = samples.normal[chosen]
+    tiles.extent[at] = samples.extent[chosen]
 
 
 @wp.func
@@ -156,7 +161,7 @@ def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
 
 @wp.kernel
 def outdate_means(start: int, share: float, tiles: CacheTiles):
-    """Item = mean of a tile: it counts for a share of what it did, in samples and in frames."""
+    """Item = mean of a tile: lowers its weight to a share, in samples and in frames."""
     i = start + wp.tid()
     tile = i // TILE_MEANS
     if tile >= tiles.counts[COUNT_LIVE]:
@@ -187,21 +192,21 @@ def look_up_indirect(
     start: int,
     grid: CacheGrid,
     samples: CacheSamples,
-    places: wp.array[wp.vec3],
+    points: wp.array[wp.vec3],
     tiles: CacheTiles,
     radiance_out: wp.array[wp.vec3],
 ):
-    """What each sample's surface reflects of light from other surfaces, linear; 0 where there is none.
+    """Radiance that each sample's surface reflects of light from other surfaces, linear; 0 where there is none.
 
-    It is looked up at its place, if something is known there; else, and without elements, where the sample is.
+    It is looked up at its point, if something is known there; else, and without points, at its position.
     """
     i = start + wp.tid()
     radiance_out[i] = wp.vec3()
     if samples.is_active[i]:
         level = level_of(grid, samples.position[i], samples.from_eye[i])
         light = CellLight()
-        if places:
-            light = far_radiance(tiles, grid, samples, i, places[i], level)
+        if points:
+            light = far_radiance(tiles, grid, samples, i, points[i], level)
         if not light.is_known:
             light = far_radiance(tiles, grid, samples, i, samples.position[i], level)
         radiance_out[i] = light.indirect
@@ -209,7 +214,7 @@ def look_up_indirect(
 
 @wp.kernel
 def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, numbers_out: wp.array[int]):
-    """Item = sample: a number of its cell, of 24 bits; -1: it is in none."""
+    """Item = sample: a hash of its cell, of 24 bits; -1: it is in none."""
     i = start + wp.tid()
     numbers_out[i] = -1
     if samples.is_active[i]:
@@ -284,11 +289,11 @@ def list_points(
     Args:
         start: First item.
         frame: Number of the frame.
-        tiles: Of the cache.
-        ranks: Of the tiles, those that wait longest first.
-        near_ends: Cells of short rays of the tiles up to each one, in this order.
-        far_ends: The same of cells of long rays.
-        points: Of the rays, first those of cells of short rays.
+        tiles: Tiles of the cache.
+        ranks: Ranks of the tiles, those that wait longest first.
+        near_ends: Cells of short rays in the tiles up to each rank.
+        far_ends: Cells of long rays, likewise.
+        points: Points of the rays, first those of cells of short rays.
     """
     i = start + wp.tid()
     points.is_active[i] = False
@@ -328,8 +333,8 @@ def list_points(
 
 
 @wp.kernel
-def keep_means(start: int, points: CachePoints, tiles: CacheTiles, means_out: wp.array[wp.vec4]):
-    """Item = ray: what its cell knew before the bounces of the frame."""
+def copy_means(start: int, points: CachePoints, tiles: CacheTiles, means_out: wp.array[wp.vec4]):
+    """Item = ray: the mean of its cell before the bounces of the frame."""
     i = start + wp.tid()
     if points.is_active[i]:
         means_out[i] = tiles.indirect[points.slot[i] * TILE_MEANS + points.cell[i]]
@@ -341,29 +346,21 @@ def add_bounces(
     grid: CacheGrid,
     points: CachePoints,
     means: wp.array[wp.vec4],
-    seen: wp.array[wp.vec3],
+    radiance: wp.array[wp.vec3],
     tiles: CacheTiles,
 ):
-    """Adds what the rays of a cell see to its mean; the first one does it for all.
+    """Adds the radiance of the rays of a cell to its mean of before; the first ray does it for all.
 
-    Rays that follow the cosine of the normal see the irradiance over pi. A slot that another tile has got since has not
-    bounced.
-
-    Args:
-        start: First item.
-        grid: Settings.
-        points: Of the rays.
-        means: What their cells knew before.
-        seen: What the rays see, linear.
-        tiles: Where the means go.
+    The mean over rays that follow the cosine of the normal is the irradiance over pi. A slot that has gone to another
+    tile since is skipped: it has not bounced.
     """
     i = start + wp.tid()
     if points.is_active[i] and points.ray[i] == 0 and tiles.bounced[points.slot[i]] > 0:
         total = wp.vec3d()
         count = int(0)
         for ray in range(i, i + points.rays[i]):
-            if wp.isfinite(seen[ray]):
-                total += wp.vec3d(seen[ray])
+            if wp.isfinite(radiance[ray]):
+                total += wp.vec3d(radiance[ray])
                 count += 1
         if count > 0:
             before = means[i][3]
@@ -379,3 +376,152 @@ def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
     if points.is_active[i]:
         if i == 0 or points.slot[wp.max(i - 1, 0)] != points.slot[i]:
             mean_of_squares(tiles.indirect, points.slot[i])
+
+
+@wp.kernel
+def clear_tiles(start: int, tiles: CacheTiles):
+    """Item = tile: its slot is free."""
+    rank = start + wp.tid()
+    tiles.keys[rank] = NO_TILE
+    tiles.slots[rank] = rank
+    if rank < COUNTS:
+        tiles.counts[rank] = 0
+
+
+@wp.kernel
+def find_new_tiles(start: int, frame: int, samples: SortedSamples, tiles: CacheTiles, is_new_out: wp.array[int]):
+    """Marks the first sample of each tile that there is not yet; the others' tiles are used in this frame."""
+    i = start + wp.tid()
+    is_new_out[i] = 0
+    if is_first_of_tile(samples, i):
+        slot = slot_of(tiles, samples.keys[i])
+        if slot >= 0:
+            tiles.used[slot] = frame
+        else:
+            is_new_out[i] = 1
+
+
+@wp.kernel
+def list_new_tiles(
+    start: int, samples: SortedSamples, is_new: wp.array[int], ends: wp.array[int], keys_out: wp.array[wp.int64]
+):
+    """Keys of the new tiles, ascending."""
+    i = start + wp.tid()
+    if is_new[i] == 1:
+        keys_out[ends[i] - 1] = samples.keys[i]
+
+
+@wp.kernel
+def count_new_tiles(count: int, grid: CacheGrid, ends: wp.array[int], tiles: CacheTiles):
+    """How many tiles are new, and how many of them are too many. One item."""
+    tiles.counts[COUNT_NEW] = ends[count - 1]
+    tiles.counts[COUNT_EXCESS] = wp.max(tiles.counts[COUNT_LIVE] + ends[count - 1] - grid.tiles, 0)
+
+
+@wp.kernel
+def key_tiles_by_use(start: int, tiles: CacheTiles, ages_out: wp.array[int], ranks_out: wp.array[int]):
+    """The last frame that used each tile; sorted by it, those come first that were unused longest."""
+    rank = start + wp.tid()
+    ranks_out[rank] = rank
+    ages_out[rank] = AGE_LAST
+    if rank < tiles.counts[COUNT_LIVE]:
+        ages_out[rank] = tiles.used[tiles.slots[rank]]
+
+
+@wp.kernel
+def mark_all_but_excess(start: int, frame: int, tiles: CacheTiles, ranks: wp.array[int], stays_out: wp.array[int]):
+    """Marks the tiles that stay when new ones need room; tiles of this frame always do."""
+    i = start + wp.tid()
+    rank = ranks[i]
+    stays = int(rank < tiles.counts[COUNT_LIVE])
+    if stays == 1 and i < tiles.counts[COUNT_EXCESS]:
+        stays = int(tiles.used[tiles.slots[rank]] == frame)
+    stays_out[rank] = stays
+
+
+@wp.kernel
+def mark_used(start: int, oldest: int, tiles: CacheTiles, stays_out: wp.array[int]):
+    """Marks the tiles that a ray has hit in frame ``oldest`` or later."""
+    rank = start + wp.tid()
+    stays_out[rank] = 0
+    if rank < tiles.counts[COUNT_LIVE]:
+        stays_out[rank] = int(tiles.used[tiles.slots[rank]] >= oldest)
+
+
+@wp.kernel
+def compact_tiles(
+    start: int,
+    tiles: CacheTiles,
+    stays: wp.array[int],
+    ends: wp.array[int],
+    keys_out: wp.array[wp.int64],
+    slots_out: wp.array[int],
+):
+    """Moves the tiles that stay to the front, in order; the slots of the others are free."""
+    rank = start + wp.tid()
+    target = ends[ends.shape[0] - 1] + rank - ends[rank]
+    key = NO_TILE
+    if stays[rank] == 1:
+        target = ends[rank] - 1
+        key = tiles.keys[rank]
+    keys_out[target] = key
+    slots_out[target] = tiles.slots[rank]
+
+
+@wp.kernel
+def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], tiles: CacheTiles):
+    """How many tiles have stayed, and how many new ones find room then. One item."""
+    remaining = ends[ends.shape[0] - 1]
+    if is_early:
+        room = wp.min(tiles.counts[COUNT_NEW], grid.tiles - remaining)
+        tiles.counts[COUNT_EVICTED] += tiles.counts[COUNT_LIVE] - remaining
+        tiles.counts[COUNT_DROPPED] += tiles.counts[COUNT_NEW] - room
+        tiles.counts[COUNT_NEW] = room
+    tiles.counts[COUNT_LIVE] = remaining
+
+
+@wp.func
+def clear_slot(tiles: CacheTiles, slot: int):
+    """Makes a slot that of a tile without samples."""
+    tiles.bounced[slot] = 0
+    tiles.filled[slot] = 0
+    for i in range(slot * TILE_MEANS, (slot + 1) * TILE_MEANS):
+        tiles.direct[i] = wp.vec4()
+        tiles.indirect[i] = wp.vec4()
+    for i in range(slot * TILE_CELLS, (slot + 1) * TILE_CELLS):
+        tiles.frames[i] = 0
+
+
+@wp.kernel
+def merge_tiles(
+    start: int,
+    frame: int,
+    tiles: CacheTiles,
+    new_keys: wp.array[wp.int64],
+    keys_out: wp.array[wp.int64],
+    slots_out: wp.array[int],
+):
+    """Merges the new keys into the sorted ones: each moves by the keys of the other list that are below it."""
+    rank = start + wp.tid()
+    live = tiles.counts[COUNT_LIVE]
+    new = tiles.counts[COUNT_NEW]
+    slot = tiles.slots[rank]
+    target = rank
+    key = NO_TILE
+    if rank < live:
+        key = tiles.keys[rank]
+        target += first_not_below(new_keys, new, key)
+    elif rank < live + new:
+        key = new_keys[rank - live]
+        target += first_not_below(tiles.keys, live, key) - live
+        clear_slot(tiles, slot)
+        tiles.used[slot] = frame
+    keys_out[target] = key
+    slots_out[target] = slot
+
+
+@wp.kernel
+def count_merged_tiles(tiles: CacheTiles):
+    """How many tiles there are now. One item."""
+    tiles.counts[COUNT_LIVE] += tiles.counts[COUNT_NEW]
+    tiles.counts[COUNT_NEW] = 0

@@ -1,4 +1,4 @@
-"""Images of what frames in real time keep: history, probes and cells of the cache."""
+"""Debug layers of frames in real time: history, probes and cells of the cache."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import pytest
 import lumisplat as ls
 from support.scenes.path_rooms import path_rooms, room_camera
 
-KEPT = ("history", "probes", "cache", "cache_cells")
+DEBUG = ("history", "probes", "cache", "cache_cells")
 LIGHT = ("direct_diffuse", "indirect_diffuse")
 VIEW = room_camera(96, 72)
 ROOM = path_rooms()["diffuse_area"].scene
 
 
 def last_frame(frames: int, scene: ls.Scene = ROOM, **settings: object) -> ls.Frame:
-    """The last of so many frames, with all that they keep."""
-    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, aovs=(*KEPT, *LIGHT), **settings)  # pyright: ignore[reportArgumentType]
+    """The last of so many frames, with debug layers."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, aovs=(*DEBUG, *LIGHT), **settings)  # pyright: ignore[reportArgumentType]
     renderer = ls.create_renderer(config, "cpu")
     frame = renderer.render(scene, VIEW)
     for _ in range(frames - 1):
@@ -39,7 +39,7 @@ def test_history_counts_frames(interval: int, expected: int) -> None:
     np.testing.assert_allclose(history, expected, atol=1e-4)
 
 
-def test_probes_are_where_tiles_are(frame: ls.Frame) -> None:
+def test_each_tile_has_a_probe(frame: ls.Frame) -> None:
     """Each tile of 8 x 8 pixels shows a surface, and so has a probe; all have been refreshed."""
     assert frame.probes is not None
     tiles = frame.probes.reshape(9, 8, 12, 8).max(axis=(1, 3))
@@ -48,7 +48,7 @@ def test_probes_are_where_tiles_are(frame: ls.Frame) -> None:
     assert frame.probes.max() <= 24
 
 
-def test_the_cache_has_what_the_frame_shows(frame: ls.Frame) -> None:
+def test_the_cache_is_as_bright_as_the_frame(frame: ls.Frame) -> None:
     """Diffuse light of all bounces, in the mean; its cells are as large as their distance says."""
     assert frame.cache is not None
     assert frame.cache_cells is not None
@@ -63,9 +63,9 @@ def test_the_cache_has_what_the_frame_shows(frame: ls.Frame) -> None:
         assert extent.max() <= frame.depth[inside].max() / 8.0 * 1.01
 
 
-def test_views_show_them(frame: ls.Frame, tmp_path) -> None:
+def test_debug_layers_are_views_and_can_be_saved(frame: ls.Frame, tmp_path) -> None:
     """Each view is a picture of its own, layers can be saved, and the parts of light are views, too."""
-    pictures = {name: frame.view(name) for name in (*KEPT, *LIGHT)}
+    pictures = {name: frame.view(name) for name in (*DEBUG, *LIGHT)}
     assert all(picture.shape == (72, 96, 3) and np.ptp(picture) > 0.2 for picture in pictures.values())
     assert frame.view_limits("history") == (0.0, 32.0)
     assert frame.probes is not None
@@ -76,8 +76,8 @@ def test_views_show_them(frame: ls.Frame, tmp_path) -> None:
     assert cells is not None
     first = cells == cells[36, 48]
     assert np.ptp(pictures["cache_cells"][first], axis=0).max() == 0.0
-    frame.save(tmp_path / "a.exr", layers=KEPT)
-    for name in KEPT:
+    frame.save(tmp_path / "a.exr", layers=DEBUG)
+    for name in DEBUG:
         frame.save_view(tmp_path / f"{name}.png", name)
 
 
@@ -93,7 +93,7 @@ def test_direct_light_alone_has_neither_probes_nor_cache() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "trace", "hybrid", "path"])
-def test_other_pipelines_keep_nothing(pipeline: str) -> None:
+def test_other_pipelines_refuse_debug_layers(pipeline: str) -> None:
     """They say which one does."""
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline), lighting=True, aovs=("history", "cache"))
     with pytest.raises(ls.ConfigError, match=r"has no cache, history among its aovs: Pipeline\.REALTIME does"):

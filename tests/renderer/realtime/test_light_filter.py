@@ -337,7 +337,7 @@ def test_forgetting_is_starting_anew() -> None:
     used, fresh = FilterSequence(), FilterSequence()
     for frame in range(3):
         used.render(seen, noise(frame))
-    used.filter.forget()
+    used.filter.reset()
     np.testing.assert_array_equal(used.render(seen, noise(9)), fresh.render(seen, noise(9)))
 
 

@@ -1,20 +1,23 @@
-"""What rays see that leave surfaces in real time: they meet matte surfaces, and go on at smooth ones.
+"""Secondary rays in real time: they start within highlights, continue at smooth surfaces and end at other ones.
 
-The method is in docs/method/realtime.md#rays.
+The method is in docs/method/realtime.md#rays and #glossy.
 """
 
 import warp as wp
 
-from lumisplat.device.gi.albedo import matte_albedo
+from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.gi.albedo import glossy_albedo, highlight_width, matte_albedo
 from lumisplat.device.gi.light_grid import SURFACE_BRANCH, sample_light_of
+from lumisplat.device.gi.lobes import ALPHA_TO, followed_pixel
 from lumisplat.device.gi.specular_rays import mirrored_light, start_onward, straight_bounce, straight_step
+from lumisplat.device.light.glossy_lobe import LOBE_BRANCH, highlight_share, interaction_of, lobe_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.mesh_interaction import mesh_emission
-from lumisplat.device.math.color import captured_color
+from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.path.steps import branch_of, is_scattering
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import BouncedRays, LightGrid, OnwardRays
+from lumisplat.device.structs.gi import BouncedRays, LightGrid, LobeRays, OnwardRays
 from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
 from lumisplat.device.structs.path import BRANCH_NONE, BRANCH_REFLECTED, BRANCH_SPLATS
 from lumisplat.device.structs.radiance_cache import CacheSamples
@@ -26,7 +29,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Linear radiance that ray ``i`` sees of what shines, but for the meshes that are sampled as lights."""
+    """Linear radiance that ray ``i`` sees of emitters, but for the meshes that are sampled as lights."""
     seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     seen *= scene[0].settings[0].capture_gain
     seen += wave[0].radiance.light[i]
@@ -38,7 +41,7 @@ def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 
 @wp.func
 def matte(interaction: Interaction) -> Interaction:
-    """The interaction with a surface that reflects as much, but evenly, and instead of what comes through, too."""
+    """Replaces the BSDF of an interaction by a diffuse one that reflects as much, and what it transmits, too."""
     albedo = matte_albedo(interaction.bsdf, wp.max(wp.dot(interaction.normal, interaction.wo), 0.0))
     interaction.bsdf = Bsdf()
     interaction.bsdf.model = BSDF_SIMPLE
@@ -48,8 +51,8 @@ def matte(interaction: Interaction) -> Interaction:
 
 
 @wp.kernel
-def clear_bounced(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, rays_out: RayData):
-    """Item = ray: it has seen nothing yet, and met no surface."""
+def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, rays_out: RayData):
+    """Item = ray: black, and without a hit."""
     i = start + wp.tid()
     rays_out.is_active[i] = False
     samples_out.is_active[i] = False
@@ -60,7 +63,7 @@ def clear_bounced(start: int, samples_out: CacheSamples, bounced_out: BouncedRay
 
 @wp.kernel
 def begin_onward(start: int, onward_out: OnwardRays):
-    """Item = ray: it is at its beginning, in air, and does not go on yet."""
+    """Item = ray: at its start, in air, and not continued."""
     i = start + wp.tid()
     onward_out.rays.is_active[i] = False
     onward_out.way[i] = 0.0
@@ -71,7 +74,7 @@ def begin_onward(start: int, onward_out: OnwardRays):
 
 
 @wp.kernel
-def meet_surfaces(
+def shade_hits(
     start: int,
     no_shadows: bool,
     grid: LightGrid,
@@ -83,19 +86,19 @@ def meet_surfaces(
     rays_out: RayData,
     onward_inout: OnwardRays,
 ):
-    """Item = ray: what it sees, the surface that it meets, and one light there with its shadow ray; or it goes on.
+    """Item = ray: its radiance, the surface that it hits, and one light there with its shadow ray; or it continues.
 
     Args:
         start: First item.
-        no_shadows: Light passes through everything.
-        grid: Of the wave.
-        camera: The camera of the frame.
+        no_shadows: Whether light passes through everything.
+        grid: Light grid of the wave.
+        camera: Camera of the frame.
         scene: The scene.
-        wave: Of the rays.
-        samples_out: The surfaces, without what they reflect.
-        bounced_out: All else.
+        wave: Wave of the rays.
+        samples_out: The surfaces, without reflected radiance.
+        bounced_out: Radiance of the rays, but for what the surfaces reflect.
         rays_out: Shadow rays.
-        onward_inout: Those that go on at smooth surfaces, whose arrays are those of the wave's rays from the second on.
+        onward_inout: Rays that continue at smooth surfaces; from the second wave on, these are the wave's rays.
     """
     i = start + wp.tid()
     follows = onward_inout.way.shape[0] > 0
@@ -105,14 +108,14 @@ def meet_surfaces(
         return
     seen = unsampled_light(i, scene, wave)
     weight = wp.vec3(1.0)
-    way = float(0.0)
+    length = float(0.0)
     bounce = Bounce()
     if follows:
         weight = wave[0].weights[i]
-        way = onward_inout.way[i]
+        length = onward_inout.way[i]
         bounce = straight_bounce(i, scene, wave)
         if onward_inout.mirrored[i] != 0:
-            seen += mirrored_light(i, way, no_shadows, scene, wave)
+            seen += mirrored_light(i, length, no_shadows, scene, wave)
     bounced_out.seen[i] += wp.cw_mul(weight, seen)
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], SURFACE_BRANCH), wave[0].rays.sample[i])
     surface = branch_of(i, u[0], False, bounce, wave)
@@ -122,7 +125,7 @@ def meet_surfaces(
         if surface.kind != BRANCH_NONE:
             step = straight_step(i, surface, bounce, scene, wave)
             onward_inout.goes_on[i] = 1
-            onward_inout.way[i] = way + wave[0].meshes.t[i]
+            onward_inout.way[i] = length + wave[0].meshes.t[i]
             onward_inout.weights[i] = wp.cw_mul(weight, step.weight)
             if surface.kind == BRANCH_REFLECTED:
                 onward_inout.mirrored[i] = 1
@@ -138,7 +141,7 @@ def meet_surfaces(
     samples_out.position[i] = interaction.position
     samples_out.normal[i] = interaction.normal
     samples_out.direction[i] = wave[0].rays.direction[i]
-    samples_out.distance[i] = way + wp.length(interaction.position - wave[0].rays.origin[i])
+    samples_out.distance[i] = length + wp.length(interaction.position - wave[0].rays.origin[i])
     samples_out.from_eye[i] = wp.length(interaction.position - camera[0].eye)
     samples_out.albedo[i] = interaction.bsdf.diffuse
     samples_out.extent[i] = 0.0
@@ -154,7 +157,7 @@ def meet_surfaces(
 def light_samples(
     start: int, bounced: BouncedRays, rays: RayData, visibility: wp.array[wp.vec3], samples_inout: CacheSamples
 ):
-    """Item = ray: what the surface that it meets reflects of the sampled light."""
+    """Item = ray: radiance that the surface at its hit reflects of the sampled light."""
     i = start + wp.tid()
     radiance = bounced.sampled[i]
     if rays.is_active[i]:
@@ -171,19 +174,94 @@ def add_reflected(
     radiance_out: wp.array[wp.vec3],
     distance_out: wp.array[float],
 ):
-    """Item = ray: all that it sees, and how far away.
-
-    Args:
-        start: First item.
-        bounced: Of the rays.
-        samples: The surfaces that they meet.
-        reflected: What these reflect towards them, linear.
-        radiance_out: Linear.
-        distance_out: Scene units; inf: nowhere.
-    """
+    """Item = ray: its radiance, given what the surface at its hit reflects, and the distance of the hit; inf: none."""
     i = start + wp.tid()
     radiance_out[i] = bounced.seen[i]
     distance_out[i] = wp.inf
     if samples.is_active[i]:
         radiance_out[i] = bounced.seen[i] + wp.cw_mul(bounced.share[i], reflected[i])
         distance_out[i] = samples.distance[i]
+
+
+CHOICE_BRANCH = wp.constant((1 << 20) + 3)
+"""Branch of a ray's key: which of its surfaces sends a ray within its highlight."""
+
+
+@wp.func
+def traced_share(j: int, wave: wp.array[WaveData]) -> float:
+    """Share of a ray that the highlight of interaction ``j`` reflects; 0 if it is too wide for rays."""
+    interaction = interaction_of(j, wave)
+    if highlight_width(interaction.bsdf) >= ALPHA_TO:
+        return 0.0
+    return highlight_share(interaction)
+
+
+@wp.kernel
+def choose_lobes(
+    start: int,
+    frame: int,
+    camera: wp.array[CameraData],
+    wave: wp.array[WaveData],
+    lobes_out: LobeRays,
+    follows_out: wp.array[int],
+):
+    """Item = square of pixels: chooses the surface that sends a ray, by what the highlights of a pixel's two reflect.
+
+    ``follows_out`` is 1 for each square with a ray.
+    """
+    square = start + wp.tid()
+    width = camera[0].width
+    lobes_out.slot[square] = -1
+    follows_out[square] = 0
+    at = followed_pixel(square, frame, width)
+    if at[0] >= width or at[1] >= camera[0].height:
+        return
+    i = ray_of_pixel(width, at[0], at[1])
+    if not wave[0].rays.is_active[i]:
+        return
+    splats = traced_share(i, wave)
+    total = splats + traced_share(wave[0].rays.is_active.shape[0] + i, wave)
+    if total <= 0.0:
+        return
+    u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
+    lobes_out.pixel[square] = at[1] * width + at[0]
+    lobes_out.slot[square] = wp.where(u[0] * total < splats, 0, 1)
+    follows_out[square] = 1
+
+
+@wp.kernel
+def start_lobes(
+    start: int,
+    camera: wp.array[CameraData],
+    wave: wp.array[WaveData],
+    ends: wp.array[int],
+    lobes_inout: LobeRays,
+    rays_out: RayData,
+):
+    """Item = square of pixels: starts its ray, whose number follows from ``ends``, the rays up to each square.
+
+    None of the rays is active before.
+    """
+    square = start + wp.tid()
+    slot = lobes_inout.slot[square]
+    if slot < 0:
+        return
+    pixel = lobes_inout.pixel[square]
+    i = ray_of_pixel(camera[0].width, pixel % camera[0].width, pixel // camera[0].width)
+    interaction = load_interaction(slot * wave[0].rays.is_active.shape[0] + i, wave)
+    lobe = lobe_of(i, slot, interaction, wave)
+    albedo = glossy_albedo(interaction.bsdf, wp.max(wp.dot(interaction.normal, interaction.wo), 0.0))
+    ray = ends[square] - 1
+    lobes_inout.ray[square] = ray
+    lobes_inout.weight[square] = wp.cw_div(lobe.weight, wp.max(albedo, wp.vec3(1.0e-6)))
+    rays_out.is_active[ray] = not is_black(lobe.weight)
+    rays_out.origin[ray] = lobe.origin
+    rays_out.direction[ray] = lobe.direction
+    rays_out.t_min[ray] = lobe.t_min
+    rays_out.normal[ray] = lobe.normal
+    rays_out.t_max[ray] = wp.inf
+    rays_out.path_length[ray] = 0.0  # scattered radiance does not depend on the distance of the eye
+    rays_out.spread[ray] = 0.0
+    rays_out.sample_key[ray] = branch_key(wave[0].rays.sample_key[i], LOBE_BRANCH)
+    rays_out.pixel_key[ray] = branch_key(wave[0].rays.pixel_key[i], LOBE_BRANCH)
+    rays_out.sample[ray] = wave[0].rays.sample[i]

@@ -1,4 +1,4 @@
-"""Means over frames of what pixels show (Karis 2014; docs/method/realtime.md#antialiasing)."""
+"""Temporal antialiasing: means of pixels over frames (Karis 2014; docs/method/realtime.md#antialiasing)."""
 
 import warp as wp
 
@@ -45,19 +45,9 @@ def show(
     shown_out: ShownPixels,
     shares_out: wp.array[wp.vec3],
 ):
-    """Item = ray: what its pixel shows, and how that has moved.
+    """Item = ray: colour, surface and motion of its pixel; captured share and alpha in ``shares_out``.
 
-    Args:
-        start: First item.
-        camera: The camera.
-        camera_before: That of the frame before.
-        scene: The scene.
-        assets: Of its splat instances.
-        splat_motions: Of these instances.
-        mesh_motions: Of the mesh instances.
-        wave: What the rays see.
-        shown_out: Receives colour and motion, and the distance of the surface in place of its change.
-        shares_out: One element a ray; receives the share that was captured, and alpha.
+    The third component of the motion is the distance of the surface.
     """
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
@@ -100,25 +90,25 @@ def show(
 
 @wp.func
 def is_still(motion: wp.vec3) -> bool:
-    """Whether a pixel shows what it showed in the frame before; not where that is not known."""
+    """Whether a pixel's surface stands still on the image; not where its motion is unknown."""
     return wp.abs(motion[0]) < STILL and wp.abs(motion[1]) < STILL
 
 
 @wp.func
 def cubic(share: float) -> wp.vec4:
-    """Weights of four neighbours of a point at a share of the way between the middle two (Catmull and Rom 1974)."""
+    """Weights of four neighbours of a point between the middle two (Catmull and Rom 1974)."""
     s = share
     r = 1.0 - share
     return wp.vec4(-0.5 * s * r * r, 1.0 + s * s * (1.5 * s - 2.5), 1.0 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s)
 
 
 @wp.func
-def image_at(image: wp.array[wp.vec3], size: wp.vec2i, place: wp.vec2) -> wp.vec3:
-    """The value of an image at a place, in pixels from the centre of the first, by Catmull-Rom's cubics."""
-    left = int(wp.floor(place[0]))
-    top = int(wp.floor(place[1]))
-    across = place[0] - float(left)
-    down = place[1] - float(top)
+def image_at(image: wp.array[wp.vec3], size: wp.vec2i, position: wp.vec2) -> wp.vec3:
+    """Interpolates an image at a position, in pixels from the centre of the first, by Catmull-Rom's cubics."""
+    left = int(wp.floor(position[0]))
+    top = int(wp.floor(position[1]))
+    across = position[0] - float(left)
+    down = position[1] - float(top)
     if across == 0.0 and down == 0.0:
         return image[top * size[0] + left]
     horizontal = cubic(across)
@@ -134,7 +124,7 @@ def image_at(image: wp.array[wp.vec3], size: wp.vec2i, place: wp.vec2) -> wp.vec
 
 @wp.func
 def nearest_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -> int:
-    """The pixel that shows the nearest of the surfaces around one, or itself where its motion is not known."""
+    """The pixel of the nearest of the surfaces around a pixel; itself where its motion is unknown."""
     nearest = y * size[0] + x
     if wp.isnan(motions[nearest][0]):
         return nearest
@@ -147,7 +137,7 @@ def nearest_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -
 
 
 @wp.func
-def is_by_chance(
+def is_noise(
     x: int,
     y: int,
     size: wp.vec2i,
@@ -155,7 +145,7 @@ def is_by_chance(
     motions: wp.array[wp.vec3],
     history: ShownHistory,
 ) -> bool:
-    """Whether all pixels around stand still, and their samples are from their means as such samples are by chance."""
+    """Whether all pixels around stand still, and their samples differ from their means by no more than noise."""
     means = history.color
     frames = history.frames
     changes = history.change
@@ -173,8 +163,8 @@ def is_by_chance(
 
 
 @wp.func
-def share_inside(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean: wp.vec3) -> float:
-    """Share that a mean keeps: all within the colours of the 3 x 3 pixels around, the less the farther outside."""
+def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean: wp.vec3) -> float:
+    """Share that a mean retains: all within the colours of the 3 x 3 pixels around, less farther outside (clamping)."""
     low = colors[y * size[0] + x]
     high = low
     total = float(0.0)
@@ -187,7 +177,7 @@ def share_inside(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean
             total += luminance(color)
             count += 1.0
     outside = wp.max(wp.max(low - mean, mean - high))
-    # Of the brighter of the two: else what becomes darker would be followed faster, and noise make pictures darker.
+    # The brighter of the two: else darkening would be followed faster, and noise would darken images.
     tolerated = LEAST * wp.max(total / count, luminance(mean))
     if outside <= tolerated:
         return 1.0
@@ -205,16 +195,16 @@ def weigh(
     shown_inout: ShownPixels,
     history_out: ShownHistory,
 ):
-    """Item = pixel: where it was, and what its history counts for beside what it shows now.
+    """Item = pixel: its position in the frame before, and the weight of its history.
 
     Args:
         start: First item.
         size: Width and height of the images.
-        known_share: Share of its frames for which a history counts in this one, by what has changed.
-        moved_to: Where the instances of the frame before are, as ``has_left`` has it.
-        history: That of the frame before.
-        shown_inout: The pixels; receive place and weight.
-        history_out: That of this frame.
+        known_share: Share of its frames for which a history counts, 1 unless something has changed.
+        moved_to: Numbers of the instances of the frame before, as of ``has_left``.
+        history: History of the frame before.
+        shown_inout: The pixels; receive position and weight.
+        history_out: History of this frame.
     """
     pixel = start + wp.tid()
     x = pixel % size[0]
@@ -245,13 +235,13 @@ def weigh(
                 frames = 0.0
             if frames > 0.0:
                 mean = image_at(history.color, size, place)
-                kept = float(1.0)
-                if not (stands and is_by_chance(x, y, size, colors, motions, history)):
-                    kept = share_inside(x, y, size, colors, mean)
-                frames *= kept
+                retained = float(1.0)
+                if not (stands and is_noise(x, y, size, colors, motions, history)):
+                    retained = retained_share(x, y, size, colors, mean)
+                frames *= retained
                 if stands:
                     difference = bright - history.sample[tap]
-                    step = kept * difference * difference  # a change that ends the history is none of its noise
+                    step = retained * difference * difference  # a change that ends the history is not noise
                     change = history.change[tap] + (step - history.change[tap]) / (frames + 1.0)
     if not (frames > 0.0 and is_finite(mean)):  # NaN, too, ends a history
         frames = 0.0
@@ -278,17 +268,7 @@ def blend(
     image_inout: wp.array[wp.vec3],
     after_out: wp.array[wp.vec3],
 ):
-    """Item = ray: the mean of an image over frames.
-
-    Args:
-        start: First item.
-        size: Width and height of the images.
-        camera: The camera.
-        shown: What the pixels show, with place and weight.
-        before: The mean of the frame before, one element a pixel.
-        image_inout: Of this frame, one element a ray; receives the mean.
-        after_out: The mean, one element a pixel.
-    """
+    """Item = ray: replaces its element of an image by the mean over frames, which ``after_out`` stores for the next."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -304,7 +284,7 @@ def blend(
 
 @wp.kernel
 def store_shares(start: int, camera: wp.array[CameraData], shares: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
-    """Item = ray: writes the share that was captured, and alpha."""
+    """Item = ray: writes captured share and alpha."""
     i = start + wp.tid()
     if pixel_number(i, camera) < 0:
         return

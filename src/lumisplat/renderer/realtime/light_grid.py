@@ -1,4 +1,4 @@
-"""Host pass: of many lights, those among which the surfaces of a cell choose (docs/method/realtime.md#light-grid)."""
+"""Host pass: the few of many lights among which the surfaces of a cell choose (docs/method/realtime.md#light-grid)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warp as wp
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.constants.realtime import GRID_LIGHTS
 from lumisplat.device.structs.gi import LightGrid
-from lumisplat.renderer.gi import light_grid_kernels as kernels
+from lumisplat.renderer.realtime import light_grid_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
@@ -16,12 +16,7 @@ from lumisplat.runtime.primitives import prefix_sum, sort_pairs
 
 
 class LightGrids:
-    """Finds the lights of the cells that have surfaces.
-
-    Args:
-        launcher: Runs the kernels.
-        buffers: Holds the arrays.
-    """
+    """Chooses lights for the cells that contain surfaces."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -36,12 +31,7 @@ class LightGrids:
         return scene.lights.choice_count > GRID_LIGHTS
 
     def of_wave(self, scene: DeviceScene, wave: RayWave) -> LightGrid:
-        """The lights that the surfaces of a wave choose among; the next wave overwrites them.
-
-        Args:
-            scene: The scene on the device.
-            wave: Its rays, and the one surface of each that is lit.
-        """
+        """Chooses lights for the cells of a wave's surfaces; the next wave overwrites them."""
         grid = LightGrid()
         if not self.is_needed(scene):
             return grid
@@ -74,5 +64,4 @@ class LightGrids:
         return self._get("order", wp.int32, 2 * count)
 
     def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:
-        """An array of the grid."""
         return self._buffers.get(f"light_grid.{name}", dtype, count)

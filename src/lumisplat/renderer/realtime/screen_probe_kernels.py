@@ -1,22 +1,216 @@
-"""What screen probes see, and what pixels see of them.
+"""Screen probes: their placement, one a tile and more where those miss surfaces, and the light that they gather.
 
 The method is in docs/method/realtime.md#screen-probes. Every kernel writes each element from one item only.
 """
 
 import warp as wp
 
-from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS
+from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS, PROBE_STAYS_PX
+from lumisplat.device.camera.seen_at import seen_at
 from lumisplat.device.gi.means import mean_weight
-from lumisplat.device.gi.octahedral import cell_of_direction
-from lumisplat.device.gi.probe_places import tile_of
+from lumisplat.device.gi.octahedral import cell_of_direction, cell_width, direction_in_cell
+from lumisplat.device.gi.probe_places import LOOKED_AT, place_among, place_in_tile, tile_of
 from lumisplat.device.gi.probe_rays import neighbour_weight, refresh_key, shows_the_same, start_probe_ray
 from lumisplat.device.gi.screen_probes import C0, COSINE_0, HARMONICS, gathered_light
 from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels
+from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels, TileNeeds
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False})
+
+STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
+
+
+@wp.kernel
+def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
+    """Item = probe: copies what the next frame reads."""
+    i = start + wp.tid()
+    probes_out.is_placed[i] = probes.is_placed[i]
+    probes_out.position[i] = probes.position[i]
+    probes_out.normal[i] = probes.normal[i]
+    probes_out.extent[i] = probes.extent[i]
+    probes_out.rounds[i] = probes.rounds[i]
+    probes_out.refreshed[i] = probes.refreshed[i]
+
+
+@wp.kernel
+def copy_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
+    """Item = cell: copies it."""
+    i = start + wp.tid()
+    cells_out.radiance[i] = cells.radiance[i]
+    cells_out.nearness[i] = cells.nearness[i]
+    cells_out.samples[i] = cells.samples[i]
+
+
+@wp.func
+def is_as_before(
+    pixel: int, source: int, grid: ProbeGrid, camera: CameraData, surfaces: SurfacePixels, before: ProbeData
+) -> bool:
+    """Whether probe ``source`` of the frame before may stay where it was: the surface stands still, and is this one.
+
+    A probe that followed the jitter of samples would lose its radiance of near surfaces.
+    """
+    if not wp.length(surfaces.previous[pixel] - surfaces.position[pixel]) == 0.0:  # NaN: it is new
+        return False
+    center = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
+    return wp.length(seen_at(camera, before.position[source]) - center) < STAYS_PX
+
+
+@wp.func
+def set_probe(
+    i: int,
+    pixel: int,
+    source: int,
+    grid: ProbeGrid,
+    camera: CameraData,
+    surfaces: SurfacePixels,
+    before: ProbeData,
+    probes_out: ProbeData,
+):
+    """Puts probe ``i`` on the surface of a pixel, or leaves it near there where it was; none if that is -1."""
+    probes_out.is_placed[i] = 0
+    probes_out.source[i] = -1
+    probes_out.rounds[i] = 0
+    if pixel < 0:
+        return
+    probes_out.is_placed[i] = 1
+    probes_out.position[i] = surfaces.position[pixel]
+    probes_out.pixel[i] = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
+    probes_out.normal[i] = surfaces.normal[pixel]
+    probes_out.distance[i] = surfaces.distance[pixel]
+    probes_out.extent[i] = surfaces.extent[pixel]
+    if source >= 0:
+        probes_out.source[i] = source
+        if is_as_before(pixel, source, grid, camera, surfaces, before):
+            probes_out.position[i] = before.position[source]
+            probes_out.normal[i] = before.normal[source]
+            probes_out.extent[i] = before.extent[source]
+            probes_out.distance[i] = wp.length(before.position[source] - camera.eye)
+        probes_out.rounds[i] = before.rounds[source]
+        probes_out.refreshed[i] = before.refreshed[source]
+
+
+@wp.kernel
+def place_in_tiles(
+    start: int,
+    grids: wp.array[ProbeGrid],
+    cameras: wp.array[CameraData],
+    cameras_before: wp.array[CameraData],
+    surfaces: SurfacePixels,
+    before: ProbeData,
+    adaptive_before: wp.array[int],
+    probes_out: ProbeData,
+):
+    """Item = tile: places its probe."""
+    tile = start + wp.tid()
+    place = place_in_tile(tile, grids[0], cameras[0], cameras_before[0], surfaces, before, adaptive_before)
+    set_probe(tile, place.pixel, place.source, grids[0], cameras[0], surfaces, before, probes_out)
+
+
+@wp.kernel
+def find_needs(
+    start: int,
+    grids: wp.array[ProbeGrid],
+    cameras: wp.array[CameraData],
+    cameras_before: wp.array[CameraData],
+    surfaces: SurfacePixels,
+    probes: ProbeData,
+    before: ProbeData,
+    adaptive_before: wp.array[int],
+    needs_out: TileNeeds,
+    keys_out: wp.array[int],
+    order_out: wp.array[int],
+):
+    """Item = tile: pixels that no probe covers, and a key by which tiles with more of them come first."""
+    tile = start + wp.tid()
+    place = place_among(
+        LOOKED_AT, tile, True, grids[0], cameras[0], cameras_before[0], surfaces, probes, before, adaptive_before
+    )
+    needs_out.uncovered[tile] = place.uncovered
+    needs_out.pixel[tile] = place.pixel
+    needs_out.source[tile] = place.source
+    keys_out[tile] = grids[0].tile * grids[0].tile - place.uncovered
+    order_out[tile] = tile
+
+
+@wp.kernel
+def place_adaptive(
+    start: int,
+    grids: wp.array[ProbeGrid],
+    cameras: wp.array[CameraData],
+    order: wp.array[int],
+    needs: TileNeeds,
+    surfaces: SurfacePixels,
+    before: ProbeData,
+    adaptive_of_out: wp.array[int],
+    probes_out: ProbeData,
+):
+    """Item = tile in their order: places an adaptive probe if it needs one and there are any left."""
+    rank = start + wp.tid()
+    tile = order[rank]
+    adaptive_of_out[tile] = -1
+    if rank < grids[0].adaptive:
+        i = grids[0].tiles_x * grids[0].tiles_y + rank
+        pixel = wp.where(needs.uncovered[tile] > 0, needs.pixel[tile], -1)
+        set_probe(i, pixel, needs.source[tile], grids[0], cameras[0], surfaces, before, probes_out)
+        if pixel >= 0:
+            adaptive_of_out[tile] = i
+
+
+@wp.kernel
+def carry_cells(
+    start: int,
+    grids: wp.array[ProbeGrid],
+    probes: ProbeData,
+    before: ProbeData,
+    cells_before: ProbeCells,
+    cells_out: ProbeCells,
+):
+    """Item = probe: moves the cells of the probe that it continues to their directions from the new position.
+
+    A cell whose hit is nearer than the probe has moved keeps its direction.
+    """
+    i = start + wp.tid()
+    side = grids[0].cells
+    count = side * side
+    for cell in range(count):
+        cells_out.radiance[i * count + cell] = wp.vec3(0.0)
+        cells_out.nearness[i * count + cell] = 0.0
+        cells_out.samples[i * count + cell] = 0.0
+    if probes.is_placed[i] == 0:
+        return
+    source = probes.source[i]
+    if source < 0:
+        return
+    move = before.position[source] - probes.position[i]
+    for cell in range(count):
+        from_cell = source * count + cell
+        samples = cells_before.samples[from_cell]
+        if samples > 0.0:
+            nearness = cells_before.nearness[from_cell]
+            direction = direction_in_cell(cell, side, wp.vec2(0.5, 0.5))
+            to_cell = i * count + cell
+            if nearness * wp.length(move) < 1.0:
+                moved = direction + nearness * move
+                stretch = wp.length(moved)
+                if stretch > 0.0:
+                    nearness /= stretch
+                    direction = moved / stretch
+                    to_cell = i * count + cell_of_direction(direction, side)
+            # Below the horizon of a mesh no ray renews a cell.
+            if probes.extent[i] == 0.0 and wp.dot(direction, probes.normal[i]) < -cell_width(side):
+                samples = 0.0
+            cells_out.radiance[to_cell] = cells_out.radiance[to_cell] + samples * cells_before.radiance[from_cell]
+            cells_out.nearness[to_cell] = cells_out.nearness[to_cell] + samples * nearness
+            cells_out.samples[to_cell] = cells_out.samples[to_cell] + samples
+    for cell in range(count):
+        k = i * count + cell
+        samples = cells_out.samples[k]
+        if samples > 0.0:
+            cells_out.radiance[k] = cells_out.radiance[k] / samples
+            cells_out.nearness[k] = cells_out.nearness[k] / samples
+            cells_out.samples[k] = wp.min(samples, grids[0].history)
 
 
 NORMALS = wp.constant(PROBE_NORMALS)
@@ -24,17 +218,17 @@ CHUNK = wp.constant(MEANS_CHUNK)
 AROUND = wp.constant(2)
 """Pixels to each side that fill one without probes."""
 JITTER_X = wp.constant(wp.uint32(0))
-"""Dimensions of where a pixel looks probes up; its key has no others."""
+"""Dimensions of a pixel's random look-up of probes."""
 JITTER_Y = wp.constant(wp.uint32(1))
 LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
-"""Mixed into the seed: other numbers than those of rays."""
+"""Mixed into the seed, so that random numbers differ from those of rays."""
 
 
 @wp.kernel
 def rank_probes(
     start: int, grids: wp.array[ProbeGrid], probes: ProbeData, keys_out: wp.array[int], order_out: wp.array[int]
 ):
-    """A key by which probes that need a refresh more come first."""
+    """Item = probe: a key by which probes that need a refresh more come first."""
     i = start + wp.tid()
     keys_out[i] = refresh_key(i, grids[0], probes)
     order_out[i] = i
@@ -44,7 +238,7 @@ def rank_probes(
 def start_probe_rays(
     start: int, grids: wp.array[ProbeGrid], order: wp.array[int], probes: ProbeData, rays_out: RayData
 ):
-    """One ray a cell of the first probes in the order."""
+    """Item = ray: starts it, one for each cell of the first probes in the order."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     i = order[ray // count]
@@ -64,7 +258,7 @@ def add_samples(
     probes_out: ProbeData,
     cells_out: ProbeCells,
 ):
-    """Adds what a ray has seen to the means of its cell; a ray that saw something not finite counts as none."""
+    """Item = ray: adds its radiance to the mean of its cell, unless it is not finite."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     cell = ray % count
@@ -88,7 +282,7 @@ def add_samples(
 
 @wp.kernel
 def outdate_cells(start: int, share: float, cells_inout: ProbeCells):
-    """Item = cell: its means count for a share of what they did."""
+    """Item = cell: lowers the weight of its means to a share."""
     k = start + wp.tid()
     cells_inout.samples[k] = share * cells_inout.samples[k]
 
@@ -105,7 +299,7 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """The mean of a cell over its probe, the other one of its tile, and those of the four tiles beside it."""
+    """Item = cell: its mean over its probe, the other probe of its tile, and those of the four tiles beside it."""
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells
@@ -154,16 +348,16 @@ def project_probes(
     weights: wp.array[float],
     light_inout: ProbeLight,
 ):
-    """Fills the cells of a probe that nothing is known of with the mean of the others, and finds its harmonics.
+    """Item = probe: fills its empty cells with the mean of the others, and projects all to SH.
 
     Args:
         start: First item.
-        grids: How the probes lie on the pixels.
+        grids: Layout of the probes.
         probes: The probes.
-        fit: What each cell adds to the harmonics.
-        beyond: What each cell adds to the irradiance besides, by the normal of the surface.
-        weights: Of the cells; 0: nothing is known.
-        light_inout: What the cells see; receives the harmonics.
+        fit: SH coefficients of each cell.
+        beyond: Irradiance by each cell beyond these, by the normal of the surface.
+        weights: Weights of the cells; 0: empty.
+        light_inout: Radiance of the cells; receives the SH.
     """
     i = start + wp.tid()
     count = grids[0].cells * grids[0].cells
@@ -205,7 +399,7 @@ def find_irradiance(
     irradiance_out: wp.array[wp.vec3],
     is_known_out: wp.array[int],
 ):
-    """Irradiance of the surface of a pixel by the probes around it, where any says something."""
+    """Item = pixel: irradiance of its surface by the probes around it, where any has light."""
     pixel = start + wp.tid()
     grid = grids[0]
     irradiance_out[pixel] = wp.vec3(0.0)
@@ -230,7 +424,7 @@ def tile_means(
     is_known: wp.array[int],
     means_out: wp.array[wp.vec4],
 ):
-    """Sum of the irradiance over the pixels of a tile for which it is known, and their number."""
+    """Item = tile: sum of the irradiance over its pixels for which it is known, and their number."""
     tile = start + wp.tid()
     grid = grids[0]
     total = wp.vec4(0.0)
@@ -247,7 +441,7 @@ def tile_means(
 
 @wp.kernel
 def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4]):
-    """Item = chunk: the sum of the same over some of them."""
+    """Item = chunk: sum over some of these."""
     chunk = start + wp.tid()
     total = wp.vec4(0.0)
     for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, means.shape[0])):
@@ -270,7 +464,7 @@ def known_around(x: int, y: int, grid: ProbeGrid, irradiance: wp.array[wp.vec3],
 
 @wp.func
 def tiles_around(x: int, y: int, grid: ProbeGrid, means: wp.array[wp.vec4]) -> wp.vec4:
-    """The same over the tile of a pixel and the eight around it."""
+    """Sum of ``means`` over the tile of a pixel and the eight around it."""
     total = wp.vec4(0.0)
     for k in range(9):
         tile = tile_of(grid, x // grid.tile + k % 3 - 1, y // grid.tile + k // 3 - 1)
@@ -290,7 +484,7 @@ def fill_pixels(
     mean: wp.array[wp.vec4],
     irradiance_out: wp.array[wp.vec3],
 ):
-    """Irradiance of a pixel, where no probe says anything the mean of what is around it, the nearest first."""
+    """Item = pixel: its irradiance; where no probe has light, the mean around it, the nearest first."""
     pixel = start + wp.tid()
     irradiance_out[pixel] = irradiance[pixel]
     if is_known[pixel] != 0 or not surfaces.share[pixel] > 0.0:

@@ -1,7 +1,7 @@
-"""Host passes of the radiance cache: what surfaces reflect, in cells of the world (docs/method/realtime.md).
+"""Host pass: the radiance cache, reflected radiance in cells of the world (docs/method/realtime.md#radiance-cache).
 
-A frame: `RadianceCache.insert` what rays have hit, `look_up` what leaves there; `bounce_points`, trace a ray from each,
-insert what these hit, and `add_bounces`; `evict`.
+A frame: `RadianceCache.insert` the hits of rays, `look_up` the radiance there; trace a ray from each of
+`bounce_points`, insert its hit, and `add_bounces`; `evict`.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ from lumisplat.device.structs.radiance_cache import (
     CacheTiles,
     SortedSamples,
 )
-from lumisplat.renderer.gi import radiance_cache_kernels as kernels
-from lumisplat.renderer.gi import radiance_cache_tiles_kernels as tile_kernels
+from lumisplat.renderer.realtime import radiance_cache_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, bytes_of, device_array
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
@@ -40,25 +39,25 @@ from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 _log = logging.getLogger("lumisplat")
 
 HISTORY_CUDA, HISTORY_CPU = 16, 32
-"""Frames of a mean, where settings leave it open."""
+"""Frames that a mean is taken over, unless settings say so."""
 
 _STAGE = "cache"
 
 
 @dataclass(frozen=True, slots=True)
 class RadianceCacheStatistics:
-    """What the cache holds."""
+    """Size of the cache, and tiles that did not fit."""
 
     tiles: int
-    """Tiles that there are."""
+    """Live tiles."""
     cells: int
-    """Their cells with samples."""
+    """Cells of these with samples."""
     evicted: int
-    """Tiles that had to go before their time since the start, for the cache was full."""
+    """Tiles that a full cache has evicted early, since the start."""
     dropped: int
     """Tiles that found no room since the start, in frames that needed more than the capacity."""
     bytes: int
-    """Memory of all tiles that there may be."""
+    """Memory of the cache's capacity."""
 
 
 class RadianceCache:
@@ -81,27 +80,27 @@ class RadianceCache:
         self._grid.history, self._grid.samples_min = float(history), float(min(config.samples_min, history))
         self._grid.bounce_history = float(config.bounce_history)
         self._tiles = _allocated_tiles(buffers, config.tiles)
-        self._is_overflow_told = False
+        self._has_warned = False
 
     @staticmethod
     def modules() -> list[KernelModule]:
         """The kernel modules."""
-        return [kernels, tile_kernels]
+        return [kernels]
 
     def reset(self) -> None:
         """Empties the cache; also needed before its first frame."""
-        self._launcher.run_banded(tile_kernels.clear_tiles, self._config.tiles, self._tiles)
-        self._is_overflow_told = False
+        self._launcher.run_banded(kernels.clear_tiles, self._config.tiles, self._tiles)
+        self._has_warned = False
 
     def outdate(self, share: float) -> None:
-        """The light has changed: what is known counts for this share of what it did."""
+        """Lowers the weight of all means to a share, as the light has changed."""
         with self._launcher.stage(_STAGE):
             self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, share, self._tiles)
 
     def insert(self, samples: CacheSamples, frame: int) -> None:
         """Adds the direct radiance of a frame's samples to the means of their cells.
 
-        Several calls with one frame count as one. Samples that are no finite numbers are left out.
+        Several calls with one frame count as one. Samples that are not finite are left out.
         """
         count = len(device_array(samples.is_active))
         if count:
@@ -113,29 +112,29 @@ class RadianceCache:
                 run(kernels.update_tiles, count, sorted_samples, tiles)
 
     def look_up(self, samples: CacheSamples) -> DeviceArray:
-        """Linear radiance that leaves each sample's surface, of light of all bounces, without emission; vec3.
+        """Linear radiance that each sample's surface reflects, of light of all bounces; vec3, 0 for inactive samples.
 
-        Of samples that are not active 0. The next look-up of as many samples overwrites it.
+        The next look-up of as many samples overwrites it.
         """
         return self._look_up("radiance", samples)
 
-    def look_up_indirect(self, samples: CacheSamples, places: DeviceArray | None = None) -> DeviceArray:
-        """As ``look_up``, of light from other surfaces alone, whatever the radiance of the samples.
+    def look_up_indirect(self, samples: CacheSamples, points: DeviceArray | None = None) -> DeviceArray:
+        """As ``look_up``, of light from other surfaces alone.
 
         Args:
             samples: The surfaces.
-            places: Where to look instead, a point in the plane of each, random where the edges of cells are not to be
-                seen; where nothing is known there, and with None, it is the sample's own.
+            points: Points in their planes that are looked up instead, random to hide the edges of cells; the sample's
+                own position if nothing is known there, and with None.
         """
         count = len(device_array(samples.is_active))
         radiance = self._get("indirect", wp.vec3, count)
         with self._launcher.stage(_STAGE):
-            inputs = self._grid, samples, places, self._tiles, radiance
+            inputs = self._grid, samples, points, self._tiles, radiance
             self._launcher.run_banded(kernels.look_up_indirect, count, *inputs)
         return radiance
 
     def cell_numbers(self, samples: CacheSamples) -> DeviceArray:
-        """A number of the cell that each sample is in, 0..2^24 - 1; -1: there is none. Others seldom have the same."""
+        """A hash of the cell that each sample is in, 0..2^24 - 1; -1: there is none."""
         count = len(device_array(samples.is_active))
         numbers = self._get("cell_numbers", wp.int32, count)
         with self._launcher.stage(_STAGE):
@@ -161,39 +160,38 @@ class RadianceCache:
         return points
 
     def add_bounces(
-        self, points: CachePoints, hits: CacheSamples, seen_of: Callable[[DeviceArray], DeviceArray] | None = None
+        self, points: CachePoints, hits: CacheSamples, radiance_of: Callable[[DeviceArray], DeviceArray] | None = None
     ) -> None:
-        """Adds the light that cells reflect of others, which know of it in turn: several bounces along each ray.
+        """Adds radiance that cells receive of others, several times, so that light bounces more often along each ray.
 
         Args:
-            points: Of the last `bounce_points`; those of tiles that have gone since do not count.
-            hits: What the ray from each has hit, already inserted. Where they are not active no surface was hit, and
-                no light comes from there: that of the sky is direct.
-            seen_of: From what these reflect to what the rays see, linear, vec3; None: no more than that.
+            points: Those of the last `bounce_points`; points of evicted tiles do not count.
+            hits: The hit of the ray from each, already inserted; not active: no light comes from there.
+            radiance_of: From the radiance that the hits reflect to that of the rays, linear, vec3; None: the same.
         """
         run, count, tiles = self._launcher.run_banded, self._config.bounces, self._tiles
         means = self._get("means_before", wp.vec4, count)
         with self._launcher.stage(_STAGE):
-            run(kernels.keep_means, count, points, tiles, means)
+            run(kernels.copy_means, count, points, tiles, means)
         for _ in range(BOUNCES_PER_RAY):
             reflected = self._look_up("reflected", hits)
-            seen = seen_of(reflected) if seen_of else reflected
+            seen = radiance_of(reflected) if radiance_of else reflected
             with self._launcher.stage(_STAGE):
                 run(kernels.add_bounces, count, self._grid, points, means, seen, tiles)
                 run(kernels.update_bounced_tiles, count, points, tiles)
 
     def evict(self, frame: int) -> None:
-        """Forgets the tiles that no ray has hit for as many frames as the settings say; the end of a frame."""
+        """Evicts the tiles that no ray has hit for as many frames as the settings say; the end of a frame."""
         oldest = frame - self._config.unused_frames + 1
         with self._launcher.stage(_STAGE):
-            kept = self._per_tile("kept")
-            self._launcher.run_banded(tile_kernels.keep_used, self._config.tiles, oldest, self._tiles, kept)
-            self._compact(kept, is_early=False)
-        self._tell_overflow()
+            stays = self._per_tile("stays")
+            self._launcher.run_banded(kernels.mark_used, self._config.tiles, oldest, self._tiles, stays)
+            self._compact(stays, is_early=False)
+        self._warn_of_overflow()
 
     @property
     def statistics(self) -> RadianceCacheStatistics:
-        """What the cache holds; waits for the device."""
+        """Size of the cache; waits for the device."""
         counts = device_array(self._tiles.counts).numpy()
         live = int(counts[COUNT_LIVE])
         slots = device_array(self._tiles.slots).numpy()[:live]
@@ -219,33 +217,33 @@ class RadianceCache:
         """Makes the tiles that samples need; when all are in use, for those that were unused longest."""
         run, tiles, capacity = self._launcher.run_banded, self._tiles, self._config.tiles
         is_new, ends = self._get("is_new", wp.int32, count), self._get("new_ends", wp.int32, count)
-        run(tile_kernels.find_new_tiles, count, frame, samples, tiles, is_new)
+        run(kernels.find_new_tiles, count, frame, samples, tiles, is_new)
         prefix_sum(is_new, ends, inclusive=True)
-        self._launcher.run(tile_kernels.count_new_tiles, 1, count, self._grid, ends, tiles)
+        self._launcher.run(kernels.count_new_tiles, 1, count, self._grid, ends, tiles)
         if self._may_count(COUNT_EXCESS):
-            kept = self._per_tile("kept")
-            ranks = self._ranks(tile_kernels.key_tiles_by_use)
-            run(tile_kernels.keep_all_but_excess, capacity, frame, tiles, ranks, kept)
-            self._compact(kept, is_early=True)
+            stays = self._per_tile("stays")
+            ranks = self._ranks(kernels.key_tiles_by_use)
+            run(kernels.mark_all_but_excess, capacity, frame, tiles, ranks, stays)
+            self._compact(stays, is_early=True)
         if self._may_count(COUNT_NEW):
             new_keys = self._get("new_keys", wp.int64, count)
-            run(tile_kernels.list_new_tiles, count, samples, is_new, ends, new_keys)
+            run(kernels.list_new_tiles, count, samples, is_new, ends, new_keys)
             keys, slots = self._others()
-            run(tile_kernels.merge_tiles, capacity, frame, tiles, new_keys, keys, slots)
+            run(kernels.merge_tiles, capacity, frame, tiles, new_keys, keys, slots)
             self._take(keys, slots)
-            self._launcher.run(tile_kernels.count_merged_tiles, 1, tiles)
+            self._launcher.run(kernels.count_merged_tiles, 1, tiles)
 
-    def _compact(self, kept: DeviceArray, *, is_early: bool) -> None:
+    def _compact(self, stays: DeviceArray, *, is_early: bool) -> None:
         """Frees the slots of tiles that are not marked."""
         ends = self._per_tile("ends")
-        prefix_sum(kept, ends, inclusive=True)
+        prefix_sum(stays, ends, inclusive=True)
         keys, slots = self._others()
-        self._launcher.run_banded(tile_kernels.compact_tiles, self._config.tiles, self._tiles, kept, ends, keys, slots)
+        self._launcher.run_banded(kernels.compact_tiles, self._config.tiles, self._tiles, stays, ends, keys, slots)
         self._take(keys, slots)
-        self._launcher.run(tile_kernels.count_kept_tiles, 1, is_early, self._grid, ends, self._tiles)
+        self._launcher.run(kernels.count_remaining_tiles, 1, is_early, self._grid, ends, self._tiles)
 
     def _look_up(self, name: str, samples: CacheSamples) -> DeviceArray:
-        """As ``look_up``, into an array of its own."""
+        """As ``look_up``, into the array of a name."""
         count = len(device_array(samples.is_active))
         radiance = self._get(name, wp.vec3, count)
         with self._launcher.stage(_STAGE):
@@ -265,20 +263,20 @@ class RadianceCache:
         return self._get("other_keys", wp.int64, self._config.tiles), self._per_tile("other_slots")
 
     def _take(self, keys: DeviceArray, slots: DeviceArray) -> None:
-        """Makes these the keys and slots of the tiles."""
+        """Replaces the keys and slots of the tiles."""
         copy_elements(keys, device_array(self._tiles.keys), self._config.tiles)
         copy_elements(slots, device_array(self._tiles.slots), self._config.tiles)
 
     def _may_count(self, index: int) -> bool:
-        """Whether a count is above 0. A GPU is not waited for: passes that have nothing to do are quick there."""
+        """Whether a count is above 0. On a GPU, passes without work are cheaper than waiting for the count."""
         return self._launcher.is_parallel or bool(device_array(self._tiles.counts).numpy()[index] > 0)
 
-    def _tell_overflow(self) -> None:
-        """Says once that the cache was full."""
-        if not self._is_overflow_told:
+    def _warn_of_overflow(self) -> None:
+        """Logs once that the cache was full."""
+        if not self._has_warned:
             counts = device_array(self._tiles.counts).numpy()
             if np.any(counts[[COUNT_EVICTED, COUNT_DROPPED]] > 0):
-                self._is_overflow_told = True
+                self._has_warned = True
                 _log.warning(
                     "the radiance cache is full: %s tiles had to go, %s found no room; "
                     "set realtime.cache.tiles above %s",
@@ -290,7 +288,6 @@ class RadianceCache:
         return self._get(name, wp.int32, self._config.tiles)
 
     def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:
-        """An array of the cache."""
         return self._buffers.get(f"radiance_cache.{name}", dtype, count)
 
 
@@ -298,11 +295,11 @@ _CELL_FIELDS = ("frames", "updated", "position", "normal", "extent")
 """Arrays of tiles with an element a cell."""
 
 _LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS} | dict.fromkeys(_CELL_FIELDS, TILE_CELLS)
-"""Elements that a tile has in an array; in those that are not named one."""
+"""Elements a tile in an array; one in those not named."""
 
 
 def _allocated_tiles(buffers: Buffers, capacity: int) -> CacheTiles:
-    """Arrays for as many tiles; memory of the CPU is the system's until it is written."""
+    """Arrays for as many tiles; the system provides memory of the CPU when it is written."""
     noun: Any = CacheTiles
     tiles = CacheTiles()
     for field, variable in noun.vars.items():

@@ -1,4 +1,4 @@
-"""Images of motion, and of what frames in real time keep; each element is written by one item."""
+"""Debug layers: motion of surfaces, and the state that real time carries from frame to frame."""
 
 import warp as wp
 
@@ -20,16 +20,7 @@ def show_motion(
     share_inout: wp.array[float],
     image_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: the motion of surfaces of one kind, where these are the most of the pixel so far.
-
-    Args:
-        start: First item.
-        camera: The camera.
-        camera_before: That of the frame before.
-        surfaces: Those of the kind.
-        share_inout: Of the pixel that the surface has which the image shows, one element a ray.
-        image_inout: The image; NaN where the surface was not there.
-    """
+    """Item = ray: motion of its pixel's surface of one kind, if its share is above ``share_inout``."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -48,16 +39,7 @@ def show_history(
     share_inout: wp.array[float],
     image_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: frames in the history of surfaces of one kind, where these are the most of the pixel so far.
-
-    Args:
-        start: First item.
-        camera: The camera.
-        surfaces: Those of the kind.
-        frames: In their histories.
-        share_inout: Of the pixel that the surface has which the image shows, one element a ray.
-        image_inout: The image.
-    """
+    """Item = ray: frames in the history of its pixel's surface of one kind, by the same rule."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -82,14 +64,9 @@ def show_probes(start: int, camera: wp.array[CameraData], probes: ProbeData, ima
 def list_surfaces(
     start: int, camera: wp.array[CameraData], surfaces: SurfacePixels, is_first: bool, samples_inout: CacheSamples
 ):
-    """Item = ray: the surface of its pixel, as the cache is asked for it; of two the one that is more of the pixel.
+    """Item = ray: its pixel's surface of one kind as a query of the cache, if it covers more than a kind before.
 
-    Args:
-        start: First item.
-        camera: The camera.
-        surfaces: Those of one kind.
-        is_first: Whether no other kind is listed yet.
-        samples_inout: The surfaces; ``distance`` is the share of the pixel until all are listed.
+    Until ``measure_distances``, ``distance`` is the share of the pixel that the surface covers.
     """
     i = start + wp.tid()
     if is_first:
@@ -114,8 +91,8 @@ def list_surfaces(
 
 
 @wp.kernel
-def place_eye(start: int, samples_inout: CacheSamples):
-    """Item = ray: it comes from the eye, so that it is as long as its surface is far."""
+def measure_distances(start: int, samples_inout: CacheSamples):
+    """Item = ray: its length, from the eye to its surface."""
     i = start + wp.tid()
     samples_inout.distance[i] = samples_inout.from_eye[i]
 

@@ -1,1 +1,0 @@
-"""What is known of indirect light: screen probes, and a cache of radiance in world space."""

@@ -1,0 +1,49 @@
+"""Warnings about light, each logged once a renderer."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import warp as wp
+
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.scene.scene import Scene
+
+_log = logging.getLogger("lumisplat")
+_noise_log = logging.getLogger("lumisplat.grain")  # of its own, so that it can be silenced alone
+
+
+class LightWarnings:
+    """Says which light is noisy for lack of samples, and which meshes let light in but do not close around it."""
+
+    def __init__(self) -> None:
+        self._has_warned_of_noise = self._has_warned_of_media = False
+
+    def warn_of_noise(self, plan: FramePlan, samples: int) -> None:
+        """Logs that so many samples, given by the user, are few for the light of the frame."""
+        if plan.grain and samples < plan.samples_wanted and not self._has_warned_of_noise:
+            self._has_warned_of_noise = True
+            _noise_log.warning(
+                "light from %s is grainy with %d %s a pixel: %d or more make it smooth, and are the default",
+                " and ".join(plan.grain),
+                samples,
+                "sample" if samples == 1 else "samples",
+                plan.samples_wanted,
+            )
+
+    def warn_of_media(self, plan: FramePlan, scene: Scene, buffers: Buffers) -> None:
+        """Logs which mesh the rays of the last sample have left without having entered it."""
+        if not plan.has_media or self._has_warned_of_media:
+            return
+        is_left = buffers.get("wave.unentered", wp.int32, len(scene.meshes)).numpy()
+        if is_left.any():
+            self._has_warned_of_media = True
+            number = int(np.argmax(is_left))
+            name = scene.meshes[number].name or scene.meshes[number].mesh.name
+            _log.warning(
+                "the inside of %s is left without being entered: unless the camera is within it, a mesh that transmits "
+                "must be closed and face outwards, or be thin_walled",
+                f"mesh '{name}'" if name else f"meshes[{number}]",
+            )

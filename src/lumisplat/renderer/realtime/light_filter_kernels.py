@@ -1,0 +1,458 @@
+"""Removes noise from the light of surfaces: means over frames, then over neighbouring pixels.
+
+Histories follow Schied et al. 2017. The passes over neighbours are edge-avoiding wavelets (Dammertz et al. 2010) with
+weights that are 0 from some distance on (docs/method/realtime.md#filters).
+"""
+
+import warp as wp
+
+from lumisplat.constants.realtime import (
+    CHANGE_LEAST,
+    CHANGE_SIGMAS,
+    LUMINANCE_SIGMAS,
+    MOMENT_FRAMES,
+    SAME_PIXEL_PX,
+    WEIGHT_LEAST,
+    YOUNG_FRAMES,
+)
+from lumisplat.device.gi.motion import pixel_before
+from lumisplat.device.gi.reprojection import is_near, is_same_surface, least_cosine, snapped, tolerance
+from lumisplat.device.math.color import luminance
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import (
+    FilteredLight,
+    LightChange,
+    LightHistory,
+    PixelHistory,
+    SurfaceLight,
+    SurfacePixels,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
+CHANGED_SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
+CHANGED_LEAST = wp.constant(wp.float32(CHANGE_LEAST))
+YOUNG = wp.constant(wp.float32(YOUNG_FRAMES))
+MOMENTS = wp.constant(wp.float32(MOMENT_FRAMES))
+SIGMAS = wp.constant(wp.float32(LUMINANCE_SIGMAS))
+WEIGHT_MIN = wp.constant(wp.float32(WEIGHT_LEAST))
+TINY = wp.constant(wp.float32(1e-8))
+
+
+@wp.func
+def with_tap(history: PixelHistory, weight: float, pixel: int, image: LightHistory) -> PixelHistory:
+    """Adds the weighted history of one more pixel to a history."""
+    history.frames += weight * image.frames[pixel]
+    history.diffuse += weight * image.diffuse[pixel]
+    history.glossy += weight * image.glossy[pixel]
+    history.moments += weight * image.moments[pixel]
+    return history
+
+
+@wp.func
+def scaled(history: PixelHistory, factor: float) -> PixelHistory:
+    """Multiplies a history by a factor."""
+    history.frames *= factor
+    history.diffuse *= factor
+    history.glossy *= factor
+    history.moments *= factor
+    return history
+
+
+@wp.func
+def store_history(pixel: int, own: PixelHistory, history: LightHistory):
+    """Writes the history of a pixel."""
+    history.frames[pixel] = own.frames
+    history.diffuse[pixel] = own.diffuse
+    history.glossy[pixel] = own.glossy
+    history.moments[pixel] = own.moments
+
+
+@wp.func
+def history_of(
+    pixel: int,
+    size: wp.vec2i,
+    surfaces: SurfacePixels,
+    before: SurfacePixels,
+    camera: wp.array[CameraData],
+    camera_before: wp.array[CameraData],
+    image: LightHistory,
+) -> PixelHistory:
+    """Interpolates the history of a pixel's surface among the four pixels around where it was that showed it, too.
+
+    If none did, and the surface stands still, it is the mean over the 3 x 3 pixels: jittered samples see past edges.
+    """
+    history = PixelHistory()
+    position = surfaces.previous[pixel]
+    if wp.isnan(position[0]):
+        return history
+    at = pixel_before(position, camera_before)
+    if at[2] <= 0.0:
+        return history
+    # Histories are of whole pixels, the point is the sample's.
+    x = snapped(at[0] - camera[0].offset[0])
+    y = snapped(at[1] - camera[0].offset[1])
+    left = int(wp.floor(x))
+    top = int(wp.floor(y))
+    extent = surfaces.extent[pixel]
+    tolerated = wp.max(PIXEL_PX * at[2] / camera_before[0].focal[0], extent)
+    cosine_min = least_cosine(extent)
+    total = float(0.0)
+    for row in range(top, top + 2):
+        for column in range(left, left + 2):
+            weight = (1.0 - wp.abs(x - float(column))) * (1.0 - wp.abs(y - float(row)))
+            if weight > 0.0 and column >= 0 and column < size[0] and row >= 0 and row < size[1]:
+                tap = row * size[0] + column
+                is_same = is_same_surface(position, surfaces.normal[pixel], tolerated, cosine_min, tap, before)
+                if is_same and image.frames[tap] > 0.0:
+                    history = with_tap(history, weight, tap, image)
+                    total += weight
+    is_jittered = camera[0].offset[0] != 0.5 or camera[0].offset[1] != 0.5
+    if total == 0.0 and is_jittered and x == float(pixel % size[0]) and y == float(pixel // size[0]):
+        for row in range(wp.max(top - 1, 0), wp.min(top + 2, size[1])):
+            for column in range(wp.max(left - 1, 0), wp.min(left + 2, size[0])):
+                tap = row * size[0] + column
+                is_same = is_same_surface(position, surfaces.normal[pixel], tolerated, cosine_min, tap, before)
+                if is_same and image.frames[tap] > 0.0:
+                    history = with_tap(history, 1.0, tap, image)
+                    total += 1.0
+    if total > 0.0:
+        history = scaled(history, 1.0 / total)
+    return history
+
+
+@wp.func
+def with_sample(history: PixelHistory, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float) -> PixelHistory:
+    """Adds the sample of one more frame to a history."""
+    count = history.frames + 1.0
+    bright = wp.vec2(luminance(diffuse), luminance(glossy))
+    moments = wp.vec4(bright[0], bright[0] * bright[0], bright[1], bright[1] * bright[1])
+    history.diffuse += (diffuse - history.diffuse) / count
+    history.glossy += (glossy - history.glossy) / count
+    history.moments += (moments - history.moments) / wp.min(count, MOMENTS)
+    history.frames = wp.min(count, frames_max)
+    return history
+
+
+@wp.kernel
+def reproject(
+    start: int,
+    size: wp.vec2i,
+    surfaces: SurfacePixels,
+    before: SurfacePixels,
+    camera: wp.array[CameraData],
+    camera_before: wp.array[CameraData],
+    history: LightHistory,
+    history_out: LightHistory,
+):
+    """Item = pixel: moves the history of its surface here from where it was in the frame before."""
+    pixel = start + wp.tid()
+    own = PixelHistory()
+    if surfaces.share[pixel] > 0.0:
+        own = history_of(pixel, size, surfaces, before, camera, camera_before, history)
+    store_history(pixel, own, history_out)
+
+
+@wp.func
+def with_pixel(
+    change: LightChange, is_old: bool, sampled: float, expected: float, mean: float, square: float
+) -> LightChange:
+    """Adds one more pixel to a change, by luminances and their moments; short histories only widen the range."""
+    change.lowest = wp.min(change.lowest, sampled)
+    change.highest = wp.max(change.highest, sampled)
+    if not is_old:
+        return change
+    change.sampled += sampled
+    change.expected += expected
+    change.variance += wp.max(square - mean * mean, 0.0)
+    change.brighter += wp.where(sampled > expected, 1.0, 0.0)
+    change.count += 1.0
+    return change
+
+
+@wp.func
+def retained_share(change: LightChange, shared: float) -> float:
+    """Share of its history that a pixel retains: all of it unless the light around it has changed.
+
+    Light has become darker if the sum of the samples is too low for noise; brighter, if that sum is too high and most
+    samples are brighter, as a few may be far brighter by noise. ``shared`` pixels have the same noise.
+    """
+    difference = change.sampled - change.expected
+    if difference > 0.0 and change.brighter < 0.5 * change.count:
+        return 1.0
+    least = CHANGED_LEAST * change.expected
+    by_chance = CHANGED_SIGMAS * wp.sqrt(wp.min(shared, change.count) * change.variance + least * least)
+    if wp.abs(difference) <= by_chance:
+        return 1.0
+    ratio = by_chance / wp.abs(difference)
+    return ratio * ratio * ratio * ratio
+
+
+@wp.func
+def share_inside(change: LightChange, held: float) -> float:
+    """Share that a history retains when things move: all if it is within the range of the samples around (clamping)."""
+    outside = wp.max(change.lowest - held, held - change.highest)
+    tolerated = CHANGED_LEAST * held
+    if outside <= tolerated:
+        return 1.0
+    ratio = tolerated / outside
+    return ratio * ratio * ratio * ratio
+
+
+@wp.func
+def no_change() -> LightChange:
+    """The change of no pixels."""
+    change = LightChange()
+    change.lowest = wp.inf
+    return change
+
+
+@wp.kernel
+def accumulate(
+    start: int,
+    size: wp.vec2i,
+    frames_max: float,
+    known_share: float,
+    shared: float,
+    surfaces: SurfacePixels,
+    camera: wp.array[CameraData],
+    light: SurfaceLight,
+    history: LightHistory,
+    history_out: LightHistory,
+):
+    """Item = pixel: adds its sample of this frame to its history, which is cut the more the light has changed.
+
+    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). Short histories are only cut
+    when things move, if they are outside the range of the samples there.
+
+    Args:
+        start: First item.
+        size: Width and height of the images.
+        frames_max: Frames after which old samples fade.
+        known_share: Share of its frames for which a short history counts, 1 unless something has changed.
+        shared: Pixels that share each sample, and so its noise.
+        surfaces: Surfaces of the pixels.
+        camera: Camera of the frame.
+        light: Samples of the frame.
+        history: Reprojected history.
+        history_out: History with the samples.
+    """
+    pixel = start + wp.tid()
+    own = with_tap(PixelHistory(), 1.0, pixel, history)
+    if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
+        is_young = own.frames < YOUNG
+        if is_young:
+            own.frames *= known_share
+        if own.frames > 0.0 and (known_share < 1.0 or not is_young):
+            x = pixel % size[0]
+            y = pixel // size[0]
+            extent = surfaces.extent[pixel]
+            tolerated = tolerance(surfaces.distance[pixel], extent, camera)
+            cosine_min = least_cosine(extent)
+            position = surfaces.position[pixel]
+            normal = surfaces.normal[pixel]
+            diffuse = no_change()
+            glossy = no_change()
+            # By name: through the structs, the compiler copies their descriptors for each neighbour.
+            shares = surfaces.share
+            positions = surfaces.position
+            normals = surfaces.normal
+            is_sampled = light.is_sampled
+            of_diffuses = light.diffuse
+            of_glossies = light.glossy
+            frames = history.frames
+            held_diffuses = history.diffuse
+            held_glossies = history.glossy
+            held_moments = history.moments
+            for row in range(wp.max(y - 2, 0), wp.min(y + 3, size[1])):
+                for column in range(wp.max(x - 2, 0), wp.min(x + 3, size[0])):
+                    tap = row * size[0] + column
+                    if is_sampled[tap] and shares[tap] > 0.0:
+                        if is_near(position, normal, tolerated, cosine_min, positions[tap], normals[tap]):
+                            is_old = frames[tap] >= YOUNG and not is_young
+                            moments = held_moments[tap]
+                            found = luminance(of_diffuses[tap])
+                            held = luminance(held_diffuses[tap])
+                            diffuse = with_pixel(diffuse, is_old, found, held, moments[0], moments[1])
+                            found = luminance(of_glossies[tap])
+                            held = luminance(held_glossies[tap])
+                            glossy = with_pixel(glossy, is_old, found, held, moments[2], moments[3])
+            retained = wp.min(retained_share(diffuse, shared), retained_share(glossy, shared))
+            if known_share < 1.0:
+                retained = wp.min(retained, share_inside(diffuse, luminance(own.diffuse)))
+                retained = wp.min(retained, share_inside(glossy, luminance(own.glossy)))
+            own.frames *= retained
+        own = with_sample(own, light.diffuse[pixel], light.glossy[pixel], frames_max)
+    store_history(pixel, own, history_out)
+
+
+@wp.func
+def variance_of(moments: wp.vec4) -> wp.vec2:
+    """Variances of the diffuse and the glossy luminance."""
+    diffuse = moments[1] - moments[0] * moments[0]
+    glossy = moments[3] - moments[2] * moments[2]
+    return wp.vec2(wp.max(diffuse, 0.0), wp.max(glossy, 0.0))
+
+
+@wp.kernel
+def estimate_variance(
+    start: int,
+    size: wp.vec2i,
+    surfaces: SurfacePixels,
+    camera: wp.array[CameraData],
+    history: LightHistory,
+    variance_out: wp.array[wp.vec2],
+):
+    """Item = pixel: variance of the mean over its frames.
+
+    Long histories take the mean of the variances over frames of the 3x3 pixels, as a single pixel may have missed rare
+    samples; short ones the variance over pixels and frames in 7x7.
+    """
+    pixel = start + wp.tid()
+    variance_out[pixel] = wp.vec2(0.0)
+    frames = history.frames[pixel]
+    if frames <= 0.0:
+        return
+    x = pixel % size[0]
+    y = pixel // size[0]
+    is_young = frames < YOUNG
+    reach = wp.where(is_young, 3, 1)
+    extent = surfaces.extent[pixel]
+    tolerated = tolerance(surfaces.distance[pixel], extent, camera)
+    cosine_min = least_cosine(extent)
+    position = surfaces.position[pixel]
+    normal = surfaces.normal[pixel]
+    variance = wp.vec2(0.0)
+    moments = wp.vec4(0.0)
+    count = float(0.0)
+    # By name: through the structs, the compiler copies their descriptors for each neighbour.
+    shares = surfaces.share
+    positions = surfaces.position
+    normals = surfaces.normal
+    of_frames = history.frames
+    of_moments = history.moments
+    for row in range(wp.max(y - reach, 0), wp.min(y + reach + 1, size[1])):
+        for column in range(wp.max(x - reach, 0), wp.min(x + reach + 1, size[0])):
+            tap = row * size[0] + column
+            if of_frames[tap] > 0.0 and shares[tap] > 0.0:
+                if is_near(position, normal, tolerated, cosine_min, positions[tap], normals[tap]):
+                    tap_moments = of_moments[tap]
+                    moments += tap_moments
+                    variance += variance_of(tap_moments)
+                    count += 1.0
+    if is_young:
+        variance = count * variance_of(moments / count)
+    variance_out[pixel] = variance / (count * frames)
+
+
+@wp.func
+def falloff(x: float) -> float:
+    """About exp(-x^2 / 3), but 0 from 3 on."""
+    rest = wp.max(1.0 - x * x / 9.0, 0.0)
+    return rest * rest * rest
+
+
+@wp.func
+def luminance_weight(apart: float, variance: float, other: float) -> float:
+    """Weight of a neighbour by a difference of luminances, over the geometric mean of both standard deviations."""
+    return falloff(apart / (SIGMAS * wp.sqrt(wp.sqrt(variance * other)) + TINY))
+
+
+@wp.func
+def normal_weight(cosine: float, extent: float) -> float:
+    """Weight of a neighbour by the cosine between the normals: to the power of 8 among Gaussians, else of 64."""
+    power = wp.max(cosine, 0.0)
+    power *= power
+    power *= power
+    power *= power
+    if extent > 0.0:
+        return power
+    power *= power
+    power *= power
+    return power * power
+
+
+@wp.kernel
+def filter_pass(
+    start: int,
+    size: wp.vec2i,
+    radius: int,
+    step: int,
+    surfaces: SurfacePixels,
+    camera: wp.array[CameraData],
+    frames: wp.array[float],
+    light: FilteredLight,
+    light_out: FilteredLight,
+):
+    """Item = pixel: weighted mean of its light and that of neighbours that show the same surface.
+
+    Args:
+        start: First item.
+        size: Width and height of the images.
+        radius: Neighbours to each side, 1 or 2.
+        step: Distance between them, pixels.
+        surfaces: Surfaces of the pixels.
+        camera: Camera of the frame.
+        frames: Length of each pixel's history; a pixel without one takes the light of its neighbours.
+        light: Light with its variances.
+        light_out: Filtered light.
+    """
+    pixel = start + wp.tid()
+    diffuse = light.diffuse[pixel]
+    glossy = light.glossy[pixel]
+    variance = light.variance[pixel]
+    light_out.diffuse[pixel] = diffuse
+    light_out.glossy[pixel] = glossy
+    light_out.variance[pixel] = variance
+    if surfaces.share[pixel] <= 0.0:
+        return
+    x = pixel % size[0]
+    y = pixel // size[0]
+    position = surfaces.position[pixel]
+    normal = surfaces.normal[pixel]
+    extent = surfaces.extent[pixel]
+    per_distance = 1.0 / tolerance(surfaces.distance[pixel], extent, camera)
+    bright = wp.vec2(luminance(diffuse), luminance(glossy))
+    # By name, as in `accumulate`.
+    normals = surfaces.normal
+    positions = surfaces.position
+    of_diffuses = light.diffuse
+    of_glossies = light.glossy
+    variances = light.variance
+    own = wp.where(frames[pixel] > 0.0, 1.0, 0.0)
+    weights = wp.vec2(own)
+    diffuse = own * diffuse
+    glossy = own * glossy
+    squares = own * variance
+    for row in range(-radius, radius + 1):
+        tap_y = y + row * step
+        if tap_y < 0 or tap_y >= size[1]:
+            continue
+        for column in range(-radius, radius + 1):
+            tap_x = x + column * step
+            tap = tap_y * size[0] + tap_x
+            if tap_x < 0 or tap_x >= size[0] or tap == pixel or frames[tap] <= 0.0:
+                continue
+            weight = normal_weight(wp.dot(normal, normals[tap]), extent)
+            weight *= falloff(per_distance * wp.dot(positions[tap] - position, normal))
+            if weight <= WEIGHT_MIN:
+                continue
+            weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
+            tap_variance = variances[tap]
+            tap_diffuse = of_diffuses[tap]
+            apart = own * (luminance(tap_diffuse) - bright[0])
+            of_diffuse = weight * luminance_weight(apart, variance[0], tap_variance[0])
+            diffuse += of_diffuse * tap_diffuse
+            tap_glossy = of_glossies[tap]
+            apart = own * (luminance(tap_glossy) - bright[1])
+            of_glossy = weight * luminance_weight(apart, variance[1], tap_variance[1])
+            glossy += of_glossy * tap_glossy
+            weights += wp.vec2(of_diffuse, of_glossy)
+            squares += wp.vec2(of_diffuse * of_diffuse * tap_variance[0], of_glossy * of_glossy * tap_variance[1])
+    if weights[0] > 0.0:
+        light_out.diffuse[pixel] = diffuse / weights[0]
+        light_out.variance[pixel][0] = squares[0] / (weights[0] * weights[0])
+    if weights[1] > 0.0:
+        light_out.glossy[pixel] = glossy / weights[1]
+        light_out.variance[pixel][1] = squares[1] / (weights[1] * weights[1])
