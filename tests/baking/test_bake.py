@@ -82,7 +82,7 @@ def test_a_closed_ball_has_all_the_light_that_bounces() -> None:
     lamp = ball(radius, diffuse(0.0, shines), rows=16)
     walls = splats_of(ball(1.0, diffuse(albedo), hollow=True), 600)
     scene = ls.Scene([walls], [lamp], lights=[])
-    (shown,) = baked(scene, replace(PATH, samples=4)).splats
+    (shown,) = baked(scene, replace(PATH, samples=4), directions=16).splats
     outwards = even_directions(100).astype(np.float32)
     rays = (0.5 * outwards, outwards)
     seen = ls.trace_rays(ls.Scene([shown]), *rays, TRACE, device="cpu").radiance.mean(axis=0)
@@ -119,8 +119,8 @@ def test_a_placed_set_looks_as_one_that_is_not() -> None:
 def test_what_is_kept_stays_as_it_is() -> None:
     """A set without a material is the same object; a lit one keeps its shapes and normals, and nothing to light."""
     kept = ls.SplatInstance(ls.gaussians_from_mesh(ball(0.5, diffuse(0.4)), 50), name="kept")
-    lit = replace(floor(), name="lit")
-    result = baked(ls.Scene([kept, lit], lights=[SUN], up="y-up"), TRACE)
+    lit = replace(floor(60), name="lit")
+    result = baked(ls.Scene([kept, lit], lights=[SUN], up="y-up"), TRACE, directions=8)
     assert result.splats[0] is kept
     assert result.up == (0.0, 1.0, 0.0) and not result.lights and not result.meshes
     shown = result.splats[1]
@@ -167,17 +167,22 @@ def test_a_dim_sun_takes_no_more_than_it_gave_a_white_surface() -> None:
 def test_the_same_seed_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many views are on the device at once; another seed gives others."""
     scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 60)], lights=[SKY, SUN])
-    first = baked(scene).splats[0].gaussians.sh
-    monkeypatch.setattr(bake_module, "VIEWS_AT_ONCE", 32 * 7)
-    np.testing.assert_array_equal(baked(scene).splats[0].gaussians.sh, first)
-    assert not np.array_equal(baked(scene, replace(PATH, seed=1)).splats[0].gaussians.sh, first)
+    config = replace(PATH, samples=2)
+
+    def found(config: ls.RenderConfig) -> np.ndarray:
+        return baked(scene, config, directions=8).splats[0].gaussians.sh
+
+    first = found(config)
+    monkeypatch.setattr(bake_module, "VIEWS_AT_ONCE", 8 * 7)
+    np.testing.assert_array_equal(found(config), first)
+    assert not np.array_equal(found(replace(config, seed=1)), first)
 
 
 def test_what_nobody_sees_is_finite() -> None:
     """Gaussians within a closed body have the little light that there is; nothing is NaN, or out of range."""
     hidden = replace(splats_of(ball(0.4, diffuse(0.5)), 40))
     scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 150), hidden], lights=[SKY])
-    for instance in baked(scene, replace(PATH, samples=2)).splats:
+    for instance in baked(scene, replace(PATH, samples=2), directions=8).splats:
         assert np.isfinite(instance.gaussians.sh).all()
         assert np.abs(instance.gaussians.sh).max() < 4.0
 
@@ -190,7 +195,7 @@ def test_progress_goes_from_start_to_end() -> None:
         if label == "baking":
             told.append(fraction)
 
-    baked(ls.Scene([floor(60), floor(60)], lights=[SUN]), TRACE, progress=tell)
+    baked(ls.Scene([floor(60), floor(60)], lights=[SUN]), TRACE, directions=8, progress=tell)
     assert told == sorted(told) and told[0] == 0.0 and told[-1] >= 0.5
 
 
