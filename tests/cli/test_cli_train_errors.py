@@ -73,15 +73,27 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytes
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of photographs, and beside it what a training of them leaves that comes to its end."""
+    place = tmp_path_factory.mktemp("whole")
+    assert main(["train", str(folder_of(place / "set")), "-o", str(place / "a.ply"), *SHORT]) == 0
+    return place
+
+
 @pytest.mark.parametrize(
     ("file", "writes"), [("checkpoint.npz", 20), ("curve.json", 20), ("a.ply", 1), ("metrics.json", 1), ("08.png", 1)]
 )
 def test_a_disk_that_fills_up_loses_nothing(
-    file: str, writes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    file: str,
+    writes: int,
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Whichever file finds it full: one line names it, what was there stays, and the same command continues."""
-    folder, output, written = folder_of(tmp_path / "set"), tmp_path / "a.ply", 0
-    assert main(["train", str(folder), "-o", str(tmp_path / "whole.ply"), *SHORT]) == 0
+    folder, output, written = whole / "set", tmp_path / "a.ply", 0
     capsys.readouterr()
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
     replace = os.replace
@@ -103,7 +115,7 @@ def test_a_disk_that_fills_up_loses_nothing(
     assert not list(tmp_path.rglob(".*lumisplat*")), "no half of a file"
     assert main(command) == 0
     for name in ("a.ply", "a.training/curve.json", "a.training/metrics.json"):
-        assert (tmp_path / name).read_bytes() == (tmp_path / name.replace("a.", "whole.", 1)).read_bytes()
+        assert (tmp_path / name).read_bytes() == (whole / name).read_bytes()
 
 
 def test_a_full_disk_is_one_line(

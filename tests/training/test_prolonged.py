@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
 from lumisplat.cli import main
+from lumisplat.training import train
 from lumisplat.training.checkpoint import read_checkpoint
 from lumisplat.training.train import training_frame
 from lumisplat.training.trainer import Trainer
@@ -50,17 +53,19 @@ def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert not caplog.records, "from now on, that is its number"
 
 
-def test_a_prolonged_training_that_is_stopped_leaves_the_same_bits(tmp_path: Path) -> None:
+def test_a_prolonged_training_that_is_stopped_leaves_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same command again goes on, wherever it was stopped."""
+    monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
     folder, whole, parts = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "parts.ply"
     for output in (whole, parts):
         ls.train(folder, SHORT, output=output, device="cpu")
     ls.train(folder, LONG, output=whole, device="cpu")
-    calls = 0
-    while not ls.train(folder, LONG, output=parts, stop_after=0.01, device="cpu").is_finished:
-        calls += 1
-        assert calls < 200
-    assert calls > 1 and whole.read_bytes() == parts.read_bytes()
+    lengths = iter((1.0, 33.0, 7.0, 200.0))
+    while not ls.train(folder, LONG, output=parts, stop_after=next(lengths), device="cpu").is_finished:
+        pass
+    assert not list(lengths) and whole.read_bytes() == parts.read_bytes()
 
 
 def test_fewer_steps_than_are_done_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
