@@ -29,9 +29,15 @@ def names_of_stub(package: str, file: str) -> tuple[Callable[[str], object], Cal
             for alias in node.names:
                 modules[alias.name] = None if node.module == "lumisplat" else node.module
 
+    def elsewhere(name: str) -> str:
+        """Names the submodule that has what the package does not, for the message."""
+        submodules = [module for module, home in modules.items() if home is None and not name.startswith("_")]
+        found = [module for module in submodules if name in importlib.import_module(f"{package}.{module}").__all__]
+        return f": it is {package}.{found[0]}.{name}" if found else ""
+
     def get(name: str) -> object:
         if name not in modules:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+            raise AttributeError(f"module {package!r} has no attribute {name!r}{elsewhere(name)}")
         home = modules[name]
         value = (
             importlib.import_module(f"lumisplat.{name}")

@@ -82,6 +82,12 @@ def test_unknown_names_are_refused() -> None:
         _ = ls.rendre
 
 
+def test_names_of_submodules_are_pointed_at() -> None:
+    """Who asks `ls` for a name that a submodule has reads where it is."""
+    with pytest.raises(AttributeError, match=r"no attribute 'psnr': it is lumisplat\.metrics\.psnr"):
+        _ = ls.psnr  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize(
     ("error", "builtin"),
     [

@@ -187,7 +187,7 @@ def write(path: PathLike, asset: Gaussians | Mesh | Scene | Animation, cameras: 
         columns: Whose columns a .ply has.
 
     Raises:
-        ConfigError: There are no such columns, or the file is no .ply.
+        ConfigError: ``path`` is no path, there are no such columns, or the file is no .ply.
         FormatError: The extension is unknown or cannot hold that, or the file cannot be written.
     """
     from lumisplat.scene.animation.actors import Animation
@@ -195,6 +195,8 @@ def write(path: PathLike, asset: Gaussians | Mesh | Scene | Animation, cameras: 
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.scene import Scene
 
+    if not isinstance(cast("object", path), str | os.PathLike):
+        raise ConfigError(f"save(path, asset): the path comes first, got {type(path).__name__}")
     if not isinstance(cast("object", asset), Gaussians | Mesh | Scene | Animation):
         raise FormatError(
             path, f"only Gaussians, meshes, scenes and animations can be saved, got {type(asset).__name__}"

@@ -13,7 +13,7 @@ from typing import Any, cast
 import pytest
 
 import lumisplat as ls
-from lumisplat.errors import FormatError
+from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io.files.atomic import atomic_write
 from support.files.splat_files import capture
 
@@ -191,3 +191,9 @@ with atomic_write(sys.argv[1]) as temporary:
         assert left == {"slow", "notes"}
         slow.communicate("")
     assert {path.name for path in tmp_path.iterdir()} == {own.name, "slow.ply", "next.ply"}
+
+
+def test_swapped_arguments_are_named() -> None:
+    """The path comes first, and who begins with the asset is told so."""
+    with pytest.raises(ConfigError, match=r"save\(path, asset\): the path comes first, got Mesh"):
+        ls.save(ls.box(), "box.glb")  # type: ignore[arg-type]
