@@ -164,6 +164,10 @@ EMITTER_RECEIVERS = 1024
 GRID_LIGHTS = 16
 """Lights among which a surface chooses one: where there are more, these are chosen for each cell of the world."""
 
+GRID_CELLS_MAX = 2**18
+"""Cells of a wave that have lights, at most; surfaces in further ones are not lit. A factor of two in distance has at
+most 14,000 cells, choices counted: no view has so many, and a GPU need not wait for their number."""
+
 GRID_CELL_SIZE = 1.0 / 4.0
 """Largest width of such a cell as a share of its distance from the eye; widths are powers of two."""
 

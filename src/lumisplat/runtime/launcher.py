@@ -22,6 +22,7 @@ import warp as wp
 
 from lumisplat.errors import ConfigError, DeviceError, StoppedError
 from lumisplat.progress import Progress
+from lumisplat.runtime.buffers import DeviceArray, grown_capacity
 from lumisplat.runtime.kernel_cache import KernelModule, load_module, warp_module_of
 from lumisplat.runtime.start import start_warp
 
@@ -162,6 +163,19 @@ class Launcher:
         """Modules whose kernels have run in bands."""
         if self.is_cuda:
             keep_scratch(self.device)
+
+    def room(self, ends: DeviceArray, most: int | None = None) -> int:
+        """Returns a capacity for the elements of a list whose length the device has just computed; 0 if it is empty.
+
+        The CPU reads the length from its own memory. The parallel schedule does not wait for a GPU: it makes room for
+        as many elements as there may be, and kernels skip those that do not exist.
+
+        Args:
+            ends: Inclusive sums of flags that are 0 or 1; the last one is the length.
+            most: Elements of the list beyond these are not used; None: there may be one for each flag.
+        """
+        most = len(ends) if most is None else min(most, len(ends))
+        return grown_capacity(most if self.is_parallel else min(int(ends[-1:].numpy()[0]), most))
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
         """Compiles and loads those of the kernel modules that are not yet, as many at once as there are threads.

@@ -48,8 +48,8 @@ class AdaptiveRays:
         """Room for the rays of all pixels."""
         return self._listed(grown_capacity(ray_count(*self._size)))
 
-    def list(self, sample: int, *, jitters: bool) -> tuple[ListedRays, int]:
-        """The rays of a sample, as many as a wave holds, and how many of them there are.
+    def list(self, sample: int, *, jitters: bool) -> ListedRays:
+        """The rays of a sample, and room for some more.
 
         Args:
             sample: Number of the sample in pixels that take part in all.
@@ -62,11 +62,10 @@ class AdaptiveRays:
             run = self._launcher.run_banded
             run(kernels.mark_rays, count, sample, width, height, self.rates, is_drawn)
             prefix_sum(is_drawn, ends, inclusive=True)
-            drawn = int(ends[-1:].numpy()[0])
-            listed = self._listed(grown_capacity(drawn))
+            listed = self._listed(self._launcher.room(ends))
             device_array(listed.place).fill_(-1)
             run(kernels.list_rays, count, sample, jitters, width, self.rates, is_drawn, ends, listed)
-        return listed, drawn
+        return listed
 
     def decide(self, film: DeviceArray, least: float) -> None:
         """Chooses the rates of pixels, each by the noise of its neighbours.

@@ -60,7 +60,7 @@ class Film:
         self._launcher, self._buffers = launcher, buffers
         self._size = (0, 0)
         self._light_count = 0
-        self._drawn = 0
+        self._samples = 0
         self._adaptive = AdaptiveRays(launcher, buffers)
         self._catchers = CatcherRatios(launcher, buffers)
 
@@ -115,7 +115,7 @@ class Film:
             row.listed = self._adaptive.listed
         self._data = self._buffers.upload("film", FilmData, rows_of([row]))
         self._count.zero_()
-        self._drawn = 0
+        self._samples = 0
         if resume is not None:
             self._restore(resume.samples, resume.accumulated or {}, images_of_frame(resume))
         elif part is not None and part.accumulated:
@@ -128,14 +128,12 @@ class Film:
             sample: Its number in pixels that take part in all.
             exposure: Of the camera.
         """
+        self._samples += 1
         if not self._plan.adapts:
-            self._drawn += self._pixel_count
             return None
         if sample == NOISE_SAMPLES_MIN:
             self._adaptive.decide(self._data, least_luminance(exposure, is_lit=self._plan.is_lit))
-        listed, drawn = self._adaptive.list(sample, jitters=self._plan.jitters)
-        self._drawn += drawn
-        return listed
+        return self._adaptive.list(sample, jitters=self._plan.jitters)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
         """Adds the scene's current sample: the first wave, with one ray a pixel; on CUDA by a captured graph."""
@@ -250,9 +248,12 @@ class Film:
     @property
     def nonfinite_count(self) -> int:
         """Samples of the frame that were left out as they were NaN or infinite."""
+        drawn = self._samples * self._pixel_count
+        if self._plan.adapts:
+            drawn = self._adaptive.drawn_before(self._samples)
         if self._launcher.is_parallel:
-            return self._drawn - int(self._count_total.numpy()[0])
-        return self._drawn - int(self._count.numpy().sum(dtype=np.int64))
+            return drawn - int(self._count_total.numpy()[0])
+        return drawn - int(self._count.numpy().sum(dtype=np.int64))
 
     def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
         """The layers of the sample, an array of wp.vec3 each."""
@@ -353,9 +354,7 @@ class Film:
                 array.assign(_elements(held[name], array))
         if "sums" not in held:
             self._launcher.run_banded(film_kernels.restore_sums, self._pixel_count, self._data)
-        self._drawn = samples * self._pixel_count
-        if self._plan.adapts:
-            self._drawn = self._adaptive.drawn_before(samples)
+        self._samples = samples
 
     @property
     def _shows_captured(self) -> bool:

@@ -18,7 +18,7 @@ from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray, Noun, device_array, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, Noun, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
@@ -67,7 +67,7 @@ class PathIntegrator:
             images = self._layers.begin(plan, first, lights=len(scene.lights.names))
             steps = self._extend(scene, plan, 0, wave=wave, paths=paths, images=images)
             for number in range(1, plan.max_bounces + 2):
-                capacity = grown_capacity(int(device_array(steps.places)[-1:].numpy()[0]))
+                capacity = self._launcher.room(device_array(steps.places))
                 if capacity == 0:
                     break
                 rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)

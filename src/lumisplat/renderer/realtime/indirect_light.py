@@ -28,7 +28,7 @@ from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.path_gaussians import Dark
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
@@ -66,8 +66,6 @@ class IndirectLight:
     def start_lobes(self, scene: DeviceScene, wave: RayWave, frame: int) -> tuple[LobeRays, RayData | None]:
         """Starts rays within the highlights of a first wave, before later waves overwrite its surfaces.
 
-        The host waits for their number.
-
         Returns:
             Which pixels have a ray, and the rays; None if there are none.
         """
@@ -81,10 +79,10 @@ class IndirectLight:
         follows, ends = (self._buffers.get(f"lobes.{name}", wp.int32, squares) for name in ("follows", "ends"))
         run(ray_kernels.choose_lobes, squares, frame, scene.camera, wave.data, lobes, follows)
         prefix_sum(follows, ends, inclusive=True)
-        count = int(device_array(ends)[-1:].numpy()[0])
-        if count == 0:
+        capacity = self._launcher.room(ends)
+        if capacity == 0:
             return lobes, None
-        rays = self._buffers.struct("lobes.rays", RayData, grown_capacity(count))
+        rays = self._buffers.struct("lobes.rays", RayData, capacity)
         rays.is_active.zero_()
         run(ray_kernels.start_lobes, squares, scene.camera, wave.data, ends, lobes, rays)
         return lobes, rays
@@ -230,7 +228,7 @@ class SecondaryRays:
                 grid = self._grids.of_wave(scene, wave)
                 inputs = not plan.casts_shadows, grid, scene.camera, scene.shading, wave.data, *found, onward
                 run(ray_kernels.shade_hits, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)
-            if not goes_on or self._number(onward) == 0:
+            if not goes_on or not self._any_goes_on(onward):
                 break
             rays = onward.rays
         with self._launcher.stage("bounced"):
@@ -269,9 +267,9 @@ class SecondaryRays:
         self._launcher.run_banded(ray_kernels.begin_onward, count, onward)
         return onward
 
-    def _number(self, onward: OnwardRays) -> int:
-        """How many rays continue. The host waits for it."""
+    def _any_goes_on(self, onward: OnwardRays) -> bool:
+        """Returns whether there may be rays that continue."""
         goes_on = device_array(onward.goes_on)
         ends = self._buffers.get("bounced.ends", wp.int32, len(goes_on))
         prefix_sum(goes_on, ends, inclusive=True)
-        return int(ends[-1:].numpy()[0])
+        return self._launcher.room(ends) > 0

@@ -5,12 +5,12 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.constants.realtime import GRID_LIGHTS
+from lumisplat.constants.realtime import GRID_CELLS_MAX, GRID_LIGHTS
 from lumisplat.device.structs.gi import LightGrid
 from lumisplat.renderer.realtime import light_grid_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum, sort_pairs
 
@@ -41,11 +41,11 @@ class LightGrids:
             grid.cell_of = get("cell_of", wp.int32, count)
             cells = get("cells", wp.int64, count)
             run(kernels.list_cells, count, keys, self._order(count), ends, grid.cell_of, cells)
-            found = int(ends[-1:].numpy()[0])
-            size = grown_capacity(found) * (GRID_LIGHTS + 1)
+            room = self._launcher.room(ends, GRID_CELLS_MAX)
+            size = room * (GRID_LIGHTS + 1)
             grid.numbers, grid.chances = get("numbers", wp.int32, size), get("chances", wp.float32, size)
             bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
-            run(kernels.choose_lights, found, cells, scene.shading, grid, bands=bands)
+            run(kernels.choose_lights, room, cells, ends, scene.shading, grid, bands=bands)
         return grid
 
     def _sorted(self, scene: DeviceScene, wave: RayWave) -> tuple[DeviceArray, DeviceArray]:

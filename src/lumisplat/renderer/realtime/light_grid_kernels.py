@@ -5,6 +5,7 @@ Write-once, and a function of the cell alone: the same for any schedule.
 
 import warp as wp
 
+from lumisplat.constants.realtime import GRID_CELLS_MAX
 from lumisplat.device.gi.light_grid import (
     CELL_BRANCH,
     NO_CELL,
@@ -27,6 +28,8 @@ from lumisplat.device.structs.gi import LightGrid
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
+
+CELLS_MAX = wp.constant(GRID_CELLS_MAX)
 
 
 @wp.kernel
@@ -76,7 +79,7 @@ def list_cells(
     """Item = ray in the order of keys: the number of its cell; the first of a cell writes the cell's key."""
     i = start + wp.tid()
     number = ends[i] - 1
-    if keys[i] == NO_CELL:
+    if keys[i] == NO_CELL or number >= CELLS_MAX:
         number = -1
     cell_of_out[order[i]] = number
     if number >= 0 and (i == 0 or keys[wp.max(i - 1, 0)] != keys[i]):
@@ -102,12 +105,16 @@ def largest_rank(ranks: wp.array[float], first: int) -> int:
 
 
 @wp.kernel
-def choose_lights(start: int, cells: wp.array[wp.int64], scene: wp.array[ShadingScene], grid_out: LightGrid):
+def choose_lights(
+    start: int, cells: wp.array[wp.int64], ends: wp.array[int], scene: wp.array[ShadingScene], grid_out: LightGrid
+):
     """Item = cell: the lights with the smallest ranks, an exponential draw over the weight each.
 
     From the next rank follows the probability of each to be among them.
     """
     c = start + wp.tid()
+    if c >= ends[ends.shape[0] - 1]:
+        return
     cell = grid_cell(cells[c])
     word = cell_key(cells[c], int(scene[0].sample[0].seed), scene[0].sample[0].index)
     numbers = grid_out.numbers
