@@ -10,6 +10,13 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
+from lumisplat.constants import NOISE_SAMPLES_MIN
+from lumisplat.constants.realtime import GRID_LIGHTS
+from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
+from lumisplat.renderer.gi.light_grid import LightGrids
+from lumisplat.renderer.gi.lobes import Lobes
+from lumisplat.renderer.integrators.paths import PathIntegrator
+from lumisplat.runtime import buffers
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
@@ -17,6 +24,7 @@ from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
 from support.scenes.raster_scenes import similarity
 
 IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "captured", "light")
+LAYERS = ("albedo", "reflection", "hits", "light_direct", "light_shadow", "light_total", "direct_diffuse", "bounces")
 ALL_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
 WARM_FRAMES = 3
 """Direct with new buffers, direct, captured."""
@@ -46,7 +54,7 @@ class Pair:
         for name in IMAGES:
             if getattr(expected, name) is not None:
                 np.testing.assert_array_equal(getattr(frame, name), getattr(expected, name), name)
-        for layer in ("albedo", "reflection", "hits", "light_direct", "light_shadow"):
+        for layer in LAYERS:
             if getattr(expected, layer) is not None:
                 np.testing.assert_array_equal(getattr(frame, layer), getattr(expected, layer), layer)
         return launches
@@ -64,6 +72,8 @@ SETTINGS = {
     "lit raster": config(ls.Pipeline.RASTER, shadows=ls.Shadows.OFF, samples=2),
     "soft hybrid": config(ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=2),
     "soft trace": config(shadows=ls.Shadows.SOFT, samples=2, aovs=ALL_AOVS),
+    "paths": config(ls.Pipeline.PATH, samples=2, max_bounces=3, aovs=("albedo", "direct_diffuse", "bounces", "lights")),
+    "paths with shared draws": config(ls.Pipeline.PATH, samples=2, max_bounces=2, shadow_rays=SHARED),
     "shared draws": config(ls.Pipeline.HYBRID, samples=2, shadow_rays=SHARED),
 }
 
@@ -138,12 +148,15 @@ def partly_relit(shown: ls.Scene) -> ls.Scene:
 
 
 CHANGES = [without_shadow, of_another_kind, with_one_light_less, with_more, larger, partly_relit]
+FROZEN = [*((change, ls.Pipeline.HYBRID) for change in CHANGES), (partly_relit, ls.Pipeline.PATH)]
 
 
-@pytest.mark.parametrize("change", CHANGES, ids=[change.__name__ for change in CHANGES])
-def test_what_graphs_have_frozen_makes_them_stale(change: Callable[[ls.Scene], ls.Scene]) -> None:
+@pytest.mark.parametrize(("change", "pipeline"), FROZEN, ids=[f"{change.__name__} {name}" for change, name in FROZEN])
+def test_what_graphs_have_frozen_makes_them_stale(
+    change: Callable[[ls.Scene], ls.Scene], pipeline: ls.Pipeline
+) -> None:
     """Other lights or other things in the scene are drawn directly, then captured, and so is the first scene again."""
-    pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=1, aovs=("lights",))), scene(*LAMPS, SKY)
+    pair, shown = Pair(config(pipeline, samples=1, max_bounces=2, aovs=("lights",))), scene(*LAMPS, SKY)
     pair.warm_up(shown, camera())
     other = change(shown)
     assert pair.launches_of(other, camera()) > 0
@@ -163,9 +176,10 @@ def test_buffers_that_grow_make_graphs_stale() -> None:
     assert pair.launches_of(shown, camera()) == 0
 
 
-def test_queries_between_frames_do_not_mix_with_them() -> None:
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
+def test_queries_between_frames_do_not_mix_with_them(pipeline: ls.Pipeline) -> None:
     """Rays that a caller gives use the same arrays, with other sizes: no graph of a frame reads what they wrote."""
-    settings, shown = config(shadows=ls.Shadows.SOFT, samples=2), scene(*LAMPS, SKY)
+    settings, shown = config(pipeline, shadows=ls.Shadows.SOFT, samples=2, max_bounces=2), scene(*LAMPS, SKY)
     renderer = ls.Renderer(settings, GraphLauncher())
     frames = [renderer.render(shown, camera()) for _ in range(WARM_FRAMES)]
     along = np.random.default_rng(1).normal(size=(2500, 3))
@@ -188,6 +202,48 @@ def test_more_rays_behind_mirrors_get_room() -> None:
     assert pair.launches_of(shown, near) == 0
     for view in (far, far, far, near, far):
         pair.launches_of(shown, view)
+
+
+def refusing(work: Callable[..., object], *refused: tuple[object, str]) -> Callable[..., object]:
+    """The function, within which those of objects fail."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("the host waits for the device within a sample")
+
+    def worked(*inputs: object, **options: object) -> object:
+        with pytest.MonkeyPatch.context() as patched:
+            for where, name in refused:
+                patched.setattr(where, name, refuse)
+            return work(*inputs, **options)
+
+    return worked
+
+
+READ_BACK = (wp.array, "numpy")
+NEVER_CAPTURED = (READ_BACK, (Buffers, "_allocate"), (buffers, "assign_table"))
+
+
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_paths_only_launch(adaptive: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is read back, allocated or uploaded in the waves of a sample, once buffers have grown."""
+    settings = config(ls.Pipeline.PATH, samples=NOISE_SAMPLES_MIN + 2, max_bounces=2, adaptive=adaptive)
+    renderer, shown = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)), scene(*LAMPS, SKY)
+    expected = renderer.render(shown, camera().scaled(24, 16))
+    monkeypatch.setattr(PathIntegrator, "_follow", refusing(PathIntegrator._follow, *NEVER_CAPTURED))
+    monkeypatch.setattr(AdaptiveRays, "list", refusing(AdaptiveRays.list, *NEVER_CAPTURED))
+    np.testing.assert_array_equal(renderer.render(shown, camera().scaled(24, 16)).color, expected.color)
+
+
+def test_real_time_counts_neither_highlights_nor_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In CUDA's schedule the host knows how many there may be, and does not wait to be told how many there are."""
+    lamps = [replace(LAMPS[0], position=(0.1 * n, 2.0, 0.0), intensity=1.0) for n in range(GRID_LIGHTS + 4)]
+    renderer = ls.Renderer(config(ls.Pipeline.REALTIME), Launcher("cpu", threads=1, parallel=True))
+    used: list[str] = []
+    for where, name in ((Lobes, "start"), (LightGrids, "of_wave")):
+        work = refusing(getattr(where, name), READ_BACK)
+        monkeypatch.setattr(where, name, lambda *of, work=work, name=name: used.append(name) or work(*of))
+    renderer.render(scene(*lamps), camera().scaled(24, 16))
+    assert {*used} == {"start", "of_wave"}
 
 
 def test_a_cut_list_is_drawn_again_before_it_is_stored() -> None:

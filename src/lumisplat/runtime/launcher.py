@@ -175,7 +175,7 @@ class Launcher:
             most: Elements of the list beyond these are not used; None: there may be one for each flag.
         """
         most = len(ends) if most is None else min(most, len(ends))
-        return grown_capacity(most if self.is_parallel else min(int(ends[-1:].numpy()[0]), most))
+        return most if self.is_parallel else grown_capacity(min(int(ends[-1:].numpy()[0]), most))
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
         """Compiles and loads those of the kernel modules that are not yet, as many at once as there are threads.

@@ -50,7 +50,7 @@ class PathIntegrator:
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """The first wave, with the radiance of its rays.
+        """The first wave, with the radiance of its rays; on CUDA by a captured graph.
 
         Args:
             scene: The scene on the device, synced.
@@ -60,25 +60,31 @@ class PathIntegrator:
         """
         self._shadows.begin_sample(sample)
         with self._launcher.stage("light"):
-            paths = self._begin(plan, hits)
-            first = wave = self._wave(scene, plan, hits, paths, 0)
-            if first.count == 0:
-                return first
-            images = self._layers.begin(plan, first, lights=len(scene.lights.names))
-            steps = self._extend(scene, plan, 0, wave=wave, paths=paths, images=images)
-            for number in range(1, plan.max_bounces + 2):
-                capacity = self._launcher.room(device_array(steps.places))
-                if capacity == 0:
-                    break
-                rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)
-                onwards = self._paths(plan, number % 2, capacity)
-                self._spawn(wave, paths, steps, rays=rays, onwards=onwards)
-                paths = onwards
-                hits = self._tracer.find_hits(scene, rays, f"path{number % 2}", bounced=True)
-                wave = self._wave(scene, plan, hits, paths, number)
-                if number == 1 and plan.has_receivers:
-                    self._add_captured(scene, plan, wave, paths, images)
-                steps = self._extend(scene, plan, number, wave=wave, paths=paths, images=images)
+            return self._launcher.replay(
+                "paths", (scene.graph_key, hits.count), lambda: self._follow(scene, plan, hits)
+            )
+
+    def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
+        """Follows the paths of these hits from wave to wave; returns the first one."""
+        paths = self._begin(plan, hits)
+        first = wave = self._wave(scene, plan, hits, paths, 0)
+        if first.count == 0:
+            return first
+        images = self._layers.begin(plan, first, lights=len(scene.lights.names))
+        steps = self._extend(scene, plan, 0, wave=wave, paths=paths, images=images)
+        for number in range(1, plan.max_bounces + 2):
+            capacity = self._launcher.room(device_array(steps.places))
+            if capacity == 0:
+                break
+            rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)
+            onwards = self._paths(plan, number % 2, capacity)
+            self._spawn(wave, paths, steps, number, rays=rays, onwards=onwards)
+            paths = onwards
+            hits = self._tracer.find_hits(scene, rays, f"path{number % 2}", bounced=True)
+            wave = self._wave(scene, plan, hits, paths, number)
+            if number == 1 and plan.has_receivers:
+                self._add_captured(scene, plan, wave, paths, images)
+            steps = self._extend(scene, plan, number, wave=wave, paths=paths, images=images)
         return first
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
@@ -88,21 +94,23 @@ class PathIntegrator:
     def _begin(self, plan: FramePlan, hits: PrimaryHits) -> PathData:
         """One path a ray."""
         paths = self._paths(plan, 0, hits.count)
-        self._launcher.run_banded(kernels.begin_paths, hits.count, self._row("paths", PathData, paths))
+        self._launcher.run_banded(kernels.begin_paths, hits.count, self._row("paths0", PathData, paths))
         return paths
 
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
         """A wave, with what its rays see but for lights, and its interactions."""
         # Two sets of buffers are enough: the first wave's stay, and a later one is done before the next begins.
         carried = Carried(media=device_array(paths.media) if plan.has_media and number > 0 else None)
-        return self._surfaces.shade(scene, plan, hits, min(number, 1), carried=carried, may_branch=False)
+        return self._surfaces.shade(
+            scene, plan, hits, min(number, 1), carried=carried, may_branch=False, table=f"path.wave{_turn(number)}"
+        )
 
     def _add_captured(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, paths: PathData, images: PathImages
     ) -> None:
         """Adds what shadow-only surfaces received as they were captured, along the rays that leave them."""
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
-        rows = self._row("paths", PathData, paths), self._row("images", PathImages, images)
+        rows = self._row("paths1", PathData, paths), self._row("images", PathImages, images)
         ends = self._buffers.get("path.receiver_ends", wp.float32, count)
         run(kernels.leave_receivers, count, wave.data, rows[0], ends)
         captured = self._tracer.find_captured(scene, wave.row.rays, ends, "path.captured")
@@ -129,7 +137,7 @@ class PathIntegrator:
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         shadows, steps = self._shadow_rays(plan, count), self._steps(plan, count)
         rows = (
-            self._row("paths", PathData, paths),
+            self._row(f"paths{number % 2}", PathData, paths),
             self._row("shadows", PathShadowRays, shadows),
             self._row("images", PathImages, images),
         )
@@ -157,19 +165,24 @@ class PathIntegrator:
         prefix_sum(device_array(steps.goes_on), device_array(steps.places), inclusive=True)
         return steps
 
-    def _spawn(self, wave: RayWave, paths: PathData, steps: PathSteps, *, rays: RayData, onwards: PathData) -> None:
-        """Writes the rays of the next wave, and their paths."""
+    def _spawn(
+        self, wave: RayWave, paths: PathData, steps: PathSteps, number: int, *, rays: RayData, onwards: PathData
+    ) -> None:
+        """Writes the rays of wave ``number``, and their paths."""
         rays.is_active.zero_()
         rows = (
-            self._row("paths", PathData, paths),
+            self._row(f"paths{(number - 1) % 2}", PathData, paths),
             self._row("steps", PathSteps, steps),
             rays,
-            self._row("onwards", PathData, onwards),
+            self._row(f"paths{number % 2}", PathData, onwards),
         )
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
 
     def _row(self, name: str, struct: type[Noun], arrays: Noun) -> DeviceArray:
-        """Arrays of paths for kernels, as `WaveData`: by value, each item would copy their descriptors."""
+        """Arrays of paths for kernels, as `WaveData`: by value, each item would copy their descriptors.
+
+        Waves take turns in two sets of arrays, with names of their own: a captured graph writes no row.
+        """
         return self._buffers.table(f"path.{name}.row", struct, [arrays])
 
     def _paths(self, plan: FramePlan, number: int, count: int) -> PathData:
@@ -192,6 +205,11 @@ class PathIntegrator:
         shadows = self._buffers.struct("path.shadows", PathShadowRays, total, without)
         shadows.rays = self._buffers.struct("path.shadow_rays", RayData, total)
         return shadows
+
+
+def _turn(number: int) -> int:
+    """Which of the sets of arrays a wave has: the first wave's stay."""
+    return 0 if number == 0 else 1 + number % 2
 
 
 def unused_fields(plan: FramePlan) -> list[str]:

@@ -52,6 +52,7 @@ class Surfaces:
         carried: Carried | None = None,
         may_branch: bool,
         on_paths: bool = True,
+        table: str | None = None,
     ) -> RayWave:
         """A wave of rays, with its radiance before direct light and branches are added.
 
@@ -63,12 +64,14 @@ class Surfaces:
             carried: State of the rays from earlier waves; None in the primary wave.
             may_branch: Whether smooth meshes may reflect and refract rays.
             on_paths: Whether the rays are those of paths, in frames that trace paths.
+            table: Of the buffer with the row that kernels read, where waves with the same number have different ones.
         """
         with self._launcher.stage("shade"):
             if plan.has_media and number == 0:
                 self._unentered = self._buffers.get("wave.unentered", wp.int32, scene.mesh_instances.shape[0])
                 self._unentered.zero_()
-            wave = self._wave(plan, hits, number, carried or Carried(), may_branch=may_branch, on_paths=on_paths)
+            row = self._row(plan, hits, number, carried or Carried(), may_branch=may_branch, on_paths=on_paths)
+            wave = RayWave(number, hits, row, self._buffers.table(table or f"wave.{number}", WaveData, [row]))
             self._launcher.run_banded(
                 kernels.shade_surfaces,
                 wave.count,
@@ -77,9 +80,9 @@ class Surfaces:
             )
         return wave
 
-    def _wave(
+    def _row(
         self, plan: FramePlan, hits: PrimaryHits, number: int, carried: Carried, *, may_branch: bool, on_paths: bool
-    ) -> RayWave:
+    ) -> WaveData:
         count, get = hits.count, self._buffers.get
         row = WaveData()
         row.from_camera, row.may_branch = int(number == 0), int(may_branch)
@@ -102,7 +105,7 @@ class Surfaces:
         places = (3 if plan.has_lobes else 2) * count
         row.branches = get(f"wave.{number}.branches", wp.int32, places)
         row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, places)
-        return RayWave(number, hits, row, self._buffers.table(f"wave.{number}", WaveData, [row]))
+        return row
 
     def _interactions(self, plan: FramePlan, count: int) -> Interactions:
         if not plan.is_lit:
