@@ -77,7 +77,8 @@ class LightGridRig:
         sample = np.zeros(1, table_dtype(SampleData))
         sample["index"], sample["seed"] = frame, seed
         assign_table(self._sample, sample)
-        self.launcher.run_banded(kernels.choose_lights, len(self.cells), self._keys, self.scene, self.grid)
+        ends = wp.array([len(self.cells)], dtype=wp.int32, device="cpu")
+        self.launcher.run_banded(kernels.choose_lights, len(self.cells), self._keys, ends, self.scene, self.grid)
         shape = len(self.cells), GRID_LIGHTS + 1
         return self.grid.numbers.numpy().reshape(shape).copy(), self.grid.chances.numpy().reshape(shape).copy()
 
