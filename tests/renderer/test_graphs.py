@@ -13,9 +13,9 @@ import lumisplat as ls
 from lumisplat.constants import NOISE_SAMPLES_MIN
 from lumisplat.constants.realtime import GRID_LIGHTS
 from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
-from lumisplat.renderer.gi.light_grid import LightGrids
-from lumisplat.renderer.gi.lobes import Lobes
 from lumisplat.renderer.integrators.paths import PathIntegrator
+from lumisplat.renderer.realtime.indirect_light import IndirectLight
+from lumisplat.renderer.realtime.light_grid import LightGrids
 from lumisplat.runtime import buffers
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
@@ -239,11 +239,11 @@ def test_real_time_counts_neither_highlights_nor_cells(monkeypatch: pytest.Monke
     lamps = [replace(LAMPS[0], position=(0.1 * n, 2.0, 0.0), intensity=1.0) for n in range(GRID_LIGHTS + 4)]
     renderer = ls.Renderer(config(ls.Pipeline.REALTIME), Launcher("cpu", threads=1, parallel=True))
     used: list[str] = []
-    for where, name in ((Lobes, "start"), (LightGrids, "of_wave")):
+    for where, name in ((IndirectLight, "start_lobes"), (LightGrids, "of_wave")):
         work = refusing(getattr(where, name), READ_BACK)
         monkeypatch.setattr(where, name, lambda *of, work=work, name=name: used.append(name) or work(*of))
     renderer.render(scene(*lamps), camera().scaled(24, 16))
-    assert {*used} == {"start", "of_wave"}
+    assert {*used} == {"start_lobes", "of_wave"}
 
 
 def test_a_cut_list_is_drawn_again_before_it_is_stored() -> None:
