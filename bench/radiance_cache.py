@@ -68,7 +68,7 @@ def row(count: int, device: str) -> dict[str, float]:
 
 def samples_of_room(buffers: Any, name: str, rng: np.random.Generator, count: int) -> Any:
     """Random points of the walls, hit by rays of random lengths."""
-    from lumisplat.device.structs.radiance_cache import CacheSamples
+    from lumisplat.device.gi.radiance_cache import CacheSamples
 
     number, axis, side = np.arange(count), rng.integers(0, 3, count), rng.choice([-1.0, 1.0], count)
     position, normal = rng.uniform(-SIZE / 2, SIZE / 2, (count, 3)), np.zeros((count, 3))

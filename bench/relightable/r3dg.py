@@ -30,7 +30,7 @@ from bench.relightable.r3dg_light import (
     softplus_slope,
     visibility,
 )
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles, FloatArray

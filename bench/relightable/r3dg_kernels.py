@@ -7,7 +7,7 @@ and 0.04 + 0.96 * 2^(-5.55473 c^2 - 6.98316 c) for Fresnel's.
 import warp as wp
 
 from lumisplat.constants import SH_C0
-from lumisplat.device.camera.tiles import is_listed
+from lumisplat.device.camera.pixels import is_listed
 from lumisplat.device.math.color import encode_srgb
 from lumisplat.device.structs.gradients import SplatGradient
 from lumisplat.device.structs.raster import TileRect

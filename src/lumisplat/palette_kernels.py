@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs import struct
 
 wp.set_module_options({"enable_backward": False})
 

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.light import Bsdf
+from lumisplat.device.structs.shading import Bsdf
 from lumisplat.runtime.launcher import Launcher
 from support.probes import probe_light_kernels
 from support.probes.bsdf_rows import bsdf_row, direction, samples_of

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 import warp as wp
 
-from lumisplat.device.structs.light import EnvironmentData, LightSample
+from lumisplat.device.structs.shading import EnvironmentData, LightSample
 from lumisplat.renderer.scene.lights import LightTable
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher

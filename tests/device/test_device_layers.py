@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.light import Bsdf
+from lumisplat.device.structs.shading import Bsdf
 from lumisplat.math.reflectance import albedo_curve, sheen_albedo
 from lumisplat.runtime.launcher import Launcher
 from support.compare.chi_square import LIMIT, chi_square_z

@@ -19,8 +19,7 @@ from lumisplat.device.light.light import (
     LIGHT_RECT,
     LIGHT_SPOT,
 )
-from lumisplat.device.structs.light import LightData, LightSample
-from lumisplat.device.structs.path import LightCrossing
+from lumisplat.device.structs.shading import LightCrossing, LightData, LightSample
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.oracles.light_oracle import Array, cap, cone, first_hit, polygon_irradiance, window

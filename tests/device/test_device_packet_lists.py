@@ -9,9 +9,8 @@ import pytest
 import warp as wp
 
 from lumisplat.constants import HIT_COUNTS, HITS_KEPT_CPU, NODE_WIDTH
-from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, WORLD, ChildLinks, Children, Node
-from lumisplat.device.structs.packet import Hit, HitList, WaitingNode
+from lumisplat.device.bvh.packet import FAR_FIRST, NEAR_FIRST
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, WORLD, ChildLinks, Children, Hit, HitList, Node, WaitingNode
 from lumisplat.renderer.scene.bvh_scene import empty_node
 from lumisplat.runtime.struct_tables import table_dtype
 from support.probes import probe_packet_kernels

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.camera.pixels import pixel_of_ray
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (4, 4), (5, 3), (9, 6), (16, 1)])

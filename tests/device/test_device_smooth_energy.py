@@ -8,9 +8,8 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.material.specular_bounce import bounce_of
-from lumisplat.device.structs.light import Bsdf
 from lumisplat.device.structs.scene import SmoothData
-from lumisplat.device.structs.shading import MaterialData
+from lumisplat.device.structs.shading import Bsdf, MaterialData
 from lumisplat.renderer.scene.materials import material_table
 from lumisplat.runtime.launcher import Launcher
 from support.probes import probe_light_kernels

@@ -8,7 +8,7 @@ import warp as wp
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from lumisplat.device.material.fresnel import cosine2_beyond, fresnel, reflect, refract, schlick
+from lumisplat.device.material.microfacets import cosine2_beyond, fresnel, reflect, refract, schlick
 from lumisplat.device.material.specular_bounce import bounce_of
 from lumisplat.device.structs.rays import Bounce
 from lumisplat.device.structs.scene import SmoothData

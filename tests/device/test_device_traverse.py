@@ -13,8 +13,7 @@ import pytest
 import warp as wp
 
 from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_MARGIN
-from lumisplat.device.structs.bvh import FAR, Children, Node
-from lumisplat.device.structs.packet import Slabs
+from lumisplat.device.structs.bvh import FAR, Children, Node, Slabs
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import SplatInstanceData
 from lumisplat.renderer.scene.bvh_scene import empty_node

@@ -25,6 +25,7 @@ LAYERS = (
     "runtime",
     "device.structs",
     "device.math",
+    "device.training",
     "device.bvh",
     "device.camera",
     "device.splat",

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.training.exposure_and_pose import ExposedFrame, Exposures

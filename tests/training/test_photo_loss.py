@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from scipy.ndimage import correlate1d
 
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.training.photo_loss import Loss, PhotoLoss

@@ -12,8 +12,8 @@ from lumisplat.device.math.directions import TWO_PI
 from lumisplat.device.math.random import branch_key, pixel_key_of, sample_key_of, sobol_2d
 from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.splat.projection import towards
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import SampleData
-from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 from lumisplat.device.structs.shading import ShadingScene, WaveData

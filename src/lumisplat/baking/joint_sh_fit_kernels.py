@@ -7,7 +7,7 @@ errors are gathered.
 import warp as wp
 
 from lumisplat.device.math.sh import sh_terms
-from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs import struct
 
 wp.set_module_options({"enable_backward": False})
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import Pipeline, RenderConfig, ShadowConfig, TraceStrategy
-from lumisplat.device.structs.film import FilmData
+from lumisplat.device.structs.camera import FilmData
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums

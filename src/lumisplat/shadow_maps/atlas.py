@@ -15,20 +15,18 @@ import warp as wp
 
 from lumisplat.config import AtlasLayout, DeepShadowConfig
 from lumisplat.constants import SHADOW_BLOCKING_REACH, SHADOW_BOUND_MARGIN, SHADOW_FOOTPRINT, SHADOW_TILE
-from lumisplat.device.shadow_map.atlas import TILE_TEXELS
-from lumisplat.device.structs.shadow_map import (
+from lumisplat.device.shadow_map.atlas import (
     CUBEMAP,
     EVERYTHING,
     NOTHING,
     OCTAHEDRAL,
     PARALLEL,
     SOMETHING,
+    TILE_TEXELS,
     Atlas,
-    Column,
-    FootprintSampling,
-    Receivers,
-    ShadowBound,
 )
+from lumisplat.device.shadow_map.lookup import FootprintSampling, Receivers, ShadowBound
+from lumisplat.device.shadow_map.optical_depth import Column
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import IntArray, three_numbers
 from lumisplat.runtime.buffers import Buffers

@@ -12,7 +12,7 @@ import warp as wp
 
 from lumisplat.config import DeepShadowConfig, ReceiverSampling
 from lumisplat.constants import SIMILARITY_TOLERANCE
-from lumisplat.device.structs.shadow_map import CENTER, RANDOM, STENCIL, FootprintSampling, Receivers
+from lumisplat.device.shadow_map.lookup import CENTER, RANDOM, STENCIL, FootprintSampling, Receivers
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import Doubles, float_array
 from lumisplat.runtime.buffers import Buffers

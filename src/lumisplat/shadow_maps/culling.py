@@ -9,8 +9,8 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.constants import SHADOW_BLOCK_TILES, SHADOW_TILE
-from lumisplat.device.shadow_map.atlas import TILE_TEXELS
-from lumisplat.device.structs.shadow_map import Atlas, CasterLists, Cell
+from lumisplat.device.shadow_map.atlas import TILE_TEXELS, Atlas
+from lumisplat.device.shadow_map.culling import CasterLists, Cell
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import IntArray
 from lumisplat.runtime.buffers import Buffers, DeviceArray

@@ -13,8 +13,10 @@ import warp as wp
 
 from lumisplat.config import Absorption, DeepShadowConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.device.shadow_map.optical_depth import AVERAGE, MASS, SIMPLE
-from lumisplat.device.structs.shadow_map import Atlas, Casters, Column, Footprint, Occluder, ShadowBound, Table
+from lumisplat.device.shadow_map.atlas import Atlas
+from lumisplat.device.shadow_map.culling import Footprint
+from lumisplat.device.shadow_map.lookup import ShadowBound
+from lumisplat.device.shadow_map.optical_depth import AVERAGE, MASS, SIMPLE, Casters, Column, Occluder, Table
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress

@@ -3,22 +3,37 @@
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.shadow_map.atlas import atlas_from_world, ray_through, texel_coordinates, texel_number
-from lumisplat.device.shadow_map.culling import bounded_cell, footprint_of, list_begin, may_intersect, part_of_list
-from lumisplat.device.shadow_map.lookup import may_be_shadowed, sample_point, sample_weight
-from lumisplat.device.shadow_map.optical_depth import DEPTH_MIN, depth_profile, may_block, occluder_of
-from lumisplat.device.shadow_map.table import add_depths, bin_below, column_number, loss_at
-from lumisplat.device.structs.shadow_map import (
-    Atlas,
+from lumisplat.device.shadow_map.atlas import Atlas, atlas_from_world, ray_through, texel_coordinates, texel_number
+from lumisplat.device.shadow_map.culling import (
     CasterLists,
-    Casters,
     Cell,
     Footprint,
+    bounded_cell,
+    footprint_of,
+    list_begin,
+    may_intersect,
+    part_of_list,
+)
+from lumisplat.device.shadow_map.lookup import (
     FootprintSampling,
-    Occluder,
     Receivers,
     ShadowBound,
+    may_be_shadowed,
+    sample_point,
+    sample_weight,
+)
+from lumisplat.device.shadow_map.optical_depth import (
+    DEPTH_MIN,
+    Casters,
+    Occluder,
     Table,
+    add_depths,
+    bin_below,
+    column_number,
+    depth_profile,
+    loss_at,
+    may_block,
+    occluder_of,
 )
 
 # Functions that are not inlined clear all their locals first: in the innermost loops, that is most of the time.

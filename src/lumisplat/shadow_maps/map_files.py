@@ -14,7 +14,7 @@ import warp as wp
 
 from lumisplat.config import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 from lumisplat.constants import SHADOW_TILE
-from lumisplat.device.structs.shadow_map import Atlas
+from lumisplat.device.shadow_map.atlas import Atlas
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write

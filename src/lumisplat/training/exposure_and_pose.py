@@ -9,9 +9,9 @@ import numpy as np
 import warp as wp
 
 from lumisplat.constants.training import EXPOSURE_CHUNK
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
-from lumisplat.device.structs.training import Exposure
+from lumisplat.device.training import Exposure
 from lumisplat.errors import SceneError
 from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles

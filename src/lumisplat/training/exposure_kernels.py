@@ -7,9 +7,9 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.constants.training import EXPOSURE_CHUNK
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
-from lumisplat.device.structs.training import Exposure
+from lumisplat.device.training import Exposure
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 

@@ -6,10 +6,10 @@ import math
 
 import warp as wp
 
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import Photograph, SmoothnessMaps, SplatRecord, SurfaceMaps, SurfaceTerms
+from lumisplat.device.training import Photograph, SmoothnessMaps, SplatRecord, SurfaceMaps, SurfaceTerms
 from lumisplat.renderer.gradients.feature_channels import FeatureChannels, ShownFeatures
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene

@@ -14,8 +14,7 @@ import warp as wp
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.constants.metrics import SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.constants.training import COVERED_MIN, SSIM_C1, SSIM_C2
-from lumisplat.device.film.counted import counted, share_of
-from lumisplat.device.structs.training import LossGrid, LossMaps, LossWeights, Photograph
+from lumisplat.device.training import LossGrid, LossMaps, LossWeights, Photograph, counted, share_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler_flags": FUSED_FLAGS})
 

@@ -8,7 +8,7 @@ from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.gradients import GaussianGradient, SplatGradient
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import LearntSplats, NoiseData, SplatRecord, StepRates
+from lumisplat.device.training import LearntSplats, NoiseData, SplatRecord, StepRates
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 

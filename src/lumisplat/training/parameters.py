@@ -10,7 +10,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import TrainConfig
-from lumisplat.device.structs.training import LearntSplats
+from lumisplat.device.training import LearntSplats
 from lumisplat.math.arrays import FloatArray
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.scene.gaussians import Gaussians

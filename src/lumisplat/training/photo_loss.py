@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
-from lumisplat.device.structs.training import LossGrid, LossMaps, LossWeights, Photograph
+from lumisplat.device.training import LossGrid, LossMaps, LossWeights, Photograph
 from lumisplat.math.arrays import FloatArray
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher

@@ -10,10 +10,10 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.checks import Color
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import LearntSplats
+from lumisplat.device.training import LearntSplats
 from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.film import traced_pixel_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers

@@ -7,9 +7,8 @@ docs/method/training.md#surfaces.
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.film.counted import share_of
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.training import Photograph, SmoothnessMaps
+from lumisplat.device.training import Photograph, SmoothnessMaps, share_of
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 

@@ -9,13 +9,12 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_SPREAD, SURFACE_VARIANCE_MIN
-from lumisplat.device.camera.tiles import is_listed
-from lumisplat.device.film.counted import share_of
+from lumisplat.device.camera.pixels import is_listed
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import Photograph, SplatRecord, SurfaceMaps, SurfaceTerms
+from lumisplat.device.training import Photograph, SplatRecord, SurfaceMaps, SurfaceTerms, share_of
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 

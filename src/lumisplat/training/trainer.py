@@ -28,9 +28,9 @@ from lumisplat.constants.training import (
     SH_REST_SHARE,
     SURFACES_AFTER,
 )
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
-from lumisplat.device.structs.training import NoiseData, Photograph, SplatRecord, StepRates
+from lumisplat.device.training import NoiseData, Photograph, SplatRecord, StepRates
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress

@@ -9,10 +9,10 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.checks import Color
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.structs.training import LearntSplats, Photograph, SplatRecord, SurfaceMaps
+from lumisplat.device.training import LearntSplats, Photograph, SplatRecord, SurfaceMaps
 from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.gradients.feature_channels import FeatureChannels
 from lumisplat.renderer.gradients.splat_backward import SplatBackward

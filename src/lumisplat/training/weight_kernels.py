@@ -5,20 +5,12 @@ This is done once a training, so that one way serves all devices.
 
 import warp as wp
 
+from lumisplat.device.splat.compositor import TILE_OPTIONS, tile_walk
 from lumisplat.device.splat.ellipse import ELLIPSE
 from lumisplat.device.splat.ray_splat import ALONG_RAYS
-from lumisplat.device.splat.tile_visitors import WeightArrays, largest_weights
-from lumisplat.device.splat.tile_walk import TILE_OPTIONS, tile_walk
+from lumisplat.device.splat.visitors import WeightArrays, largest_weights
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import (
-    MeshPixels,
-    PixelRays,
-    RasterData,
-    RayRasterData,
-    RaySplat,
-    Splat,
-    TileRect,
-)
+from lumisplat.device.structs.raster import MeshPixels, PixelRays, RasterData, RayRasterData, RaySplat, Splat, TileRect
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options(TILE_OPTIONS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from lumisplat.device.structs.film import FilmData, PixelData
+from lumisplat.device.structs.camera import FilmData, PixelData
 from lumisplat.renderer.film.noise import least_luminance, quantile
 from lumisplat.renderer.film.pixel_buffers import pixel_sums
 from lumisplat.renderer.sample_budget import is_noise_checked

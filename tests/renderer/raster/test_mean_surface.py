@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 import lumisplat as ls
-from lumisplat.device.structs.gi import SurfacePixels
+from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.renderer.realtime.gbuffer import SPLATS
 from support.compare.images import assert_close, assert_close_outside_band
 from support.compare.ways import renderer_of

@@ -11,7 +11,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.config.render import PATH_PARTS
 from lumisplat.constants import SH_C0
-from lumisplat.device.structs.gi import EmitterBox
+from lumisplat.device.gi.captured_emitters import EmitterBox
 from lumisplat.math.transforms import rotation_from_degrees
 from lumisplat.renderer.scene.captured_emitters import boxes_of, stands_apart
 from lumisplat.runtime.struct_tables import table_dtype

@@ -11,7 +11,7 @@ import lumisplat as ls
 from lumisplat.config import ProbeConfig
 from lumisplat.constants import LAYER_LIFT, SHADOW_OFFSET
 from lumisplat.constants.realtime import OUTDATED_SHARE
-from lumisplat.device.structs.gi import ProbeData
+from lumisplat.device.gi.probe_placement import ProbeData
 from lumisplat.math.directions import directions_of_square
 from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.runtime.buffers import device_array

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS
+from lumisplat.device.bvh.packet import PACKET_OPTIONS
 from lumisplat.renderer.trace import gaussian_trace_kernels
 from lumisplat.runtime.launcher import Launcher
 from support.compare.images import assert_close, assert_images_alike

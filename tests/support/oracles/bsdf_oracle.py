@@ -1,7 +1,7 @@
 """The materials' equations as the books have them, in float64: by angles and tangents, a direction a row.
 
 Colours have shape (..., 3), directions (..., 3), unit and away from the surface; materials are dictionaries of the
-names of `lumisplat.device.structs.light.Bsdf`.
+names of `lumisplat.device.structs.shading.Bsdf`.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.gi.captured_emitters import chosen_box, direction_density, point_in, total_weight
-from lumisplat.device.structs.gi import EmitterBox
+from lumisplat.device.gi.captured_emitters import EmitterBox, chosen_box, direction_density, point_in, total_weight
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from lumisplat.device.film.sample_sums import add_to_sums, mean_sample, relative_variance, sample_variance
-from lumisplat.device.structs.film import FilmData, PixelSample
+from lumisplat.device.film.samples import add_to_sums, mean_sample, relative_variance, sample_variance
+from lumisplat.device.structs.camera import FilmData, PixelSample
 
 wp.set_module_options({"enable_backward": False})
 

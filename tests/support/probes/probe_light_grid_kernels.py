@@ -2,11 +2,9 @@
 
 import warp as wp
 
-from lumisplat.device.gi.light_grid import GridCell, bounded, grid_cell, grid_key, grid_light, light_weight
+from lumisplat.device.gi.light_grid import GridCell, LightGrid, bounded, grid_cell, grid_key, grid_light, light_weight
 from lumisplat.device.light.direct_light import chosen_light, light_importance, vertex_at
-from lumisplat.device.structs.gi import LightGrid
-from lumisplat.device.structs.path import LightChoice
-from lumisplat.device.structs.shading import Interaction, ShadingScene
+from lumisplat.device.structs.shading import Interaction, LightChoice, ShadingScene
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,14 +2,20 @@
 
 import warp as wp
 
-from lumisplat.device.gi.albedo import diffuse_albedo, glossy_albedo, transmitted_albedo
-from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
+from lumisplat.device.gi.surfaces import diffuse_albedo, glossy_albedo, transmitted_albedo
+from lumisplat.device.light.emitters import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light.interaction import bsdf_of
 from lumisplat.device.light.light import light_crossing, sample_light
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
-from lumisplat.device.structs.light import Bsdf, BsdfSample, EnvironmentData, LightData, LightSample
-from lumisplat.device.structs.path import LightCrossing
-from lumisplat.device.structs.shading import MaterialData
+from lumisplat.device.structs.shading import (
+    Bsdf,
+    BsdfSample,
+    EnvironmentData,
+    LightCrossing,
+    LightData,
+    LightSample,
+    MaterialData,
+)
 
 wp.set_module_options({"enable_backward": False})
 

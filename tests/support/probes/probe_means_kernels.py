@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.gi.means import mean_weight
+from lumisplat.device.gi.surfaces import mean_weight
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,9 +2,8 @@
 
 import warp as wp
 
-from lumisplat.device.gi.motion import mesh_before, pixel_before, splat_before
+from lumisplat.device.gi.surfaces import InstanceMotion, mesh_before, pixel_before, splat_before
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import InstanceMotion
 from lumisplat.device.structs.scene import GaussianData, MeshData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})

@@ -2,12 +2,12 @@
 
 import warp as wp
 
-from lumisplat.device.camera.camera import camera_ray
-from lumisplat.device.camera.seen_at import seen_at
-from lumisplat.device.gi.octahedral import cell_of_direction, direction_of_square, square_of_direction, wrapped_cell
+from lumisplat.device.camera.camera import camera_ray, seen_at
+from lumisplat.device.gi.probe_placement import ProbeData, ProbeGrid, ProbeLight
 from lumisplat.device.gi.screen_probes import gathered_light
+from lumisplat.device.gi.surfaces import SurfacePixels
+from lumisplat.device.math.directions import cell_of_direction, direction_of_square, square_of_direction, wrapped_cell
 from lumisplat.device.structs.camera import CameraData, SampleData
-from lumisplat.device.structs.gi import ProbeData, ProbeGrid, ProbeLight, SurfacePixels
 
 wp.set_module_options({"enable_backward": False})
 

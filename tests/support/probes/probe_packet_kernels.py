@@ -2,10 +2,8 @@
 
 import warp as wp
 
-from lumisplat.device.bvh.hit_list import empty_list, keep_hit
-from lumisplat.device.bvh.node_stack import push_children
-from lumisplat.device.structs.bvh import ChildLinks, Children, Node
-from lumisplat.device.structs.packet import Hit, HitList, WaitingNode
+from lumisplat.device.bvh.packet import empty_list, keep_hit, push_children
+from lumisplat.device.structs.bvh import ChildLinks, Children, Hit, HitList, Node, WaitingNode
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 

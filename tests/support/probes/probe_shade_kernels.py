@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from lumisplat.device.light.shadow import shadow_key
+from lumisplat.device.light.shadow_rays import shadow_key
 from lumisplat.device.math.random import draw_stratified
-from lumisplat.device.mesh.ray_triangle import owns_crossing, ray_shear
+from lumisplat.device.mesh.mesh_rays import owns_crossing, ray_shear
 from lumisplat.device.structs.bvh import ShadowData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.math.warp_sums import warp_sums
+from lumisplat.device.math.memory import warp_sums
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 

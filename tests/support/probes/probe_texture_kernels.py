@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.math.texture import sample_alpha, sample_texture
+from lumisplat.device.mesh.mesh_surface import sample_alpha, sample_texture
 from lumisplat.device.structs.scene import TextureData
 
 wp.set_module_options({"enable_backward": False})

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from lumisplat.device.bvh.node_test import enter_children, mean_entries
-from lumisplat.device.bvh.ray_packet import packet_of
+from lumisplat.device.bvh.nodes import enter_children, mean_entries
+from lumisplat.device.bvh.packet import packet_of
 from lumisplat.device.gaussian.particle import (
     alpha_of_degree,
     ellipsoid_normal,
@@ -11,8 +11,7 @@ from lumisplat.device.gaussian.particle import (
     particle_of,
     reach_squared,
 )
-from lumisplat.device.structs.bvh import Box, Children, Node, Particle
-from lumisplat.device.structs.packet import Slabs
+from lumisplat.device.structs.bvh import Box, Children, Node, Particle, Slabs
 from lumisplat.device.structs.rays import Ray, RayData
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
 

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.camera.lens import seen_point
+from lumisplat.device.camera.camera import seen_point
 from lumisplat.device.splat.ray_bounds import projected_moments
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import ImageMoments, WorldGaussian

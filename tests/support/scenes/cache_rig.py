@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lumisplat.config import RadianceCacheConfig
-from lumisplat.device.structs.radiance_cache import CachePoints, CacheSamples
+from lumisplat.device.gi.radiance_cache import CachePoints, CacheSamples
 from lumisplat.renderer.realtime.radiance_cache import RadianceCache
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.gi import LightHistory, SurfaceLight, SurfacePixels
+from lumisplat.device.gi.surfaces import LightHistory, SurfaceLight, SurfacePixels
 from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
 from lumisplat.renderer.realtime.light_filter import LightFilter
 from lumisplat.renderer.scene.device_scene import DeviceScene

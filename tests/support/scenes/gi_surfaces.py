@@ -9,8 +9,8 @@ import numpy.typing as npt
 import warp as wp
 
 import lumisplat as ls
+from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import SurfacePixels
 from lumisplat.renderer.scene.camera_table import CENTER, camera_table
 from lumisplat.runtime.struct_tables import table_dtype
 

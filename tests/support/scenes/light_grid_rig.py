@@ -11,8 +11,8 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.constants.realtime import GRID_LIGHTS
+from lumisplat.device.gi.light_grid import LightGrid
 from lumisplat.device.structs.camera import SampleData
-from lumisplat.device.structs.gi import LightGrid
 from lumisplat.device.structs.shading import ShadingScene, ShadingSettings
 from lumisplat.renderer.realtime import light_grid_kernels as kernels
 from lumisplat.renderer.scene.lights import LightTable

@@ -1,1 +1,1 @@
-"""Packets of rays and the boxes of bounding volume hierarchies."""
+"""Nodes of bounding volume hierarchies, and packets of rays that traverse them."""

@@ -1,1 +1,1 @@
-"""From pixels to rays, and the blocks and tiles that pixels come in."""
+"""Cameras, and the pixels of their images."""

@@ -1,4 +1,4 @@
-"""Tone mapping on the device, as `lumisplat.math.tone_map` does it on the host.
+"""Tone mapping on the device, as `lumisplat.math.tone_map` does it on the host, and pixels as bytes.
 
 The equations are in docs/method/lighting.md#pictures.
 """
@@ -19,23 +19,34 @@ from lumisplat.constants import (
     WEIGHT_ROUNDING,
 )
 from lumisplat.device.math.color import captured_color, encode_srgb_color, is_black
-from lumisplat.device.structs.film import TONE_AGX, TONE_NEUTRAL, PictureData
-
-wp.set_module_options({"enable_backward": False})
+from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, PictureData
 
 BRIGHTEST = wp.constant(wp.float32(RADIANCE_BRIGHTEST))
+
 WHOLE = wp.constant(wp.float32(1.0 - WEIGHT_ROUNDING))
+
 TOE = wp.constant(wp.float32(NEUTRAL_TOE))
+
 START = wp.constant(wp.float32(NEUTRAL_START))
+
 DESATURATION = wp.constant(wp.float32(NEUTRAL_DESATURATION))
+
 STOPS_LOW = wp.constant(wp.float32(AGX_STOPS[0]))
+
 STOPS_RANGE = wp.constant(wp.float32(AGX_STOPS[1] - AGX_STOPS[0]))
+
 DARKEST = wp.constant(wp.float32(2.0 ** AGX_STOPS[0]))
+
 PIVOT_X = wp.constant(wp.float32(AGX_PIVOT[0]))
+
 PIVOT_Y = wp.constant(wp.float32(AGX_PIVOT[1]))
+
 SLOPE = wp.constant(wp.float32(AGX_SLOPE))
+
 POWER_BELOW = wp.constant(wp.float32(AGX_TOE))
+
 POWER_ABOVE = wp.constant(wp.float32(AGX_SHOULDER))
+
 GAMMA = wp.constant(wp.float32(AGX_GAMMA))
 
 
@@ -45,6 +56,7 @@ def curve_scale(run: float, rise: float, power: float) -> float:
 
 
 SCALE_BELOW = wp.constant(wp.float32(curve_scale(AGX_PIVOT[0], AGX_PIVOT[1], AGX_TOE)))
+
 SCALE_ABOVE = wp.constant(wp.float32(curve_scale(1.0 - AGX_PIVOT[0], 1.0 - AGX_PIVOT[1], AGX_SHOULDER)))
 
 
@@ -123,3 +135,33 @@ def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, picture: Picture
         else:
             shown[k] = wp.min(shown[k], untouched[k])
     return shown
+
+
+# --- Bytes ---
+
+
+@wp.func
+def channels_finite(color: wp.vec3) -> bool:
+    """Whether no channel is NaN or infinite; their sum may be."""
+    return wp.isfinite(color[0]) and wp.isfinite(color[1]) and wp.isfinite(color[2])
+
+
+@wp.func
+def straightened(color: wp.vec3, alpha: float) -> wp.vec3:
+    """A premultiplied colour divided by its alpha; black where that is not above 0."""
+    if not alpha > 0.0:
+        return wp.vec3(0.0)
+    return wp.vec3(color[0] / alpha, color[1] / alpha, color[2] / alpha)
+
+
+@wp.func
+def byte_of(value: float) -> wp.uint32:
+    """A display-referred value as 8 bits, clamped to 0..1 and rounded half up."""
+    return wp.uint32(wp.clamp(value, 0.0, 1.0) * 255.0 + 0.5)
+
+
+@wp.func
+def packed_rgba(color: wp.vec3, alpha: float) -> wp.uint32:
+    """A pixel in one word, red in the low byte."""
+    word = byte_of(color[0]) | (byte_of(color[1]) << wp.uint32(8)) | (byte_of(color[2]) << wp.uint32(16))
+    return word | (byte_of(alpha) << wp.uint32(24))

@@ -5,16 +5,13 @@ The equations are in docs/method/gradients.md#hits.
 
 import warp as wp
 
-from lumisplat.device.bvh.footprint import footprint_of_ray, footprint_slopes, footprint_variance
+from lumisplat.device.bvh.nodes import footprint_of_ray, footprint_slopes, footprint_variance
 from lumisplat.device.gaussian.ray_compositing import hit_color
-from lumisplat.device.splat.projection import ALPHA_LIMIT
-from lumisplat.device.splat.projection_gradient import color_dot, open_channels, sh_weights
+from lumisplat.device.splat.projection import ALPHA_LIMIT, color_dot, open_channels, sh_weights
 from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.gradients import GaussianGradient, HitMoments, RayMotion
 from lumisplat.device.structs.rays import Ray
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
-
-wp.set_module_options({"enable_backward": False})
 
 NEAREST2 = wp.constant(wp.float32(1.0e-30))
 """Squared canonical distance below which a ray goes through the mean: degrees 0 and 1 have a kink there."""

@@ -7,8 +7,6 @@ from lumisplat.device.structs.bvh import Particle
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
-wp.set_module_options({"enable_backward": False})
-
 COSINE = wp.constant(wp.float32(LAYER_COSINE))
 FLATNESS = wp.constant(wp.float32(LAYER_FLATNESS))
 HEIGHT = wp.constant(wp.float32(LAYER_HEIGHT))

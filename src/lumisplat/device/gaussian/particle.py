@@ -1,26 +1,24 @@
-"""A Gaussian as rays hit it: its canonical space, its response by degree, and where it ends.
+"""A Gaussian as rays hit it: its canonical space, its response by degree, where it ends, and where a ray hits it.
 
-Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing, section 4.
-
-The equations are in docs/method/gaussians.md.
+Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing, section 4. The equations are in docs/method/gaussians.md.
 """
 
 import warp as wp
 
-from lumisplat.constants import BOX_MARGIN
-from lumisplat.device.bvh.footprint import footprint_of_ray, footprint_variance
-from lumisplat.device.math.aligned_memory import aligned_load_of
+from lumisplat.constants import BOX_MARGIN, SURFACE_DEPTH_SCALES
+from lumisplat.device.bvh.nodes import footprint_of_ray, footprint_variance, larger, lesser, tree_ray
+from lumisplat.device.math.memory import aligned_load_of
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.splat.projection import ALPHA_LIMIT, OPACITY_MIN, alpha_from_log, gaussian_normal
-from lumisplat.device.structs.bvh import FAR, Box, Particle
-from lumisplat.device.structs.rays import Ray
+from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, HIT_PEAK, Box, Particle, ParticleHit, TreeRay
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.rays import Ray, RayData
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
-
-wp.set_module_options({"enable_backward": False})
 
 load_particle = aligned_load_of(Particle)
 
 MARGIN = wp.constant(wp.float32(BOX_MARGIN))
+
 TINY = wp.constant(wp.float32(1.0e-30))
 
 
@@ -148,3 +146,145 @@ def gaussian_facing(gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
     """Normal of the plane of largest density of Gaussian ``i`` from an eye in object space."""
     rotation = wp.quat_to_matrix(gaussians.rotations[i])
     return gaussian_normal(rotation, gaussians.scales[i], eye - gaussians.means[i])
+
+
+# --- Hits of single rays, as packets have them (docs/method/ray_tracing.md#hits) ---
+
+
+@wp.func
+def world_ray(i: int, footprint: float, rays: RayData) -> TreeRay:
+    """Ray ``i`` in the space of the tree over the instances, whose widest footprint is this one."""
+    width = footprint_of_ray(footprint, rays.spread[i], 1.0)
+    return tree_ray(rays.origin[i], rays.direction[i], width, rays.path_length[i], HIT_PEAK)
+
+
+@wp.func
+def ray_in_instance(i: int, instance: SplatInstanceData, hit_distance: int, rays: RayData) -> TreeRay:
+    """Ray ``i`` in the space of an instance, whose Gaussians it hits at one of HIT_PEAK, HIT_HULL, HIT_MEAN."""
+    origin = instance.object_from_world * rays.origin[i] + instance.object_from_world_offset
+    direction = instance.object_from_world * rays.direction[i]
+    footprint = footprint_of_ray(instance.footprint, rays.spread[i], instance.scale)
+    return tree_ray(origin, direction, footprint, rays.path_length[i], hit_distance)
+
+
+@wp.func
+def hit_particle(
+    particle: Particle, ray: TreeRay, scale: float, hit_distance: int, begin: float, end: float
+) -> ParticleHit:
+    """Where a ray hits a Gaussian, widened by the ray's footprint.
+
+    Args:
+        particle: The Gaussian.
+        ray: In its space.
+        scale: World from that space.
+        hit_distance: HIT_PEAK, HIT_HULL or HIT_MEAN.
+        begin: Hits whose response peaks up to this distance are near ones.
+        end: The peak must lie before this one.
+    """
+    hit = ParticleHit()
+    hit.t = FAR
+    w = particle.canonical_from_object
+    away = ray.origin - particle.mean
+    middle = -wp.dot(away, ray.direction) * scale * scale
+    c = w * away
+    e = w * ray.direction
+    if ray.footprint > 0.0:
+        path = ray.path_length + middle
+        variance = footprint_variance(ray.footprint, path, scale * particle.largest_scale)
+        # A Gaussian that is wider on an axis has a shorter row of the canonical transform there.
+        sharp = wp.vec3(wp.length_sq(w[0]), wp.length_sq(w[1]), wp.length_sq(w[2]))
+        for k in range(3):
+            shorter = 1.0 / wp.sqrt(1.0 + variance * sharp[k])
+            c[k] = shorter * c[k]
+            e[k] = shorter * e[k]
+    across = wp.cross(c, e)  # c + t e would cancel for thin Gaussians
+    across2 = wp.dot(across, across)
+    along2 = wp.dot(e, e)
+    peak = -wp.dot(c, e)
+    if across2 <= particle.reach2 * along2 and peak > 0.0 and peak < end * along2:
+        hit.distance2 = across2 / along2
+        hit.t = peak / along2
+        hit.is_near = not peak > begin * along2
+        if hit_distance == HIT_MEAN:
+            hit.t = middle
+        if hit_distance == HIT_HULL:
+            hit.t -= wp.sqrt(larger(particle.reach2 - hit.distance2, 0.0) / along2)
+    return hit
+
+
+@wp.func
+def alpha_at(kernel: KernelData, particle: Particle, distance2: float) -> float:
+    """Alpha of a Gaussian at a squared canonical distance within its reach."""
+    if kernel.degree == 2:
+        return alpha_from_log(particle.log_opacity - 0.5 * distance2)
+    return alpha_of_degree(kernel, particle.log_opacity, distance2)
+
+
+@wp.func
+def begin_past(t_min: float, offset: float, offset_absolute: float, particle: Particle, scale: float) -> float:
+    """From where on a Gaussian counts: ``t_min``, or nearer if it is small."""
+    return lesser(t_min, offset * scale * particle.largest_scale + offset_absolute)
+
+
+# --- Depth of the surface (docs/method/rasterisation.md#iso-opacity-surface) ---
+
+SCALES_MAX = wp.constant(wp.float32(SURFACE_DEPTH_SCALES))
+
+
+@wp.func
+def surface_peak(
+    rotation: wp.quat, scale: wp.vec3, away: wp.vec3, along: wp.vec3, middle: float, largest_scale: float
+) -> float:
+    """Where a Gaussian responds most on a ray, no farther from its mean than it reaches: footprints show it beyond.
+
+    Args:
+        rotation: Of the Gaussian.
+        scale: Its scales.
+        away: Its mean from the ray's origin, object space.
+        along: Direction of the ray, object space; its length is the unit of distance.
+        middle: Distance of the mean.
+        largest_scale: Its largest scale, in the unit of distance.
+    """
+    # Canonical space times the smallest scale: flat Gaussians stay inside float32.
+    ratio = wp.cw_div(wp.vec3(wp.min(scale)), scale)
+    canonical = wp.cw_mul(ratio, wp.quat_rotate_inv(rotation, along))
+    start = wp.cw_mul(ratio, wp.quat_rotate_inv(rotation, away))
+    beyond = wp.dot(start, canonical) / wp.length_sq(canonical) - middle
+    if not wp.isfinite(beyond):
+        beyond = float(0.0)
+    reach = SCALES_MAX * largest_scale
+    return middle + wp.clamp(beyond, -reach, reach)
+
+
+@wp.func
+def surface_distance(
+    camera: wp.array[CameraData],
+    instances: wp.array[SplatInstanceData],
+    assets: wp.array[GaussianData],
+    number: int,
+    i: int,
+    ray: wp.vec3,
+    distance: float,
+    mesh_z: float,
+) -> float:
+    """Distance along a pixel's ray at which a Gaussian responds most, before the mesh behind it.
+
+    Args:
+        camera: The camera.
+        instances: All instances.
+        assets: All assets.
+        number: The Gaussian's instance.
+        i: The Gaussian, in its asset.
+        ray: Of the pixel, camera space, z = 1.
+        distance: Along the ray, at the view depth of its mean.
+        mesh_z: View depth of the mesh in the pixel; inf: none.
+    """
+    # Fields are read one by one: copying these structs for each pixel would cost more than the depth.
+    asset = instances[number].asset
+    scale = assets[asset].scales[i]
+    along = instances[number].object_from_world * (camera[0].world_from_camera * ray)
+    away = assets[asset].means[i] - instances[number].eye
+    length = wp.length(ray)
+    largest_scale = instances[number].scale * wp.max(scale) / length
+    depth_z = surface_peak(assets[asset].rotations[i], scale, away, along, distance / length, largest_scale)
+    return wp.clamp(depth_z, camera[0].near, mesh_z) * length

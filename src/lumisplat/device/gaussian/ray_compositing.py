@@ -14,8 +14,6 @@ from lumisplat.device.structs.raster import BlendState
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def load_pixel(hits: GaussianHits, ray: int) -> BlendState:

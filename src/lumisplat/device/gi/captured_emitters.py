@@ -6,9 +6,21 @@ that the light of a ray counts whole, whichever Gaussians it meets (docs/method/
 
 import warp as wp
 
-from lumisplat.device.structs.gi import EmitterBox
+from lumisplat.device.structs import struct
 
-wp.set_module_options({"enable_backward": False})
+
+@struct
+class EmitterBox:
+    """A box around Gaussians of a capture that is sampled as a light, world space."""
+
+    center: wp.vec3
+    box_from_world: wp.mat33
+    """Rotation."""
+    half: wp.vec3
+    """Half its edges, scene units."""
+    power: float
+    """About the luminance times the area of what is in it; above 0."""
+
 
 TINY = wp.constant(wp.float32(1e-30))
 

@@ -19,40 +19,72 @@ from lumisplat.device.light.direct_light import (
 from lumisplat.device.light.light import LIGHT_ENVIRONMENT, light_bound
 from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import BITS_8, branch_key, mix, sobol_2d
-from lumisplat.device.path.steps import branch_of
-from lumisplat.device.structs.gi import LightGrid
-from lumisplat.device.structs.light import EmitterData, LightData
-from lumisplat.device.structs.path import Branch, LightChoice
+from lumisplat.device.path.steps import Branch, branch_of
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene, WaveData
+from lumisplat.device.structs.shading import (
+    Contribution,
+    EmitterData,
+    Interaction,
+    LightChoice,
+    LightData,
+    ShadingScene,
+    WaveData,
+)
 
-wp.set_module_options({"enable_backward": False})
+
+@struct
+class LightGrid:
+    """Of many lights, the few among which the surfaces of a cell of the world choose (docs/method/realtime.md)."""
+
+    cell_of: wp.array[int]
+    """The cell of each ray's surface, -1: it has none; without elements: all surfaces choose among all lights."""
+    numbers: wp.array[int]
+    """Numbers of the lights of each cell, `GRID_LIGHTS` and one more; -1: there are no more."""
+    chances: wp.array[float]
+    """The probability of each to be among those of its cell; of the one more 0: nothing chooses it."""
+
 
 # Branches of a ray's key.
 SURFACE_BRANCH = wp.constant(7)
 """Which surface of the ray."""
+
 CELL_BRANCH = wp.constant(8)
 """Which cell."""
 
 KEPT = wp.constant(GRID_LIGHTS)
 """Lights of a cell."""
+
 SLOTS = wp.constant(GRID_LIGHTS + 1)
 """The same with the one whose rank says how probable they were."""
+
 CHOICES = wp.constant(wp.float32(GRID_CHOICES))
+
 CELL_SIZE = wp.constant(wp.float32(GRID_CELL_SIZE))
+
 NO_CELL = wp.constant(wp.int64(2**63 - 1))
 """Key of what is nowhere; the last one."""
+
 LEVEL_LAST = wp.constant(100)
 """Largest and, negative, smallest level of cells: they are 2^level wide."""
+
 COORDINATES = wp.constant(2**17)
 """Cells to each side of the origin."""
+
 BITS_18 = wp.constant(wp.int64(18))
+
 LOW_18 = wp.constant(wp.int64(2**18 - 1))
+
 BITS_2 = wp.constant(wp.int64(2))
+
 ROOT_3 = wp.constant(wp.float32(3.0**0.5))
+
 UNIT = wp.constant(wp.float32(2.0**-24))
+
 LEAST = wp.constant(wp.float32(1e-30))
+
 MOST = wp.constant(wp.float32(LIGHT_POWER_MAX))
+
 FEW = wp.constant(wp.float32(0.01))
 """Below it, logarithms and exponentials near 1 are sums of powers."""
 

@@ -13,21 +13,32 @@ The equations are in docs/method/lighting.md and docs/method/paths.md#lights.
 import warp as wp
 
 from lumisplat.constants import LIGHT_COSINE_MIN, LUMINANCE
-from lumisplat.device.light.emitter import sample_emitter
-from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
+from lumisplat.device.light.emitters import (
+    environment_density,
+    environment_radiance,
+    sample_emitter,
+    sample_environment,
+)
 from lumisplat.device.light.light import LIGHT_ENVIRONMENT, sample_light
-from lumisplat.device.light.shadow_ray import start_shadow_ray
+from lumisplat.device.light.shadow_rays import start_shadow_ray
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample, view_albedo
-from lumisplat.device.material.rough_glass import transmits
+from lumisplat.device.material.microfacets import transmits
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf, LightSample
-from lumisplat.device.structs.path import LightChoice, PathVertex, SampledLight
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene, WaveData
-
-wp.set_module_options({"enable_backward": False})
+from lumisplat.device.structs.shading import (
+    BSDF_SIMPLE,
+    Bsdf,
+    Contribution,
+    Interaction,
+    LightChoice,
+    LightSample,
+    PathVertex,
+    SampledLight,
+    ShadingScene,
+    WaveData,
+)
 
 LIGHT_BRANCHES = wp.constant(2)
 """First branch of a ray's key for the random numbers of all lights: 0 and 1 are the reflected and the refracted ray."""

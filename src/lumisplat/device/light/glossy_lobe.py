@@ -9,15 +9,12 @@ import warp as wp
 from lumisplat.constants import COAT_HEAD_ON, GLOSSY_SHARE_FOLLOWED
 from lumisplat.device.gaussian.layers import above_layer
 from lumisplat.device.light.interaction import load_interaction
-from lumisplat.device.light.shadow_ray import spawn_lift
+from lumisplat.device.light.shadow_rays import spawn_lift
 from lumisplat.device.material.bsdf import bsdf_sample, simple_scale, view_albedo
 from lumisplat.device.math.color import mean_of
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.structs.declare import struct
-from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
-from lumisplat.device.structs.shading import Interaction, WaveData
-
-wp.set_module_options({"enable_backward": False})
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, WaveData
 
 FOLLOWED = wp.constant(wp.float32(GLOSSY_SHARE_FOLLOWED))
 

@@ -10,10 +10,7 @@ import warp as wp
 
 from lumisplat.constants import LIGHT_DISTANCE_MIN, LIGHT_POWER_MAX, LUMINANCE
 from lumisplat.device.math.directions import PI, TWO_PI, around
-from lumisplat.device.structs.light import LightData, LightSample
-from lumisplat.device.structs.path import LightCrossing
-
-wp.set_module_options({"enable_backward": False})
+from lumisplat.device.structs.shading import LightCrossing, LightData, LightSample
 
 LIGHT_POINT: int = wp.constant(0)
 """Also a sphere."""

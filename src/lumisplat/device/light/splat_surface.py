@@ -1,25 +1,35 @@
-"""The surface of the Gaussians on a ray (docs/method/lighting.md#surfaces)."""
+"""The surface of the Gaussians on a ray, and what lights change of shadow catchers.
+
+The equations are in docs/method/lighting.md#surfaces.
+"""
 
 import warp as wp
 
 from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.layers import is_flat
-from lumisplat.device.light.interaction import bsdf_of, unit_or
-from lumisplat.device.light.mesh_interaction import mesh_spawn_point
+from lumisplat.device.light.interaction import bsdf_of, mesh_spawn_point, unit_or
 from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
 from lumisplat.device.math.directions import seen_from
 from lumisplat.device.mesh.mesh_surface import face_normal
 from lumisplat.device.splat.blending import instance_of
-from lumisplat.device.structs.light import BSDF_PBR
-from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface, WaveData
-
-wp.set_module_options({"enable_backward": False})
+from lumisplat.device.structs.shading import (
+    BSDF_PBR,
+    SEES_BACKGROUND,
+    CatcherLight,
+    Interaction,
+    ShadingScene,
+    SplatSurface,
+    WaveData,
+)
 
 KEPT_MIN = wp.constant(wp.float32(KEPT_SHARE_MIN))
+
 NEAR_MESH = wp.constant(wp.float32(0.999))
 """Share of the way to a mesh below which a point is certainly before it, however both are rounded."""
+
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
+
 ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 
@@ -257,3 +267,48 @@ def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[Shading
         if wp.dot(own, normal) < 0.0:
             return wp.vec3(0.0)
     return normal
+
+
+# --- Shadow catchers (docs/method/lighting.md#shadow-catchers) ---
+
+
+@wp.func
+def catcher_received(light: CatcherLight) -> float:
+    """Irradiance of a shadow catcher without anything that was added, in one channel."""
+    rest = wp.where(light.ambient > 0.0, light.ambient, light.own_sent)
+    return light.sent + wp.max(rest, light.least - light.sent)
+
+
+@wp.func
+def catcher_change(light: CatcherLight) -> float:
+    """Relative change of the light on a shadow catcher by all that was added to its place, in one channel.
+
+    `lumisplat.baking.gaussian_views.CatcherLight` is the same in NumPy.
+    """
+    change = light.change
+    received = catcher_received(light)
+    if light.ambient > 0.0:
+        ambient = received - light.sent
+        if light.own_sent > ambient:
+            change += light.own_change * ambient / light.own_sent
+        else:
+            change += light.own_change - (ambient - light.own_sent) * light.blocked / light.ambient
+    else:
+        change += light.own_change
+    if change == 0.0 or received <= 0.0:
+        return 0.0
+    return change / received
+
+
+@wp.func
+def weighted_factor(factor: float, weight: float) -> float:
+    """The factor of a captured colour, as one of a pixel of which it has the share ``weight``."""
+    return 1.0 + weight * (factor - 1.0)
+
+
+@wp.func
+def straight_factor(factor: wp.vec3, weight: float) -> wp.vec3:
+    """The inverse of ``weighted_factor``, of three channels; 1 where nothing was captured."""
+    if weight <= 0.0:
+        return wp.vec3(1.0)
+    return wp.max(wp.vec3(1.0) + (factor - wp.vec3(1.0)) / weight, wp.vec3(0.0))

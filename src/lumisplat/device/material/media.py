@@ -14,8 +14,6 @@ from lumisplat.device.structs.rays import Boundary
 from lumisplat.device.structs.scene import MeshInstanceData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
-wp.set_module_options({"enable_backward": False})
-
 NESTED = wp.constant(4)
 """Media that a ray can be in at once; further ones are not noted."""
 AIR = wp.constant(-1)

@@ -10,17 +10,21 @@ The equations are in docs/method/materials.md#smooth-surfaces.
 import warp as wp
 
 from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
-from lumisplat.device.material.fresnel import cosine2_beyond, dielectric_share, reflect, refract, schlick
-from lumisplat.device.material.layers import coat_share, sheen_share
+from lumisplat.device.material.bsdf import coat_share, sheen_share
 from lumisplat.device.material.media import boundary_of_ray
+from lumisplat.device.material.microfacets import cosine2_beyond, dielectric_share, reflect, refract, schlick
 from lumisplat.device.math.color import encode_srgb_color, is_black
-from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
-from lumisplat.device.mesh.varied_layers import material_at
+from lumisplat.device.mesh.mesh_surface import (
+    face_normal,
+    hit_weights,
+    material_at,
+    surface_alpha,
+    surface_color,
+    surface_normal,
+)
 from lumisplat.device.structs.rays import Bounce, Boundary
 from lumisplat.device.structs.scene import ALPHA_BLEND, MeshData, MeshInstanceData, SmoothData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
-
-wp.set_module_options({"enable_backward": False})
 
 ERROR = wp.constant(wp.float32(SPAWN_ERROR))
 SLENDER = wp.constant(wp.float32(SPAWN_SLENDER))

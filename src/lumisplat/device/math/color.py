@@ -4,8 +4,6 @@ import warp as wp
 
 from lumisplat.constants import LUMINANCE
 
-wp.set_module_options({"enable_backward": False})
-
 LUMINANCE_WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 
 

@@ -1,15 +1,17 @@
-"""Angles of directions, and directions around an axis."""
+"""Directions: their angles, directions around an axis, and the octahedral map of all of them."""
 
 import math
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 HALF_PI = wp.constant(wp.float32(0.5 * math.pi))
+
 PI = wp.constant(wp.float32(math.pi))
+
 TWO_PI = wp.constant(wp.float32(2.0 * math.pi))
+
 INV_PI = wp.constant(wp.float32(1.0 / math.pi))
+
 INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
 
 
@@ -59,3 +61,92 @@ def around(axis: wp.vec3, cosine: float, sine: float, turn: float) -> wp.vec3:
     second = wp.vec3(b, sign + axis[1] * axis[1] * a, -axis[1])
     angle = TWO_PI * turn
     return wp.normalize(cosine * axis + sine * (wp.cos(angle) * first + wp.sin(angle) * second))
+
+
+# --- The octahedral map: a square in which equal areas are equal solid angles (Clarberg 2008) ---
+#
+# The upper half of the sphere is the diamond in the middle, the lower half the four corners folded outwards. The
+# equations are in docs/method/realtime.md#screen-probes.
+
+QUARTER_PI = wp.constant(wp.float32(0.25 * math.pi))
+
+TWO_OVER_PI = wp.constant(wp.float32(2.0 / math.pi))
+
+
+@wp.func
+def signed_as(size: float, sign: float) -> float:
+    """``size`` with the sign of ``sign``."""
+    return wp.where(sign < 0.0, -size, size)
+
+
+@wp.func
+def direction_of_square(point: wp.vec2) -> wp.vec3:
+    """The unit direction of a point of the square, 0..1."""
+    u = 2.0 * point[0] - 1.0
+    v = 2.0 * point[1] - 1.0
+    inside = 1.0 - (wp.abs(u) + wp.abs(v))  # positive: in the diamond
+    r = 1.0 - wp.abs(inside)
+    angle = QUARTER_PI
+    if r > 0.0:
+        angle *= (wp.abs(v) - wp.abs(u)) / r + 1.0
+    across = r * wp.sqrt(2.0 - r * r)
+    x = signed_as(across * wp.cos(angle), u)
+    y = signed_as(across * wp.sin(angle), v)
+    return wp.vec3(x, y, signed_as(1.0 - r * r, inside))
+
+
+@wp.func
+def square_of_direction(direction: wp.vec3) -> wp.vec2:
+    """The point of the square, 0..1, of a unit direction."""
+    x = wp.abs(direction[0])
+    y = wp.abs(direction[1])
+    r = wp.sqrt((x * x + y * y) / (1.0 + wp.abs(direction[2])))
+    longer = wp.max(x, y)
+    share = float(0.0)
+    if longer > 0.0:
+        share = TWO_OVER_PI * wp.atan(wp.min(x, y) / longer)
+    if x < y:
+        share = 1.0 - share
+    v = share * r
+    u = r - v
+    if direction[2] < 0.0:
+        swapped = u
+        u = 1.0 - v
+        v = 1.0 - swapped
+    return wp.vec2(0.5 + 0.5 * signed_as(u, direction[0]), 0.5 + 0.5 * signed_as(v, direction[1]))
+
+
+@wp.func
+def cell_of_direction(direction: wp.vec3, cells: int) -> int:
+    """The cell that a unit direction falls into, of ``cells`` x ``cells``, row by row."""
+    point = square_of_direction(direction)
+    x = wp.clamp(int(point[0] * float(cells)), 0, cells - 1)
+    y = wp.clamp(int(point[1] * float(cells)), 0, cells - 1)
+    return y * cells + x
+
+
+@wp.func
+def direction_in_cell(cell: int, cells: int, within: wp.vec2) -> wp.vec3:
+    """The unit direction of a point of a cell, 0..1 across it: its centre is (0.5, 0.5)."""
+    y = cell // cells
+    x = cell - y * cells
+    size = 1.0 / float(cells)
+    return wp.normalize(direction_of_square(wp.vec2((float(x) + within[0]) * size, (float(y) + within[1]) * size)))
+
+
+@wp.func
+def cell_width(cells: int) -> float:
+    """Root of the solid angle of a cell, radians."""
+    return 2.0 * wp.sqrt(PI) / float(cells)
+
+
+@wp.func
+def wrapped_cell(x: int, y: int, cells: int) -> int:
+    """The cell at a column and a row that may be one beyond the square: its border is folded onto itself."""
+    if x < 0 or x >= cells:
+        x = wp.clamp(x, 0, cells - 1)
+        y = cells - 1 - y
+    if y < 0 or y >= cells:
+        y = wp.clamp(y, 0, cells - 1)
+        x = cells - 1 - x
+    return y * cells + x

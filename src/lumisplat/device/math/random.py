@@ -13,8 +13,6 @@ The equations are in docs/method/random_numbers.md.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 MULTIPLIER_1 = wp.constant(wp.uint32(0x21F0AAAD))
 MULTIPLIER_2 = wp.constant(wp.uint32(0xD35A2D97))
 ORIGIN = wp.constant(wp.uint32(0x6C756D69))

@@ -7,8 +7,6 @@ import warp as wp
 
 from lumisplat.constants import SH_C0
 
-wp.set_module_options({"enable_backward": False})
-
 C0 = wp.constant(wp.float32(SH_C0))
 C1 = wp.constant(wp.float32(0.4886025119029199))  # sqrt(3 / (4 pi))
 C2_XY = wp.constant(wp.float32(1.0925484305920792))  # sqrt(15 / (4 pi))

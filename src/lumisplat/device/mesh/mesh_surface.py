@@ -1,12 +1,109 @@
-"""Base colour, alpha and normals at a point of a triangle."""
+"""The surface at a point of a triangle: base colour, alpha, normals, and what its textures vary."""
 
 import warp as wp
 
+from lumisplat.constants import COAT_ROUGHNESS_MIN, SHEEN_ROUGHNESS_MIN
 from lumisplat.device.math.random import branch_key, draw
-from lumisplat.device.math.texture import sample_alpha, sample_texture
-from lumisplat.device.structs.scene import ALPHA_MASK, ALPHA_OPAQUE, MeshData, MeshInstanceData
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.scene import (
+    ALPHA_MASK,
+    ALPHA_OPAQUE,
+    WRAP_CLAMP,
+    WRAP_REPEAT,
+    MeshData,
+    MeshInstanceData,
+    SmoothData,
+    TextureData,
+)
+from lumisplat.device.structs.shading import Bsdf
 
-wp.set_module_options({"enable_backward": False})
+# --- Texture lookup, bilinear; (0, 0) is the texture's top left corner ---
+
+BYTE = wp.constant(wp.uint32(255))
+
+
+@wp.func
+def texel_color(texels: wp.array[wp.uint32], value_of_byte: wp.array[float], index: int) -> wp.vec3:
+    """Colour of one RGBA8 texel, red in the low byte; ``value_of_byte`` decodes its channels."""
+    rgba = texels[index]
+    return wp.vec3(
+        value_of_byte[int(rgba & BYTE)],
+        value_of_byte[int((rgba >> wp.uint32(8)) & BYTE)],
+        value_of_byte[int((rgba >> wp.uint32(16)) & BYTE)],
+    )
+
+
+@wp.func
+def texel_alpha(texels: wp.array[wp.uint32], index: int) -> float:
+    """Alpha of one RGBA8 texel, 0..1."""
+    return float(int(texels[index] >> wp.uint32(24))) / 255.0
+
+
+@wp.func
+def wrapped(x: float, mode: int) -> float:
+    """A coordinate within the texture, 0..1."""
+    if mode == WRAP_REPEAT:
+        return x - wp.floor(x)
+    if mode == WRAP_CLAMP:
+        return wp.clamp(x, 0.0, 1.0)
+    return 1.0 - wp.abs(x - 2.0 * wp.floor(0.5 * x) - 1.0)
+
+
+@wp.func
+def neighbour(k: int, size: int, mode: int) -> int:
+    """The texel next to an edge, ``k`` from -1 to ``size``: across it in the same texture, or that at the edge."""
+    if mode == WRAP_REPEAT:
+        return (k + size) % size
+    return wp.clamp(k, 0, size - 1)
+
+
+@wp.func
+def texel_window(texture: TextureData, uv: wp.vec2) -> wp.vec4i:
+    """Indices of the four texels around ``uv``: the upper two from left to right, then the lower ones."""
+    x0 = int(wp.floor(wrapped(uv[0], texture.wrap_u) * float(texture.width) - 0.5))
+    y0 = int(wp.floor(wrapped(uv[1], texture.wrap_v) * float(texture.height) - 0.5))
+    left = neighbour(x0, texture.width, texture.wrap_u)
+    right = neighbour(x0 + 1, texture.width, texture.wrap_u)
+    row0 = texture.first + neighbour(y0, texture.height, texture.wrap_v) * texture.width
+    row1 = texture.first + neighbour(y0 + 1, texture.height, texture.wrap_v) * texture.width
+    return wp.vec4i(row0 + left, row0 + right, row1 + left, row1 + right)
+
+
+@wp.func
+def texel_shares(texture: TextureData, uv: wp.vec2) -> wp.vec2:
+    """Shares of the right and of the lower texels in ``texel_window``."""
+    x = wrapped(uv[0], texture.wrap_u) * float(texture.width) - 0.5
+    y = wrapped(uv[1], texture.wrap_v) * float(texture.height) - 0.5
+    return wp.vec2(x - wp.floor(x), y - wp.floor(y))
+
+
+@wp.func
+def sample_texture(
+    texels: wp.array[wp.uint32], value_of_byte: wp.array[float], texture: TextureData, uv: wp.vec2
+) -> wp.vec3:
+    """Colour at ``uv``, of decoded texels."""
+    window = texel_window(texture, uv)
+    shares = texel_shares(texture, uv)
+    top = wp.lerp(
+        texel_color(texels, value_of_byte, window[0]), texel_color(texels, value_of_byte, window[1]), shares[0]
+    )
+    bottom = wp.lerp(
+        texel_color(texels, value_of_byte, window[2]), texel_color(texels, value_of_byte, window[3]), shares[0]
+    )
+    return wp.lerp(top, bottom, shares[1])
+
+
+@wp.func
+def sample_alpha(texels: wp.array[wp.uint32], texture: TextureData, uv: wp.vec2) -> float:
+    """Alpha at ``uv``, 0..1."""
+    window = texel_window(texture, uv)
+    shares = texel_shares(texture, uv)
+    top = wp.lerp(texel_alpha(texels, window[0]), texel_alpha(texels, window[1]), shares[0])
+    bottom = wp.lerp(texel_alpha(texels, window[2]), texel_alpha(texels, window[3]), shares[0])
+    return wp.lerp(top, bottom, shares[1])
+
+
+# --- Colour, alpha and normals ---
 
 ALPHA_BRANCH = wp.constant(16)
 """Branch of a ray's key by which it meets surfaces of some alpha, or passes them."""
@@ -97,3 +194,91 @@ def surface_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec
         + weights[2] * meshes.normals[corners[2]]
     )
     return wp.normalize(instance.world_from_object_normal * normal)
+
+
+# --- Transmission and layers that textures vary (docs/method/materials.md#texture-lookup) ---
+
+COAT_MIN = wp.constant(wp.float32(COAT_ROUGHNESS_MIN))
+
+SHEEN_MIN = wp.constant(wp.float32(SHEEN_ROUGHNESS_MIN))
+
+
+@struct
+class Layers:
+    """Transmission and layers at a point."""
+
+    transmission: float
+    coat: float
+    coat_alpha: float
+    sheen: wp.vec3
+    sheen_alpha: float
+    sheen_curve: wp.vec4
+
+
+@wp.func
+def factor(meshes: MeshData, texture: TextureData, uv: wp.vec2, channel: int) -> float:
+    """One channel of a texture, linear; 1 without it."""
+    if texture.width == 0:
+        return 1.0
+    return sample_texture(meshes.texels, meshes.unit_from_byte, texture, uv)[channel]
+
+
+@wp.func
+def curve_at(curves: wp.array[wp.vec4], roughness: float) -> wp.vec4:
+    """The albedo of sheen of some roughness, between those of a table that is denser where roughness is low."""
+    last = curves.shape[0] - 1
+    place = wp.sqrt((roughness - SHEEN_MIN) / (1.0 - SHEEN_MIN)) * float(last)
+    k = wp.min(int(place), last - 1)
+    return wp.lerp(curves[k], curves[k + 1], place - float(k))
+
+
+@wp.func
+def layers_at(varied: int, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> Layers:
+    """Element ``varied`` of what textures vary, at barycentric ``weights`` of a triangle with those vertices."""
+    uv = hit_uv(meshes, corners, weights)
+    material = meshes.varied[varied]
+    layers = Layers()
+    layers.transmission = material.transmission * factor(meshes, material.transmission_texture, uv, 0)
+    layers.coat = material.coat * factor(meshes, material.coat_texture, uv, 0)
+    roughness = material.coat_roughness * factor(meshes, material.coat_roughness_texture, uv, 1)
+    roughness = wp.max(roughness, COAT_MIN)
+    layers.coat_alpha = roughness * roughness
+    layers.sheen = material.sheen
+    if material.sheen_texture.width > 0:
+        texel = sample_texture(meshes.texels, meshes.linear_from_byte, material.sheen_texture, uv)
+        layers.sheen = wp.cw_mul(layers.sheen, texel)
+    layers.sheen_curve = material.sheen_curve
+    roughness = material.sheen_roughness
+    if material.sheen_roughness_texture.width > 0:
+        roughness *= sample_alpha(meshes.texels, material.sheen_roughness_texture, uv)
+        layers.sheen_curve = curve_at(meshes.sheen_curves, wp.clamp(roughness, SHEEN_MIN, 1.0))
+    roughness = wp.max(roughness, SHEEN_MIN)
+    layers.sheen_alpha = roughness * roughness
+    return layers
+
+
+@wp.func
+def with_layers(bsdf: Bsdf, layers: Layers) -> Bsdf:
+    """A BSDF with the layers of a point."""
+    layered = bsdf
+    layered.coat = layers.coat
+    layered.coat_alpha = layers.coat_alpha
+    layered.sheen = layers.sheen
+    layered.sheen_alpha = layers.sheen_alpha
+    layered.sheen_curve = layers.sheen_curve
+    return layered
+
+
+@wp.func
+def material_at(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> SmoothData:
+    """What a mesh reflects and lets through specularly at a point."""
+    material = instance.material
+    if material.varied == 0:
+        return material
+    layers = layers_at(material.varied, meshes, corners, weights)
+    material.transmission = layers.transmission
+    material.coat = layers.coat
+    material.coat_alpha = layers.coat_alpha
+    material.sheen = wp.max(layers.sheen)
+    material.sheen_curve = layers.sheen_curve
+    return material

@@ -1,12 +1,16 @@
-"""Triangles seen along pixel rays, without clipping (Olano and Greer 1997; docs/method/rasterisation.md#meshes)."""
+"""Triangles seen along pixel rays, without clipping (Olano and Greer 1997; docs/method/rasterisation.md#meshes).
+
+Kernels that call these compile without fused multiply-adds (``fuse_fp``), which would make an edge depend on the order
+of a subtraction: shared edges would leak.
+"""
 
 import warp as wp
 
+from lumisplat.device.math.random import sample_key_of
+from lumisplat.device.mesh.mesh_surface import meets_alpha
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import Triangle
-
-# Fused multiply-adds would make an edge depend on the order of a subtraction, and shared edges leak.
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from lumisplat.device.structs.raster import RasterMeshes, Triangle
+from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
 
 @wp.func
@@ -90,3 +94,21 @@ def triangle_box(camera: CameraData, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> w
     box = grow_box(box, camera, v0, v1)
     box = grow_box(box, camera, v1, v2)
     return grow_box(box, camera, v2, v0)
+
+
+# --- Triangles of some alpha ---
+
+
+@wp.func
+def has_alpha(triangle: Triangle, scene: RasterMeshes) -> bool:
+    """Whether not all of a triangle needs to be there."""
+    return scene.instances[triangle.instance - scene.splat_instance_count].alpha.mode != ALPHA_OPAQUE
+
+
+@wp.func
+def pixel_meets(triangle: Triangle, ray: wp.vec3, pixel: int, scene: RasterMeshes) -> bool:
+    """Whether the triangle is there where the ray of a pixel, camera space, hits it."""
+    sample = scene.sample[0]
+    key = sample_key_of(pixel, sample.index, sample.seed)
+    instance = scene.instances[triangle.instance - scene.splat_instance_count]
+    return meets_alpha(instance, scene.meshes, triangle.face, barycentric(triangle, ray), key)

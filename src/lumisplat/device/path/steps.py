@@ -1,36 +1,125 @@
-"""Where paths go on: by which surface of a ray, in which direction, and whether (docs/method/paths.md#lights)."""
+"""Where paths stand, and where they go on: by which surface of a ray, in which direction, and whether.
+
+The equations are in docs/method/paths.md#lights.
+"""
 
 import warp as wp
 
 from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
 from lumisplat.device.light.direct_light import arrives
 from lumisplat.device.light.interaction import load_interaction
-from lumisplat.device.light.shadow_ray import spawn_lift, spawn_origin
+from lumisplat.device.light.shadow_rays import spawn_lift, spawn_origin
 from lumisplat.device.material.bsdf import bsdf_sample, diffuse_share
-from lumisplat.device.material.fresnel import dielectric_share, reflect, refract
 from lumisplat.device.material.media import scattered_media
+from lumisplat.device.material.microfacets import dielectric_share, reflect, refract
 from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
 from lumisplat.device.math.color import mean_of
 from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import sobol_2d
 from lumisplat.device.mesh.mesh_surface import hit_weights
-from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
-from lumisplat.device.structs.path import (
-    BRANCH_MESH,
-    BRANCH_NONE,
-    BRANCH_REFRACTED,
-    BRANCH_SPLATS,
-    LEAVES_RECEIVER,
-    Branch,
-    PathStep,
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.rays import Bounce, RayData
+from lumisplat.device.structs.shading import (
+    BSDF_SIMPLE,
+    Bsdf,
+    Interaction,
+    ShadingScene,
+    WaveData,
 )
-from lumisplat.device.structs.rays import Bounce
-from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
-wp.set_module_options({"enable_backward": False})
+LEAVES_RECEIVER: float = wp.constant(-1.0)
+"""In place of a density: the ray leaves a shadow-only surface, whose lights all count by their own samples."""
+
+
+@struct
+class PathData:
+    """The paths of a wave, one element a ray."""
+
+    root: wp.array[int]
+    """The ray of the first wave that the path began with."""
+    throughput: wp.array[wp.vec3]
+    """Factor of what the ray sees in the colour of that ray."""
+    density: wp.array[float]
+    """With which the direction of the ray was sampled, per steradian; 0: it was the only one; LEAVES_RECEIVER."""
+    position: wp.array[wp.vec3]
+    """Of the surface where the ray begins, as ``PathVertex``."""
+    normal: wp.array[wp.vec3]
+    importance: wp.array[float]
+    is_specular: wp.array[wp.bool]
+    """Whether all surfaces before were smooth: the path shows what the camera sees in mirrors."""
+    receives: wp.array[wp.bool]
+    """Whether it brings what a shadow-only surface receives, in place of what its first ray sees."""
+    diffuse: wp.array[wp.vec3]
+    """Share of what it brings that the first surface has scattered diffusely; without elements in frames without
+    layers."""
+    media: wp.array[wp.vec4i]
+    """The media that the ray has entered, as ``Boundary``; without elements in scenes without media."""
+
+
+@struct
+class PathSteps:
+    """Where the paths of a wave go on, one element a ray: a ray of the next wave."""
+
+    goes_on: wp.array[int]
+    """0: the path ends here, and the other fields are undefined."""
+    places: wp.array[int]
+    """Inclusive sum of these: one more than the place of the ray in the next wave."""
+    rays: RayData
+    """Their origins, directions and widths; its other fields are without elements."""
+    paths: PathData
+    """All but their roots."""
+
+
+@struct
+class PathStep:
+    """Where one path goes on, before chance ends it; without weight: nowhere."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    t_min: float
+    layer_normal: wp.vec3
+    """Of the surface, as of ``RayData``."""
+    path_length: float
+    """Behind the origin, to the unfolded eye, scene units, as of its ray; 0 where a surface has scattered the path:
+    what it receives does not depend on who looks."""
+    spread: float
+    weight: wp.vec3
+    """Factor of the throughput, but for the probability of the branch."""
+    density: float
+    """With which the direction was sampled, per steradian; 0: it is the only one."""
+    diffuse: wp.vec3
+    """Share of the weight that is diffuse."""
+    media: wp.vec4i
+    """Those that its ray has entered, as ``Boundary``."""
+
+
+@struct
+class Branch:
+    """One of the ways on which a path may go on."""
+
+    kind: int
+    """BRANCH_NONE and so on."""
+    probability: float
+
+
+BRANCH_NONE: int = wp.constant(-1)
+
+BRANCH_SPLATS: int = wp.constant(0)
+"""Scattered by the surface of the Gaussians."""
+
+BRANCH_MESH: int = wp.constant(1)
+"""Scattered by the mesh."""
+
+BRANCH_REFLECTED: int = wp.constant(2)
+"""Reflected by a smooth mesh."""
+
+BRANCH_REFRACTED: int = wp.constant(3)
+"""Refracted by it."""
 
 ROULETTE_FIRST = wp.constant(ROULETTE_BOUNCE)
+
 GOES_ON_MIN = wp.constant(wp.float32(ROULETTE_RANGE[0]))
+
 GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
 
 

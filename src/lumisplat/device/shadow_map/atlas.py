@@ -3,11 +3,66 @@
 import warp as wp
 
 from lumisplat.constants import SHADOW_TILE
-from lumisplat.device.structs.shadow_map import OCTAHEDRAL, PARALLEL, Atlas, AtlasPoint, LightRay
+from lumisplat.device.structs import struct
 
-wp.set_module_options({"enable_backward": False})
+OCTAHEDRAL: int = wp.constant(0)
+
+CUBEMAP: int = wp.constant(1)
+
+PARALLEL: int = wp.constant(2)
+
+NOTHING: int = wp.constant(0)
+
+SOMETHING: int = wp.constant(1)
+
+EVERYTHING: int = wp.constant(2)
+
+
+@struct
+class Atlas:
+    """A light and the space around it, cut into texels and bins.
+
+    It has one face, or six for a cubemap, of ``size`` by ``size`` texels. Texels are numbered tile by tile.
+    """
+
+    layout: int
+    """OCTAHEDRAL, CUBEMAP or PARALLEL."""
+    size: int
+    """Texels across a face, a multiple of ``TILE``."""
+    origin: wp.vec3
+    """The light; of parallel light, the corner of texel (0, 0)."""
+    axes: wp.mat33
+    """World from light, of parallel light: columns are the atlas's x and y and the way light travels."""
+    texel_length: float
+    """Of parallel light, scene units."""
+    bins: int
+    bin_length: float
+    """Scene units."""
+
+
+@struct
+class AtlasPoint:
+    """A point in an atlas."""
+
+    face: int
+    x: float
+    """Texels; centres are whole numbers."""
+    y: float
+    distance: float
+    """From the light, scene units."""
+
+
+@struct
+class LightRay:
+    """The ray through a texel's centre."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    """Unit."""
+
 
 TILE: int = wp.constant(SHADOW_TILE)
+
 TILE_TEXELS: int = wp.constant(SHADOW_TILE * SHADOW_TILE)
 
 

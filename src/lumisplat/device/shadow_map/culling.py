@@ -4,22 +4,68 @@ import warp as wp
 
 from lumisplat.constants import SHADOW_BOUND_MARGIN, SHADOW_BOUND_STEP
 from lumisplat.device.math.directions import around
-from lumisplat.device.shadow_map.atlas import parallel_direction, ray_through
-from lumisplat.device.shadow_map.optical_depth import reach_squared_of
-from lumisplat.device.structs.shadow_map import (
+from lumisplat.device.shadow_map.atlas import (
     EVERYTHING,
     PARALLEL,
     SOMETHING,
     Atlas,
-    CasterLists,
-    Casters,
-    Cell,
-    Footprint,
+    parallel_direction,
+    ray_through,
 )
+from lumisplat.device.shadow_map.optical_depth import Casters, reach_squared_of
+from lumisplat.device.structs import struct
 
-wp.set_module_options({"enable_backward": False})
+
+@struct
+class Footprint:
+    """The part of an atlas where an occluder's optical depth is not negligible.
+
+    For a point light, in the plane that touches the unit sphere in its direction (the gnomonic projection); for
+    parallel light, in the plane across the light.
+    """
+
+    extent: int
+    """NOTHING: no part. SOMETHING: the part below. EVERYTHING: all of it."""
+    direction: wp.vec3
+    """From the light, unit."""
+    cosine: float
+    """Of the angle between it and the circular cone around the caster."""
+    sine: float
+    first: wp.vec3
+    """An axis of the plane: the longer one of the occluder's shadow."""
+    second: wp.vec3
+    low: wp.vec2
+    """Where it begins along the two axes."""
+    high: wp.vec2
+    """Where it ends."""
+
+
+@struct
+class Cell:
+    """A square of texels, and a bound of the rays through it: a cone, or for parallel light a cylinder."""
+
+    axis: wp.vec3
+    """Unit, to the middle of the cone; of parallel light, the middle itself, from the light's origin."""
+    cosine: float
+    """Of half the cone's angle; below 0 the cone is wider than a half space and bounds nothing."""
+    sine: float
+    """Of half the cone's angle; of parallel light, the cylinder's radius, scene units."""
+    parent: int
+    """Number of the list, among those given for culling, whose casters may intersect this cell."""
+
+
+@struct
+class CasterLists:
+    """Lists of casters, one after another."""
+
+    ends: wp.array[int]
+    """Where each list ends and the next one begins."""
+    items: wp.array[int]
+    """Numbers of casters, ascending in each list."""
+
 
 STEP: int = wp.constant(SHADOW_BOUND_STEP)
+
 MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
 

@@ -6,27 +6,60 @@ import warp as wp
 
 from lumisplat.constants import SHADOW_FOOTPRINT, SHADOW_STENCIL_WEIGHT, SHADOW_TEXEL_ANGLE
 from lumisplat.device.math.random import mix, pixel_key_of, sobol_2d
-from lumisplat.device.shadow_map.atlas import parallel_direction
-from lumisplat.device.structs.shadow_map import (
-    CENTER,
-    EVERYTHING,
-    NOTHING,
-    PARALLEL,
-    RANDOM,
-    STENCIL,
-    Atlas,
-    FootprintSampling,
-    Receivers,
-    ShadowBound,
-)
+from lumisplat.device.shadow_map.atlas import EVERYTHING, NOTHING, PARALLEL, Atlas, parallel_direction
+from lumisplat.device.structs import struct
 
-wp.set_module_options({"enable_backward": False})
+CENTER: int = wp.constant(0)
+
+STENCIL: int = wp.constant(1)
+
+RANDOM: int = wp.constant(2)
+
+
+@struct
+class Receivers:
+    """Gaussians that a shadow map is sampled for, world space."""
+
+    means: wp.array[wp.vec3]
+    rotations: wp.array[wp.quat]
+    """World from Gaussian."""
+    scales: wp.array[wp.vec3]
+    """Standard deviations; 0: a point."""
+
+
+@struct
+class ShadowBound:
+    """A cone from the light, or for parallel light a cylinder, around all that casters can darken."""
+
+    extent: int
+    """NOTHING: no shadow. SOMETHING: within the bound below. EVERYTHING: not bounded."""
+    axis: wp.vec3
+    """Unit, of the cone; of the cylinder, a point on its axis, from the atlas's origin."""
+    radius: float
+    """Half the cone's angle, radians; of the cylinder, scene units."""
+
+
+@struct
+class FootprintSampling:
+    """The points of a receiver's footprint at which the map is sampled."""
+
+    pattern: int
+    """CENTER, STENCIL or RANDOM."""
+    count: int
+    """Points a receiver."""
+    seed: wp.uint32
+
 
 FOOTPRINT = wp.constant(wp.float32(SHADOW_FOOTPRINT))
+
 OUTER_WEIGHT = wp.constant(wp.float32(SHADOW_STENCIL_WEIGHT))
+
 TEXEL_ANGLE = wp.constant(wp.float32(SHADOW_TEXEL_ANGLE))
+
 PI = wp.constant(wp.float32(math.pi))
+
 SQRT_2 = wp.constant(wp.float32(math.sqrt(2.0)))
+
 ERF_ARGUMENT_MAX = wp.constant(wp.float32(1.0 - 2.0**-23))
 
 

@@ -1,4 +1,7 @@
-"""Optical depth of Gaussians along rays from a light, in closed form (docs/method/deep_shadow_maps.md)."""
+"""Optical depth of Gaussians along rays from a light, in closed form, and the table that stores transmittances.
+
+The equations are in docs/method/deep_shadow_maps.md#optical-depth.
+"""
 
 import math
 
@@ -6,17 +9,84 @@ import warp as wp
 
 from lumisplat.constants import ALPHA_MAX, SHADOW_DEPTH_MIN, SHADOW_ERF_MAX
 from lumisplat.device.gaussian.particle import canonical_from_object
-from lumisplat.device.structs.shadow_map import PARALLEL, Atlas, Casters, DepthProfile, LightRay, Occluder
+from lumisplat.device.shadow_map.atlas import PARALLEL, TILE_TEXELS, Atlas, LightRay, atlas_from_world, texel_number
+from lumisplat.device.structs import struct
 
-wp.set_module_options({"enable_backward": False})
+
+@struct
+class Casters:
+    """Gaussians that block light, world space."""
+
+    means: wp.array[wp.vec3]
+    rotations: wp.array[wp.quat]
+    """World from Gaussian."""
+    scales: wp.array[wp.vec3]
+    """Standard deviations."""
+    opacities: wp.array[float]
+
+
+@struct
+class Occluder:
+    """A caster as its optical depth along a ray needs it (docs/method/deep_shadow_maps.md#optical-depth)."""
+
+    offset: wp.vec3
+    """From the light to its mean, world space."""
+    canonical_from_world: wp.mat33
+    """Inverse of rotation times scale: the precision A is its transpose times itself."""
+    absorption: float
+    """Amplitude beta, per scene unit; 0: it absorbs nothing."""
+    radius2: float
+    """Squared distance from its mean beyond which its optical depth is negligible, scene units."""
+
+
+@struct
+class DepthProfile:
+    """Optical depth of one occluder along a ray: an error function of the distance."""
+
+    total: float
+    """Optical depth of the whole line."""
+    peak: float
+    """Distance along the ray at which it absorbs most, scene units; behind the light if negative."""
+    sharpness: float
+    """sqrt(a / 2) of docs/method/deep_shadow_maps.md#optical-depth, per scene unit."""
+
+
+@struct
+class Column:
+    """The bins of a texel that are tabulated."""
+
+    first: int
+    """Number of the first bin."""
+    count: int
+    """0: no bin, the texel is lit at all distances."""
+    offset: int
+    """Of the first bin in the table."""
+
+
+@struct
+class Table:
+    """The tabulated transmittances of an atlas."""
+
+    slots: wp.array[int]
+    """Slot of each tile of the atlas; -1: none of its texels has a column, they are lit."""
+    columns: wp.array[Column]
+    """Those of a slot's texels follow one another."""
+    values: wp.array[float]
+    """Transmittances of each column, bin by bin."""
+
 
 SIMPLE: int = wp.constant(0)
+
 AVERAGE: int = wp.constant(1)
+
 MASS: int = wp.constant(2)
 
 OPACITY_MAX = wp.constant(wp.float32(ALPHA_MAX))
+
 DEPTH_MIN = wp.constant(wp.float32(SHADOW_DEPTH_MIN))
+
 ERF_MAX = wp.constant(wp.float32(SHADOW_ERF_MAX))
+
 SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
 
 
@@ -118,3 +188,77 @@ def start_of(atlas: Atlas, profile: DepthProfile) -> float:
     if atlas.layout == PARALLEL:
         return -ERF_MAX
     return -profile.sharpness * profile.peak
+
+
+# --- The table: columns of bins, written by depths and read by interpolation ---
+
+
+@wp.func
+def bin_below(atlas: Atlas, distance: float) -> float:
+    """A distance in bins, whose centres are whole numbers, clamped to -1 and the last bin."""
+    return wp.clamp(distance / atlas.bin_length - 0.5, -1.0, float(atlas.bins - 1))
+
+
+@wp.func
+def column_number(table: Table, texel: int) -> int:
+    """The number of a texel's column; -1: it has none."""
+    if texel < 0:
+        return -1
+    slot = table.slots[texel // TILE_TEXELS]
+    return wp.where(slot < 0, -1, slot * TILE_TEXELS + texel % TILE_TEXELS)
+
+
+@wp.func
+def add_depths(atlas: Atlas, table: Table, column: Column, profile: DepthProfile):
+    """Adds to each bin of a column the optical depth of an occluder that lies between it and the bin before.
+
+    An occluder adds nothing to the bins behind it, which are skipped.
+    """
+    begin = start_of(atlas, profile)
+    width = ERF_MAX / profile.sharpness
+    number = wp.max(int(wp.floor(bin_below(atlas, profile.peak - width))) + 1, column.first)
+    before = float(0.0)
+    passed = begin >= ERF_MAX
+    while number < column.first + column.count and not passed:
+        distance = (float(number) + 0.5) * atlas.bin_length
+        depth = depth_until(profile, begin, distance)
+        table.values[column.offset + number - column.first] += depth - before
+        before = depth
+        passed = distance >= profile.peak + width
+        number += 1
+
+
+@wp.func
+def loss_in(table: Table, column: int, number: int) -> float:
+    """Share of the light that is lost at the centre of bin ``number`` of a column: 0 before the first, or without one.
+
+    Behind the last bin it is as there: light that was lost does not come back.
+    """
+    if column < 0 or table.columns[column].count == 0 or number < table.columns[column].first:
+        return 0.0
+    last = table.columns[column].count - 1
+    return 1.0 - table.values[table.columns[column].offset + wp.min(number - table.columns[column].first, last)]
+
+
+@wp.func
+def loss_at(atlas: Atlas, table: Table, point: wp.vec3) -> float:
+    """Share of the light that is lost on the way to a point: trilinear between the nearest texels and bins.
+
+    The loss is interpolated, not the transmittance: an unblocked receiver gets exactly 0, however weights are rounded.
+    """
+    place = atlas_from_world(atlas, point)
+    at = bin_below(atlas, place.distance)
+    number = int(wp.floor(at))
+    left = wp.floor(place.x)
+    top = wp.floor(place.y)
+    loss = float(0.0)
+    for corner in range(4):
+        x = corner % 2
+        y = corner // 2
+        column = column_number(table, texel_number(atlas, place.face, int(left) + x, int(top) + y))
+        near = loss_in(table, column, number)
+        far = loss_in(table, column, wp.min(number + 1, atlas.bins - 1))
+        across = wp.where(x == 1, place.x - left, 1.0 - (place.x - left))
+        down = wp.where(y == 1, place.y - top, 1.0 - (place.y - top))
+        loss += across * down * wp.lerp(near, far, at - float(number))
+    return loss

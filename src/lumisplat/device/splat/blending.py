@@ -8,16 +8,13 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import NORMAL_DEGENERATE
-from lumisplat.device.camera.window import image_index, ray_index
+from lumisplat.device.camera.pixels import image_index, ray_index
 from lumisplat.device.math.color import over
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import CameraData, PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import SplatInstanceData
-
-wp.set_module_options({"enable_backward": False})
 
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 

@@ -5,17 +5,14 @@ The equations are in docs/method/rasterisation.md.
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import STRIP, TILE, TileFloats, float_at, set_at
-from lumisplat.device.camera.window import image_index
-from lumisplat.device.math.aligned_memory import aligned_load_of, aligned_store_of
-from lumisplat.device.splat.footprint import Footprint
+from lumisplat.device.camera.pixels import STRIP, TILE, TileFloats, float_at, image_index, set_at
+from lumisplat.device.math.memory import aligned_load_of, aligned_store_of
+from lumisplat.device.splat.compositor import Footprint
 from lumisplat.device.splat.projection import LOG_ALPHA_MIN, visible_alpha
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.gradients import SplatGradient
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
-
-wp.set_module_options({"enable_backward": False})
 
 load_splat, store_splat = aligned_load_of(Splat), aligned_store_of(Splat)
 

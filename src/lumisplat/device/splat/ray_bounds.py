@@ -19,12 +19,9 @@ from lumisplat.constants.unscented import (
     UNSCENTED_SINE_MAX,
     UNSCENTED_SLACK_PX,
 )
-from lumisplat.device.camera.camera import FISHEYE, turned
-from lumisplat.device.camera.lens import row_time, seen_point
+from lumisplat.device.camera.camera import FISHEYE, row_time, seen_point, turned
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import ImageBounds, ImageMoments, PixelBox, WorldGaussian
-
-wp.set_module_options({"enable_backward": False})
 
 _SPREAD2 = UNSCENTED_ALPHA**2 * (3.0 + UNSCENTED_KAPPA)
 SPREAD = wp.constant(wp.float32(math.sqrt(_SPREAD2)))

@@ -5,8 +5,8 @@ One struct is one noun of the method.
 
 import warp as wp
 
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import SampleData
-from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 

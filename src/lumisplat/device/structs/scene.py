@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs import struct
 
 WRAP_REPEAT: int = wp.constant(0)
 WRAP_MIRROR: int = wp.constant(1)

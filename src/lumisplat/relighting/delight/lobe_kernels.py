@@ -5,7 +5,7 @@ One item is a roughness, a view and a bin of directions; it reads the bin's samp
 
 import warp as wp
 
-from lumisplat.device.material.rough_dielectric import diffuse_factor, highlight_factor
+from lumisplat.device.material.microfacets import diffuse_factor, highlight_factor
 from lumisplat.device.math.directions import PI
 
 wp.set_module_options({"enable_backward": False})

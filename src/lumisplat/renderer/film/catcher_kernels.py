@@ -9,9 +9,8 @@ import warp as wp
 
 from lumisplat.constants import CATCHER_BLUR, CATCHER_BLUR_STEPS, CATCHER_DEPTHS, CATCHER_STEPS
 from lumisplat.device.camera.camera import ORTHOGRAPHIC
-from lumisplat.device.film.sample_sums import captured_ratio, develop
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import FilmData
+from lumisplat.device.film.samples import captured_ratio, develop
+from lumisplat.device.structs.camera import CameraData, FilmData
 from lumisplat.device.structs.shading import ShadingScene
 
 wp.set_module_options({"enable_backward": False})

@@ -13,8 +13,7 @@ import warp as wp
 from lumisplat.config import RenderConfig
 from lumisplat.config.render import PATH_PARTS, REALTIME_AOVS
 from lumisplat.constants import COUNT_SUM_THREADS, NOISE_PIXELS, NOISE_SAMPLES_MIN
-from lumisplat.device.structs.camera import ListedRays
-from lumisplat.device.structs.film import FilmData, LitPixels, PixelData, PixelSums
+from lumisplat.device.structs.camera import FilmData, ListedRays, LitPixels, PixelData, PixelSums
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.sample_part import SamplePart

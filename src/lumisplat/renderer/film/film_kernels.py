@@ -3,13 +3,13 @@
 import warp as wp
 
 from lumisplat.constants import COUNT_SUM_THREADS
-from lumisplat.device.camera.ray_blocks import pixel_of_ray
-from lumisplat.device.film.first_surface import first_surface
-from lumisplat.device.film.running_mean import add_color
-from lumisplat.device.film.sample_sums import (
+from lumisplat.device.camera.pixels import pixel_of_ray
+from lumisplat.device.film.samples import (
+    add_color,
     add_to_sums,
     captured_change,
     develop,
+    first_surface,
     is_finite_sample,
     mean_sample,
     relative_variance,
@@ -20,7 +20,7 @@ from lumisplat.device.film.sample_sums import (
     store_surface,
 )
 from lumisplat.device.math.color import captured_color
-from lumisplat.device.structs.film import FilmData, PixelSample
+from lumisplat.device.structs.camera import FilmData, PixelSample
 from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 

@@ -2,9 +2,8 @@
 
 import warp as wp
 
-from lumisplat.device.film.picture_bytes import channels_finite, packed_rgba, straightened
-from lumisplat.device.film.tone_map import lit_color
-from lumisplat.device.structs.film import LitPixels, PictureData, PixelData
+from lumisplat.device.film.tone_map import channels_finite, lit_color, packed_rgba, straightened
+from lumisplat.device.structs.camera import LitPixels, PictureData, PixelData
 
 wp.set_module_options({"enable_backward": False})
 

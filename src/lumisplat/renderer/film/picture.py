@@ -9,7 +9,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import ToneMap
-from lumisplat.device.structs.film import TONE_AGX, TONE_NEUTRAL, TONE_NONE, LitPixels, PictureData, PixelData
+from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, TONE_NONE, LitPixels, PictureData, PixelData
 from lumisplat.math.tone_map import AGX_FROM_REC709, REC709_FROM_REC2020, REC2020_FROM_AGX, exposure_gain
 from lumisplat.renderer.film import lit_picture_kernels, picture_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from lumisplat.device.film.picture_bytes import channels_finite, packed_rgba, straightened
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.film.tone_map import channels_finite, packed_rgba, straightened
+from lumisplat.device.structs.camera import PixelData
 
 # Products and sums are rounded one by one, as the host's are: so are the bytes.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.device.structs.film import LitPixels, PixelData, PixelSums
+from lumisplat.device.structs.camera import LitPixels, PixelData, PixelSums
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.downloads import Copies, Downloads
 

@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.camera.pixels import pixel_of_ray
 from lumisplat.device.math.color import over
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.rays import GaussianHits
 
 wp.set_module_options({"enable_backward": False})

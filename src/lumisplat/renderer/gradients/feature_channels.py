@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import warp as wp
 
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.device.structs.raster import Splat
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits

@@ -5,8 +5,7 @@ The equations are in docs/method/gradients.md#features.
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
-from lumisplat.device.camera.tiles import is_listed
+from lumisplat.device.camera.pixels import is_listed, ray_of_pixel
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import SplatGradient
 from lumisplat.device.structs.raster import Splat, TileRect

@@ -7,8 +7,8 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.constants.training import POSE_CHUNK, SH_COEFFICIENTS_MAX
-from lumisplat.device.camera.tiles import is_listed
-from lumisplat.device.splat.projection_gradient import ShFloats, color_dot, open_channels, sh_weights, splat_origin
+from lumisplat.device.camera.pixels import is_listed
+from lumisplat.device.splat.projection import ShFloats, color_dot, open_channels, sh_weights, splat_origin
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient, PoseGradient, SplatGradient
 from lumisplat.device.structs.raster import RasterData, Splat, TileRect

@@ -12,14 +12,8 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import RAY_BANDS_PER_THREAD
 from lumisplat.constants.training import BACKWARD_HITS
 from lumisplat.device.structs.bvh import TraceData
-from lumisplat.device.structs.film import PixelData
-from lumisplat.device.structs.gradients import (
-    GaussianGradient,
-    HitGradients,
-    PixelGradient,
-    RayGradient,
-    RayMotion,
-)
+from lumisplat.device.structs.camera import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient, RayMotion
 from lumisplat.device.structs.rays import HitProfiles, RayData
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.gradients import ray_backward_kernels as kernels

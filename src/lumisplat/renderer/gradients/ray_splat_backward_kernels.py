@@ -6,14 +6,21 @@ docs/method/gradients.md#rasterisation-along-rays.
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import is_listed
-from lumisplat.device.splat.projection_gradient import color_dot, open_channels, sh_weights
-from lumisplat.device.splat.ray_splat import ALONG_RAYS, eye_at, seen_gaussian, seen_time, sum_of_records
-from lumisplat.device.splat.ray_splat_gradient import mean_gradient, scale_gradient, turn_gradient
-from lumisplat.device.splat.tile_visitors import backward_arrays, derivatives
-from lumisplat.device.splat.tile_walk import TILE_OPTIONS, tile_walk
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.camera.pixels import is_listed
+from lumisplat.device.splat.compositor import TILE_OPTIONS, backward_arrays, tile_walk
+from lumisplat.device.splat.projection import color_dot, open_channels, sh_weights
+from lumisplat.device.splat.ray_splat import (
+    ALONG_RAYS,
+    eye_at,
+    mean_gradient,
+    scale_gradient,
+    seen_gaussian,
+    seen_time,
+    sum_of_records,
+    turn_gradient,
+)
+from lumisplat.device.splat.visitors import derivatives
+from lumisplat.device.structs.camera import CameraData, PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RayMotion, RaySplatGradient
 from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import RayData

@@ -5,11 +5,9 @@ The equations are in docs/method/gradients.md#rasterisation-along-rays.
 
 import warp as wp
 
+from lumisplat.device.splat.compositor import WARP_OPTIONS, backward_arrays, backward_walk
 from lumisplat.device.splat.ray_splat import ALONG_RAYS
-from lumisplat.device.splat.tile_visitors import backward_arrays
-from lumisplat.device.splat.warp_walk import WARP_OPTIONS, backward_walk
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import CameraData, PixelData
 from lumisplat.device.structs.gradients import PixelGradient, RaySplatGradient
 from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import RayData

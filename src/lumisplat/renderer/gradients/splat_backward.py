@@ -11,7 +11,7 @@ import warp as wp
 
 from lumisplat.constants import TILE_BANDS_PER_THREAD
 from lumisplat.constants.training import POSE_CHUNK
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, PoseGradient, SplatGradient
 from lumisplat.renderer.gradients import (
     projection_backward_kernels,

@@ -6,12 +6,11 @@ each of its tiles, and they are added up afterwards. The equations are in docs/m
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import rect_area
+from lumisplat.device.camera.pixels import rect_area
+from lumisplat.device.splat.compositor import TILE_OPTIONS, backward_arrays, tile_walk
 from lumisplat.device.splat.ellipse import ELLIPSE, sum_of_pairs
-from lumisplat.device.splat.tile_visitors import backward_arrays, derivatives
-from lumisplat.device.splat.tile_walk import TILE_OPTIONS, tile_walk
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.splat.visitors import derivatives
+from lumisplat.device.structs.camera import CameraData, PixelData
 from lumisplat.device.structs.gradients import PixelGradient, SplatGradient
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from lumisplat.constants import TILE_BANDS_PER_THREAD
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RayMotion, RaySplatGradient
 from lumisplat.renderer.gradients import (
     ray_splat_backward_kernels,

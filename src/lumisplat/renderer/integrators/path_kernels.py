@@ -8,23 +8,33 @@ The equations are in docs/method/paths.md.
 import warp as wp
 
 from lumisplat.device.light.direct_light import environment_number, vertex_at
-from lumisplat.device.light.environment import environment_radiance
+from lumisplat.device.light.emitters import environment_radiance
 from lumisplat.device.light.interaction import SHADE_OPTIONS
 from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.material.media import passed_by_ray
 from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.path.images import add_light, add_own_light, add_sent_light
-from lumisplat.device.path.seen_light import far_light, leaves_receiver, own_light
-from lumisplat.device.path.shadow_rays import (
+from lumisplat.device.path.contributions import (
+    PathImages,
+    PathShadowRays,
+    add_light,
+    add_own_light,
     add_sent,
+    add_sent_light,
     add_shown_lights,
     clear_shadow_ray,
     diffuse_of,
+    far_light,
+    leaves_receiver,
     light_surface,
+    own_light,
 )
 from lumisplat.device.path.steps import (
+    BRANCH_NONE,
+    PathData,
+    PathStep,
+    PathSteps,
     bounce_at,
     branch_of,
     is_scattering,
@@ -33,17 +43,8 @@ from lumisplat.device.path.steps import (
     specular_step,
     survival,
 )
-from lumisplat.device.structs.path import (
-    BRANCH_NONE,
-    PathData,
-    PathImages,
-    PathShadowRays,
-    PathStep,
-    PathSteps,
-    PathVertex,
-)
 from lumisplat.device.structs.rays import GaussianHits, RayData
-from lumisplat.device.structs.shading import SEES_ENVIRONMENT, ShadingScene, WaveData
+from lumisplat.device.structs.shading import SEES_ENVIRONMENT, PathVertex, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 

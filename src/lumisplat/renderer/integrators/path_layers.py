@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.config.render import PATH_PARTS
-from lumisplat.device.structs.path import PARTS, PathImages
+from lumisplat.device.path.contributions import PARTS, PathImages
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import RayWave

@@ -6,7 +6,8 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.device.structs.path import PathData, PathImages, PathShadowRays, PathSteps
+from lumisplat.device.path.contributions import PathImages, PathShadowRays
+from lumisplat.device.path.steps import PathData, PathSteps
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.integrators import path_kernels as kernels
 from lumisplat.renderer.integrators.path_layers import PathLayers

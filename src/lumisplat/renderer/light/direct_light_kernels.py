@@ -8,16 +8,21 @@ import warp as wp
 
 from lumisplat.device.light.direct_light import light_contribution, shadow_ray_key
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.shadow_catcher import catcher_change, catcher_received, weighted_factor
-from lumisplat.device.light.shadow_ray import start_shadow_ray
-from lumisplat.device.light.splat_surface import is_over_light, shown_share, splat_surface
+from lumisplat.device.light.shadow_rays import start_shadow_ray
+from lumisplat.device.light.splat_surface import (
+    catcher_change,
+    catcher_received,
+    is_over_light,
+    shown_share,
+    splat_surface,
+    weighted_factor,
+)
 from lumisplat.device.material.media import scattered_media
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.directions import around
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.structs.light import CatcherLight
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import Arrivals, Contribution, ShadingScene, WaveData
+from lumisplat.device.structs.shading import Arrivals, CatcherLight, Contribution, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 

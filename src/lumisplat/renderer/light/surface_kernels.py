@@ -3,13 +3,14 @@
 import warp as wp
 
 from lumisplat.constants import BOUNCE_WEIGHT_MIN, LIT_WEIGHT_MIN
-from lumisplat.device.light.environment import environment_radiance
+from lumisplat.device.light.emitters import environment_radiance
 from lumisplat.device.light.glossy_lobe import lobe_slot
-from lumisplat.device.light.interaction import SHADE_OPTIONS, store_interaction
-from lumisplat.device.light.mesh_interaction import (
+from lumisplat.device.light.interaction import (
+    SHADE_OPTIONS,
     mesh_emission,
     mesh_interaction,
     mesh_spawn_point,
+    store_interaction,
 )
 from lumisplat.device.light.splat_surface import (
     is_over_light,
@@ -21,8 +22,8 @@ from lumisplat.device.light.splat_surface import (
     splat_interaction,
     splat_surface,
 )
-from lumisplat.device.material.fresnel import reflect, refract
 from lumisplat.device.material.media import boundary_of_ray, passed_by_ray
+from lumisplat.device.material.microfacets import reflect, refract
 from lumisplat.device.material.specular_bounce import bounce_of_ray, mesh_coverage
 from lumisplat.device.math.color import captured_color, decode_srgb_color, encode_srgb_color, is_black, over
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_color

@@ -11,8 +11,8 @@ capacities rather than counts, so that nothing is read back.
 import warp as wp
 
 from lumisplat.constants import COUNT_SUM_THREADS, DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
-from lumisplat.device.camera.tiles import rect_area
-from lumisplat.device.math.search import first_not_below
+from lumisplat.device.camera.pixels import rect_area
+from lumisplat.device.math.sorting import first_not_below
 from lumisplat.device.structs.raster import ChunkData, TileRect
 
 # Flags of the splat kernels, though there is nothing to fuse: an unlit raster frame then needs one precompiled header.

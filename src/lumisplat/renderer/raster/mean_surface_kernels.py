@@ -5,8 +5,7 @@ The splats are composited once more, with what is to be averaged in place of the
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import is_listed
-from lumisplat.device.camera.window import ray_index, shown_pixel
+from lumisplat.device.camera.pixels import is_listed, ray_index, shown_pixel
 from lumisplat.device.light.splat_surface import finish_of
 from lumisplat.device.splat.blending import instance_of, pixel_ray
 from lumisplat.device.splat.projection import depth_plane

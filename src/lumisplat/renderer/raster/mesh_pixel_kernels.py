@@ -6,10 +6,8 @@ nearest triangle remains, and of equally near ones the first.
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import TILE, tile_corner
-from lumisplat.device.camera.window import image_index, picture_index
-from lumisplat.device.mesh.raster_alpha import has_alpha, pixel_meets
-from lumisplat.device.mesh.triangle_raster import depth_at
+from lumisplat.device.camera.pixels import TILE, image_index, picture_index, tile_corner
+from lumisplat.device.mesh.triangle_raster import depth_at, has_alpha, pixel_meets
 from lumisplat.device.splat.blending import pixel_ray
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterMeshes, Triangle

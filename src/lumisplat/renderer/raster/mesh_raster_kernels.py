@@ -6,8 +6,7 @@ normal of what was hit. ``find_ray_hits``: one item is one ray.
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import TILE
-from lumisplat.device.camera.window import image_index, is_shown, seen_pixel, shown_pixel
+from lumisplat.device.camera.pixels import TILE, image_index, is_shown, seen_pixel, shown_pixel
 from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import surface_color, surface_normal
 from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle, triangle_box

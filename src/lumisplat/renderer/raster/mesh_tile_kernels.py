@@ -2,10 +2,16 @@
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import TILE, RowFloats, TileFloats, TileInts, tile_corner
-from lumisplat.device.camera.window import image_index, picture_index
-from lumisplat.device.mesh.raster_alpha import has_alpha, pixel_meets
-from lumisplat.device.mesh.triangle_raster import depth_at
+from lumisplat.device.camera.pixels import (
+    TILE,
+    RowFloats,
+    TileFloats,
+    TileInts,
+    image_index,
+    picture_index,
+    tile_corner,
+)
+from lumisplat.device.mesh.triangle_raster import depth_at, has_alpha, pixel_meets
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterMeshes, Triangle
 

@@ -5,8 +5,7 @@ Only tiles that hold splats of both kinds are composited a second time.
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
-from lumisplat.device.camera.window import is_shown, ray_index
+from lumisplat.device.camera.pixels import TILE_PIXELS, is_shown, ray_index, tile_pixel
 from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.splat.ellipse import first_touching, look
 from lumisplat.device.structs.camera import CameraData

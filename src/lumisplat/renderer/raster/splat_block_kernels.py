@@ -8,13 +8,11 @@ docs/method/rasterisation.md, the choice in docs/adr/0025-compositing-on-shared-
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
-from lumisplat.device.camera.window import image_index, is_shown
+from lumisplat.device.camera.pixels import TILE_PIXELS, image_index, is_shown, tile_pixel
 from lumisplat.device.splat.blending import blend, empty_pixel, store_result
 from lumisplat.device.splat.ellipse import EllipsePixel, load_splat, meet
 from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import CameraData, PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import SplatInstanceData

@@ -6,14 +6,13 @@ The equations are in docs/method/rasterisation.md.
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
-from lumisplat.device.camera.window import is_shown, picture_index
+from lumisplat.device.camera.pixels import TILE_PIXELS, is_shown, picture_index, tile_pixel
 from lumisplat.device.math.random import sample_key_of
 from lumisplat.device.splat.blending import empty_pixel, opaque_pixel, store_gaussian_hits, store_result
+from lumisplat.device.splat.compositor import pixel_walk
 from lumisplat.device.splat.ellipse import ELLIPSE, look
-from lumisplat.device.splat.pixel_walk import ELLIPSE_COLOR, ELLIPSE_SAMPLE, NoArrays, Sample, pixel_walk
-from lumisplat.device.structs.camera import CameraData, SampleData
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.splat.visitors import ELLIPSE_COLOR, ELLIPSE_SAMPLE, NoArrays, Sample
+from lumisplat.device.structs.camera import CameraData, PixelData, SampleData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import SplatInstanceData

@@ -10,7 +10,7 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits
 from lumisplat.renderer.raster import (

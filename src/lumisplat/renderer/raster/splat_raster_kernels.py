@@ -6,13 +6,12 @@ The equations are in docs/method/rasterisation.md.
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
-from lumisplat.device.camera.window import ray_index, shown_pixel
-from lumisplat.device.gaussian.surface_depth import surface_distance
+from lumisplat.device.camera.pixels import ray_index, shown_pixel
+from lumisplat.device.gaussian.particle import surface_distance
 from lumisplat.device.splat.blending import instance_of, pixel_ray
 from lumisplat.device.splat.ellipse import is_finite, store_splat, tile_range
 from lumisplat.device.splat.projection import project_gaussian
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import CameraData, PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData

@@ -5,9 +5,9 @@ The equations are in docs/method/rasterisation.md.
 
 import warp as wp
 
+from lumisplat.device.splat.compositor import TILE_OPTIONS, tile_walk
 from lumisplat.device.splat.ellipse import ELLIPSE
-from lumisplat.device.splat.tile_visitors import ELLIPSE_SAMPLES, SampleArrays
-from lumisplat.device.splat.tile_walk import TILE_OPTIONS, tile_walk
+from lumisplat.device.splat.visitors import ELLIPSE_SAMPLES, SampleArrays
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits

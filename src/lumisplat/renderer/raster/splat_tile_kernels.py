@@ -5,11 +5,10 @@ The equations are in docs/method/rasterisation.md.
 
 import warp as wp
 
+from lumisplat.device.splat.compositor import TILE_OPTIONS, tile_walk
 from lumisplat.device.splat.ellipse import ELLIPSE
-from lumisplat.device.splat.tile_visitors import ELLIPSE_COLORS, EllipseColors
-from lumisplat.device.splat.tile_walk import TILE_OPTIONS, tile_walk
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.splat.visitors import ELLIPSE_COLORS, EllipseColors
+from lumisplat.device.structs.camera import CameraData, PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import SplatInstanceData

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.raster import MeshPixels
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers

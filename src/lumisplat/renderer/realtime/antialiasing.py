@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.device.structs.gi import ShownHistory, ShownPixels
+from lumisplat.device.gi.surfaces import ShownHistory, ShownPixels
 from lumisplat.renderer.realtime import antialiasing_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan

@@ -10,15 +10,21 @@ from lumisplat.constants.realtime import (
     FAR_AWAY,
     STILL_PX,
 )
-from lumisplat.device.camera.ray_blocks import pixel_number
-from lumisplat.device.film.first_surface import first_surface
-from lumisplat.device.film.sample_sums import is_finite
-from lumisplat.device.gi.motion import has_left, mesh_before, motion_of, splat_before
-from lumisplat.device.gi.reprojection import snapped
-from lumisplat.device.light.shadow_catcher import straight_factor
+from lumisplat.device.camera.pixels import pixel_number
+from lumisplat.device.film.samples import first_surface, is_finite
+from lumisplat.device.gi.surfaces import (
+    InstanceMotion,
+    ShownHistory,
+    ShownPixels,
+    has_left,
+    mesh_before,
+    motion_of,
+    snapped,
+    splat_before,
+)
+from lumisplat.device.light.splat_surface import straight_factor
 from lumisplat.device.math.color import captured_color, luminance
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import InstanceMotion, ShownHistory, ShownPixels
 from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 

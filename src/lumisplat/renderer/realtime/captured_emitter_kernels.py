@@ -7,19 +7,17 @@ import warp as wp
 
 from lumisplat.constants import LIGHT_POWER_MAX
 from lumisplat.constants.realtime import EMITTER_OPAQUE
-from lumisplat.device.gi.albedo import highlight_width
-from lumisplat.device.gi.captured_emitters import chosen_box, direction_density, point_in, total_weight
-from lumisplat.device.gi.lobes import lobe_share
+from lumisplat.device.gi.captured_emitters import EmitterBox, chosen_box, direction_density, point_in, total_weight
+from lumisplat.device.gi.secondary_rays import lobe_share
+from lumisplat.device.gi.surfaces import PixelLight, highlight_width
 from lumisplat.device.light.direct_light import contribution_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.shadow_ray import start_shadow_ray
+from lumisplat.device.light.shadow_rays import start_shadow_ray
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.structs.gi import EmitterBox, PixelLight
-from lumisplat.device.structs.light import LightSample
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
-from lumisplat.device.structs.shading import ShadingScene, WaveData
+from lumisplat.device.structs.shading import LightSample, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 

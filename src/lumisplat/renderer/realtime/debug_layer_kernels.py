@@ -2,11 +2,11 @@
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import pixel_number, ray_of_pixel
-from lumisplat.device.gi.motion import motion_of
+from lumisplat.device.camera.pixels import pixel_number, ray_of_pixel
+from lumisplat.device.gi.probe_placement import ProbeData
+from lumisplat.device.gi.radiance_cache import CacheSamples
+from lumisplat.device.gi.surfaces import SurfacePixels, motion_of
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import ProbeData, SurfacePixels
-from lumisplat.device.structs.radiance_cache import CacheSamples
 
 wp.set_module_options({"enable_backward": False})
 

@@ -9,7 +9,7 @@ import math
 
 import warp as wp
 
-from lumisplat.device.structs.radiance_cache import CacheSamples
+from lumisplat.device.gi.radiance_cache import CacheSamples
 from lumisplat.renderer.realtime import debug_layer_kernels as kernels
 from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
 from lumisplat.renderer.realtime.radiance_cache import RadianceCache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lumisplat.device.structs.gi import SurfacePixels
+from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.renderer.realtime import gbuffer_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave

@@ -2,13 +2,19 @@
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import pixel_number
-from lumisplat.device.gi.albedo import diffuse_albedo, glossy_albedo, highlight_width
-from lumisplat.device.gi.motion import mesh_before, splat_before
+from lumisplat.device.camera.pixels import pixel_number
+from lumisplat.device.gi.surfaces import (
+    InstanceMotion,
+    SurfacePixels,
+    diffuse_albedo,
+    glossy_albedo,
+    highlight_width,
+    mesh_before,
+    splat_before,
+)
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.splat_surface import splat_surface
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import InstanceMotion, SurfacePixels
 from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 

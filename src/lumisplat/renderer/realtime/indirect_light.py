@@ -12,8 +12,9 @@ import warp as wp
 from lumisplat.config import RenderConfig
 from lumisplat.constants import PACKET_RAYS, SHADE_BANDS_PER_THREAD
 from lumisplat.constants.realtime import SPECULAR_WAVES
-from lumisplat.device.structs.gi import BouncedRays, LobeRays, OnwardRays, SurfaceLight, SurfacePixels
-from lumisplat.device.structs.radiance_cache import CacheSamples
+from lumisplat.device.gi.radiance_cache import CacheSamples
+from lumisplat.device.gi.secondary_rays import BouncedRays, LobeRays, OnwardRays
+from lumisplat.device.gi.surfaces import SurfaceLight, SurfacePixels
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime import indirect_light_kernels as kernels

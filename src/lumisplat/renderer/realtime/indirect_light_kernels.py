@@ -4,17 +4,17 @@ import warp as wp
 
 from lumisplat.constants.realtime import RAY_LIFT
 from lumisplat.device.gaussian.layers import above_layer
-from lumisplat.device.gi.lobes import lobe_radiance, lobe_share
+from lumisplat.device.gi.probe_placement import ProbeData, ProbeGrid, ProbeLight
+from lumisplat.device.gi.radiance_cache import CachePoints, CacheSamples
 from lumisplat.device.gi.screen_probes import gathered_light
-from lumisplat.device.gi.turns import has_turn
+from lumisplat.device.gi.secondary_rays import LobeRays, lobe_radiance, lobe_share
+from lumisplat.device.gi.surfaces import SurfaceLight, SurfacePixels, has_turn
 from lumisplat.device.material.bsdf import facet_mirrored
-from lumisplat.device.material.ggx import ALPHA_GGX_MIN
+from lumisplat.device.material.microfacets import ALPHA_GGX_MIN
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.directions import INV_PI, around
 from lumisplat.device.math.random import branch_key, pixel_key_of, sobol_2d
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import LobeRays, ProbeData, ProbeGrid, ProbeLight, SurfaceLight, SurfacePixels
-from lumisplat.device.structs.radiance_cache import CachePoints, CacheSamples
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False})

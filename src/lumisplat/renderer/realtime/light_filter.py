@@ -6,7 +6,7 @@ import warp as wp
 
 from lumisplat.config import FilterConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.device.structs.gi import FilteredLight, LightHistory, SurfaceLight
+from lumisplat.device.gi.surfaces import FilteredLight, LightHistory, SurfaceLight
 from lumisplat.renderer.realtime import light_filter_kernels as kernels
 from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene

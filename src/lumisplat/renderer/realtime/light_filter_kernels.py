@@ -15,18 +15,22 @@ from lumisplat.constants.realtime import (
     WEIGHT_LEAST,
     YOUNG_FRAMES,
 )
-from lumisplat.device.gi.motion import pixel_before
-from lumisplat.device.gi.reprojection import is_near, is_same_surface, least_cosine, snapped, tolerance
-from lumisplat.device.math.color import luminance
-from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import (
+from lumisplat.device.gi.surfaces import (
     FilteredLight,
     LightChange,
     LightHistory,
     PixelHistory,
     SurfaceLight,
     SurfacePixels,
+    is_near,
+    is_same_surface,
+    least_cosine,
+    pixel_before,
+    snapped,
+    tolerance,
 )
+from lumisplat.device.math.color import luminance
+from lumisplat.device.structs.camera import CameraData
 
 wp.set_module_options({"enable_backward": False})
 

@@ -11,6 +11,7 @@ from lumisplat.device.gi.light_grid import (
     NO_CELL,
     SLOTS,
     GridCell,
+    LightGrid,
     bounded,
     chance_below,
     emitter_weight,
@@ -24,7 +25,6 @@ from lumisplat.device.gi.radiance_cache import cell_key
 from lumisplat.device.light.direct_light import choice_count
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import LightGrid
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})

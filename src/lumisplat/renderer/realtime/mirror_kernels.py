@@ -2,18 +2,16 @@
 
 import warp as wp
 
-from lumisplat.device.gi.albedo import matte_albedo
-from lumisplat.device.gi.light_grid import CELL_BRANCH, SLOTS, lit_surface
+from lumisplat.device.gi.light_grid import CELL_BRANCH, SLOTS, LightGrid, lit_surface
+from lumisplat.device.gi.radiance_cache import CacheSamples
+from lumisplat.device.gi.surfaces import matte_albedo
 from lumisplat.device.light.direct_light import sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.math.directions import around
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import LightGrid
-from lumisplat.device.structs.path import LightChoice
-from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
+from lumisplat.device.structs.shading import Interaction, LightChoice, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 

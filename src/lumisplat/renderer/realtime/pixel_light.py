@@ -9,7 +9,7 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.device.structs.gi import FilteredLight, PixelLight, SurfaceLight
+from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.realtime import captured_emitter_kernels, pixel_light_kernels

@@ -3,14 +3,13 @@
 import warp as wp
 
 from lumisplat.constants.realtime import ALBEDO_MIN
-from lumisplat.device.camera.ray_blocks import pixel_number, pixel_of_ray
-from lumisplat.device.gi.light_grid import lit_surface, sample_light_of
-from lumisplat.device.gi.turns import has_turn
+from lumisplat.device.camera.pixels import pixel_number, pixel_of_ray
+from lumisplat.device.gi.light_grid import LightGrid, lit_surface, sample_light_of
+from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight, SurfacePixels, has_turn
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.math.color import is_black
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import FilteredLight, LightGrid, PixelLight, SurfaceLight, SurfacePixels
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 

@@ -16,7 +16,7 @@ import warp as wp
 
 from lumisplat.config import RadianceCacheConfig
 from lumisplat.constants.realtime import BOUNCES_PER_RAY
-from lumisplat.device.structs.radiance_cache import (
+from lumisplat.device.gi.radiance_cache import (
     COUNT_DROPPED,
     COUNT_EVICTED,
     COUNT_EXCESS,

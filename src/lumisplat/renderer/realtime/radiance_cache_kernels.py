@@ -7,24 +7,7 @@ keys into which new ones are merged, and out of which old ones are removed (docs
 import warp as wp
 
 from lumisplat.constants.realtime import CELL_RAYS_MAX
-from lumisplat.device.gi.means import mean_weight
 from lumisplat.device.gi.radiance_cache import (
-    CellLight,
-    cached_radiance,
-    cell_key,
-    cell_of_sample,
-    color_of,
-    far_radiance,
-    is_first_of_cell,
-    is_first_of_tile,
-    is_of_short_rays,
-    level_of,
-    mean_index,
-    slot_of,
-)
-from lumisplat.device.math.random import mix
-from lumisplat.device.math.search import first_not_below
-from lumisplat.device.structs.radiance_cache import (
     AGE_LAST,
     COUNT_DROPPED,
     COUNT_EVICTED,
@@ -40,8 +23,23 @@ from lumisplat.device.structs.radiance_cache import (
     CachePoints,
     CacheSamples,
     CacheTiles,
+    CellLight,
     SortedSamples,
+    cached_radiance,
+    cell_key,
+    cell_of_sample,
+    color_of,
+    far_radiance,
+    is_first_of_cell,
+    is_first_of_tile,
+    is_of_short_rays,
+    level_of,
+    mean_index,
+    slot_of,
 )
+from lumisplat.device.gi.surfaces import mean_weight
+from lumisplat.device.math.random import mix
+from lumisplat.device.math.sorting import first_not_below
 
 wp.set_module_options({"enable_backward": False})
 

@@ -6,15 +6,32 @@ The method is in docs/method/realtime.md#screen-probes. Every kernel writes each
 import warp as wp
 
 from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS, PROBE_STAYS_PX
-from lumisplat.device.camera.seen_at import seen_at
-from lumisplat.device.gi.means import mean_weight
-from lumisplat.device.gi.octahedral import cell_of_direction, cell_width, direction_in_cell
-from lumisplat.device.gi.probe_places import LOOKED_AT, place_among, place_in_tile, tile_of
-from lumisplat.device.gi.probe_rays import neighbour_weight, refresh_key, shows_the_same, start_probe_ray
-from lumisplat.device.gi.screen_probes import C0, COSINE_0, HARMONICS, gathered_light
+from lumisplat.device.camera.camera import seen_at
+from lumisplat.device.gi.probe_placement import (
+    LOOKED_AT,
+    ProbeCells,
+    ProbeData,
+    ProbeGrid,
+    ProbeLight,
+    TileNeeds,
+    place_among,
+    place_in_tile,
+    tile_of,
+)
+from lumisplat.device.gi.screen_probes import (
+    C0,
+    COSINE_0,
+    HARMONICS,
+    gathered_light,
+    neighbour_weight,
+    refresh_key,
+    shows_the_same,
+    start_probe_ray,
+)
+from lumisplat.device.gi.surfaces import SurfacePixels, mean_weight
+from lumisplat.device.math.directions import cell_of_direction, cell_width, direction_in_cell
 from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels, TileNeeds
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False})

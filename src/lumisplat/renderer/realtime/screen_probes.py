@@ -10,8 +10,9 @@ import warp as wp
 from lumisplat.config import ProbeConfig
 from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS
+from lumisplat.device.gi.probe_placement import ProbeCells, ProbeData, ProbeGrid, ProbeLight, TileNeeds
+from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import ProbeCells, ProbeData, ProbeGrid, ProbeLight, SurfacePixels, TileNeeds
 from lumisplat.device.structs.rays import RayData
 from lumisplat.math.directions import harmonics_of_cells, irradiance_beyond
 from lumisplat.renderer.realtime import screen_probe_kernels as kernels

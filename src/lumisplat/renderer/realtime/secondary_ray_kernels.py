@@ -5,24 +5,29 @@ The method is in docs/method/realtime.md#rays and #glossy.
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
-from lumisplat.device.gi.albedo import glossy_albedo, highlight_width, matte_albedo
-from lumisplat.device.gi.light_grid import SURFACE_BRANCH, sample_light_of
-from lumisplat.device.gi.lobes import ALPHA_TO, followed_pixel
-from lumisplat.device.gi.specular_rays import mirrored_light, start_onward, straight_bounce, straight_step
+from lumisplat.device.camera.pixels import ray_of_pixel
+from lumisplat.device.gi.light_grid import SURFACE_BRANCH, LightGrid, sample_light_of
+from lumisplat.device.gi.radiance_cache import CacheSamples
+from lumisplat.device.gi.secondary_rays import (
+    ALPHA_TO,
+    BouncedRays,
+    LobeRays,
+    OnwardRays,
+    followed_pixel,
+    mirrored_light,
+    start_onward,
+    straight_bounce,
+    straight_step,
+)
+from lumisplat.device.gi.surfaces import glossy_albedo, highlight_width, matte_albedo
 from lumisplat.device.light.glossy_lobe import LOBE_BRANCH, highlight_share, interaction_of, lobe_of
-from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.mesh_interaction import mesh_emission
+from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction, mesh_emission
 from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.path.steps import branch_of, is_scattering
+from lumisplat.device.path.steps import BRANCH_NONE, BRANCH_REFLECTED, BRANCH_SPLATS, branch_of, is_scattering
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import BouncedRays, LightGrid, LobeRays, OnwardRays
-from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
-from lumisplat.device.structs.path import BRANCH_NONE, BRANCH_REFLECTED, BRANCH_SPLATS
-from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
+from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 

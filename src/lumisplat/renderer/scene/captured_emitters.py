@@ -17,7 +17,7 @@ from lumisplat.constants.realtime import (
     EMITTER_REACH,
     EMITTER_RECEIVERS,
 )
-from lumisplat.device.structs.gi import EmitterBox
+from lumisplat.device.gi.captured_emitters import EmitterBox
 from lumisplat.device.structs.scene import SplatInstanceData
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb

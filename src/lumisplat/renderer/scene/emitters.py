@@ -7,7 +7,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.constants import LIGHT_POWER_MAX, LUMINANCE, SPAWN_ERROR, SPAWN_SLENDER
-from lumisplat.device.structs.light import EmitterData, EmitterTriangle
+from lumisplat.device.structs.shading import EmitterData, EmitterTriangle
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.scene.lights import cumulative_shares

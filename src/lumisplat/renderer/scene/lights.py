@@ -24,7 +24,7 @@ from lumisplat.device.light.light import (
     LIGHT_RECT,
     LIGHT_SPOT,
 )
-from lumisplat.device.structs.light import EnvironmentData, LightData
+from lumisplat.device.structs.shading import EnvironmentData, LightData
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.runtime.buffers import Buffers, DeviceArray

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from lumisplat.constants import CATCHER_AMBIENT, COAT_ROUGHNESS_MIN, SHEEN_ROUGHNESS_MIN
-from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
 from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, VariedData
-from lumisplat.device.structs.shading import MaterialData
+from lumisplat.device.structs.shading import BSDF_PBR, BSDF_SIMPLE, MaterialData
 from lumisplat.math.reflectance import albedo_curve, mean_fresnel
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.lights import LightEnvironment

@@ -8,9 +8,8 @@ from typing import TypeVar
 import numpy as np
 import warp as wp
 
-from lumisplat.device.gi.motion import GONE, STANDS
+from lumisplat.device.gi.surfaces import GONE, STANDS, InstanceMotion
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import InstanceMotion
 from lumisplat.renderer.scene.camera_table import camera_table
 from lumisplat.renderer.scene.light_changes import LightChanges, placed_assets
 from lumisplat.renderer.scene.upload import as_device_array, first_of

@@ -13,23 +13,39 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import TRAVERSE_STACK
-from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST, node_stack_of, push_root
-from lumisplat.device.bvh.node_test import lesser
-from lumisplat.device.bvh.ray_nodes import LinkStackStorage, enter_tree, link_stack, load_node, push_entered, push_link
-from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
+from lumisplat.device.bvh.nodes import (
+    LinkStackStorage,
+    enter_tree,
+    lesser,
+    link_stack,
+    load_node,
+    push_entered,
+    push_link,
+)
+from lumisplat.device.bvh.packet import FAR_FIRST, NEAR_FIRST, PACKET_OPTIONS, node_stack_of, packet_of, push_root
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
-from lumisplat.device.gaussian.particle import load_particle
-from lumisplat.device.gaussian.ray_hit import alpha_at, begin_past, hit_particle, ray_in_instance, world_ray
-from lumisplat.device.light.packet_shadow import (
+from lumisplat.device.gaussian.particle import (
+    alpha_at,
+    begin_past,
+    hit_particle,
+    load_particle,
+    ray_in_instance,
+    world_ray,
+)
+from lumisplat.device.light.shadow_rays import (
     begin_absorption,
     begin_first_hits,
     end_rays,
     farthest_reach,
     packet_absorption_of,
     packet_first_hits_of,
+    passed_share,
+    shadow_floor,
+    shadow_key,
+    shadow_of,
     shadow_of_list,
+    tint_of,
 )
-from lumisplat.device.light.shadow import passed_share, shadow_floor, shadow_key, shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified
 from lumisplat.device.structs.bvh import (
     DRAWS_NONE,
@@ -40,13 +56,14 @@ from lumisplat.device.structs.bvh import (
     WORLD,
     ChildLinks,
     Node,
+    PacketPlace,
     Particle,
     SceneBvh,
     ShadowData,
+    WaitingLink,
 )
-from lumisplat.device.structs.light import RayAbsorption
-from lumisplat.device.structs.packet import PacketPlace, WaitingLink
 from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import RayAbsorption
 
 wp.set_module_options(PACKET_OPTIONS)
 

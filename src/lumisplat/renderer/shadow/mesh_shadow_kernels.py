@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.constants import EDGE_WEIGHT_MAX
-from lumisplat.device.bvh.ray_nodes import (
+from lumisplat.device.bvh.nodes import (
     LinkStackStorage,
     enter_boxes,
     inverse_or_large,
@@ -12,14 +12,18 @@ from lumisplat.device.bvh.ray_nodes import (
     push_all_entered,
     push_link,
 )
-from lumisplat.device.light.shadow import pass_straight
+from lumisplat.device.light.shadow_rays import pass_straight
 from lumisplat.device.material.media import is_in, passed
-from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
-from lumisplat.device.mesh.ray_mesh import box_span, ray_in_mesh
-from lumisplat.device.mesh.ray_triangle import intersect_triangle, owns_crossing
-from lumisplat.device.mesh.varied_layers import material_at
-from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node
-from lumisplat.device.structs.packet import WaitingLink
+from lumisplat.device.mesh.mesh_rays import box_span, intersect_triangle, owns_crossing, ray_in_mesh
+from lumisplat.device.mesh.mesh_surface import (
+    face_normal,
+    hit_weights,
+    material_at,
+    surface_alpha,
+    surface_color,
+    surface_normal,
+)
+from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node, WaitingLink
 from lumisplat.device.structs.rays import MeshPassage, MeshRay, MeshShadowRay, RayData
 from lumisplat.device.structs.scene import ALPHA_OPAQUE
 

@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.constants import BOX_MARGIN, NODE_WIDTH
 from lumisplat.device.gaussian.particle import distance_squared
-from lumisplat.device.light.shadow import shadow_key
+from lumisplat.device.light.shadow_rays import shadow_key
 from lumisplat.device.math.random import draw_stratified
 from lumisplat.device.splat.projection import ALPHA_LIMIT
 from lumisplat.device.structs.bvh import FAR, NO_CHILD, Node, Particle, ShadowData

@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.camera.camera import camera_ray
-from lumisplat.device.camera.window import is_shown, picture_index, seen_pixel
+from lumisplat.device.camera.pixels import is_shown, picture_index, seen_pixel
 from lumisplat.device.math.random import pixel_key_of, sample_key_of
 from lumisplat.device.structs.camera import CameraData, ListedRays, SampleData
 from lumisplat.device.structs.rays import RayData

@@ -15,10 +15,17 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import TRAVERSE_STACK
-from lumisplat.device.bvh.node_stack import NEAR_FIRST, node_stack_of, push_root
-from lumisplat.device.bvh.node_test import lesser
-from lumisplat.device.bvh.ray_group import group_of, largest_of
-from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, SPREAD_MAX, packet_of
+from lumisplat.device.bvh.nodes import lesser
+from lumisplat.device.bvh.packet import (
+    NEAR_FIRST,
+    PACKET_OPTIONS,
+    SPREAD_MAX,
+    group_of,
+    largest_of,
+    node_stack_of,
+    packet_of,
+    push_root,
+)
 from lumisplat.device.gaussian.packet_tracing import (
     begin_pass,
     begin_rays,
@@ -30,8 +37,16 @@ from lumisplat.device.gaussian.packet_tracing import (
 from lumisplat.device.gaussian.particle import load_particle
 from lumisplat.device.gaussian.ray_compositing import store_pixel
 from lumisplat.device.splat.blending import begin_relit, empty_pixel
-from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, WORLD, ChildLinks, Particle, SceneBvh, TraceData
-from lumisplat.device.structs.packet import PacketPlace
+from lumisplat.device.structs.bvh import (
+    FAR,
+    STRATEGY_HIT,
+    WORLD,
+    ChildLinks,
+    PacketPlace,
+    Particle,
+    SceneBvh,
+    TraceData,
+)
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData
 
 wp.set_module_options(PACKET_OPTIONS)

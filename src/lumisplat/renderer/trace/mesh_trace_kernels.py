@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from lumisplat.device.bvh.ray_nodes import LinkStackStorage, link_stack
-from lumisplat.device.mesh.mesh_walk import nearest_triangle
+from lumisplat.device.bvh.nodes import LinkStackStorage, link_stack
+from lumisplat.device.mesh.mesh_rays import nearest_triangle
 from lumisplat.device.structs.bvh import MeshBvh
 from lumisplat.device.structs.rays import MeshHits, RayData
 

@@ -9,10 +9,9 @@ those within highlights, each in the order of the wave before: neighbours stay n
 import warp as wp
 
 from lumisplat.device.light.glossy_lobe import LOBE_BRANCH, lobe_ray
-from lumisplat.device.light.shadow_catcher import straight_factor
-from lumisplat.device.light.splat_surface import sees_far
-from lumisplat.device.material.fresnel import reflect, refract
+from lumisplat.device.light.splat_surface import sees_far, straight_factor
 from lumisplat.device.material.media import media_of_ray
+from lumisplat.device.material.microfacets import reflect, refract
 from lumisplat.device.material.specular_bounce import bounce_of_ray, spawn_point
 from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.random import branch_key

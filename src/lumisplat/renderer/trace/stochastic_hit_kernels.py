@@ -6,25 +6,30 @@ accepted with their alpha. The equations are in docs/method/ray_tracing.md.
 
 import warp as wp
 
-from lumisplat.device.bvh.node_test import lesser
-from lumisplat.device.bvh.ray_nodes import (
+from lumisplat.device.bvh.nodes import (
     LinkStackStorage,
     enter_tree,
+    lesser,
     link_stack,
     load_node,
     push_entered,
     push_link,
 )
-from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS
+from lumisplat.device.bvh.packet import PACKET_OPTIONS
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.packet_tracing import ray_of, surface_distance
-from lumisplat.device.gaussian.particle import load_particle
+from lumisplat.device.gaussian.particle import (
+    alpha_at,
+    begin_past,
+    hit_particle,
+    load_particle,
+    ray_in_instance,
+    world_ray,
+)
 from lumisplat.device.gaussian.ray_compositing import blend_hit, store_pixel
-from lumisplat.device.gaussian.ray_hit import alpha_at, begin_past, hit_particle, ray_in_instance, world_ray
 from lumisplat.device.math.random import draw
 from lumisplat.device.splat.blending import add_relit, begin_relit, empty_pixel
-from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, Node, Particle, SceneBvh, TraceData
-from lumisplat.device.structs.packet import Hit, WaitingLink
+from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, Hit, Node, Particle, SceneBvh, TraceData, WaitingLink
 from lumisplat.device.structs.rays import GaussianHits, RayData
 
 wp.set_module_options(PACKET_OPTIONS)

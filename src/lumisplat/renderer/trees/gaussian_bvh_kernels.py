@@ -6,8 +6,8 @@ order of the hierarchy.
 
 import warp as wp
 
-from lumisplat.device.bvh.morton import morton_code
 from lumisplat.device.gaussian.particle import particle_box, particle_of
+from lumisplat.device.math.sorting import morton_code
 from lumisplat.device.structs.bvh import Box, Particle
 from lumisplat.device.structs.scene import GaussianData, KernelData
 

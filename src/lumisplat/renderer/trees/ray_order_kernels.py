@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.bvh.morton import code_of_cell
+from lumisplat.device.math.sorting import code_of_cell
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False})

@@ -6,8 +6,8 @@ The equations are in docs/method/unscented.md.
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
-from lumisplat.device.camera.ray_blocks import ray_of_pixel
-from lumisplat.device.gaussian.surface_depth import surface_peak
+from lumisplat.device.camera.pixels import ray_of_pixel
+from lumisplat.device.gaussian.particle import surface_peak
 from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.splat.ray_splat import is_finite, ray_splat, tiles_of
 from lumisplat.device.structs.camera import CameraData

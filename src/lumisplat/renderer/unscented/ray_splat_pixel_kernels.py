@@ -7,11 +7,11 @@ The equations are in docs/method/unscented.md.
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
-from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
-from lumisplat.device.camera.window import is_shown, ray_index
+from lumisplat.device.camera.pixels import TILE_PIXELS, is_shown, ray_index, tile_pixel
 from lumisplat.device.splat.blending import begin_relit, empty_pixel
-from lumisplat.device.splat.pixel_walk import RAY_COLOR, RelitHits, pixel_walk
+from lumisplat.device.splat.compositor import pixel_walk
 from lumisplat.device.splat.ray_splat import ALONG_RAYS, look
+from lumisplat.device.splat.visitors import RAY_COLOR, RelitHits
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat
 from lumisplat.device.structs.rays import GaussianHits, RayData

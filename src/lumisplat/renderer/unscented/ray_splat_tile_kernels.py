@@ -5,9 +5,9 @@ The equations are in docs/method/unscented.md.
 
 import warp as wp
 
+from lumisplat.device.splat.compositor import TILE_OPTIONS, tile_walk
 from lumisplat.device.splat.ray_splat import ALONG_RAYS
-from lumisplat.device.splat.tile_visitors import RAY_COLORS
-from lumisplat.device.splat.tile_walk import TILE_OPTIONS, tile_walk
+from lumisplat.device.splat.visitors import RAY_COLORS
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat
 from lumisplat.device.structs.rays import GaussianHits, RayData

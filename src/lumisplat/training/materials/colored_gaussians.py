@@ -8,7 +8,7 @@ import numpy as np
 
 from lumisplat.config import TrainConfig
 from lumisplat.config.checks import Color
-from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.progress import Progress
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array

@@ -10,7 +10,7 @@ import warp as wp
 
 from lumisplat.constants.materials import LIFT_ALONG, LIFT_SHORTEST, SKY_CHUNK, SPREAD_SHARE
 from lumisplat.constants.training import SURFACE_ALPHA
-from lumisplat.device.structs.training import DirectionalLight, GaussianMaterials, MaterialGradient
+from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.progress import Progress
 from lumisplat.relighting.irradiance import Irradiance, radiance_met

@@ -6,9 +6,9 @@ other kernel of the module has called them: they would be 0.
 
 import warp as wp
 
-from lumisplat.device.material.rough_dielectric import light_on, reflected_dot
+from lumisplat.device.material.microfacets import reflected_dot
 from lumisplat.device.math.directions import seen_from
-from lumisplat.device.structs.training import DirectionalLight, GaussianMaterials, MaterialGradient
+from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient, light_on
 
 wp.set_module_options({"enable_backward": False})
 

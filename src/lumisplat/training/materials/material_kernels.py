@@ -7,13 +7,13 @@ import warp as wp
 
 from lumisplat.constants import SH_C0
 from lumisplat.constants.materials import SKY_CHUNK
-from lumisplat.device.camera.tiles import is_listed
-from lumisplat.device.material.rough_dielectric import diffuse_factor, highlight_factor, light_on
+from lumisplat.device.camera.pixels import is_listed
+from lumisplat.device.material.microfacets import diffuse_factor, highlight_factor
 from lumisplat.device.math.color import encode_srgb
 from lumisplat.device.math.directions import seen_from
 from lumisplat.device.structs.gradients import SplatGradient
 from lumisplat.device.structs.raster import TileRect
-from lumisplat.device.structs.training import DirectionalLight, GaussianMaterials
+from lumisplat.device.training import DirectionalLight, GaussianMaterials, light_on
 
 wp.set_module_options({"enable_backward": False})
 

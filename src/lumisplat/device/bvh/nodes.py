@@ -1,0 +1,341 @@
+"""Nodes of bounding volume hierarchies: where packets and single rays enter boxes, and how wide their footprints are.
+
+A packet is bounded by a box around the origins of its rays, which widens along each axis as its slowest and fastest
+ray go. Seen from there, a box's six planes move, and each bounds the distances at which the packet can be inside by a
+linear inequality. A single ray is a packet of no width.
+
+The equations are in docs/method/ray_tracing.md#traversal.
+"""
+
+import warp as wp
+
+from lumisplat.constants import (
+    FOOTPRINT_LEAD,
+    FOOTPRINT_MAX,
+    FOOTPRINT_REACH,
+    NODE_WIDTH,
+    TRAVERSE_MARGIN,
+    TRAVERSE_STACK,
+)
+from lumisplat.device.math.memory import aligned_load_of, storage_of
+from lumisplat.device.structs.bvh import FAR, HIT_MEAN, Children, Node, Slabs, TreeRay, WaitingLink
+
+WIDTH = wp.constant(NODE_WIDTH)
+
+MARGIN = wp.constant(wp.float32(TRAVERSE_MARGIN))
+
+SLOPE_MIN = wp.constant(wp.float32(1.0e-9))
+
+
+@wp.func
+def lesser(a: float, b: float) -> float:
+    """The smaller number, without the care for NaN that keeps ``wp.min`` from vectorising."""
+    return wp.where(a < b, a, b)
+
+
+@wp.func
+def larger(a: float, b: float) -> float:
+    """The larger number; see ``lesser``."""
+    return wp.where(a > b, a, b)
+
+
+@wp.func
+def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> Slabs:
+    """The planes' factors and terms: a plane of slope s, ``s t <= b``, says t <= b / s or, for s < 0, t >= b / s.
+
+    Args:
+        low: Lower corner of a box around the origins of rays.
+        high: Its upper corner.
+        slow: Least components of their directions.
+        fast: Largest components.
+    """
+    slabs = Slabs()
+    width = wp.vec3(MARGIN * wp.max(wp.max(wp.abs(low)), wp.max(wp.abs(high))))
+    slabs.low = low - width
+    slabs.high = high + width
+    speed = wp.max(wp.max(wp.abs(slow)), wp.max(wp.abs(fast)))
+    least = SLOPE_MIN * speed
+    for k in range(3):
+        up = slow[k] - MARGIN * speed
+        if wp.abs(up) < least:
+            up = -least
+        down = -fast[k] - MARGIN * speed
+        if wp.abs(down) < least:
+            down = -least
+        slabs.up_far[k] = wp.where(up > 0.0, 1.0 / up, 0.0)
+        slabs.up_far_void[k] = wp.where(up > 0.0, 0.0, FAR)
+        slabs.up_near[k] = wp.where(up < 0.0, 1.0 / up, 0.0)
+        slabs.up_near_void[k] = wp.where(up < 0.0, 0.0, -FAR)
+        slabs.down_far[k] = wp.where(down > 0.0, 1.0 / down, 0.0)
+        slabs.down_far_void[k] = wp.where(down > 0.0, 0.0, FAR)
+        slabs.down_near[k] = wp.where(down < 0.0, 1.0 / down, 0.0)
+        slabs.down_near_void[k] = wp.where(down < 0.0, 0.0, -FAR)
+    return slabs
+
+
+@wp.func
+def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
+    """No ray of the packet is inside a child's box before these distances; 2 FAR: never, or only before ``begin``.
+
+    -FAR where some may start inside: slabs are no bound of what lies behind rays.
+
+    The loop over the children becomes vector instructions; hence one local vector per side of the boxes.
+    """
+    entries = Children()
+    low_x = node.low_x
+    low_y = node.low_y
+    low_z = node.low_z
+    high_x = node.high_x
+    high_y = node.high_y
+    high_z = node.high_z
+    for c in range(WIDTH):
+        ax = high_x[c] - slabs.low[0]
+        bx = slabs.high[0] - low_x[c]
+        ay = high_y[c] - slabs.low[1]
+        by = slabs.high[1] - low_y[c]
+        az = high_z[c] - slabs.low[2]
+        bz = slabs.high[2] - low_z[c]
+        far = lesser(
+            ax * slabs.up_far[0] + slabs.up_far_void[0],
+            bx * slabs.down_far[0] + slabs.down_far_void[0],
+        )
+        far = lesser(far, ay * slabs.up_far[1] + slabs.up_far_void[1])
+        far = lesser(far, by * slabs.down_far[1] + slabs.down_far_void[1])
+        far = lesser(far, az * slabs.up_far[2] + slabs.up_far_void[2])
+        far = lesser(far, bz * slabs.down_far[2] + slabs.down_far_void[2])
+        near = larger(
+            ax * slabs.up_near[0] + slabs.up_near_void[0],
+            bx * slabs.down_near[0] + slabs.down_near_void[0],
+        )
+        near = larger(near, ay * slabs.up_near[1] + slabs.up_near_void[1])
+        near = larger(near, by * slabs.down_near[1] + slabs.down_near_void[1])
+        near = larger(near, az * slabs.up_near[2] + slabs.up_near_void[2])
+        near = larger(near, bz * slabs.down_near[2] + slabs.down_near_void[2])
+        near = near - MARGIN * wp.abs(near)
+        far = far + MARGIN * wp.abs(far)
+        entry = wp.where(near > 0.0, near, -FAR)
+        entries[c] = wp.where(lesser(far - near, far - begin) >= 0.0, entry, 2.0 * FAR)
+    return entries
+
+
+@wp.func
+def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end: float) -> Children:
+    """No mean in a child's box projects onto a ray of the packet before these distances.
+
+    2 FAR: it is not entered before ``end``, by ``entries``, or all its means project before ``begin``.
+    """
+    low_x = node.low_x
+    low_y = node.low_y
+    low_z = node.low_z
+    high_x = node.high_x
+    high_y = node.high_y
+    high_z = node.high_z
+    for c in range(WIDTH):
+        ax = low_x[c] - slabs.high[0]
+        bx = high_x[c] - slabs.low[0]
+        ay = low_y[c] - slabs.high[1]
+        by = high_y[c] - slabs.low[1]
+        az = low_z[c] - slabs.high[2]
+        bz = high_z[c] - slabs.low[2]
+        x = least_product(ax, bx, slabs.slow[0], slabs.fast[0])
+        y = least_product(ay, by, slabs.slow[1], slabs.fast[1])
+        z = least_product(az, bz, slabs.slow[2], slabs.fast[2])
+        farthest = -least_product(ax, bx, -slabs.fast[0], -slabs.slow[0])
+        farthest = farthest - least_product(ay, by, -slabs.fast[1], -slabs.slow[1])
+        farthest = farthest - least_product(az, bz, -slabs.fast[2], -slabs.slow[2])
+        margin = MARGIN * (wp.abs(x) + wp.abs(y) + wp.abs(z) + wp.abs(farthest))
+        entries[c] = wp.where(lesser(end - entries[c], farthest + margin - begin) >= 0.0, x + y + z - margin, 2.0 * FAR)
+    return entries
+
+
+@wp.func
+def least_product(a: float, b: float, c: float, d: float) -> float:
+    """The least product of a number between ``a`` and ``b`` and one between ``c`` and ``d``."""
+    return lesser(lesser(a * c, a * d), lesser(b * c, b * d))
+
+
+# --- Footprints: how wide rays are (docs/method/ray_tracing.md#footprints) ---
+
+LEAD = wp.constant(wp.float32(FOOTPRINT_LEAD))
+
+REACH = wp.constant(wp.float32(FOOTPRINT_REACH))
+
+WIDEST = wp.constant(wp.float32(FOOTPRINT_MAX))
+
+
+@wp.func
+def footprint_of_ray(footprint: float, spread: float, scale: float) -> float:
+    """Standard deviation by which a ray widens Gaussians, object space, over the length of its path.
+
+    Args:
+        footprint: The same in widths of a pixel.
+        spread: Width of the ray's pixel over the length of its path.
+        scale: World from object.
+    """
+    return lesser(footprint * spread, WIDEST) / scale
+
+
+@wp.func
+def footprint_slope(footprint: float, length: float) -> float:
+    """Slope by which a ray, its direction of this ``length``, widens to be in all boxes whose Gaussians it hits."""
+    ahead = LEAD * REACH * footprint
+    return ahead / (1.0 - ahead / length)
+
+
+@wp.func
+def footprint_variance(footprint: float, path: float, largest_scale: float) -> float:
+    """Variance by which a ray finds a Gaussian widened, object space: the square of its footprint at the mean.
+
+    Args:
+        footprint: Standard deviation over the length of the path.
+        path: Its length to where the mean projects onto the ray.
+        largest_scale: Of the Gaussian, world space. Where its ellipsoid may begin long before the mean, the footprint
+            is one that is nearer, so that nodes need not be wider than their rays' footprints there.
+    """
+    width = footprint * larger(lesser(path, LEAD * (path - REACH * largest_scale)), 0.0)
+    return width * width
+
+
+@wp.func
+def footprint_slopes(footprint: float, path: float, largest_scale: float) -> wp.vec2:
+    """Derivatives of ``footprint_variance`` by the path and by the largest scale, world space."""
+    nearer = LEAD * (path - REACH * largest_scale)
+    width = footprint * larger(lesser(path, nearer), 0.0)
+    if path <= nearer:
+        return wp.vec2(2.0 * width * footprint, 0.0)
+    by_path = 2.0 * width * footprint * LEAD
+    return wp.vec2(by_path, -REACH * by_path)
+
+
+# --- Single rays, with one lane for each child of a node ---
+#
+# Incoherent rays share no nodes: a packet of them visits what any of its rays does. The children of a node fill the
+# lanes of a vector register as well as rays do (Wald, Benthin and Boulos 2008).
+
+SHORTER = wp.constant(wp.float32(1.0 - TRAVERSE_MARGIN))
+
+LONGER = wp.constant(wp.float32(1.0 + TRAVERSE_MARGIN))
+
+ENTRIES = wp.constant(TRAVERSE_STACK)
+
+LinkStackStorage = storage_of(WaitingLink, TRAVERSE_STACK)
+
+load_node = aligned_load_of(Node)
+
+
+@wp.func
+def link_stack(storage: wp.ref[LinkStackStorage]) -> wp.array[WaitingLink]:
+    """The stack whose links lie in a variable."""
+    return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingLink)
+
+
+@wp.func
+def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
+    """Makes a link the next one, wherever its box is."""
+    waiting = WaitingLink()
+    waiting.entry = -FAR
+    waiting.link = link
+    stack[top] = waiting
+    top += 1
+
+
+@wp.func
+def inverse_or_large(v: wp.vec3) -> wp.vec3:
+    """``1 / x`` of each component, finite."""
+    return wp.vec3(
+        wp.where(wp.abs(v[0]) > 1.0e-30, 1.0 / v[0], 1.0e30),
+        wp.where(wp.abs(v[1]) > 1.0e-30, 1.0 / v[1], 1.0e30),
+        wp.where(wp.abs(v[2]) > 1.0e-30, 1.0 / v[2], 1.0e30),
+    )
+
+
+@wp.func
+def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
+    """Where a ray enters the boxes of a node's children, at least 0; 2 FAR: it does not.
+
+    Args:
+        node: The node.
+        origin: Of the ray, in the space of the tree.
+        inverse: Of the components of its direction, finite.
+    """
+    entries = Children()
+    low_x = node.low_x
+    low_y = node.low_y
+    low_z = node.low_z
+    high_x = node.high_x
+    high_y = node.high_y
+    high_z = node.high_z
+    for c in range(WIDTH):
+        ax = (low_x[c] - origin[0]) * inverse[0]
+        bx = (high_x[c] - origin[0]) * inverse[0]
+        ay = (low_y[c] - origin[1]) * inverse[1]
+        by = (high_y[c] - origin[1]) * inverse[1]
+        az = (low_z[c] - origin[2]) * inverse[2]
+        bz = (high_z[c] - origin[2]) * inverse[2]
+        near = larger(larger(lesser(ax, bx), lesser(ay, by)), lesser(az, bz))
+        far = lesser(lesser(larger(ax, bx), larger(ay, by)), larger(az, bz))
+        entry = SHORTER * larger(near, 0.0)
+        # An empty child has an inverted box, which is told by its order of planes alone.
+        inside = lesser(LONGER * far - entry, high_x[c] - low_x[c])
+        entries[c] = wp.where(inside >= 0.0, entry, 2.0 * FAR)
+    return entries
+
+
+@wp.func
+def tree_ray(origin: wp.vec3, direction: wp.vec3, footprint: float, path_length: float, hit_distance: int) -> TreeRay:
+    """A ray of which the footprint, over the length of its path, is in the space of the tree."""
+    ray = TreeRay()
+    ray.origin = origin
+    ray.direction = direction
+    ray.inverse = inverse_or_large(direction)
+    ray.footprint = footprint
+    ray.path_length = path_length
+    if footprint > 0.0 or hit_distance == HIT_MEAN:
+        length2 = wp.length_sq(direction)
+        slope = wp.vec3(footprint_slope(footprint, wp.sqrt(length2)))
+        around = path_length * slope
+        ray.slabs = slabs_around(origin - around, origin + around, direction - slope, direction + slope)
+        ray.slabs.slow = direction / length2
+        ray.slabs.fast = direction / length2
+    return ray
+
+
+@wp.func
+def enter_tree(node: Node, ray: TreeRay, hit_distance: int, end: float) -> Children:
+    """Distances before which no Gaussian of a node's children is hit; 2 FAR: none is before ``end``."""
+    entries = Children()
+    if ray.footprint > 0.0:
+        entries = enter_children(node, ray.slabs, 0.0)
+    else:
+        entries = enter_boxes(node, ray.origin, ray.inverse)
+    if hit_distance == HIT_MEAN:
+        entries = mean_entries(node, ray.slabs, entries, -FAR, end)
+    return entries
+
+
+@wp.func
+def push_all_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
+    """Pushes the children that a ray enters up to ``reach``, as they come."""
+    links = node.link
+    end = int(top)
+    last = lesser(reach, FAR)
+    for c in range(WIDTH):
+        # Written in any case, and overwritten: no branch to be mispredicted.
+        stack[end].entry = entries[c]
+        stack[end].link = links[c]
+        end += wp.where(entries[c] <= last, 1, 0)
+    top = end
+
+
+@wp.func
+def push_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
+    """The same, the nearest last, so that it is next."""
+    base = int(top)
+    push_all_entered(stack, top, node, entries, reach)
+    for k in range(base + 1, top):
+        waiting = stack[k]
+        j = int(k)
+        while j > base and stack[j - 1].entry < waiting.entry:
+            stack[j] = stack[j - 1]
+            j -= 1
+        stack[j] = waiting

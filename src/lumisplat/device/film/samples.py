@@ -1,0 +1,301 @@
+"""Samples of pixels: their sums, and what follows from them: means, variances, the linear colour of lit pixels.
+
+Captured colours and light are kept apart: docs/method/lighting.md#captured-and-added-light. The equations of variance
+are in docs/method/samples.md.
+"""
+
+import warp as wp
+
+from lumisplat.constants import LUMINANCE
+from lumisplat.device.light.splat_surface import catcher_change, straight_factor
+from lumisplat.device.math.color import captured_color, decode_srgb_color
+from lumisplat.device.math.directions import PI
+from lumisplat.device.mesh.mesh_surface import hit_weights, surface_normal
+from lumisplat.device.splat.blending import NORMAL_MIN, instance_of
+from lumisplat.device.splat.projection import above_horizon
+from lumisplat.device.structs.camera import FilmData, PixelSample
+from lumisplat.device.structs.rays import FirstSurface
+from lumisplat.device.structs.shading import CatcherLight, ShadingScene, WaveData
+
+# --- The first surface on a ray: depth, normal and indices of a frame ---
+
+
+@wp.func
+def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
+    """The iso-opacity surface of the Gaussians or, if it is not reached, the mesh behind them; normals blend."""
+    surface = FirstSurface()
+    surface.depth = wave[0].gaussians.depth[i]
+    surface.gaussian = -1
+    surface.instance = -1
+    if surface.depth < wp.inf and wave[0].gaussians.gaussian[i] >= 0:
+        surface.instance = instance_of(scene[0].splats, wave[0].gaussians.gaussian[i])
+        surface.gaussian = wave[0].gaussians.gaussian[i] - scene[0].splats[surface.instance].first
+
+    transmittance = wave[0].gaussians.transmittance[i]
+    normal = wave[0].gaussians.normal[i]
+    weight = 1.0 - transmittance
+    face = wave[0].meshes.face[i]
+    if face >= 0:
+        number = wave[0].meshes.instance[i]
+        corners = scene[0].meshes.indices[face]
+        mesh_normal = surface_normal(
+            scene[0].mesh_instances[number], scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i])
+        )
+        if wp.dot(mesh_normal, wave[0].rays.direction[i]) > 0.0:
+            mesh_normal = -mesh_normal
+        normal += transmittance * mesh_normal
+        weight = float(1.0)
+        if surface.gaussian < 0:
+            surface.depth = wave[0].meshes.t[i]
+            surface.instance = scene[0].splats.shape[0] + number
+
+    if weight > 0.0:
+        if wp.length(normal) > NORMAL_MIN * weight:
+            surface.normal = above_horizon(wp.normalize(normal), -wave[0].rays.direction[i])
+        else:
+            surface.normal = -wave[0].rays.direction[i]
+    return surface
+
+
+# --- Running means: sample n moves a mean by 1 / (n + 1) of the way ---
+
+
+@wp.func
+def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array[wp.vec3]):
+    """Adds a sample of any colour to an image's pixel."""
+    if sample == 0:
+        image[pixel] = color
+    else:
+        image[pixel] += (color - image[pixel]) / float(sample + 1)
+
+
+# --- Sums, means and variances ---
+
+LUMINANCE_WEIGHTS = wp.constant(wp.vec3d(*LUMINANCE))
+
+
+@wp.func
+def is_finite(color: wp.vec3) -> bool:
+    """No NaN or infinity in any channel."""
+    return wp.isfinite(color[0] + color[1] + color[2])
+
+
+@wp.func
+def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> bool:
+    """Whether the sample of ray ``i`` counts: none of its values is NaN or infinite."""
+    finite = is_finite(wave[0].radiance.captured[i]) and wp.isfinite(wave[0].radiance.alpha[i])
+    if finite and film[0].lit.light:
+        finite = is_finite(wave[0].radiance.light[i]) and wp.isfinite(wave[0].radiance.captured_weight[i])
+    if finite and film[0].captured_sent:
+        finite = is_finite(wave[0].radiance.sent[i]) and is_finite(wave[0].radiance.arrived[i])
+        finite = finite and is_finite(wave[0].radiance.own_sent[i]) and is_finite(wave[0].radiance.own_arrived[i])
+    return finite
+
+
+@wp.func
+def straight_radiance(color: wp.vec3, weight: float) -> wp.vec3:
+    """Linear radiance of a captured colour, display-referred, premultiplied by its weight."""
+    if weight <= 0.0:
+        return wp.vec3(0.0)
+    return decode_srgb_color(color / weight)
+
+
+@wp.func
+def captured_factor(
+    pixel: int,
+    radiance: wp.vec3,
+    part: wp.vec3,
+    whole: wp.vec3,
+    change: wp.vec3,
+    own_change: wp.vec3,
+    blocked: wp.vec3,
+    film: wp.array[FilmData],
+) -> wp.vec3:
+    """What is left of a captured colour, or more than that, by what its surface receives, per channel.
+
+    Args:
+        pixel: Whose means say what was sent.
+        radiance: The straight captured colour, linear.
+        part: Of that of the pixel, what is the surface's.
+        whole: All of it.
+        change: Of the irradiance by lights, by all that was added.
+        own_change: Of that by the captures around.
+        blocked: Ambient irradiance that was taken.
+        film: The film.
+    """
+    factor = wp.vec3(1.0)
+    for channel in range(3):
+        if whole[channel] > 0.0:
+            light = CatcherLight()
+            light.sent = film[0].captured_sent[pixel][channel]
+            light.own_sent = film[0].captured_own_sent[pixel][channel]
+            light.ambient = film[0].captured_ambient[pixel][channel]
+            light.change = change[channel]
+            light.own_change = own_change[channel]
+            light.blocked = blocked[channel]
+            light.least = PI * film[0].captured_received[pixel][channel] * radiance[channel]
+            share = wp.clamp(part[channel] / whole[channel], 0.0, 1.0)
+            factor[channel] = wp.max(1.0 + share * catcher_change(light), 0.0)
+    return factor
+
+
+@wp.func
+def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> PixelSample:
+    """What ray ``i`` sees, of a pixel."""
+    sample = PixelSample()
+    sample.color = wave[0].radiance.captured[i]
+    sample.alpha = wave[0].radiance.alpha[i]
+    sample.capture_factor = wp.vec3(1.0)
+    if film[0].lit.light:
+        sample.captured_weight = wave[0].radiance.captured_weight[i]
+        sample.light = wave[0].radiance.light[i]
+        if film[0].capture_factor:
+            sample.capture_factor = straight_factor(wave[0].radiance.capture_factor[i], sample.captured_weight)
+        if film[0].captured_sent:
+            sample.capture_factor = captured_factor(
+                pixel,
+                straight_radiance(sample.color, sample.captured_weight),
+                wave[0].radiance.captured_part[i],
+                wave[0].radiance.captured_all[i],
+                wave[0].radiance.arrived[i] - wave[0].radiance.sent[i],
+                wave[0].radiance.own_arrived[i] - wave[0].radiance.own_sent[i],
+                wave[0].radiance.ambient[i] - wave[0].radiance.open[i],
+                film,
+            )
+    return sample
+
+
+@wp.func
+def sample_of_pixel(pixel: int, film: wp.array[FilmData]) -> PixelSample:
+    """The only sample of a pixel, from its images."""
+    sample = PixelSample()
+    sample.color = film[0].pixels.color[pixel]
+    sample.alpha = film[0].pixels.alpha[pixel]
+    sample.capture_factor = wp.vec3(1.0)
+    if film[0].lit.light:
+        sample.captured_weight = film[0].lit.captured_weight[pixel]
+        sample.light = film[0].lit.light[pixel]
+    return sample
+
+
+@wp.func
+def radiance_of(sample: PixelSample, film: wp.array[FilmData]) -> wp.vec3:
+    """The linear radiance of a sample; of an unlit frame its display-referred colour."""
+    if not film[0].lit.light:
+        return sample.color
+    captured = captured_color(sample.color, sample.captured_weight)
+    return wp.cw_mul(captured, sample.capture_factor) + sample.light
+
+
+@wp.func
+def add_to_sums(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
+    """Adds a sample, which is counted already, to the sums of a pixel."""
+    radiance = wp.vec3d(radiance_of(sample, film))
+    before = wp.float64(film[0].count[pixel] - 1)
+    total = film[0].sums.radiance[pixel]
+    if before > wp.float64(0.0):
+        deviation = radiance - total / before
+        square = wp.cw_mul(deviation, deviation) * (before / (before + wp.float64(1.0)))
+        film[0].sums.squares[pixel] = film[0].sums.squares[pixel] + square
+    film[0].sums.color[pixel] = film[0].sums.color[pixel] + wp.vec3d(sample.color)
+    film[0].sums.alpha[pixel] = film[0].sums.alpha[pixel] + wp.float64(sample.alpha)
+    film[0].sums.radiance[pixel] = total + radiance
+    if film[0].lit.light:
+        weight = wp.float64(sample.captured_weight)
+        film[0].sums.captured_weight[pixel] = film[0].sums.captured_weight[pixel] + weight
+        film[0].sums.light[pixel] = film[0].sums.light[pixel] + wp.vec3d(sample.light)
+
+
+@wp.func
+def store_sample(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
+    """Writes a sample to the images of its pixel."""
+    film[0].pixels.color[pixel] = sample.color
+    film[0].pixels.alpha[pixel] = sample.alpha
+    if film[0].lit.light:
+        film[0].lit.captured_weight[pixel] = sample.captured_weight
+        film[0].lit.light[pixel] = sample.light
+
+
+@wp.func
+def store_surface(pixel: int, surface: FirstSurface, film: wp.array[FilmData]):
+    """Writes the surface that the first sample of a pixel sees."""
+    film[0].pixels.depth[pixel] = surface.depth
+    film[0].pixels.normal[pixel] = surface.normal
+    film[0].pixels.gaussian[pixel] = surface.gaussian
+    film[0].pixels.instance[pixel] = surface.instance
+
+
+@wp.func
+def mean_sample(pixel: int, film: wp.array[FilmData]) -> PixelSample:
+    """The mean of the samples of a pixel; zero if there are none."""
+    mean = PixelSample()
+    if film[0].count[pixel] == 0:
+        return mean
+    count = wp.float64(film[0].count[pixel])
+    mean.color = wp.vec3(film[0].sums.color[pixel] / count)
+    mean.alpha = float(film[0].sums.alpha[pixel] / count)
+    if film[0].lit.light:
+        mean.captured_weight = float(film[0].sums.captured_weight[pixel] / count)
+        mean.light = wp.vec3(film[0].sums.light[pixel] / count)
+    return mean
+
+
+@wp.func
+def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
+    """What shadows leave of the captured part of a pixel, or light makes of it: 1 where nothing changes it."""
+    weight = film[0].lit.captured_weight[pixel]
+    if film[0].capture_factor:
+        return straight_factor(film[0].capture_factor[pixel], weight)
+    if film[0].captured_sent:
+        return captured_factor(
+            pixel,
+            straight_radiance(film[0].pixels.color[pixel], weight),
+            film[0].captured_part[pixel],
+            film[0].captured_all[pixel],
+            film[0].captured_arrived[pixel] - film[0].captured_sent[pixel],
+            film[0].captured_own_arrived[pixel] - film[0].captured_own_sent[pixel],
+            film[0].captured_ambient[pixel] - film[0].captured_open[pixel],
+            film,
+        )
+    return wp.vec3(1.0)
+
+
+@wp.func
+def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
+    """What shadows take from the captured part of a pixel, or light adds to it, linear.
+
+    It is a share of the mean, with a mean of its own: means of display-referred colours and of linear ones do not
+    subtract.
+    """
+    if not film[0].ratio:
+        return wp.vec3(0.0)
+    captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
+    return wp.cw_mul(captured, film[0].ratio[pixel] - wp.vec3(1.0))
+
+
+@wp.func
+def develop(pixel: int, film: wp.array[FilmData]):
+    """Makes the linear colour of a lit pixel from what was captured and light; changes of the former are light."""
+    captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
+    film[0].lit.light[pixel] += captured_change(pixel, film)
+    film[0].lit.color[pixel] = wp.max(captured + film[0].lit.light[pixel], wp.vec3(0.0))
+
+
+@wp.func
+def sample_variance(pixel: int, film: wp.array[FilmData]) -> wp.vec3d:
+    """Variance of one sample of a pixel, which has two or more."""
+    return film[0].sums.squares[pixel] / wp.float64(film[0].count[pixel] - 1)
+
+
+@wp.func
+def relative_variance(pixel: int, least: float, film: wp.array[FilmData]) -> float:
+    """Variance of one sample of a pixel over the square of its luminance, or of ``least`` where it is darker.
+
+    inf: the pixel has fewer than two samples.
+    """
+    if film[0].count[pixel] < 2:
+        return wp.inf
+    mean = film[0].sums.radiance[pixel] / wp.float64(film[0].count[pixel])
+    luminance = wp.max(wp.dot(LUMINANCE_WEIGHTS, mean), wp.float64(least))
+    ratio = float(wp.dot(LUMINANCE_WEIGHTS, sample_variance(pixel, film)) / (luminance * luminance))
+    return wp.where(wp.isnan(ratio), wp.inf, ratio)

@@ -1,0 +1,239 @@
+"""Lights that are sampled by tables: the environment by its brightness, emissive triangles by their power."""
+
+import warp as wp
+
+from lumisplat.constants import EMITTER_MARGIN, ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
+from lumisplat.device.light.interaction import emission_at
+from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, PI, TWO_PI, angle_of
+from lumisplat.device.mesh.mesh_surface import surface_alpha
+from lumisplat.device.structs.shading import EmitterTriangle, EnvironmentData, LightSample, ShadingScene
+
+# --- The environment ---
+#
+# Its image is interpolated bilinearly, so a texel's light reaches into its neighbours' cells. A cell is sampled in
+# proportion to the mean of the interpolated image over it, a direction within the cell uniformly in solid angle: every
+# direction from which light comes has a density above 0 (docs/method/lighting.md#environment).
+
+BELOW_ONE = wp.constant(wp.float32(1.0 - 1.0 / ENVIRONMENT_SHARE_STEPS))
+
+BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
+
+
+@wp.func
+def image_coordinates(environment: EnvironmentData, direction: wp.vec3) -> wp.vec2:
+    """Image coordinates of a world-space direction, 0..1 each, from the left and from the top."""
+    local = wp.transpose(environment.world_from_environment) * direction
+    u = 0.5 + INV_TWO_PI * angle_of(local[0], -local[2])
+    # Not the arc cosine of y, which loses digits near the poles.
+    v = INV_PI * angle_of(wp.sqrt(local[0] * local[0] + local[2] * local[2]), local[1])
+    return wp.vec2(u, v)
+
+
+@wp.func
+def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
+    """Radiance at image coordinates: bilinear, left and right edges joined."""
+    x = at[0] * float(environment.width) - 0.5
+    y = wp.clamp(at[1] * float(environment.height) - 0.5, 0.0, float(environment.height - 1))
+    left = wp.floor(x)
+    top = wp.floor(y)
+    column = wp.clamp(int(left), -1, environment.width - 1)
+    beside = column + 1
+    if beside == environment.width:
+        beside = 0
+    if column < 0:
+        column = environment.width - 1
+    row = wp.clamp(int(top), 0, environment.height - 1)
+    below = wp.min(row + 1, environment.height - 1) * environment.width
+    row = row * environment.width
+    upper = wp.lerp(environment.texels[row + column], environment.texels[row + beside], x - left)
+    lower = wp.lerp(environment.texels[below + column], environment.texels[below + beside], x - left)
+    return wp.cw_mul(environment.power, wp.lerp(upper, lower, y - top))
+
+
+@wp.func
+def first_above(ends: wp.array[float], first: int, count: int, value: float) -> int:
+    """Which of ``count`` ascending numbers, from element ``first`` on, first exceeds ``value``; the last one does."""
+    low = int(0)
+    high = count - 1
+    while low < high:
+        middle = (low + high) >> 1
+        if ends[first + middle] > value:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@wp.func
+def start_of(ends: wp.array[float], first: int, index: int) -> float:
+    """Cumulative share before entry ``index``: the end of the previous one."""
+    if index == 0:
+        return 0.0
+    return ends[first + index - 1]
+
+
+@wp.func
+def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
+    """``sin^2 (theta / 2) = (1 - cos theta) / 2`` at the two edges of a row, without cancellation.
+
+    theta is the angle from the nearer pole: in the upper half from the top, in the lower from the bottom.
+    """
+    step = 0.5 * PI / float(environment.height)
+    upper = row
+    lower = row + 1
+    if 2 * row >= environment.height:
+        upper = environment.height - row
+        lower = environment.height - row - 1
+    a = wp.sin(step * float(upper))
+    b = wp.sin(step * float(lower))
+    return wp.vec2(a * a, b * b)
+
+
+@wp.func
+def cell_size(environment: EnvironmentData, height: wp.vec2) -> float:
+    """Solid angle of a texel's cell."""
+    return 2.0 * TWO_PI * wp.abs(height[1] - height[0]) / float(environment.width)
+
+
+@wp.func
+def environment_radiance(environment: EnvironmentData, direction: wp.vec3) -> wp.vec3:
+    """Radiance from a world-space direction; black without an environment."""
+    if environment.exists == 0:
+        return wp.vec3(0.0)
+    return interpolate(environment, image_coordinates(environment, direction))
+
+
+@wp.func
+def environment_density(environment: EnvironmentData, direction: wp.vec3) -> float:
+    """Density with which ``sample_environment`` samples a direction, per steradian."""
+    if environment.exists == 0:
+        return 0.0
+    at = image_coordinates(environment, direction)
+    column = wp.clamp(int(at[0] * float(environment.width)), 0, environment.width - 1)
+    row = wp.clamp(int(at[1] * float(environment.height)), 0, environment.height - 1)
+    first = row * environment.width
+    share_row = environment.row_ends[row] - start_of(environment.row_ends, 0, row)
+    share = environment.column_ends[first + column] - start_of(environment.column_ends, first, column)
+    return share_row * share / cell_size(environment, cell_height(environment, row))
+
+
+@wp.func
+def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
+    """A direction towards the environment, sampled in proportion to its brightness.
+
+    Args:
+        environment: The environment; if it is black or missing, the sample has no irradiance.
+        u: Random, 0..1 each.
+    """
+    sample = LightSample()
+    sample.direction = wp.vec3(0.0, 0.0, 1.0)
+    sample.distance = wp.inf
+    if environment.exists == 0 or environment.row_ends[environment.height - 1] <= 0.0:
+        return sample
+    down = wp.min(u[0], BELOW_ONE)
+    along = wp.min(u[1], BELOW_ONE)
+    row = first_above(environment.row_ends, 0, environment.height, down)
+    first = row * environment.width
+    column = first_above(environment.column_ends, first, environment.width, along)
+    # The remainders of the random numbers give the point within the cell.
+    start_row = start_of(environment.row_ends, 0, row)
+    share_row = environment.row_ends[row] - start_row
+    down = (down - start_row) / share_row
+    start = start_of(environment.column_ends, first, column)
+    share = environment.column_ends[first + column] - start
+    across = (float(column) + (along - start) / share) / float(environment.width)
+
+    height = cell_height(environment, row)
+    half2 = wp.lerp(height[0], height[1], down)
+    half = wp.sqrt(half2)
+    other = wp.sqrt(wp.max(1.0 - half2, 0.0))
+    v = 2.0 * INV_PI * angle_of(half, other)
+    y = 1.0 - 2.0 * half2
+    if 2 * row >= environment.height:
+        v = 1.0 - v
+        y = -y
+    sine = 2.0 * half * other
+    angle = TWO_PI * (across - 0.5)
+    local = wp.vec3(sine * wp.sin(angle), y, -sine * wp.cos(angle))
+    sample.direction = wp.normalize(environment.world_from_environment * local)
+    sample.density = share_row * share / cell_size(environment, height)
+    sample.irradiance = wp.min((1.0 / sample.density) * interpolate(environment, wp.vec2(across, v)), BRIGHTEST)
+    return sample
+
+
+# --- Emissive triangles ---
+
+NEARER = wp.constant(wp.float32(1.0 - EMITTER_MARGIN))
+
+
+@wp.func
+def emitter_share(k: int, scene: wp.array[ShadingScene]) -> float:
+    """Probability with which triangle ``k`` of those that shine is sampled."""
+    return scene[0].emitters.ends[k] - start_of(scene[0].emitters.ends, 0, k)
+
+
+@wp.func
+def area_density(share: float, across: wp.vec3, direction: wp.vec3, distance2: float) -> float:
+    """Density, per steradian, of a point of a triangle that is sampled with probability ``share``.
+
+    Args:
+        share: Of the triangle.
+        across: Cross product of two of its edges, world space.
+        direction: Unit, to the point.
+        distance2: To it, squared.
+    """
+    projected = 0.5 * wp.abs(wp.dot(across, direction))
+    if projected <= 0.0:
+        return 0.0
+    return share * distance2 / projected
+
+
+@wp.func
+def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> wp.vec3:
+    """A point of a triangle, lifted so far to the side of ``point`` that a ray from there does not hit the triangle.
+
+    Barycentric ``weights`` say which. As ``spawn_point``, with the largest rounding error on the triangle.
+    """
+    inner = wp.vec3(
+        wp.max(weights[0], triangle.inside[0]),
+        wp.max(weights[1], triangle.inside[1]),
+        wp.max(weights[2], triangle.inside[2]),
+    )
+    scale = 1.0 / (inner[0] + inner[1] + inner[2])
+    place = triangle.corner + (scale * inner[1]) * triangle.edge1 + (scale * inner[2]) * triangle.edge2
+    lift = wp.where(wp.dot(triangle.across, place - point) > 0.0, -triangle.lift, triangle.lift)
+    return place + lift * triangle.across
+
+
+@wp.func
+def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[ShadingScene]) -> LightSample:
+    """A point of the triangles that shine, as ``point`` sees it.
+
+    Args:
+        point: World space.
+        u: Random, 0..1 each: where on a triangle.
+        which: Random, 0..1: on which.
+        scene: With the triangles.
+    """
+    sample = LightSample()
+    emitters = scene[0].emitters
+    k = first_above(emitters.ends, 0, emitters.ends.shape[0], wp.min(which, BELOW_ONE))
+    number = emitters.instances[k]
+    triangle = emitters.triangles[k]
+    root = wp.sqrt(u[0])
+    weights = wp.vec3(1.0 - root, root * (1.0 - u[1]), root * u[1])
+    way = point_above(triangle, weights, point) - point
+    distance2 = wp.dot(way, way)
+    if distance2 <= 0.0:
+        return sample
+    sample.distance = wp.sqrt(distance2)
+    sample.direction = way / sample.distance
+    sample.distance *= NEARER  # a shadow ray to there ends before the triangle, however its hit is rounded
+    sample.density = area_density(emitter_share(k, scene), triangle.across, sample.direction, distance2)
+    if sample.density > 0.0:
+        instance = scene[0].mesh_instances[number]
+        corners = scene[0].meshes.indices[instance.face_first + k - emitters.first[number]]
+        coverage = surface_alpha(instance, scene[0].meshes, corners, weights)
+        radiance = coverage * emission_at(number, corners, weights, sample.direction, scene)
+        sample.irradiance = wp.min(radiance / sample.density, BRIGHTEST)
+    return sample

@@ -1,0 +1,400 @@
+"""Smooth and rough reflection and refraction: Fresnel, the GGX distribution of microfacets, rough glass.
+
+Directions are unit vectors, normals unit vectors on the side that the light comes from: ``cosine`` is
+``-dot(direction, normal)``. ``eta`` is the index of refraction of that side over that of the other.
+
+The equations are in docs/method/materials.md#smooth-surfaces.
+"""
+
+import numpy as np
+import warp as wp
+
+from lumisplat.constants import COAT_HEAD_ON, GGX_WIDTH_MIN
+from lumisplat.device.math.color import is_black, mean_of
+from lumisplat.device.math.directions import INV_PI, TWO_PI
+from lumisplat.device.structs.shading import Bsdf
+
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+NODES = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * (_POINTS + 1.0)).tolist()))
+"""Of the quadrature over the root of the cosine: reflectances rise steeply at grazing angles."""
+
+WEIGHTS = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * _WEIGHTS).tolist()))
+
+
+@wp.func
+def reflect(direction: wp.vec3, normal: wp.vec3) -> wp.vec3:
+    """The reflected direction."""
+    return wp.normalize(direction - 2.0 * wp.dot(direction, normal) * normal)
+
+
+@wp.func
+def cosine2_beyond(cosine: float, eta: float) -> float:
+    """Squared cosine of the angle of refraction; not above zero: total internal reflection.
+
+    ``1 - eta^2 (1 - cosine^2)``, without cancellation where the indices are nearly equal.
+    """
+    return (1.0 - eta) * (1.0 + eta) + eta * eta * cosine * cosine
+
+
+@wp.func
+def refract(direction: wp.vec3, normal: wp.vec3, eta: float) -> wp.vec3:
+    """The refracted direction, if there is no total internal reflection."""
+    cosine = -wp.dot(direction, normal)
+    beyond = wp.sqrt(wp.max(cosine2_beyond(cosine, eta), 0.0))
+    return wp.normalize(eta * direction + (eta * cosine - beyond) * normal)
+
+
+@wp.func
+def fresnel(cosine: float, eta: float) -> float:
+    """Reflectance of a dielectric for unpolarised light; 1 under total internal reflection."""
+    beyond2 = cosine2_beyond(cosine, eta)
+    if beyond2 <= 0.0:
+        return 1.0
+    beyond = wp.sqrt(beyond2)
+    across = (eta * cosine - beyond) / (eta * cosine + beyond)
+    along = (cosine - eta * beyond) / (cosine + eta * beyond)
+    return 0.5 * (across * across + along * along)
+
+
+@wp.func
+def dielectric_share(strength: float, cosine: float, eta: float) -> float:
+    """Share of the light that a dielectric mirrors; the strength of its reflection does not weaken a total one."""
+    if cosine2_beyond(cosine, eta) <= 0.0:
+        return 1.0
+    return strength * fresnel(cosine, eta)
+
+
+@wp.func
+def mean_fresnel(eta: float) -> float:
+    """``fresnel`` of even light from all around, on the side of the lower index; off by at most 7e-6."""
+    ratio = wp.min(eta, 1.0 / eta)
+    total = float(0.0)
+    for k in range(8):
+        root = NODES[k]
+        total += 4.0 * WEIGHTS[k] * root * root * root * fresnel(root * root, ratio)
+    return total
+
+
+@wp.func
+def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> float:
+    """``dielectric_share`` of even light from all around.
+
+    Args:
+        strength: Of the reflection.
+        fresnel_mean: The mean from the side of the lower index, of a strength of 1.
+        eta: Above 1 on the side of the higher index, from where the share 1 / eta^2 of the light gets to the other.
+    """
+    mean = strength * fresnel_mean
+    if eta > 1.0:
+        return 1.0 - (1.0 - mean) / (eta * eta)
+    return mean
+
+
+@wp.func
+def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
+    """Reflectance of a metal from that at normal incidence (Schlick 1994), linear."""
+    grazing = wp.pow(wp.clamp(1.0 - cosine, 0.0, 1.0), 5.0)
+    return head_on + grazing * (wp.vec3(1.0) - head_on)
+
+
+# --- The GGX distribution (Trowbridge and Reitz 1975, Walter et al. 2007) ---
+#
+# ``alpha`` is roughness squared, above 0. Cosines are those with the surface's normal, above 0. No angle is taken from
+# a cosine near 1: sines come from cross products, so that highlights of any width keep their shape in float32.
+
+ALPHA_GGX_MIN = wp.constant(wp.float32(GGX_WIDTH_MIN))
+
+HALF_MIN2 = wp.constant(wp.float32(1e-12))
+"""Squared length of view + light below which its direction is rounding error."""
+
+
+@wp.func
+def ggx_d(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
+    """D: area of the microfacets with normal ``half`` (of any length), per steradian and area of the surface.
+
+    ``alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2)`` of the angle between the two normals.
+    """
+    alpha2 = alpha * alpha
+    across = wp.cross(normal, half)
+    along = wp.dot(normal, half)
+    spread = (alpha2 * along * along + wp.dot(across, across)) / wp.dot(half, half)
+    return INV_PI * alpha2 / (spread * spread)
+
+
+@wp.func
+def smith_g1(cosine: float, alpha: float) -> float:
+    """Smith's G1, the share of microfacets that are not masked, over twice the cosine (Heitz 2014)."""
+    alpha2 = alpha * alpha
+    return 1.0 / (cosine + wp.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine))
+
+
+# The directional albedo of the highlight is linear in the reflectances: that at normal incidence times
+# ``1 - lost - rising``, that at grazing incidence times ``rising``. Both are fits to quadrature, and err on the side
+# that leaves less to diffuse light (docs/adr/0009); they are exact for smooth surfaces.
+
+
+@wp.func
+def rising_share(cosine: float, alpha: float) -> float:
+    """Share that Schlick's ``(1 - cosine)^5`` reflects; up to 0.08 too much, at grazing angles."""
+    x = wp.max(1.0 - cosine, 0.0)
+    above = cosine * x * x + 2.3 * alpha
+    below = cosine + alpha * (2.48 + alpha * (38.2 + alpha * 24.7))
+    return x * x * x * above / wp.max(below, 1e-30)
+
+
+@wp.func
+def lost_share(cosine: float, alpha: float) -> float:
+    """Share lost by masking and shadowing of microfacets; up to 0.12 too little, at grazing angles."""
+    above = alpha * alpha * (0.53 + 0.79 * cosine)
+    below = cosine * cosine + alpha * (1.15 - 0.91 * cosine + 0.74 * alpha)
+    return above / wp.max(below, 1e-30)
+
+
+@wp.func
+def mean_rising_share(alpha: float) -> float:
+    """A lower bound of ``rising_share``'s mean over all views, weighted by the cosine."""
+    return 1.0 / (21.0 + alpha * (50.4 + alpha * 357.0))
+
+
+@wp.func
+def mean_lost_share(alpha: float) -> float:
+    """An upper bound of ``lost_share``'s mean over all views, weighted by the cosine."""
+    return alpha * alpha / (0.26 + alpha * (1.05 + alpha * 0.3))
+
+
+@wp.func
+def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
+    """Of what single scattering loses in a metal, the share that is reflected after all (Kulla and Conty 2017).
+
+    Each time, light leaves with the mean albedo of white, or meets another facet.
+
+    Args:
+        head_on: Reflectance of the metal at normal incidence.
+        alpha: Of the facets; smooth ones lose nothing.
+    """
+    if alpha <= 0.0:
+        return wp.vec3(0.0)
+    lost = mean_lost_share(alpha)
+    facets = head_on + (wp.vec3(1.0) - head_on) / 21.0  # mean of Schlick's reflectance
+    leaves = wp.cw_mul(facets, facets) * (1.0 - lost)
+    return wp.cw_div(leaves, wp.vec3(1.0) - lost * facets)
+
+
+@wp.func
+def rescattered_eval(share: wp.vec3, cos_view: float, cos_light: float, alpha: float) -> wp.vec3:
+    """BSDF of that share: even, but for what each direction loses."""
+    lost = lost_share(cos_view, alpha) * lost_share(cos_light, alpha)
+    return (INV_PI * lost / mean_lost_share(alpha)) * share
+
+
+@wp.func
+def sample_ggx_vndf(view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
+    """A normal of the microfacets visible to ``view`` (Heitz 2018, by the spherical caps of Dupuy and Benyoub 2023).
+
+    Both in the frame in which the surface's normal is z; its density is ``2 D G1 / (2 cosine) * dot(view, facet)``.
+    """
+    axis = wp.normalize(wp.vec3(alpha * view[0], alpha * view[1], view[2]))
+    angle = TWO_PI * u[0]
+    z = (1.0 - u[1]) * (1.0 + axis[2]) - axis[2]
+    sine = wp.sqrt(wp.max((1.0 - z) * (1.0 + z), 0.0))
+    cap = wp.vec3(sine * wp.cos(angle), sine * wp.sin(angle), z) + axis
+    return wp.normalize(wp.vec3(alpha * cap[0], alpha * cap[1], wp.max(cap[2], 0.0)))
+
+
+# --- A rough dielectric of ior 1.5, whose two parts are a number each ---
+#
+# It is what ``pbr_eval`` is without metal, layers and transmission (docs/method/materials.md#metallic-roughness).
+
+HEAD_ON = wp.constant(wp.float32(COAT_HEAD_ON))
+
+
+@wp.func
+def mirrored(cosine: float, alpha: float) -> float:
+    """Share of light from that cosine which the highlight takes."""
+    rising = rising_share(cosine, alpha)
+    return HEAD_ON * (1.0 - lost_share(cosine, alpha) - rising) + rising
+
+
+@wp.func
+def diffuse_factor(cos_view: float, cos_light: float, alpha: float) -> float:
+    """BSDF of the diffuse part over the base colour."""
+    rising = mean_rising_share(alpha)
+    mean = HEAD_ON * (1.0 - mean_lost_share(alpha) - rising) + rising
+    return INV_PI * (1.0 - mirrored(cos_light, alpha)) * (1.0 - mirrored(cos_view, alpha)) / (1.0 - mean)
+
+
+@wp.func
+def highlight_factor(normal: wp.vec3, view: wp.vec3, light: wp.vec3, alpha: float) -> float:
+    """BSDF of the highlight, above the horizon; it has no colour."""
+    half = view + light
+    x = wp.max(1.0 - 0.5 * wp.length(half), 0.0)
+    fresnel = HEAD_ON + (1.0 - HEAD_ON) * x * x * x * x * x
+    masks = smith_g1(wp.dot(normal, view), alpha) * smith_g1(wp.dot(normal, light), alpha)
+    return fresnel * ggx_d(normal, half, alpha) * masks
+
+
+@wp.func
+def reflected_dot(
+    normal: wp.vec3,
+    roughness: float,
+    view: wp.vec3,
+    light: wp.vec3,
+    spread: float,
+    by_diffuse: float,
+    by_highlight: float,
+) -> wp.float32:
+    """Both parts times the cosine of the light, weighted by the derivatives of a loss by them, above the horizon."""
+    alpha = roughness * roughness
+    cos_light = wp.dot(normal, light)
+    diffuse = diffuse_factor(wp.dot(normal, view), cos_light, alpha)
+    highlight = highlight_factor(normal, view, light, wp.sqrt(alpha * alpha + spread))
+    return cos_light * (by_diffuse * diffuse + by_highlight * highlight)
+
+
+# --- Rough dielectrics that transmit, and thin walls (docs/method/materials.md#rough-glass) ---
+#
+# Directions are unit vectors away from the surface; ``view`` is on the side of ``normal``, ``light`` on either side.
+# Radiance counts over the square of its medium's index of refraction: no light is gained or lost where rays are bent,
+# as at smooth surfaces.
+
+BEND_MIN = wp.constant(wp.float32(1e-3))
+"""Least difference of the indices' ratio from 1 by which rays are bent: with none, there is one direction only."""
+
+
+@wp.func
+def transmits(bsdf: Bsdf) -> bool:
+    """Whether light arrives through the surface, over a lobe of directions."""
+    return not is_black(bsdf.transmitted)
+
+
+@wp.func
+def bending(eta: float) -> float:
+    """The ratio of the indices, but not 1."""
+    if wp.abs(eta - 1.0) >= BEND_MIN:
+        return eta
+    return wp.where(eta > 1.0, 1.0 + BEND_MIN, 1.0 - BEND_MIN)
+
+
+@wp.func
+def facet_of(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Normal of the microfacet that sends light to the view, unit, on the side of the view; zero: there is none."""
+    half = view + light
+    if wp.dot(normal, light) <= 0.0:
+        if bsdf.thin_walled:
+            half = view + light - 2.0 * wp.dot(normal, light) * normal
+        else:
+            half = -(bending(bsdf.eta) * view + light)
+    if wp.dot(half, half) <= HALF_MIN2:
+        return wp.vec3(0.0)
+    if wp.dot(half, normal) < 0.0:
+        half = -half
+    return wp.normalize(half)
+
+
+@wp.func
+def facet_reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """What a microfacet mirrors: Fresnel's share of the dielectric, and Schlick's of the metal."""
+    dielectric = dielectric_share(bsdf.dielectric, cosine, bsdf.eta)
+    x = wp.max(1.0 - cosine, 0.0)
+    rising = x * x * x * x * x
+    metal = (1.0 - rising) * bsdf.metal + wp.vec3(rising * bsdf.metallic)
+    return wp.vec3((1.0 - bsdf.metallic) * dielectric) + metal
+
+
+@wp.func
+def facet_transmittance(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """What a microfacet lets through."""
+    return (1.0 - dielectric_share(bsdf.dielectric, cosine, bsdf.eta)) * bsdf.transmitted
+
+
+@wp.func
+def reflected_chance(bsdf: Bsdf, cosine: float) -> float:
+    """Probability with which a sampled microfacet reflects, and does not transmit."""
+    reflected = mean_of(facet_reflectance(bsdf, cosine))
+    through = mean_of(facet_transmittance(bsdf, cosine))
+    if through <= 0.0:
+        return 1.0
+    return reflected / (reflected + through)
+
+
+@wp.func
+def spread_of_facets(bsdf: Bsdf, to_view: float, to_light: float) -> float:
+    """Solid angle of microfacets' normals over that of the light behind the surface that they send to the view."""
+    if bsdf.thin_walled:
+        return 0.25 / to_view
+    bend = bending(bsdf.eta) * to_view + to_light
+    return wp.abs(to_light) / wp.max(bend * bend, HALF_MIN2)
+
+
+@wp.func
+def glass_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """What microfacets send to ``view`` over irradiance from ``light``, per steradian, linear; without the cosine."""
+    half = facet_of(bsdf, normal, view, light)
+    to_view = wp.dot(view, half)
+    to_light = wp.dot(light, half)
+    if to_view <= 0.0:
+        return wp.vec3(0.0)
+    alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
+    cos_light = wp.dot(normal, light)
+    facets = ggx_d(normal, half, alpha) * smith_g1(wp.dot(normal, view), alpha) * smith_g1(wp.abs(cos_light), alpha)
+    if cos_light > 0.0:
+        return facets * facet_reflectance(bsdf, to_view)
+    if to_light >= 0.0 and not bsdf.thin_walled:
+        return wp.vec3(0.0)
+    return (4.0 * to_view * spread_of_facets(bsdf, to_view, to_light) * facets) * facet_transmittance(bsdf, to_view)
+
+
+@wp.func
+def glass_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Density with which ``glass_sample`` samples ``light``, per steradian."""
+    half = facet_of(bsdf, normal, view, light)
+    to_view = wp.dot(view, half)
+    to_light = wp.dot(light, half)
+    if to_view <= 0.0:
+        return 0.0
+    alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
+    seen = 2.0 * ggx_d(normal, half, alpha) * smith_g1(wp.dot(normal, view), alpha) * to_view
+    chance = reflected_chance(bsdf, to_view)
+    if wp.dot(normal, light) > 0.0:
+        return chance * seen * 0.25 / to_view
+    if to_light >= 0.0 and not bsdf.thin_walled:
+        return 0.0
+    return (1.0 - chance) * seen * spread_of_facets(bsdf, to_view, to_light)
+
+
+@wp.func
+def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, choice: float) -> wp.vec3:
+    """Where light comes from that a sampled microfacet sends to the view; zero: from another microfacet.
+
+    Args:
+        bsdf: The material.
+        normal: Unit.
+        view: Unit, away from the surface.
+        half: Normal of the microfacet.
+        choice: Random, 0..1, decides between reflection and transmission.
+    """
+    to_view = wp.dot(view, half)
+    mirrored = wp.normalize(2.0 * to_view * half - view)
+    is_lost = wp.dot(normal, mirrored) <= 0.0
+    found = mirrored
+    if choice >= reflected_chance(bsdf, to_view):
+        if bsdf.thin_walled:
+            found = mirrored - 2.0 * wp.dot(normal, mirrored) * normal
+        else:
+            found = refract(-view, half, bending(bsdf.eta))
+            is_lost = wp.dot(normal, found) >= 0.0
+    if is_lost:
+        return wp.vec3(0.0)
+    return found
+
+
+@wp.func
+def glass_share(bsdf: Bsdf, cos_view: float) -> float:
+    """Probability with which microfacets are sampled, and not the diffuse part."""
+    mirrored = dielectric_share(bsdf.dielectric, cos_view, bsdf.eta)
+    facets = (1.0 - bsdf.metallic) * mirrored + mean_of(bsdf.metal) + (1.0 - mirrored) * mean_of(bsdf.transmitted)
+    diffuse = (1.0 - mirrored) * mean_of(bsdf.diffuse)
+    if diffuse <= 0.0:
+        return 1.0
+    return facets / (facets + diffuse)

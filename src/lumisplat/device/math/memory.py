@@ -1,0 +1,171 @@
+"""Memory of kernels: aligned structs, arrays on a thread's stack, and sums that a CUDA warp adds up."""
+
+from typing import Any
+
+import warp as wp
+
+# --- Structs of whole 16-byte words, read and written by as many wide accesses on CUDA ---
+#
+# Warp declares structs with the alignment of their numbers, and compilers may not assume more. The arrays here come
+# from allocators that align memory to 64 bytes at least, and are not cut within. On CPUs these are plain accesses.
+
+_ELEMENT = "*static_cast<decltype(items.data)>(__builtin_assume_aligned(items.data + i, 16))"
+
+
+def _on_cuda(wide: str, plain: str) -> str:
+    """A statement for CUDA, and another for CPUs."""
+    check = 'static_assert(sizeof(item) % 16 == 0, "not of whole 16-byte words");'
+    return f"{check}\n#if defined(__CUDA_ARCH__)\n{wide};\n#else\n{plain};\n#endif\n"
+
+
+def aligned_load_of(noun: Any) -> Any:
+    """The function that reads a struct from a contiguous array into a variable."""
+
+    @wp.func_native(_on_cuda(f"item = {_ELEMENT}", "item = items.data[i]"))
+    def load_aligned(items: wp.array[noun], i: int, item: wp.ref[noun]): ...
+
+    return load_aligned
+
+
+def aligned_store_of(noun: Any) -> Any:
+    """The function that writes a struct from a variable to a contiguous array."""
+
+    @wp.func_native(_on_cuda(f"{_ELEMENT} = item", "items.data[i] = item"))
+    def store_aligned(items: wp.array[noun], i: int, item: wp.ref[noun]): ...
+
+    return store_aligned
+
+
+# --- Arrays on the stack of a thread, as large as a constant says, which functions can share ---
+#
+# Warp passes vectors by value, and copies a vector of a struct to read one of its numbers. So what functions share are
+# arrays, which lie in a local variable of the kernel: ``wp.array(ptr=wp.address_of(variable), ...)``. Warp's own local
+# arrays, of ``wp.zeros``, hide from the optimiser where they lie: with them kernels take twice as long.
+
+
+def storage_of(noun: Any, count: int) -> Any:
+    """The type of a variable that has room for ``count`` structs, and their alignment, that of 4-byte numbers."""
+    return wp.types.vector(length=count * wp.types.type_size_in_bytes(noun) // 4, dtype=wp.int32)
+
+
+# --- Sums over the threads of each CUDA warp of a block, in memory that the block shares, without barriers ---
+#
+# ``wp.tile_sum`` adds up over whole blocks, and each sum has barriers and an atomic count. Here each warp has a place
+# of its own in a row for each of many sums; after a barrier, the block reads the rows and adds the warps' parts in
+# order.
+
+_DECLARED = """
+    constexpr int LENGTH = {length}, WARPS = {warps}, STRIDE = {rows} + 1;  // numbers of a sum lie in different banks
+"""
+
+_MEMORY = (
+    _DECLARED
+    + """
+#if defined(__CUDA_ARCH__)
+    __shared__ float sums[WARPS * LENGTH * STRIDE];
+#else
+    static float sums[WARPS * LENGTH * STRIDE];
+#endif
+    return reinterpret_cast<wp::uint64>(sums);
+"""
+)
+
+_EXCHANGES = "".join(
+    f"""
+        #pragma unroll
+        for (int i = 0; i < {half}; ++i) {{
+            const float low = v[i], high = v[i + {half}];
+            const bool upper = lane & {2 * half};
+            v[i] = (upper ? high : low) + __shfl_xor_sync(all, upper ? low : high, {2 * half});
+        }}
+"""
+    for half in (8, 4, 2, 1)
+)
+
+_ADD = (
+    _DECLARED
+    + """
+    const int lane = WP_TILE_THREAD_IDX % 32, warp = WP_TILE_THREAD_IDX / 32;
+    float* out = reinterpret_cast<float*>(memory) + warp * LENGTH * STRIDE + row;
+#if defined(__CUDA_ARCH__)
+    const unsigned all = 0xffffffffu;
+    if (__any_sync(all, has_part)) {
+        float v[16];
+        #pragma unroll
+        for (int i = 0; i < 16; ++i)
+            v[i] = has_part && i < LENGTH ? part[i] : 0.0f;
+        // Lanes change halves with each other, until each pair of lanes has all of one number.
+        EXCHANGES
+        const float total = v[0] + __shfl_xor_sync(all, v[0], 1);
+        if (lane % 2 == 0 && lane / 2 < LENGTH)
+            out[(lane / 2) * STRIDE] = total;
+    } else if (lane < LENGTH) {
+        out[lane * STRIDE] = 0.0f;
+    }
+#else
+    static float parts[WARPS * 32][LENGTH];
+    for (int i = 0; i < LENGTH; ++i)
+        parts[WP_TILE_THREAD_IDX][i] = has_part ? part[i] : 0.0f;
+    WP_TILE_SYNC();
+    if (lane < LENGTH) {
+        out[lane * STRIDE] = 0.0f;
+        for (int other = 0; other < 32; ++other)
+            out[lane * STRIDE] += parts[warp * 32 + other][lane];
+    }
+    WP_TILE_SYNC();
+#endif
+"""
+).replace("EXCHANGES", _EXCHANGES)
+
+_READ = (
+    _DECLARED
+    + """
+    const float* sums = reinterpret_cast<const float*>(memory) + row;
+    for (int i = 0; i < LENGTH; ++i) {
+        total[i] = 0.0f;
+        for (int warp = 0; warp < WARPS; ++warp)
+            total[i] += sums[(warp * LENGTH + i) * STRIDE];
+    }
+"""
+)
+
+
+def warp_sums(vector: Any, warps: int, rows: int) -> tuple[Any, Any]:
+    """Functions that add up vectors over warps.
+
+    Args:
+        vector: The Warp type of what is added up, of 16 float32 at most.
+        warps: Warps of a block.
+        rows: Sums that are kept at a time.
+
+    Returns:
+        ``add_up(row, part, has_part)``, which all threads of the block call for the same rows (on CUDA, those of a warp
+        may be ahead of others), and ``sum_of(row)``, for any thread once the block has come to a barrier.
+    """
+
+    def filled(snippet: str) -> str:
+        sizes = {"length": vector._length_, "warps": warps, "rows": rows}
+        for name, size in sizes.items():
+            snippet = snippet.replace("{" + name + "}", str(size))
+        return snippet
+
+    @wp.func_native(filled(_MEMORY))
+    def sums_of_block() -> wp.uint64: ...
+
+    @wp.func_native(filled(_ADD))
+    def add_to_row(memory: wp.uint64, row: int, part: vector, has_part: bool): ...
+
+    @wp.func_native(filled(_READ))
+    def read_row(memory: wp.uint64, row: int, total: wp.ref[vector]): ...
+
+    @wp.func
+    def add_up(row: int, part: vector, has_part: bool):
+        add_to_row(sums_of_block(), row, part, has_part)
+
+    @wp.func
+    def sum_of(row: int) -> vector:
+        total = vector()
+        read_row(sums_of_block(), row, total)
+        return total
+
+    return add_up, sum_of

@@ -1,0 +1,245 @@
+"""Rays against meshes: one triangle, watertight, and the nearest one of all instances.
+
+Corners are sheared so that the ray becomes an axis; which side of an edge it passes is then the sign of a product that
+both triangles of the edge compute from the same numbers (Woop, Benthin and Wald 2013). Kernels that call these compile
+without fused multiply-adds (``fuse_fp``), which would round the two products differently: shared edges would leak.
+
+The equations are in docs/method/ray_tracing.md#triangles.
+"""
+
+import warp as wp
+
+from lumisplat.constants import RAY_START_BACK
+from lumisplat.device.bvh.nodes import enter_boxes, inverse_or_large, larger, lesser, load_node, push_entered, push_link
+from lumisplat.device.mesh.mesh_surface import hit_weights, meets_alpha
+from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node, WaitingLink
+from lumisplat.device.structs.rays import MeshHit, MeshRay, RayShear, TriangleHit
+from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshInstanceData
+
+
+@wp.func
+def axis_last(v: wp.vec3, axis: int) -> wp.vec3:
+    """The vector's components, permuted cyclically so that ``axis`` comes last."""
+    # Component by component: a vector that is written in branches goes through memory.
+    x = wp.where(axis == 0, v[1], wp.where(axis == 1, v[2], v[0]))
+    y = wp.where(axis == 0, v[2], wp.where(axis == 1, v[0], v[1]))
+    return wp.vec3(x, y, wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2])))
+
+
+@wp.func
+def ray_shear(direction: wp.vec3) -> RayShear:
+    """How to shear corners so that a direction, of any length but zero, becomes an axis."""
+    shear = RayShear()
+    shear.axis = 2
+    size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
+    if size[0] >= size[1] and size[0] >= size[2]:
+        shear.axis = 0
+    elif size[1] >= size[2]:
+        shear.axis = 1
+    turned = axis_last(direction, shear.axis)
+    shear.slope = wp.vec2(turned[0] / turned[2], turned[1] / turned[2])
+    shear.inverse = 1.0 / turned[2]
+    return shear
+
+
+@wp.func
+def edge_side(a: wp.vec2, b: wp.vec2) -> float:
+    """On which side of an edge the ray passes; the two triangles of the edge get exactly opposite numbers."""
+    return a[0] * b[1] - a[1] * b[0]
+
+
+@wp.func
+def intersect_triangle(
+    origin: wp.vec3, direction: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3
+) -> TriangleHit:
+    """The hit of the ray's line on a triangle, from either side.
+
+    Its distance is a weighted mean of those of the corners: bounded by them, at grazing angles, too.
+    """
+    hit = TriangleHit()
+    hit.t = wp.inf
+    turned_a = axis_last(v0 - origin, shear.axis)
+    turned_b = axis_last(v1 - origin, shear.axis)
+    turned_c = axis_last(v2 - origin, shear.axis)
+    flat_a = wp.vec2(turned_a[0] - shear.slope[0] * turned_a[2], turned_a[1] - shear.slope[1] * turned_a[2])
+    flat_b = wp.vec2(turned_b[0] - shear.slope[0] * turned_b[2], turned_b[1] - shear.slope[1] * turned_b[2])
+    flat_c = wp.vec2(turned_c[0] - shear.slope[0] * turned_c[2], turned_c[1] - shear.slope[1] * turned_c[2])
+    weight_a = edge_side(flat_c, flat_b)
+    weight_b = edge_side(flat_a, flat_c)
+    weight_c = edge_side(flat_b, flat_a)
+    if lesser(weight_a, lesser(weight_b, weight_c)) < 0.0 and larger(weight_a, larger(weight_b, weight_c)) > 0.0:
+        return hit
+    total = weight_a + weight_b + weight_c
+    if total == 0.0:
+        return hit
+    hit.t = shear.inverse * (weight_a * turned_a[2] + weight_b * turned_b[2] + weight_c * turned_c[2]) / total
+    hit.weights = wp.vec2(weight_b / total, weight_c / total)
+    return hit
+
+
+@wp.func
+def flat_corner(corner: wp.vec3, origin: wp.vec3, shear: RayShear) -> wp.vec2:
+    """A corner, sheared and projected along the ray."""
+    turned = axis_last(corner - origin, shear.axis)
+    return wp.vec2(turned[0] - shear.slope[0] * turned[2], turned[1] - shear.slope[1] * turned[2])
+
+
+@wp.func
+def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
+    """Whether a triangle owns the points on its edge; ``around`` is positive if it is counter-clockwise, else negative.
+
+    Of the two triangles at an edge, one does: as if the ray passed slightly to the left of the edge.
+    """
+    if edge_side(start, end) != 0.0:
+        return True
+    along = around * (end - start)
+    return along[1] > 0.0 or (along[1] == 0.0 and along[0] < 0.0)
+
+
+@wp.func
+def owns_crossing(origin: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
+    """Whether a triangle counts that a ray hits exactly on an edge or a corner.
+
+    Otherwise, a count of crossings would include each triangle at the edge, or all around the corner.
+    """
+    flat_a = flat_corner(v0, origin, shear)
+    flat_b = flat_corner(v1, origin, shear)
+    flat_c = flat_corner(v2, origin, shear)
+    around = edge_side(flat_a, flat_b) + edge_side(flat_b, flat_c) + edge_side(flat_c, flat_a)
+    if not owns_edge(flat_a, flat_b, around):
+        return False
+    return owns_edge(flat_b, flat_c, around) and owns_edge(flat_c, flat_a, around)
+
+
+# --- Instances: their boxes, and rays in their own space ---
+
+BACK = wp.constant(wp.float32(RAY_START_BACK))
+
+
+@wp.func
+def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> wp.vec2:
+    """Distances at which a ray's line enters and leaves a box; ``inverse`` is that of the direction, finite."""
+    a = wp.cw_mul(low - origin, inverse)
+    b = wp.cw_mul(high - origin, inverse)
+    return wp.vec2(wp.max(wp.min(a, b)), wp.min(wp.max(a, b)))
+
+
+@wp.func
+def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
+    """The ray in object space, begun at ``t_min`` or shortly before it enters the instance's box.
+
+    So close to the box, rounding errors are relative to its size, not to the distance from it.
+    """
+    ray = MeshRay()
+    ray.begin = wp.max(entry - BACK * wp.abs(entry), t_min)
+    ray.origin = instance.object_from_world * (origin - instance.position + ray.begin * direction)
+    ray.direction = instance.object_from_world * direction
+    ray.shear = ray_shear(ray.direction)
+    return ray
+
+
+# --- The nearest triangle, through the tree over the instances and those of their meshes ---
+#
+# Of triangles that are equally near, that of the first instance counts, and in it the first face: so the order of
+# visits does not matter.
+
+
+@wp.func
+def is_nearer(t: float, local_t: float, face: int, instance: int, nearest: MeshHit) -> bool:
+    """Whether a hit is nearer than the nearest so far, or as near and the first of both."""
+    if t != nearest.t or nearest.face < 0:
+        return t < nearest.t
+    if instance != nearest.instance:
+        return instance < nearest.instance
+    return local_t < nearest.local_t or (local_t == nearest.local_t and face < nearest.face)
+
+
+@wp.func
+def keep_nearest(
+    triangle: MeshTriangle,
+    ray: MeshRay,
+    number: int,
+    t_min: float,
+    sample_key: wp.uint32,
+    scene: MeshBvh,
+    nearest: wp.ref[MeshHit],
+):
+    """Replaces the nearest hit by that of a triangle of instance ``number``, if there is a nearer one."""
+    hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
+    t = ray.begin + hit.t
+    if t > t_min and is_nearer(t, hit.t, triangle.face, number, nearest):
+        if scene.instances[number].alpha.mode != ALPHA_OPAQUE:
+            face = scene.instances[number].face_first + triangle.face
+            where = hit_weights(hit.weights)
+            if not meets_alpha(scene.instances[number], scene.meshes, face, where, sample_key):
+                return
+        nearest.t = t
+        nearest.local_t = hit.t
+        nearest.face = triangle.face
+        nearest.instance = number
+        nearest.weights = hit.weights
+
+
+@wp.func
+def walk_instance(
+    stack: wp.array[WaitingLink],
+    top: int,
+    number: int,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    t_min: float,
+    sample_key: wp.uint32,
+    scene: MeshBvh,
+    nearest: wp.ref[MeshHit],
+):
+    """Finds the nearest triangle of instance ``number``, on the stack above ``top``."""
+    span = box_span(origin, inverse_or_large(direction), scene.instances[number].low, scene.instances[number].high)
+    if not (span[0] <= span[1] and span[1] > t_min and span[0] <= nearest.t):
+        return
+    ray = ray_in_mesh(scene.instances[number], origin, direction, span[0], t_min)
+    inverse = inverse_or_large(ray.direction)
+    asset = scene.instances[number].asset
+    node = Node()
+    height = int(top)
+    push_link(stack, height, scene.instances[number].root)
+    while height > top:
+        height -= 1
+        reach = nearest.t - ray.begin
+        if stack[height].entry <= reach:
+            link = stack[height].link
+            if link < 0:
+                keep_nearest(scene.assets[asset].triangles[~link], ray, number, t_min, sample_key, scene, nearest)
+            else:
+                load_node(scene.assets[asset].nodes, link, node)
+                push_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), reach)
+
+
+@wp.func
+def nearest_triangle(
+    stack: wp.array[WaitingLink],
+    origin: wp.vec3,
+    direction: wp.vec3,
+    t_min: float,
+    t_max: float,
+    sample_key: wp.uint32,
+    scene: MeshBvh,
+) -> MeshHit:
+    """The nearest triangle between two distances; without one, ``t_max`` is the distance of the hit."""
+    nearest = MeshHit()
+    nearest.t = t_max
+    nearest.face = -1
+    nearest.instance = -1
+    inverse = inverse_or_large(direction)
+    node = Node()
+    top = int(0)
+    push_link(stack, top, 0)
+    while top > 0:
+        top -= 1
+        if stack[top].entry <= nearest.t:
+            link = stack[top].link
+            if link < 0:
+                walk_instance(stack, top, scene.tlas_order[~link], origin, direction, t_min, sample_key, scene, nearest)
+            else:
+                load_node(scene.tlas_nodes, link, node)
+                push_entered(stack, top, node, enter_boxes(node, origin, inverse), nearest.t)
+    return nearest

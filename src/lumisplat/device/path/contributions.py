@@ -1,0 +1,507 @@
+"""What paths contribute: light that their rays show, samples of lights with their shadow rays, and the layers.
+
+Surfaces sample the environment, emissive triangles and visible lights as well: each counts by the power heuristic. The
+equations are in docs/method/paths.md#lights.
+"""
+
+import warp as wp
+
+from lumisplat.device.light.direct_light import (
+    CHOICE_BRANCH,
+    POINT_BRANCH,
+    casts_shadow,
+    choice_probability,
+    chosen_light,
+    environment_number,
+    meets_rays,
+    power_heuristic,
+    sample_chosen,
+    start_chosen_ray,
+)
+from lumisplat.device.light.emitters import area_density, emitter_share, environment_density, environment_radiance
+from lumisplat.device.light.interaction import mesh_emission
+from lumisplat.device.light.light import light_crossing
+from lumisplat.device.material.bsdf import diffuse_share
+from lumisplat.device.material.media import absorption_in, absorption_on_ray, passed, scattered_media
+from lumisplat.device.material.specular_bounce import mesh_coverage
+from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black
+from lumisplat.device.math.random import branch_key, draw, sobol_2d
+from lumisplat.device.path.steps import BRANCH_MESH, PathData
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import (
+    Interaction,
+    LightCrossing,
+    PathVertex,
+    ShadingScene,
+    WaveData,
+)
+
+
+@struct
+class PathShadowRays:
+    """Shadow rays of a wave of paths, and what lights contribute along them.
+
+    Element ``ray`` leads from the surface to a sampled light; element ``stride + ray``, if there are so many, is the
+    ray itself up to a light that it shows.
+    """
+
+    rays: RayData
+    """Active where the light has a shadow."""
+    contributions: wp.array[wp.vec3]
+    """Without shadows."""
+    opaque: wp.array[wp.bool]
+    """Whether glass blocks the ray: towards lights that rays find through it."""
+    skips: wp.array[wp.bool]
+    """Whether it passes shadow-only sets: from one of them."""
+    media: wp.array[wp.vec4i]
+    """Those at its origin, as ``Boundary``, unless glass blocks it; without elements where none absorbs."""
+    lights: wp.array[int]
+    """Number of the light."""
+    diffuse: wp.array[wp.vec3]
+    """As of `PathData`, after this surface; without elements in frames without layers."""
+    sent: wp.array[wp.vec3]
+    """What the light alone would contribute, by its own samples; without elements unless frames ask for ``lights``."""
+    reaching: wp.array[wp.vec3]
+    """The same, less what the medium absorbs on a way that glass ends; so, too."""
+
+
+PART_DIRECT_DIFFUSE: int = wp.constant(0)
+
+PART_INDIRECT_DIFFUSE: int = wp.constant(1)
+
+PART_DIRECT_GLOSSY: int = wp.constant(2)
+
+PART_INDIRECT_GLOSSY: int = wp.constant(3)
+
+PART_EMISSION: int = wp.constant(4)
+
+PARTS: int = wp.constant(5)
+
+
+@struct
+class PathImages:
+    """What paths bring, added up for the ray of the first wave that each began with; linear.
+
+    Layers have no elements unless the frame asks for them.
+    """
+
+    light: wp.array[wp.vec3]
+    """All of it."""
+    parts: wp.array[wp.vec3]
+    """By PART_DIRECT_DIFFUSE and so on: row after row of one element a ray, like the next ones."""
+    bounces: wp.array[wp.vec3]
+    """By how often surfaces have scattered it: at most once more than paths bounce."""
+    lights_sent: wp.array[wp.vec3]
+    """By light: what the first surface would reflect of it, unshadowed, by samples of the light alone."""
+    lights_arrived: wp.array[wp.vec3]
+    """What arrives of these samples."""
+    lights_total: wp.array[wp.vec3]
+    """All of each light; the last row is what shines and is no light."""
+    received: wp.array[wp.vec3]
+    """1 where a path finds the next two, else 0."""
+    sent: wp.array[wp.vec3]
+    """Irradiance of shadow catchers by lights, as captured; without elements in frames without such sets."""
+    arrived: wp.array[wp.vec3]
+    """The same with all that was added."""
+    own_sent: wp.array[wp.vec3]
+    """Irradiance of shadow catchers by the captures around them, as captured."""
+    own_arrived: wp.array[wp.vec3]
+    """The same with all that was added, and what added surfaces emit."""
+    ambient: wp.array[wp.vec3]
+    """Ambient irradiance of shadow catchers."""
+    open: wp.array[wp.vec3]
+    """The part of it that nothing added blocks."""
+
+
+# --- Layers, and what shadow catchers receive (docs/method/paths.md#layers) ---
+
+
+@wp.func
+def add_to_row(rows: wp.array[wp.vec3], row: int, count: int, root: int, value: wp.vec3):
+    """Adds to the element of a ray in one of several rows of ``count`` elements each."""
+    i = row * count + root
+    rows[i] = rows[i] + value
+
+
+@wp.func
+def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, images: wp.array[PathImages]):
+    """Adds light to the part that its first scattering decides: diffuse or glossy, direct or indirect."""
+    count = images[0].light.shape[0]
+    if bounces == 0:
+        add_to_row(images[0].parts, PART_EMISSION, count, root, value)
+        return
+    scattered = wp.cw_mul(diffuse, value)
+    if bounces == 1:
+        add_to_row(images[0].parts, PART_DIRECT_DIFFUSE, count, root, scattered)
+        add_to_row(images[0].parts, PART_DIRECT_GLOSSY, count, root, value - scattered)
+    else:
+        add_to_row(images[0].parts, PART_INDIRECT_DIFFUSE, count, root, scattered)
+        add_to_row(images[0].parts, PART_INDIRECT_GLOSSY, count, root, value - scattered)
+
+
+@wp.func
+def add_light(
+    root: int,
+    receives: bool,
+    value: wp.vec3,
+    bounces: int,
+    light: int,
+    light_count: int,
+    diffuse: wp.vec3,
+    images: wp.array[PathImages],
+):
+    """Adds what a path brings of a light.
+
+    Args:
+        root: The ray that the path began with.
+        receives: As of ``PathData``.
+        value: Linear radiance, times the throughput.
+        bounces: How often surfaces have scattered it.
+        light: Number of the light; one more than that of the last one: it is none, but shines.
+        light_count: How many lights there are.
+        diffuse: Share that the first surface has scattered diffusely.
+        images: Where it is added.
+    """
+    if receives:
+        if light < light_count:
+            images[0].arrived[root] += value
+        else:
+            images[0].own_arrived[root] += value
+        return
+    images[0].light[root] += value
+    count = images[0].light.shape[0]
+    if images[0].parts:
+        add_to_parts(root, value, bounces, diffuse, images)
+    if images[0].bounces:
+        add_to_row(images[0].bounces, bounces, count, root, value)
+    if images[0].lights_total:
+        lights = images[0].lights_arrived.shape[0] // count
+        add_to_row(images[0].lights_total, wp.min(light, lights), count, root, value)
+
+
+@wp.func
+def add_first_light(root: int, sent: wp.vec3, arrived: wp.vec3, light: int, images: wp.array[PathImages]):
+    """Adds a sample of a light at the first surface of a path, if it is one of the lights and the frame asks for it.
+
+    Args:
+        root: The ray that the path began with.
+        sent: What the surface would reflect of it unshadowed, linear.
+        arrived: What it does reflect.
+        light: Number of the light.
+        images: Where both are added.
+    """
+    if images[0].lights_sent:
+        count = images[0].light.shape[0]
+        if light < images[0].lights_sent.shape[0] // count:
+            add_to_row(images[0].lights_sent, light, count, root, sent)
+            add_to_row(images[0].lights_arrived, light, count, root, arrived)
+
+
+@wp.func
+def add_sent_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
+    """Adds irradiance of a shadow catcher by lights, as it was captured."""
+    images[0].sent[root] += value
+
+
+@wp.func
+def add_own_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
+    """Adds irradiance of a shadow catcher by the captures around it, as it was captured."""
+    images[0].own_sent[root] += value
+
+
+# --- Light that rays show ---
+
+
+@wp.func
+def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
+    """The surface where the ray of path ``i`` begins."""
+    vertex = PathVertex()
+    vertex.position = paths[0].position[i]
+    vertex.normal = paths[0].normal[i]
+    vertex.importance = paths[0].importance[i]
+    return vertex
+
+
+@wp.func
+def leaves_receiver(i: int, paths: wp.array[PathData]) -> bool:
+    """Whether the ray of path ``i`` leaves a shadow-only surface, whose lights all count by their own samples.
+
+    But for an environment that rays meet: of that, it sees as much as its own set leaves open.
+    """
+    return paths[0].density[i] < 0.0
+
+
+@wp.func
+def far_light(
+    i: int, direction: wp.vec3, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene]
+) -> wp.vec3:
+    """Linear radiance that path ``i`` sees infinitely far away, weighted against samples of the environment.
+
+    Without an environment, that is the background, but in mirrors only: it is a picture, and shines on nothing.
+    """
+    if scene[0].environment.exists == 0:
+        if paths[0].is_specular[i]:
+            return decode_srgb_color(scene[0].settings[0].background)
+        return wp.vec3(0.0)
+    radiance = environment_radiance(scene[0].environment, direction)
+    if paths[0].is_specular[i]:
+        return radiance
+    number = environment_number(scene)
+    if number >= 0:
+        if not meets_rays(number, no_shadows, scene):
+            return wp.vec3(0.0)
+        if paths[0].density[i] > 0.0:
+            other = choice_probability(number, vertex_of(i, paths), scene)
+            other *= environment_density(scene[0].environment, direction)
+            radiance *= power_heuristic(paths[0].density[i], other)
+    return radiance
+
+
+@wp.func
+def emitted_share(
+    i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> float:
+    """Weight of the emission of the mesh that the ray of path ``i`` hits, against samples of what shines."""
+    density = paths[0].density[i]
+    number = wave[0].meshes.instance[i]
+    if paths[0].is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
+        return 1.0
+    if leaves_receiver(i, paths) or not meets_rays(scene[0].settings[0].light_count, no_shadows, scene):
+        return 0.0
+    if density <= 0.0:
+        return 1.0
+    face = wave[0].meshes.face[i]
+    k = scene[0].emitters.first[number] + face - scene[0].mesh_instances[number].face_first
+    across = scene[0].emitters.triangles[k].across
+    vertex = vertex_of(i, paths)
+    way = wave[0].rays.origin[i] + wave[0].meshes.t[i] * wave[0].rays.direction[i] - vertex.position
+    other = area_density(emitter_share(k, scene), across, wave[0].rays.direction[i], wp.dot(way, way))
+    other *= choice_probability(scene[0].settings[0].light_count, vertex, scene)
+    return power_heuristic(density, other)
+
+
+@wp.func
+def shown_light(
+    i: int,
+    number: int,
+    no_shadows: bool,
+    paths: wp.array[PathData],
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+) -> LightCrossing:
+    """Where the ray of path ``i`` meets light ``number``, and its radiance, weighted likewise; inf: it shows none."""
+    crossing = LightCrossing()
+    crossing.t = wp.inf
+    is_shown = not leaves_receiver(i, paths) and (paths[0].is_specular[i] or meets_rays(number, no_shadows, scene))
+    if scene[0].lights[number].visible == 0 or not is_shown:
+        return crossing
+    crossing = light_crossing(scene[0].lights[number], wave[0].rays.origin[i], wave[0].rays.direction[i])
+    density = paths[0].density[i]
+    if density > 0.0 and crossing.t < wp.inf:
+        other = choice_probability(number, vertex_of(i, paths), scene) * crossing.density
+        crossing.radiance = power_heuristic(density, other) * crossing.radiance
+    if crossing.t < wp.inf and scene[0].settings[0].absorbs != 0:
+        crossing.radiance = wp.cw_mul(crossing.radiance, passed(absorption_on_ray(i, scene, wave), crossing.t))
+    return crossing
+
+
+@wp.func
+def own_light(
+    i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> wp.vec3:
+    """Linear radiance that path ``i`` sees of captures, and of what meshes shine by themselves."""
+    seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
+    if not paths[0].is_specular[i]:
+        seen *= scene[0].settings[0].capture_gain
+    seen += wave[0].radiance.light[i]
+    if wave[0].meshes.face[i] >= 0:
+        share = emitted_share(i, no_shadows, paths, scene, wave)
+        if share < 1.0:
+            reached = wave[0].gaussians.transmittance[i] * mesh_coverage(i, scene, wave)
+            seen += (share - 1.0) * reached * mesh_emission(i, scene, wave)
+    return seen
+
+
+# --- Samples of lights, and lights that rays show behind blended Gaussians ---
+
+SHOWN_BRANCH = wp.constant(4)
+"""Branch of a ray's key: how Gaussians hide a light that the ray itself shows. See also light/direct_light.py."""
+
+
+@wp.func
+def diffuse_of(i: int, number: int, paths: wp.array[PathData]) -> wp.vec3:
+    """Share of what path ``i`` brings that its first surface has scattered diffusely."""
+    if number == 0 or not paths[0].diffuse:
+        return wp.vec3(0.0)
+    return paths[0].diffuse[i]
+
+
+@wp.func
+def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
+    """Shadow ray ``j``: there is none, and nothing to be shadowed."""
+    shadows[0].contributions[j] = wp.vec3(0.0)
+    shadows[0].rays.is_active[j] = False
+    shadows[0].opaque[j] = True
+    shadows[0].skips[j] = False
+    if shadows[0].media:
+        shadows[0].media[j] = wp.vec4i(0)
+
+
+@wp.func
+def start_shown_ray(
+    i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], shadows: wp.array[PathShadowRays]
+):
+    """Starts the shadow ray along ray ``i``, up to a light that it shows at distance ``t``."""
+    j = wave[0].rays.is_active.shape[0] + i
+    shadows[0].contributions[j] = value
+    shadows[0].lights[j] = light
+    shadows[0].rays.is_active[j] = True
+    shadows[0].rays.origin[j] = wave[0].rays.origin[i]
+    shadows[0].rays.direction[j] = wave[0].rays.direction[i]
+    shadows[0].rays.t_min[j] = wave[0].rays.t_min[i]
+    shadows[0].rays.normal[j] = wave[0].rays.normal[i]
+    shadows[0].rays.t_max[j] = t
+    shadows[0].rays.path_length[j] = 0.0
+    shadows[0].rays.spread[j] = 0.0
+    shadows[0].rays.pixel_key[j] = branch_key(wave[0].rays.pixel_key[i], SHOWN_BRANCH)
+    shadows[0].rays.sample_key[j] = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
+    shadows[0].rays.sample[j] = wave[0].rays.sample[i]
+
+
+@wp.func
+def add_shown_lights(
+    i: int,
+    number: int,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    paths: wp.array[PathData],
+    shadows: wp.array[PathShadowRays],
+    images: wp.array[PathImages],
+):
+    """Adds the visible lights that the ray of path ``i`` passes before its surface.
+
+    Behind Gaussians that are blended, a shadow ray says how much of one of them there is.
+    """
+    is_hazy = shadows[0].contributions.shape[0] > wave[0].rays.is_active.shape[0]
+    end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
+    key = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
+    met = int(0)
+    for light in range(scene[0].settings[0].light_count):
+        crossing = shown_light(i, light, no_shadows, paths, scene, wave)
+        value = wp.cw_mul(paths[0].throughput[i], crossing.radiance)
+        if number == 0 and crossing.t < end:
+            wave[0].radiance.alpha[i] = 1.0
+        if is_hazy and crossing.t < wp.inf:
+            met += 1
+            if draw(key, wp.uint32(light)) * float(met) < 1.0:
+                start_shown_ray(i, light, crossing.t, value, wave, shadows)
+        elif crossing.t < end:
+            add_light(
+                paths[0].root[i],
+                paths[0].receives[i],
+                value,
+                number,
+                light,
+                scene[0].settings[0].light_count,
+                diffuse_of(i, number, paths),
+                images,
+            )
+    if met > 1:
+        j = wave[0].rays.is_active.shape[0] + i
+        shadows[0].contributions[j] = float(met) * shadows[0].contributions[j]
+
+
+@wp.func
+def light_surface(
+    i: int,
+    slot: int,
+    factor: wp.vec3,
+    no_shadows: bool,
+    interaction: Interaction,
+    vertex: PathVertex,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    shadows: wp.array[PathShadowRays],
+):
+    """Samples one light for the surface by which path ``i`` goes on, and starts its shadow ray.
+
+    Args:
+        i: Ray of the path.
+        slot: Which of its two interactions: 0, Gaussians, or 1, a mesh.
+        factor: Throughput of the path by that surface.
+        no_shadows: Light passes through everything.
+        interaction: With the surface.
+        vertex: The same.
+        scene: The scene.
+        wave: Of the ray.
+        shadows: Receives contribution and shadow ray.
+    """
+    key = wave[0].rays.pixel_key[i]
+    sample = wave[0].rays.sample[i]
+    u = sobol_2d(branch_key(key, POINT_BRANCH), sample)
+    which = sobol_2d(branch_key(key, CHOICE_BRANCH), sample)
+    choice = chosen_light(which[0], vertex, scene)
+    if choice.number < 0:
+        return
+    is_met = meets_rays(choice.number, no_shadows, scene)
+    shadows[0].opaque[i] = is_met
+    if interaction.shadow_only:
+        # Rays that leave it show of all lights only the environment, which they alone find.
+        if is_met and choice.number == environment_number(scene):
+            return
+        shadows[0].skips[i] = True
+        is_met = False
+    light = sample_chosen(choice, interaction, u, which[1], is_met, scene)
+    shadows[0].contributions[i] = wp.cw_mul(factor, light.contribution.color)
+    direction = light.contribution.direction
+    reaching = wp.cw_mul(factor, light.sent)
+    if shadows[0].sent:
+        shadows[0].sent[i] = reaching
+    if shadows[0].media:
+        media = scattered_media(i, slot == BRANCH_MESH, direction, interaction.normal, scene, wave)
+        if is_met:  # Glass blocks this way, so that all of it is in one medium.
+            share = passed(absorption_in(media, scene[0].mesh_instances), light.contribution.distance)
+            shadows[0].contributions[i] = wp.cw_mul(shadows[0].contributions[i], share)
+            reaching = wp.cw_mul(reaching, share)
+        else:
+            shadows[0].media[i] = media
+    shadows[0].lights[i] = choice.number
+    if shadows[0].diffuse:
+        shadows[0].diffuse[i] = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, direction)
+    if shadows[0].reaching:
+        shadows[0].reaching[i] = reaching
+    if is_black(shadows[0].contributions[i]) or no_shadows or not casts_shadow(choice.number, scene):
+        return
+    start_chosen_ray(i, slot, choice.number, light.contribution, scene, wave, shadows[0].rays)
+
+
+@wp.func
+def add_sent(
+    i: int,
+    number: int,
+    visible: wp.vec3,
+    scene: wp.array[ShadingScene],
+    paths: wp.array[PathData],
+    shadows: wp.array[PathShadowRays],
+    images: wp.array[PathImages],
+):
+    """Adds samples of lights: to a shadow-only surface unshadowed, as captured, or to the lights' own layers.
+
+    Args:
+        i: Ray of the path.
+        number: Of its wave.
+        visible: Share of the light that the shadow ray lets through.
+        scene: With the lights.
+        paths: Those of the wave.
+        shadows: Has the samples.
+        images: Where they are added.
+    """
+    light = shadows[0].lights[i]
+    if shadows[0].skips[i]:
+        if light < scene[0].settings[0].light_count:
+            add_sent_light(paths[0].root[i], shadows[0].contributions[i], images)
+    elif number == 0 and shadows[0].sent:
+        arrived = wp.cw_mul(shadows[0].reaching[i], visible)
+        add_first_light(paths[0].root[i], shadows[0].sent[i], arrived, light, images)

@@ -1,0 +1,406 @@
+"""Compositors: how the splats of a tile are shown to what blends them, or differentiates, on CPUs and on CUDA.
+
+What a splat covers is up to a footprint (``ellipse.ELLIPSE`` or ``ray_splat.ALONG_RAYS``), and what becomes of that to
+a visitor: both are functions that are filled in, which the compiler inlines. The equations are in
+docs/method/rasterisation.md and docs/method/gradients.md.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from lumisplat.constants import FUSED_FLAGS
+from lumisplat.device.camera.pixels import (
+    ROWS,
+    STRIDE,
+    STRIP,
+    STRIPS,
+    THREADS,
+    TILE,
+    TILE_THREADS,
+    TILE_WARPS,
+    StripFloats,
+    ThreadFloats,
+    TileFloats,
+    first_pixel,
+    float_at,
+    pair_slot,
+    set_at,
+    tile_corner,
+)
+from lumisplat.device.math.memory import warp_sums
+from lumisplat.device.splat.blending import (
+    behind_pixel,
+)
+from lumisplat.device.splat.projection import ALPHA_LIMIT, LOG_ALPHA_MIN, alpha_from_log
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.camera import CameraData, PixelData
+from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.device.structs.raster import TileRect
+
+
+class Footprint(NamedTuple):
+    """Types of values, and functions of ``device``, by which compositors see Gaussians."""
+
+    settings: Any
+    """Struct of the rasteriser's settings: at least ``transmittance_min`` and ``depth_iso_transmittance``."""
+    splat: Any
+    """Struct of a Gaussian: at least ``depth``, ``color``, ``normal`` and ``index``."""
+    surroundings: Any
+    """Struct of what ends it at each pixel: meshes, or rays."""
+    at: Any
+    """Struct of a splat at a pixel: at least its ``alpha`` and the logarithm of that."""
+
+    # Strips of pixels: the schedule of CPUs.
+    tile: Any
+    """Struct of a value a pixel of a tile; one is ``limit_z``, the depth at which splats are hidden."""
+    begin_pixel: Any
+    """``(tile, i, view, surroundings, x, y) -> float``: fills in pixel ``i``, returns its limit; 0: sees none."""
+    rows_of: Any
+    """``(splat, top, rows) -> vec2i``: the first row of a tile that a splat may touch, and the one after the last."""
+    row_of: Any
+    """``(splat, view, left, top, y) -> row``: what the pixels of a row share."""
+    touches_strip: Any
+    """``(splat, row, strip) -> bool``: whether a splat may be visible at a pixel of a strip of the row."""
+    at_pixel: Any
+    """``(splat, row, tile, i, x) -> at``: a splat at pixel ``i``, column ``x``; ``alpha`` is 0 if below 1/255."""
+
+    # Single pixels: the schedules of CUDA.
+    pixel: Any
+    """Struct of a pixel: at least ``limit_z``, and ``limit``, which is finite before a mesh."""
+    look: Any
+    """``(view, surroundings, x, y) -> pixel``."""
+    covers: Any
+    """``(splat, pixel) -> bool``: whether a splat may be visible at a pixel, a quick test."""
+    meet: Any
+    """``(splat, pixel) -> at``: a splat at a pixel; ``alpha`` is not filled in."""
+    item: Any
+    """Struct of what a block keeps of a splat in the memory that it shares; one field is ``index``."""
+    take: Any
+    """``(splats, index, item)``: fills in an item."""
+    splat_of: Any
+    """``(splats, item) -> splat``."""
+
+    # Derivatives.
+    sums: Any
+    """Vector of sums over pixels, of which the derivatives by a splat are made."""
+    part_of: Any
+    """``(splat, at, v, weight, by_color) -> sums``: what a pixel adds, ``v`` being the derivative by its log alpha."""
+    gradient: Any
+    """Struct of derivatives by a splat."""
+    gradient_of: Any
+    """``(splat, sums) -> gradient``."""
+
+
+# --- The compositor of CPUs: a tile's splats, front to back, each on the strips of pixels that it touches ---
+#
+# The compiler turns a strip into vector instructions.
+
+TILE_OPTIONS = {
+    "enable_backward": False,
+    # The loop over a strip must stay a loop for the vectoriser: unrolled, it compiles five times slower and runs no
+    # faster.
+    "max_unroll": 4,
+    # Fused multiply-adds across Warp's operator functions: 16 % off the composite.
+    "cpu_compiler_flags": FUSED_FLAGS,
+}
+"""Of the modules that walk tiles."""
+
+BATCH = wp.constant(32)
+"""Splats of a tile between two looks at which pixels are still unfinished."""
+
+
+class TileVisitor(NamedTuple):
+    """Types of values, and functions, that make something of the splats at the pixels of a tile."""
+
+    pixels: Any
+    """Struct of values a pixel of the tile; one is ``transmittance``, 1 at first, at most 0 for what is finished."""
+    sums: Any
+    """Of a splat, over the pixels of the tile."""
+    arrays: Any
+    """Struct of what is read and written."""
+    begin_pixel: Any
+    """``(pixels, i, view, x, y, limit, arrays)``: before all splats, for pixels that see any, up to ``limit``."""
+    visit: Any
+    """``(pixels, sums, splat, at, i, x, settings)``: a splat at pixel ``i``, column ``x`` of its strip."""
+    end_splat: Any
+    """``(arrays, view, tile, splat, sums)``: after all of its pixels."""
+    pass_by: Any
+    """``(arrays, view, tile, index)``: for splats behind all that is visible."""
+    end_pixel: Any
+    """``(pixels, i, view, tile, x, y, settings, arrays)``: after all splats."""
+    is_sorted: bool = True
+    """Whether splats come by their depth."""
+
+
+@wp.func
+def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileFloats]) -> StripFloats:
+    """View depth of the farthest limit of any unfinished pixel of each strip: splats from there on are hidden."""
+    farthest = StripFloats(0.0)
+    for strip in range(TILE * STRIPS):
+        for x in range(STRIP):
+            i = strip * STRIP + x
+            z = wp.where(float_at(transmittance, i) > 0.0, float_at(limit_z, i), 0.0)
+            farthest[strip] = wp.where(z > farthest[strip], z, farthest[strip])
+    return farthest
+
+
+def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
+    """Returns the function that shows a visitor the splats of a tile."""
+    Settings, Splat, Surroundings, Tile = footprint.settings, footprint.splat, footprint.surroundings, footprint.tile
+    Pixels, Sums, Arrays, IS_SORTED = visitor.pixels, visitor.sums, visitor.arrays, visitor.is_sorted
+    begin_limit, rows_of, row_of = footprint.begin_pixel, footprint.rows_of, footprint.row_of
+    touches_strip, at_pixel = footprint.touches_strip, footprint.at_pixel
+    begin_pixel, visit, end_pixel = visitor.begin_pixel, visitor.visit, visitor.end_pixel
+    end_splat, pass_by = visitor.end_splat, visitor.pass_by
+
+    @wp.func
+    def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
+        """The first entry of a tile's sorted list at or beyond a depth; ``end`` if there is none.
+
+        All are read, not just those up to the first: their memory is fetched at once, a seventh off the composite.
+        """
+        visible = int(begin)
+        for j in range(begin, end):
+            if splats[tile_splats[j]].depth < farthest:
+                visible += 1
+        return visible
+
+    @wp.func
+    def walk(
+        tile: int,
+        view: CameraData,
+        settings: Settings,
+        splats: wp.array[Splat],
+        tile_starts: wp.array[int],
+        tile_splats: wp.array[int],
+        surroundings: Surroundings,
+        arrays: Arrays,
+    ):
+        corner = tile_corner(view, tile)
+        left = corner[0]
+        top = corner[1]
+        rows = wp.min(TILE, view.top + view.height - top)
+        columns = wp.min(TILE, view.left + view.width - left)
+        limits = Tile()
+        pixels = Pixels()
+        pixels.transmittance = TileFloats(-1.0)  # pixels outside the window count as finished
+        for y in range(rows):
+            for x in range(columns):
+                limit = begin_limit(limits, y * TILE + x, view, surroundings, left + x, top + y)
+                if limit > 0.0:
+                    set_at(pixels.transmittance, y * TILE + x, 1.0)
+                    begin_pixel(pixels, y * TILE + x, view, left + x, top + y, limit, arrays)
+
+        farthest = farthest_unfinished(pixels.transmittance, limits.limit_z)
+        begin = int(tile_starts[tile])
+        end = tile_starts[tile + 1]
+        while begin < end:
+            visible = wp.min(begin + BATCH, end)
+            if IS_SORTED:
+                farthest = farthest_unfinished(pixels.transmittance, limits.limit_z)
+                visible = visible_end(splats, tile_splats, begin, visible, wp.max(farthest))
+            for j in range(begin, visible):
+                splat = splats[tile_splats[j]]
+                sums = Sums()
+                covered = rows_of(splat, top, rows)
+                for y in range(covered[0], covered[1]):
+                    row = row_of(splat, view, left, top, y)
+                    for strip in range(STRIPS):
+                        if IS_SORTED and splat.depth >= farthest[y * STRIPS + strip]:
+                            continue
+                        if not touches_strip(splat, row, strip):
+                            continue
+                        for x in range(STRIP):
+                            i = y * TILE + strip * STRIP + x
+                            at = at_pixel(splat, row, limits, i, strip * STRIP + x)
+                            visit(pixels, sums, splat, at, i, x, settings)
+                end_splat(arrays, view, tile, splat, sums)
+            is_cut = visible < wp.min(begin + BATCH, end)
+            begin = visible
+            if is_cut:
+                break
+        for j in range(begin, end):
+            pass_by(arrays, view, tile, tile_splats[j])
+
+        for y in range(rows):
+            for x in range(columns):
+                end_pixel(pixels, y * TILE + x, view, tile, left + x, top + y, settings, arrays)
+
+    return walk
+
+
+# --- The compositor of single pixels: the splats of its tile, one after another ---
+#
+# It is the schedule of CUDA where blocks need not share the splats of a tile, and that of CPUs where blended splats are
+# counted, or those of relit sets are added up apart.
+
+
+class PixelVisitor(NamedTuple):
+    """Types of values, and functions, that make something of the splats at a pixel."""
+
+    state: Any
+    """Struct of what they make; one field is ``transmittance``, at most 0 once the pixel is finished."""
+    arrays: Any
+    """Struct of what they read and write beside it."""
+    wants: Any
+    """``(state, splat) -> bool``: whether a splat matters, if it is visible."""
+    visit: Any
+    """``(state, splat, log_alpha, settings, arrays)``: a visible splat."""
+    ends_by_depth: bool
+    """Whether the first splat at or beyond the pixel's ``limit_z`` ends the list, as that is sorted."""
+
+
+def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:
+    """Returns the function that shows a visitor the splats of a tile at a pixel."""
+    Settings, SplatType, Pixel = footprint.settings, footprint.splat, footprint.pixel
+    covers, meet = footprint.covers, footprint.meet
+    State, Arrays, wants, visit, ENDS_BY_DEPTH = visitor
+
+    @wp.func
+    def walk(
+        tile: int,
+        seen: Pixel,
+        settings: Settings,
+        splats: wp.array[SplatType],
+        tile_starts: wp.array[int],
+        tile_splats: wp.array[int],
+        state: wp.ref[State],
+        arrays: Arrays,
+    ):
+        j = int(tile_starts[tile])
+        end = tile_starts[tile + 1]
+        while j < end and state.transmittance > 0.0:
+            splat = splats[tile_splats[j]]
+            j += 1
+            if ENDS_BY_DEPTH and splat.depth >= seen.limit_z:
+                break
+            if wants(state, splat) and covers(splat, seen):
+                log_alpha = meet(splat, seen).log_alpha
+                if log_alpha >= LOG_ALPHA_MIN:
+                    visit(state, splat, log_alpha, settings, arrays)
+
+    return walk
+
+
+# --- Derivatives on CUDA: one block is one tile, and each of its warps has a square of it ---
+#
+# The threads of a block fetch a batch of the tile's splats together, and each warp walks it for its pixels. What they
+# add to the record of a splat is summed over the warp, without atomics and without barriers; after the batch, each
+# thread adds up what the warps have for one splat, and writes its record.
+
+WARP_OPTIONS = {"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": TILE_THREADS}
+"""Of the modules that walk tiles by warps."""
+
+
+def backward_walk(footprint: Footprint) -> Any:
+    """Returns the function that writes the records of a tile's splats, which all threads of a block call."""
+    Settings, SplatType, Surroundings = footprint.settings, footprint.splat, footprint.surroundings
+    Item, take, splat_of = footprint.item, footprint.take, footprint.splat_of
+    look, covers, meet = footprint.look, footprint.covers, footprint.meet
+    Sums, part_of, gradient_of, Gradient = footprint.sums, footprint.part_of, footprint.gradient_of, footprint.gradient
+    Arrays = backward_arrays(footprint)
+    add_up, sum_of = warp_sums(Sums, TILE_WARPS, TILE_THREADS)
+
+    @wp.func
+    def walk(
+        tile: int,
+        thread: int,
+        view: CameraData,
+        settings: Settings,
+        splats: wp.array[SplatType],
+        tile_starts: wp.array[int],
+        tile_splats: wp.array[int],
+        surroundings: Surroundings,
+        arrays: Arrays,
+    ):
+        tile_x = tile % view.tiles_x
+        tile_y = tile // view.tiles_x
+        first = first_pixel(thread)
+        x = tile_x * TILE + first[0]
+        top = tile_y * TILE + first[1]
+        t_min = settings.transmittance_min
+        transmittance = ThreadFloats(-1.0)  # pixels outside the image count as finished
+        limit_z = ThreadFloats(0.0)
+        behind = ThreadFloats(0.0)
+        red = ThreadFloats(0.0)
+        green = ThreadFloats(0.0)
+        blue = ThreadFloats(0.0)
+        for k in range(ROWS):
+            y = top + k * STRIDE
+            if x < view.width and y < view.height:
+                seen = look(view, surroundings, x, y)
+                limit_z[k] = seen.limit_z
+                if seen.limit_z > 0.0:
+                    pixel = y * view.width + x
+                    transmittance[k] = 1.0
+                    red[k] = arrays.gradient.color[pixel][0]
+                    green[k] = arrays.gradient.color[pixel][1]
+                    blue[k] = arrays.gradient.color[pixel][2]
+                    behind[k] = behind_pixel(arrays.pixels, arrays.gradient, pixel, seen.limit)
+
+        batch = wp.tile_empty(shape=TILE_THREADS, dtype=Item, storage="shared")
+        begin = int(tile_starts[tile])
+        end = int(tile_starts[tile + 1])
+        unfinished = int(1)
+        while begin < end and unfinished > 0:
+            count = wp.min(end - begin, THREADS)
+            own = Item()
+            if thread < count:
+                take(splats, tile_splats[begin + thread], own)
+            wp.tile_scatter_masked(batch, thread, own, thread < count)
+            for j in range(count):
+                splat = splat_of(splats, batch[j])
+                part = Sums(0.0)
+                has_part = bool(False)
+                for k in range(ROWS):
+                    seen = look(view, surroundings, x, top + k * STRIDE)
+                    if transmittance[k] > 0.0 and splat.depth < limit_z[k] and covers(splat, seen):
+                        at = meet(splat, seen)
+                        if at.log_alpha >= LOG_ALPHA_MIN:
+                            alpha = alpha_from_log(at.log_alpha)
+                            weight = transmittance[k] * alpha
+                            if transmittance[k] - weight > t_min:
+                                has_part = True
+                                by_color = wp.vec3(red[k], green[k], blue[k])
+                                shown = wp.dot(by_color, splat.color)
+                                v = alpha * (transmittance[k] * shown - behind[k]) / (1.0 - alpha)
+                                at.alpha = alpha
+                                part += part_of(splat, at, wp.where(alpha < ALPHA_LIMIT, v, 0.0), weight, by_color)
+                                behind[k] = behind[k] - weight * shown
+                                transmittance[k] = transmittance[k] - weight
+                            else:
+                                transmittance[k] = -transmittance[k]
+                add_up(j, part, has_part)
+            unfinished = wp.tile_sum(wp.tile(wp.where(wp.max(transmittance) > 0.0, 1, 0)))[0]
+            if thread < count:
+                rect = arrays.rects[own.index]
+                record = gradient_of(splat_of(splats, own), sum_of(thread))
+                arrays.pairs_out[pair_slot(rect, arrays.pair_starts[own.index], tile_x, tile_y)] = record
+            begin += THREADS
+        # What lies behind pixels that are all opaque has no part in them.
+        for k in range(begin + thread, end, THREADS):
+            index = tile_splats[k]
+            slot = pair_slot(arrays.rects[index], arrays.pair_starts[index], tile_x, tile_y)
+            arrays.pairs_out[slot] = Gradient()
+
+    return walk
+
+
+@functools.cache
+def backward_arrays(footprint: Footprint) -> Any:
+    """Returns the struct of where derivatives come from, and of the records of splats in tiles that they go to."""
+    Gradient = footprint.gradient
+
+    @struct
+    class BackwardArrays:
+        """Of one footprint."""
+
+        rects: wp.array[TileRect]
+        pair_starts: wp.array[int]
+        pixels: PixelData
+        gradient: PixelGradient
+        pairs_out: wp.array[Gradient]
+
+    return BackwardArrays

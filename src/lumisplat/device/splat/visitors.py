@@ -1,0 +1,630 @@
+"""Visitors of compositors: they make colours, samples, largest weights or derivatives of the splats at pixels.
+
+The equations are in docs/method/rasterisation.md and docs/method/gradients.md.
+"""
+
+import functools
+from typing import Any
+
+import warp as wp
+
+from lumisplat.constants import STRIP_PX, TILE_PX
+from lumisplat.device.camera.pixels import (
+    STRIP,
+    StripSums,
+    TileFloats,
+    TileInts,
+    add_at,
+    add_int_at,
+    elements_of,
+    float_at,
+    int_at,
+    pair_slot,
+    picture_index,
+    ray_index,
+    set_at,
+)
+from lumisplat.device.math.random import draw, draw_mixed, mix, sample_key_of
+from lumisplat.device.splat.blending import (
+    add_relit,
+    behind_pixel,
+    blend,
+    left_behind,
+    opaque_pixel,
+    store_gaussian_hits,
+    store_result,
+    to_surface,
+)
+from lumisplat.device.splat.compositor import Footprint, PixelVisitor, TileVisitor, backward_arrays
+from lumisplat.device.splat.ellipse import EllipseAt, first_touching, look
+from lumisplat.device.splat.projection import ALPHA_LIMIT, alpha_from_log, visible_alpha
+from lumisplat.device.splat.ray_splat import RayAt
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.camera import CameraData, PixelData, SampleData
+from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, RayRasterData, RaySplat, Splat, TileRect
+from lumisplat.device.structs.rays import GaussianHits
+from lumisplat.device.structs.scene import SplatInstanceData
+
+TileWords = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.uint32)
+
+strip_at, set_strip_at, _ = elements_of(StripSums)
+
+word_at, set_word_at, _ = elements_of(TileWords)
+
+# Colours.
+
+
+@struct
+class ColorTile:
+    """What the pixels of a tile have blended."""
+
+    transmittance: TileFloats
+    red: TileFloats
+    green: TileFloats
+    blue: TileFloats
+    normal_x: TileFloats
+    normal_y: TileFloats
+    normal_z: TileFloats
+    surface: TileInts
+    """One more than the number of the surface's Gaussian; 0: it is not reached."""
+    first: TileInts
+    """Likewise, of the first Gaussian that was blended, along rays."""
+
+
+@wp.func
+def blend_at(
+    pixels: wp.ref[ColorTile],
+    i: int,
+    color: wp.vec3,
+    normal: wp.vec3,
+    index: int,
+    alpha: float,
+    t_min: float,
+    iso: float,
+) -> float:
+    """Blends a Gaussian behind the others, as ``blending.blend`` does, by selections; returns its weight."""
+    before = float_at(pixels.transmittance, i)
+    weight = before * alpha
+    after = before - weight
+    weight = wp.where(after > t_min, weight, 0.0)
+    add_at(pixels.red, i, weight * color[0])
+    add_at(pixels.green, i, weight * color[1])
+    add_at(pixels.blue, i, weight * color[2])
+    add_at(pixels.normal_x, i, weight * normal[0])
+    add_at(pixels.normal_y, i, weight * normal[1])
+    add_at(pixels.normal_z, i, weight * normal[2])
+    after = left_behind(before, after, t_min)
+    add_int_at(pixels.surface, i, to_surface(before, after, iso, index))
+    set_at(pixels.transmittance, i, after)
+    return weight
+
+
+@wp.func
+def blended_pixel(pixels: wp.ref[ColorTile], i: int) -> BlendState:
+    """What a pixel has blended."""
+    pixel = BlendState()
+    pixel.color = wp.vec3(float_at(pixels.red, i), float_at(pixels.green, i), float_at(pixels.blue, i))
+    pixel.normal = wp.vec3(float_at(pixels.normal_x, i), float_at(pixels.normal_y, i), float_at(pixels.normal_z, i))
+    pixel.transmittance = float_at(pixels.transmittance, i)
+    pixel.surface = int_at(pixels.surface, i) - 1
+    pixel.first = int_at(pixels.first, i) - 1
+    return pixel
+
+
+@struct
+class EllipseColors:
+    """Where blended ellipses come from, and go to: to pixels, or to the hits of their rays."""
+
+    instances: wp.array[SplatInstanceData]
+    splats: wp.array[Splat]
+    tile_starts: wp.array[int]
+    tile_splats: wp.array[int]
+    meshes: MeshPixels
+    for_rays: bool
+    pixels_out: PixelData
+    hits_out: GaussianHits
+
+
+@wp.func
+def begin_ellipses(
+    pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: EllipseColors
+):
+    """Nothing is blended yet."""
+
+
+@wp.func
+def blend_ellipse(
+    pixels: wp.ref[ColorTile],
+    sums: wp.ref[StripSums],
+    splat: Splat,
+    at: EllipseAt,
+    i: int,
+    x: int,
+    settings: RasterData,
+):
+    """Blends an ellipse."""
+    t_min = settings.transmittance_min
+    blend_at(pixels, i, splat.color, splat.normal, splat.index, at.alpha, t_min, settings.depth_iso_transmittance)
+
+
+@wp.func
+def end_ellipse(arrays: EllipseColors, view: CameraData, tile: int, splat: Splat, sums: StripSums):
+    """Nothing is summed up."""
+
+
+@wp.func
+def pass_ellipse(arrays: EllipseColors, view: CameraData, tile: int, index: int):
+    """Nothing shows."""
+
+
+@wp.func
+def store_ellipses(
+    pixels: wp.ref[ColorTile],
+    i: int,
+    view: CameraData,
+    tile: int,
+    x: int,
+    y: int,
+    settings: RasterData,
+    arrays: EllipseColors,
+):
+    """Writes a pixel."""
+    pixel = blended_pixel(pixels, i)
+    begin = arrays.tile_starts[tile]
+    end = arrays.tile_starts[tile + 1]
+    if arrays.for_rays and pixel.surface < 0 and pixel.transmittance != 1.0:
+        seen = look(view, arrays.meshes, x, y)
+        pixel.first = first_touching(arrays.splats, arrays.tile_splats, begin, end, seen, False)
+    store_result(
+        view,
+        settings,
+        arrays.instances,
+        arrays.splats,
+        arrays.meshes,
+        pixel,
+        x,
+        y,
+        arrays.for_rays,
+        arrays.pixels_out,
+        arrays.hits_out,
+    )
+
+
+ELLIPSE_COLORS = TileVisitor(
+    pixels=ColorTile,
+    sums=StripSums,
+    arrays=EllipseColors,
+    begin_pixel=begin_ellipses,
+    visit=blend_ellipse,
+    end_splat=end_ellipse,
+    pass_by=pass_ellipse,
+    end_pixel=store_ellipses,
+)
+
+
+@wp.func
+def begin_rays(pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, hits: GaussianHits):
+    """Nothing is blended yet."""
+
+
+@wp.func
+def blend_along_ray(
+    pixels: wp.ref[ColorTile],
+    sums: wp.ref[StripSums],
+    splat: RaySplat,
+    at: RayAt,
+    i: int,
+    x: int,
+    settings: RayRasterData,
+):
+    """Blends a Gaussian on its ray."""
+    t_min = settings.transmittance_min
+    iso = settings.depth_iso_transmittance
+    weight = blend_at(pixels, i, splat.color, splat.normal, splat.index, at.alpha, t_min, iso)
+    is_first = wp.where(weight > 0.0, wp.where(int_at(pixels.first, i) == 0, 1, 0), 0)
+    add_int_at(pixels.first, i, wp.where(is_first != 0, splat.index + 1, 0))
+
+
+@wp.func
+def end_ray_splat(hits: GaussianHits, view: CameraData, tile: int, splat: RaySplat, sums: StripSums):
+    """Nothing is summed up."""
+
+
+@wp.func
+def pass_ray_splat(hits: GaussianHits, view: CameraData, tile: int, index: int):
+    """Nothing shows."""
+
+
+@wp.func
+def store_rays(
+    pixels: wp.ref[ColorTile],
+    i: int,
+    view: CameraData,
+    tile: int,
+    x: int,
+    y: int,
+    settings: RayRasterData,
+    hits: GaussianHits,
+):
+    """Writes the hits of a ray; the depth of its surface is 0 until it is found."""
+    ray = ray_index(view, x, y)
+    pixel = blended_pixel(pixels, i)
+    hits.color[ray] = pixel.color
+    hits.normal[ray] = pixel.normal
+    hits.transmittance[ray] = wp.abs(pixel.transmittance)
+    hits.depth[ray] = wp.where(pixel.surface >= 0, 0.0, wp.inf)
+    hits.gaussian[ray] = wp.where(pixel.surface >= 0, pixel.surface, pixel.first)
+    hits.hits[ray] = 0
+
+
+RAY_COLORS = TileVisitor(
+    pixels=ColorTile,
+    sums=StripSums,
+    arrays=GaussianHits,
+    begin_pixel=begin_rays,
+    visit=blend_along_ray,
+    end_splat=end_ray_splat,
+    pass_by=pass_ray_splat,
+    end_pixel=store_rays,
+)
+
+# A sample: the nearest splat that a random number selects.
+
+
+@struct
+class SampleTile:
+    """What the pixels of a tile have chosen."""
+
+    transmittance: TileFloats
+    """1: no pixel is finished before the last splat."""
+    nearest: TileFloats
+    """View depth of what is chosen."""
+    winner: TileInts
+    """One more than its number among the splats; 0: none, or the mesh."""
+    keys: TileWords
+    """Of random numbers."""
+
+
+@struct
+class SampleArrays:
+    """Where samples come from, and go to."""
+
+    splats: wp.array[Splat]
+    sample: SampleData
+    hits_out: GaussianHits
+
+
+@wp.func
+def begin_sample(
+    pixels: wp.ref[SampleTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: SampleArrays
+):
+    """The mesh is the nearest at first."""
+    set_at(pixels.nearest, i, limit)
+    set_word_at(pixels.keys, i, sample_key_of(picture_index(view, x, y), arrays.sample.index, arrays.sample.seed))
+
+
+@wp.func
+def sample_splat(
+    pixels: wp.ref[SampleTile],
+    sums: wp.ref[StripSums],
+    splat: Splat,
+    at: EllipseAt,
+    i: int,
+    x: int,
+    settings: RasterData,
+):
+    """Chooses a splat if it is drawn and the nearest; of equally near ones, the first wins."""
+    number = splat.index + 1
+    chosen = draw_mixed(word_at(pixels.keys, i), mix(wp.uint32(splat.index))) < visible_alpha(at.log_alpha)
+    depth = wp.where(chosen, splat.depth, wp.inf)
+    nearest = float_at(pixels.nearest, i)
+    winner = int_at(pixels.winner, i)
+    # Sums, not selections, which become masked stores.
+    change = wp.where(depth == nearest, wp.where(number < winner, number - winner, 0), 0)
+    add_int_at(pixels.winner, i, wp.where(depth < nearest, number - winner, change))
+    set_at(pixels.nearest, i, wp.min(depth, nearest))
+
+
+@wp.func
+def end_sampled(arrays: SampleArrays, view: CameraData, tile: int, splat: Splat, sums: StripSums):
+    """Nothing is summed up."""
+
+
+@wp.func
+def pass_sampled(arrays: SampleArrays, view: CameraData, tile: int, index: int):
+    """Nothing shows."""
+
+
+@wp.func
+def store_sample(
+    pixels: wp.ref[SampleTile],
+    i: int,
+    view: CameraData,
+    tile: int,
+    x: int,
+    y: int,
+    settings: RasterData,
+    arrays: SampleArrays,
+):
+    """Writes what was chosen."""
+    pixel = opaque_pixel(arrays.splats, int_at(pixels.winner, i) - 1)
+    store_gaussian_hits(view, arrays.splats, pixel, x, y, arrays.hits_out)
+
+
+ELLIPSE_SAMPLES = TileVisitor(
+    pixels=SampleTile,
+    sums=StripSums,
+    arrays=SampleArrays,
+    begin_pixel=begin_sample,
+    visit=sample_splat,
+    end_splat=end_sampled,
+    pass_by=pass_sampled,
+    end_pixel=store_sample,
+    is_sorted=False,
+)
+
+# Weights.
+
+
+@struct
+class WeightTile:
+    """How much of what lies behind shows at the pixels of a tile."""
+
+    transmittance: TileFloats
+
+
+@struct
+class WeightArrays:
+    """Where the largest weights of splats in tiles go to."""
+
+    rects: wp.array[TileRect]
+    pair_starts: wp.array[int]
+    pairs_out: wp.array[float]
+
+
+@functools.cache
+def largest_weights(footprint: Footprint) -> TileVisitor:
+    """Finds the largest weight that each splat of a tile has there."""
+    Settings, SplatType, At = footprint.settings, footprint.splat, footprint.at
+
+    @wp.func
+    def begin_weights(
+        pixels: wp.ref[WeightTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: WeightArrays
+    ):
+        """Nothing is blended yet."""
+
+    @wp.func
+    def weigh(
+        pixels: wp.ref[WeightTile],
+        sums: wp.ref[StripSums],
+        splat: SplatType,
+        at: At,
+        i: int,
+        x: int,
+        settings: Settings,
+    ):
+        before = float_at(pixels.transmittance, i)
+        weight = before * at.alpha
+        after = before - weight
+        largest = strip_at(sums, x)
+        set_strip_at(sums, x, wp.max(largest, wp.where(after > settings.transmittance_min, weight, 0.0)))
+        set_at(pixels.transmittance, i, left_behind(before, after, settings.transmittance_min))
+
+    @wp.func
+    def store_largest(arrays: WeightArrays, view: CameraData, tile: int, splat: SplatType, sums: StripSums):
+        rect = arrays.rects[splat.index]
+        first = arrays.pair_starts[splat.index]
+        arrays.pairs_out[pair_slot(rect, first, tile % view.tiles_x, tile // view.tiles_x)] = wp.max(sums)
+
+    @wp.func
+    def store_nothing(arrays: WeightArrays, view: CameraData, tile: int, index: int):
+        slot = pair_slot(arrays.rects[index], arrays.pair_starts[index], tile % view.tiles_x, tile // view.tiles_x)
+        arrays.pairs_out[slot] = 0.0
+
+    @wp.func
+    def end_weights(
+        pixels: wp.ref[WeightTile],
+        i: int,
+        view: CameraData,
+        tile: int,
+        x: int,
+        y: int,
+        settings: Settings,
+        arrays: WeightArrays,
+    ):
+        """Pixels show nothing."""
+
+    return TileVisitor(
+        pixels=WeightTile,
+        sums=StripSums,
+        arrays=WeightArrays,
+        begin_pixel=begin_weights,
+        visit=weigh,
+        end_splat=store_largest,
+        pass_by=store_nothing,
+        end_pixel=end_weights,
+    )
+
+
+# Derivatives: each pixel is blended once more, with one number for what is still to come behind a splat.
+
+
+@struct
+class BackwardTile:
+    """What the derivatives by the splats at a tile's pixels need."""
+
+    transmittance: TileFloats
+    behind: TileFloats
+    """What of the loss is still to come behind all that is blended."""
+    red: TileFloats
+    """Derivative by the pixel's colour."""
+    green: TileFloats
+    blue: TileFloats
+
+
+@functools.cache
+def derivatives(footprint: Footprint) -> TileVisitor:
+    """Adds up what the pixels of a tile say of the derivatives by its splats, a record for each of them."""
+    Settings, SplatType, At = footprint.settings, footprint.splat, footprint.at
+    Sums, part_of, gradient_of, Gradient = footprint.sums, footprint.part_of, footprint.gradient_of, footprint.gradient
+    PARTS = wp.constant(Sums._length_)
+    StripParts = wp.types.vector(length=Sums._length_ * STRIP_PX, dtype=wp.float32)
+    _, _, add_part_at = elements_of(StripParts)
+    Arrays = backward_arrays(footprint)
+
+    @wp.func
+    def begin_backward(
+        pixels: wp.ref[BackwardTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: Arrays
+    ):
+        """All that the pixel shows is still to come."""
+        pixel = y * view.width + x
+        by_color = arrays.gradient.color[pixel]
+        set_at(pixels.red, i, by_color[0])
+        set_at(pixels.green, i, by_color[1])
+        set_at(pixels.blue, i, by_color[2])
+        set_at(pixels.behind, i, behind_pixel(arrays.pixels, arrays.gradient, pixel, limit))
+
+    @wp.func
+    def visit_backward(
+        pixels: wp.ref[BackwardTile],
+        sums: wp.ref[StripParts],
+        splat: SplatType,
+        at: At,
+        i: int,
+        x: int,
+        settings: Settings,
+    ):
+        alpha = at.alpha
+        before = float_at(pixels.transmittance, i)
+        behind = float_at(pixels.behind, i)
+        by_color = wp.vec3(float_at(pixels.red, i), float_at(pixels.green, i), float_at(pixels.blue, i))
+        weight = before * alpha
+        after = before - weight
+        is_blended = after > settings.transmittance_min
+        weight = wp.where(is_blended, weight, 0.0)
+        shown = by_color[0] * splat.color[0] + by_color[1] * splat.color[1] + by_color[2] * splat.color[2]
+        v = alpha * (before * shown - behind) / (1.0 - alpha)
+        v = wp.where(is_blended, v, 0.0)
+        v = wp.where(alpha < ALPHA_LIMIT, v, 0.0)
+        set_at(pixels.behind, i, behind - weight * shown)
+        set_at(pixels.transmittance, i, left_behind(before, after, settings.transmittance_min))
+        part = part_of(splat, at, v, weight, by_color)
+        for k in range(PARTS):
+            add_part_at(sums, k * STRIP + x, part[k])
+
+    @wp.func
+    def store_record(arrays: Arrays, view: CameraData, tile: int, splat: SplatType, sums: StripParts):
+        total = Sums()
+        for x in range(STRIP):
+            for k in range(PARTS):
+                total[k] = total[k] + sums[k * STRIP + x]
+        rect = arrays.rects[splat.index]
+        slot = pair_slot(rect, arrays.pair_starts[splat.index], tile % view.tiles_x, tile // view.tiles_x)
+        arrays.pairs_out[slot] = gradient_of(splat, total)
+
+    @wp.func
+    def store_nothing(arrays: Arrays, view: CameraData, tile: int, index: int):
+        slot = pair_slot(arrays.rects[index], arrays.pair_starts[index], tile % view.tiles_x, tile // view.tiles_x)
+        arrays.pairs_out[slot] = Gradient()
+
+    @wp.func
+    def end_backward(
+        pixels: wp.ref[BackwardTile],
+        i: int,
+        view: CameraData,
+        tile: int,
+        x: int,
+        y: int,
+        settings: Settings,
+        arrays: Arrays,
+    ):
+        """Pixels show nothing."""
+
+    return TileVisitor(
+        pixels=BackwardTile,
+        sums=StripParts,
+        arrays=Arrays,
+        begin_pixel=begin_backward,
+        visit=visit_backward,
+        end_splat=store_record,
+        pass_by=store_nothing,
+        end_pixel=end_backward,
+    )
+
+
+@struct
+class NoArrays:
+    """Nothing is read or written beside a visitor's state."""
+
+    unused: int
+
+
+@wp.func
+def wants_all(pixel: BlendState, splat: Any) -> bool:
+    """Every splat is blended."""
+    return True
+
+
+@wp.func
+def blend_ellipse_at_pixel(
+    pixel: wp.ref[BlendState], splat: Splat, log_alpha: float, settings: RasterData, arrays: NoArrays
+):
+    """Blends an ellipse behind the others."""
+    alpha = alpha_from_log(log_alpha)
+    pixel = blend(pixel, splat, alpha, settings.transmittance_min, settings.depth_iso_transmittance)
+
+
+@struct
+class RelitHits:
+    """Where what relit sets show on a ray is added up, if they are mixed with others."""
+
+    instances: wp.array[SplatInstanceData]
+    hits: GaussianHits
+    ray: int
+
+
+@wp.func
+def blend_at_ray(
+    pixel: wp.ref[BlendState], splat: RaySplat, log_alpha: float, settings: RayRasterData, relit: RelitHits
+):
+    """Blends a Gaussian on its ray behind the others."""
+    alpha = alpha_from_log(log_alpha)
+    blended = blend(pixel, splat, alpha, settings.transmittance_min, settings.depth_iso_transmittance)
+    if relit.hits.relit_weight and blended.transmittance > 0.0:
+        add_relit(relit.hits, relit.ray, relit.instances, pixel, blended, splat.index)
+    pixel = blended
+
+
+@struct
+class Sample:
+    """The nearest splat that a random number below its alpha selects."""
+
+    key: wp.uint32
+    """Of the random numbers."""
+    nearest: float
+    """View depth of what is chosen."""
+    winner: int
+    """Its number among the splats; -1: none, or the mesh."""
+    transmittance: float
+    """1: every splat is looked at."""
+
+
+@wp.func
+def wants_nearer(sample: Sample, splat: Splat) -> bool:
+    """Whether a splat would be chosen if it is drawn; of equally near ones, the first wins."""
+    return splat.depth < sample.nearest or (splat.depth == sample.nearest and splat.index < sample.winner)
+
+
+@wp.func
+def draw_sample(sample: wp.ref[Sample], splat: Splat, log_alpha: float, settings: RasterData, arrays: NoArrays):
+    """Draws a splat with its alpha as probability."""
+    if draw(sample.key, wp.uint32(splat.index)) < alpha_from_log(log_alpha):
+        sample.nearest = splat.depth
+        sample.winner = splat.index
+
+
+ELLIPSE_COLOR = PixelVisitor(BlendState, NoArrays, wants_all, blend_ellipse_at_pixel, ends_by_depth=True)
+
+RAY_COLOR = PixelVisitor(BlendState, RelitHits, wants_all, blend_at_ray, ends_by_depth=False)
+
+ELLIPSE_SAMPLE = PixelVisitor(Sample, NoArrays, wants_nearer, draw_sample, ends_by_depth=False)
