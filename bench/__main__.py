@@ -12,16 +12,14 @@ def benchmarks() -> dict[str, str]:
     found: dict[str, str] = {}
     for path in sorted(here.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
-        is_package = path.name == "__main__.py"
-        if path == Path(__file__) or not (is_package or '__name__ == "__main__"' in text):
+        if path == Path(__file__) or '__name__ == "__main__"' not in text:
             continue
-        module = path.parent if is_package else path.with_suffix("")
+        module = path.parent if path.name == "__main__.py" else path.with_suffix("")
         name = ".".join(("bench", *module.relative_to(here).parts))
-        own = path.with_name("__init__.py").read_text(encoding="utf-8") if name == "bench.first_light" else text
-        found[name] = (ast.get_docstring(ast.parse(own)) or "").partition("\n")[0]
+        found[name] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
     return found
 
 
 if __name__ == "__main__":
     for name, line in benchmarks().items():
-        print(f"python -m {name:32} {line}")
+        print(f"python -m {name:26} {line}")

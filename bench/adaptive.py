@@ -1,4 +1,4 @@
-"""What adaptive sampling brings: the noise of paths with even and with adaptive samples, and the time to the same.
+"""Compares the noise of paths with even and with adaptive samples, and the time to the same noise (2 minutes).
 
 ``python -m bench.adaptive [--device cuda] [--width 192]`` prints a table of two scenes of uneven noise; ``--pictures
 FOLDER`` keeps pictures and their numbers of samples, ``--reference 4096`` adds errors against so many samples.
@@ -10,14 +10,13 @@ frame, between and beyond those measured in proportion to their logarithms.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 import lumisplat as ls
-from bench.timing import parser, quiet_warp
+from bench.timing import clock_of, parser, print_head, print_row, quiet_warp
 from lumisplat.demo.shapes import sphere
 
 EVEN = (48, 96, 192)
@@ -79,7 +78,7 @@ def measured(
 ) -> tuple[ls.Frame, Row]:
     """A frame, and what it took."""
     renderer = ls.create_renderer(config, device)
-    clock = time.process_time if renderer.device == "cpu" else time.perf_counter
+    clock = clock_of(renderer.device)
     renderer.render(scene, camera.scaled(16))  # uploads
     begun = clock()
     frame = renderer.render(scene, camera)
@@ -110,8 +109,7 @@ def main() -> None:
     options = given.parse_args()
     quiet_warp()
     base = ls.RenderConfig(pipeline=ls.Pipeline.PATH, max_bounces=6, aovs=("variance", "sample_count"))
-    print("| scene | samples | mean of them | s | noise | times sooner than even | error |")
-    print("| --- | --- | ---: | ---: | ---: | ---: | ---: |")
+    print_head("scene and samples", "mean of them", "s", "noise", "times sooner than even", "error")
     for name, scene, eye, target in (
         ("room", room(), (0.5, 0.5, -0.9), (0.5, 0.45, 0.5)),
         ("things", things(), (0.5, 0.6, -0.9), (0.5, 0.15, 0.5)),
@@ -128,11 +126,8 @@ def main() -> None:
             even += [] if adapts else [row]
             sooner = f"{equal_seconds(even, row.noise) / row.seconds:.2f}" if adapts else ""
             error = "" if row.error is None else f"{row.error:.3f}"
-            print(
-                f"| {name} | {samples}, {'adaptive' if adapts else 'even'} | {row.samples:.0f} | {row.seconds:.1f} | "
-                f"{row.noise:.3f} | {sooner} | {error} |",
-                flush=True,
-            )
+            figures = f"{row.samples:.0f}", f"{row.seconds:.1f}", f"{row.noise:.3f}"
+            print_row(f"{name}, {samples}, {'adaptive' if adapts else 'even'}", *figures, sooner, error)
             if options.pictures is not None and adapts:
                 options.pictures.mkdir(parents=True, exist_ok=True)
                 frame.save(options.pictures / f"{name}-{samples}.png", layers=["sample_count"])

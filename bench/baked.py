@@ -1,4 +1,4 @@
-"""Lit scenes baked into captures, beside the best harmonics that there are for the same Gaussians, from 16 views.
+"""Compares baked captures with paths and with the best SH for the same Gaussians (a scene: 10 minutes).
 
 ``python -m bench.baked [--scenes room object metal] [--degrees 0 3]`` prints a JSON object a row, and writes frames of
 paths, baked and best ones to /tmp/baked. Frames are those of one ray a pixel through its centre, by rays that blend
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,19 +26,16 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 
-REPOSITORY = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(REPOSITORY / "tests"), str(REPOSITORY / "tools")]
-
-import lumisplat as ls  # noqa: E402
-from bench.presets import DATA  # noqa: E402
-from bench.timing import parser  # noqa: E402
-from lumisplat.baking.joint_sh_fit import JointShFit  # noqa: E402
-from lumisplat.io.images.png import write_png  # noqa: E402
-from lumisplat.math.sh import sh_basis  # noqa: E402
-from lumisplat.math.tone_map import apply_tone_map  # noqa: E402
-from lumisplat.scene.ops.views import world_rays  # noqa: E402
-from support.scenes.light_scenes import matte, metal, parallelogram  # noqa: E402
-from support.scenes.path_rooms import BOUNCES, closed_room, faceted_ball, sky_light, turned_box  # noqa: E402
+import lumisplat as ls
+from bench.presets import DATA
+from bench.timing import parser
+from lumisplat.baking.joint_sh_fit import JointShFit
+from lumisplat.io.images.png import write_png
+from lumisplat.math.sh import sh_basis
+from lumisplat.math.tone_map import apply_tone_map
+from lumisplat.scene.ops.views import world_rays
+from support.scenes.light_scenes import matte, metal, parallelogram
+from support.scenes.path_rooms import BOUNCES, closed_room, faceted_ball, sky_light, turned_box
 
 WIDTH, HEIGHT = 48, 36
 VIEWS = 16

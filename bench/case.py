@@ -1,45 +1,47 @@
-"""Times one preset in a process of its own, so that memory and first use are the preset's.
+"""Times one preset of `bench.run` in a process of its own, so that memory and first use are its own (seconds).
 
-``python -m bench.case NAME [--device cuda]`` prints one JSON object.
+``python -m bench.case NAME [DEMO] [--device cuda]`` prints one JSON object. DEMO is the file of
+`bench.presets.store_demo`, for lit presets: their frames and unlit raster frames take turns, so that a machine that is
+busy for a while slows both.
 """
 
 from __future__ import annotations
 
 import json
-import statistics
+import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from statistics import median
 
-REPEATS = 20
+REPEATS, LIT_REPEATS = 20, 15
 
 
 def main() -> None:
     """Prints one JSON object: milliseconds, counts and peak memory."""
     import lumisplat as ls
-    from bench.presets import BIKER, PRESETS, synthetic
-    from bench.timing import parser
+    from bench.presets import BIKER, LIGHT, PRESETS, synthetic
+    from bench.timing import parser, quiet_warp
 
     given = parser("case", __doc__)
     given.add_argument("name")
+    given.add_argument("demo", type=Path, nargs="?")
     options = given.parse_args()
-    preset = next(preset for preset in PRESETS if preset.name == options.name)
+    preset = next(preset for preset in [*PRESETS, *LIGHT] if preset.name == options.name)
+    if preset in LIGHT:
+        quiet_warp()
+        print(json.dumps(lit_row(preset, options.demo, options.device)))
+        return
     with tempfile.TemporaryDirectory() as folder:
         path = BIKER
         if preset.count:
             path = Path(folder) / "synthetic.ply"
             ls.save(path, synthetic(preset.count))
-        print(json.dumps(timed(path, preset, options.device)))
-
-
-def timed(path: Path, preset, device: str) -> dict:
-    """Loads in a process whose peak memory is then that of loading and rendering alone."""
-    import subprocess
-
-    script = f"import bench.case as case; case.measure({preset.name!r}, {str(path)!r}, {device!r})"
-    done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
-    return json.loads(done.stdout.splitlines()[-1])
+        # A process whose peak memory is that of loading and rendering alone.
+        script = f"import bench.case as case; case.measure({preset.name!r}, {str(path)!r}, {options.device!r})"
+        done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    print(done.stdout.splitlines()[-1])
 
 
 def measure(name: str, path: str, device: str) -> None:
@@ -52,7 +54,7 @@ def measure(name: str, path: str, device: str) -> None:
     scene = ls.Scene(splats=[capture])
     loaded = time.perf_counter()
     from bench.presets import PRESETS
-    from bench.timing import TimedRenderer, quiet_warp
+    from bench.timing import TimedRenderer, medians, peak_mib, quiet_warp
 
     quiet_warp()
 
@@ -70,16 +72,15 @@ def measure(name: str, path: str, device: str) -> None:
         timed = renderer.render(scene, camera)  # frames that are kept would make each new one take memory anew
         walls.append(timed.wall_ms)
         stage_rows.append(timed.stage_ms)
-    stages = {name: statistics.median(row[name] for row in stage_rows) for name in stage_rows[0]}
     row = {
         "load_ms": 1e3 * (loaded - started),
         "start_ms": 1e3 * (ready - loaded),
         "first_ms": 1e3 * (first - ready),
-        "frame_ms": statistics.median(walls),
+        "frame_ms": median(walls),
         "frame_min_ms": min(walls),
         "frame_max_ms": max(walls),
         "build_ms": build_ms,
-        "stage_ms": stages,
+        "stage_ms": medians(stage_rows),
         "gaussians": stats.gaussian_count,
         "visible": stats.visible_count,
         "pairs": stats.pair_count,
@@ -88,12 +89,31 @@ def measure(name: str, path: str, device: str) -> None:
     print(json.dumps(row))
 
 
-def peak_mib() -> float:
-    """Largest resident memory of this process; ``ru_maxrss`` would include what its parent had when it was forked."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) / 1024
-    raise RuntimeError("this system does not report the peak memory of a process")
+def lit_row(preset, path: Path, device: str) -> dict:
+    """Renders a first frame of a lit preset and of unlit raster, then times ``LIT_REPEATS`` of each, taking turns."""
+    from bench.presets import BASE, lit_camera, stored_demo
+    from bench.timing import TimedRenderer, medians
+
+    demo, view = stored_demo(path), lit_camera()
+    turns = {part: (TimedRenderer(part.config(), device), part.scene(demo)) for part in (BASE, preset)}
+    walls: dict = {part: [] for part in turns}
+    stages = []
+    for turn in range(LIT_REPEATS + 1):
+        for part, (renderer, scene) in turns.items():
+            timed = renderer.render(scene, view)
+            if turn > 0:  # the first ones upload, build trees and allocate
+                walls[part].append(timed.wall_ms)
+                if part == preset:
+                    stages.append(timed.stage_ms)
+    middle = {part: median(times) for part, times in walls.items()}
+    return {
+        "frame_ms": middle[preset],
+        "frame_min_ms": min(walls[preset]),
+        "frame_max_ms": max(walls[preset]),
+        "base_ms": middle[BASE],
+        "ratio": middle[preset] / middle[BASE],
+        "stage_ms": medians(stages),
+    }
 
 
 if __name__ == "__main__":

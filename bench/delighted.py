@@ -1,4 +1,4 @@
-"""Captures whose materials are known, and what `lumisplat delight` finds of them.
+"""Measures what `lumisplat delight` finds of captures whose materials are known (a scene: 1 to 3 minutes).
 
 ``python -m bench.delighted [--scenes room spot "glossy spot"]`` prints a JSON object a scene, and writes pictures to
 /tmp/delighted: captured colours, albedo found and true albedo side by side. Captures are sets of Gaussians with the

@@ -1,4 +1,4 @@
-"""Materials of a room whose shape is known, from its captured colours alone: `lumisplat delight` on a set with a truth.
+"""Measures what `lumisplat delight` finds of a room whose shape is known, relit beside the truth (10 minutes).
 
 ``python -m bench.known_room SET MESH...`` takes a set of tools/make_relightable_room.py and its meshes, and prints a
 JSON object for each of three captures, with the figures of `lumisplat evaluate --materials`: ``true``, Gaussians on the
@@ -10,7 +10,6 @@ to /tmp/known_room, with pictures of the worst views.
 from __future__ import annotations
 
 import json
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,6 @@ import lumisplat as ls
 from bench.timing import parser, quiet_warp
 from lumisplat.math.arrays import FloatArray
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 OUT = Path("/tmp/known_room")
 FIGURE_DENSITY = 3.0
 """Gaussians by area on figures, times those on walls."""
@@ -53,7 +51,6 @@ def main() -> None:
 
 def room(meshes: list[Path], count: int) -> ls.Gaussians:
     """Gaussians on all surfaces of the room, of its true albedo."""
-    sys.path[:0] = [str(REPOSITORY / "tools")]
     from make_relightable_room import room_of, surfaces  # pyright: ignore[reportMissingImports]
 
     placed = surfaces(room_of(meshes))

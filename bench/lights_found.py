@@ -1,8 +1,8 @@
-"""How many lamps and suns are found in captures on which no threshold was chosen.
+"""Counts the lights and suns that are found in captures on which no threshold was chosen (5 minutes).
 
-``python -m bench.lights_found`` draws rooms, nights and grounds of known light (`bench.lit_captures`), looks for their
-light, and prints what was found, a line of JSON a capture and a table. The demo room and the captures of the data come
-last. ``--first 0`` uses the seeds that code may be changed by; those from 100 on are for measuring only.
+``python -m bench.lights_found`` draws rooms, nights and grounds of known light (`support.scenes.lit_captures`), looks
+for their light, and prints what was found, a line of JSON a capture and a table. The demo room and the captures of the
+data come last. ``--first 0`` uses the seeds that code may be changed by; those from 100 on are for measuring only.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from itertools import chain
 import numpy as np
 
 import lumisplat as ls
-from bench.lit_captures import KINDS, LitCapture, lit_capture
 from bench.presets import DATA, load_capture
 from bench.timing import parser, quiet_warp
 from lumisplat.demo.scene import DAYLIGHT
+from support.scenes.lit_captures import KINDS, LitCapture, lit_capture
 
 NEAR = 0.4
 """A light is the lamp's if it is not farther from it than this, metres."""

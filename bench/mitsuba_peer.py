@@ -1,4 +1,4 @@
-"""The peer: Mitsuba 3's ``volprim_rf_basic`` on the same capture and camera, one sample a pixel, in its own process.
+"""Times Mitsuba 3's ``volprim_rf_basic`` on the capture and camera of a preset, one sample a pixel (a minute).
 
 ``python -m bench.mitsuba_peer NAME`` prints one JSON object. The LLVM variant needs a libLLVM that Mitsuba accepts:
 Debian's ``libllvm19``, found by itself or through ``DRJIT_LIBLLVM_PATH``.

@@ -1,33 +1,36 @@
-"""Times lit frames of two checkouts: ``python -m bench.pairs OTHER [PRESET ...] [--device cuda]``.
+"""Compares the times of lit frames of two checkouts, as ratios of neighbouring frames (5 minutes).
 
-OTHER is a checkout of another revision. Each checkout renders in a process of its own, and their frames take turns, so
-that a machine that is busy for a while slows both. The column *ratio* is the median of the ratios of neighbouring
-frames.
+``python -m bench.pairs OTHER [PRESET ...] [--device cuda]``: OTHER is a checkout of another revision. Each checkout
+renders in a process of its own, and their frames take turns, so that a machine that is busy for a while slows both. The
+column *ratio* is the median of the ratios of neighbouring frames.
 """
 
 from __future__ import annotations
 
+import logging
 import os
-import statistics
 import subprocess
 import sys
+import time
 from pathlib import Path
+from statistics import median, quantiles
 
-from bench.light_presets import LIGHT
-from bench.timing import parser
+import lumisplat as ls
+from bench import ROOT
+from bench.presets import LIGHT, lit_camera
+from bench.timing import parser, print_head, print_row
 
 PAIRS = 40
-HERE = Path(__file__).resolve().parents[1]
 
 
 class Checkout:
     """A process that renders with a checkout's package."""
 
     def __init__(self, path: Path, device: str) -> None:
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(path / "src"), str(HERE)])}
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(path / "src"), str(ROOT)])}
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "bench.pair_worker", device],
-            cwd=HERE,
+            [sys.executable, "-c", f"import bench.pairs; bench.pairs.answer({device!r})"],
+            cwd=ROOT,
             env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -42,8 +45,29 @@ class Checkout:
         return float(self._process.stdout.readline())
 
 
+def answer(device: str) -> None:
+    """Renders what stdin asks for, by public names only, so that any revision can; prints milliseconds.
+
+    A preset's name sets the scene and renders two frames; ``frame`` renders and times one.
+    """
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # Warp prints to stdout
+    logging.disable()
+    demo, view = ls.demo_scene_lit(), lit_camera()
+    renderer, scene = ls.create_renderer(device=device), demo
+    for line in sys.stdin:
+        if line.strip() != "frame":
+            preset = next(preset for preset in LIGHT if preset.name == line.strip())
+            renderer, scene = ls.create_renderer(preset.config(), device), preset.scene(demo)
+            renderer.render(scene, view)
+            renderer.render(scene, view)
+        started = time.perf_counter()
+        renderer.render(scene, view)
+        print(1e3 * (time.perf_counter() - started), file=answers, flush=True)
+
+
 def times_of(preset: str, checkouts: tuple[Checkout, Checkout]) -> list[tuple[float, float]]:
-    """Times of neighbouring frames; who comes first changes from pair to pair."""
+    """Returns times of neighbouring frames; who comes first changes from pair to pair."""
     for checkout in checkouts:
         checkout.ask(preset)
     pairs: list[tuple[float, float]] = []
@@ -60,13 +84,13 @@ def main() -> None:
     given.add_argument("other", type=Path)
     given.add_argument("presets", nargs="*", metavar="preset")
     options = given.parse_args()
-    checkouts = Checkout(options.other.resolve(), options.device), Checkout(HERE, options.device)
-    print("| lit frames, ms | other | this | ratio (quartiles) |\n| --- | ---: | ---: | ---: |")
+    checkouts = Checkout(options.other.resolve(), options.device), Checkout(ROOT, options.device)
+    print_head("lit frames, ms", "other", "this", "ratio (quartiles)")
     for preset in options.presets or [preset.name for preset in LIGHT]:
         pairs = times_of(preset, checkouts)
-        before, now = (statistics.median(times) for times in zip(*pairs, strict=True))
-        low, middle, high = statistics.quantiles([now / before for before, now in pairs], n=4)
-        print(f"| {preset} | {before:.0f} | {now:.0f} | **{middle:.3f}** ({low:.3f}-{high:.3f}) |", flush=True)
+        before, now = (median(times) for times in zip(*pairs, strict=True))
+        low, middle, high = quantiles([now / before for before, now in pairs], n=4)
+        print_row(preset, f"{before:.0f}", f"{now:.0f}", f"**{middle:.3f}** ({low:.3f}-{high:.3f})")
 
 
 if __name__ == "__main__":

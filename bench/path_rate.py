@@ -1,16 +1,15 @@
-"""Samples a second of paths, and what their rays cost: ``python -m bench.path_rate [--device cuda]``.
+"""Measures samples a second of paths beside Mitsuba, and what camera and bounced rays cost (2 minutes).
 
-A mesh room beside Mitsuba's ``path`` (``llvm_ad_rgb``), frames taking turns, and the same room with relit Gaussians,
-which has no counterpart there. Then, for meshes and Gaussians, what finding the hits of a camera's ray and of a bounced
-one takes. Times are CPU time of the process, all threads together, the least of some frames: other work on the machine
-counts little. On a GPU they are wall time.
+``python -m bench.path_rate [--device cuda]``: a mesh room beside Mitsuba's ``path`` (``llvm_ad_rgb``), frames taking
+turns, and the same room with relit Gaussians, which has no counterpart there. Then, for meshes and Gaussians, what
+finding the hits of a camera's ray and of a bounced one takes. Times are CPU time of the process, all threads together,
+the least of some frames: other work on the machine counts little. On a GPU they are wall time.
 """
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
-import time
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ import numpy as np
 import lumisplat as ls
 from bench.mitsuba_peer import load_mitsuba
 from bench.presets import BIKER, load_capture, synthetic
-from bench.timing import parser, quiet_warp
+from bench.timing import clock_of, parser, print_head, print_row, quiet_warp
 from lumisplat.demo import shapes
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 
@@ -33,10 +32,10 @@ def main() -> None:
     """Prints two tables."""
     options = parser("path_rate", __doc__).parse_args()
     quiet_warp()
-    clock = time.process_time if options.device == "cpu" else time.perf_counter
+    clock = clock_of(options.device)
     view = ls.Camera.look_at((0.5, 0.5, -1.3), (0.5, 0.5, 0.5), (0.0, 1.0, 0.0), width=SIZE, height=SIZE, fov_y=0.7)
     mesh_room = ls.Scene(meshes=room())
-    print("| scene | million samples a second | Mitsuba | ratio |\n| --- | ---: | ---: | ---: |")
+    print_head("scene", "million samples a second", "Mitsuba", "ratio")
     ours = frames_of(mesh_room, view, options.device)
     try:
         peer = mitsuba_frames(mesh_room, view)
@@ -44,23 +43,22 @@ def main() -> None:
         peer = None
         print(f"no peer: {error}")
     rates = [1e-6 * SIZE * SIZE * SAMPLES / least for least in least_times(clock, ours, peer)]
-    beside = f"{rates[1]:.2f} | **{rates[0] / rates[1]:.2f}**" if peer else " | "
-    print(
-        f"| {sum(one.mesh.face_count for one in mesh_room.meshes):,} triangles | {rates[0]:.3f} | {beside} |",
-        flush=True,
-    )
+    beside = (f"{rates[1]:.2f}", f"**{rates[0] / rates[1]:.2f}**") if peer else ("", "")
+    triangles = sum(one.mesh.face_count for one in mesh_room.meshes)
+    print_row(f"{triangles:,} triangles", f"{rates[0]:.3f}", *beside)
     for count in (100_000, 1_000_000):
         (least,) = least_times(clock, frames_of(with_gaussians(count), view, options.device), None)
-        print(f"| {count:,} Gaussians | {1e-6 * SIZE * SIZE * SAMPLES / least:.3f} | | |", flush=True)
+        print_row(f"{count:,} Gaussians", f"{1e-6 * SIZE * SIZE * SAMPLES / least:.3f}", "", "")
 
-    print("\n| hits of a ray, nanoseconds | camera | bounced | ratio |\n| --- | ---: | ---: | ---: |")
+    print()
+    print_head("hits of a ray, nanoseconds", "camera", "bounced", "ratio")
     scenes = {"mesh room": (mesh_room, view), "room, 100,000 Gaussians": (with_gaussians(100_000), view)}
     scenes["demo"] = ls.demo_scene_lit(), ls.demo_cameras(640, 360, count=1)[0]
     if BIKER.is_file():
         scenes["biker, relit, on a floor"] = biker_on_floor()
     for name, (scene, camera) in scenes.items():
         camera_ns, bounced_ns = ray_costs(scene, camera, options.device, clock)
-        print(f"| {name} | {camera_ns:.0f} | {bounced_ns:.0f} | **{bounced_ns / camera_ns:.2f}** |", flush=True)
+        print_row(name, f"{camera_ns:.0f}", f"{bounced_ns:.0f}", f"**{bounced_ns / camera_ns:.2f}**")
 
 
 def config(samples: int) -> ls.RenderConfig:

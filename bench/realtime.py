@@ -1,7 +1,8 @@
-"""What the passes of frames in real time cost: ``python -m bench.realtime [--only quality,pixels,...]``.
+"""Times the passes of frames in real time, by quality, pixels, Gaussians, lights and models (5 minutes).
 
-Milliseconds of processor time, all threads together, the median of 6 frames after 4, which alternate with unlit raster
-frames of the same view: of the demo scene in each quality, then by pixels, Gaussians, lights and models.
+``python -m bench.realtime [--only quality,pixels,...]``: milliseconds of processor time, all threads together, the
+median of 6 frames after 4, which alternate with unlit raster frames of the same view: of the demo scene in each
+quality, then by pixels, Gaussians, lights and models.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Case = tuple[str, ls.RenderConfig, ls.Scene, ls.Camera]
 
 def main() -> None:
     """Prints a table for each thing that the cost depends on."""
-    from bench.timing import parser, quiet_warp
+    from bench.timing import parser, print_head, quiet_warp
 
     tables = {"quality": qualities, "pixels": sizes, **dict.fromkeys(COUNTS, growth)}
     asked = parser("realtime", __doc__)
@@ -32,8 +33,7 @@ def main() -> None:
     options = asked.parse_args()
     quiet_warp()
     for name in options.only.split(","):
-        print(f"| {name} | unlit | frame | times unlit | {' | '.join(PASSES)} |")
-        print(f"| --- {'| ---: ' * (len(PASSES) + 3)}|")
+        print_head(name, "unlit", "frame", "times unlit", *PASSES)
         for label, config, scene, camera in tables[name](name):
             print(row(label, config, scene, camera), flush=True)
 

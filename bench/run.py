@@ -1,6 +1,6 @@
-"""Runs the benchmarks: ``python -m bench.run [NAME...] [--device cuda]``.
+"""Times all presets beside Mitsuba and writes docs/benchmarks.md (15 minutes; a preset: a minute at most).
 
-A NAME is a preset or a group: raster, trace, light.
+``python -m bench.run [NAME...] [--device cuda]``: a NAME is a preset or a group: raster, trace, light.
 
 Each preset runs in a process of its own, its peer right after it. Rows go to bench/results/<revision>.jsonl, and the
 tables of docs/benchmarks.md are written anew when all presets ran on the CPU; their peer runs nowhere else.
@@ -20,13 +20,11 @@ import time
 from importlib import metadata
 from pathlib import Path
 
-from bench.light_presets import HEIGHT, LIGHT, WIDTH, LitPreset, store_demo
-from bench.light_report import print_light_table
-from bench.presets import BIKER, PRESETS, RASTER, TRACE, Preset
-from bench.report import print_table, write_document
+from bench import ROOT
+from bench.presets import BIKER, LIGHT, LIT_SIZE, PRESETS, RASTER, TRACE, LitPreset, Preset, store_demo
+from bench.report import light_lines, tables, write_document
 from bench.timing import device_name, parser
 
-ROOT = Path(__file__).resolve().parents[1]
 GROUPS = {"raster": RASTER, "trace": TRACE, "light": LIGHT}
 
 
@@ -60,11 +58,11 @@ def main() -> None:
         if shadows:
             file.write(json.dumps(machine | {"shadows": shadows}) + "\n")
     if rows:
-        print_table(rows)
+        print("\n".join(tables(rows)))
     if lit:
-        print_light_table(lit, shadows)
+        print("\n".join(light_lines(lit, shadows)))
     if device == "cpu" and len(rows) + len(lit) == len(everything):
-        quality = child("bench.trace_quality", device)
+        quality = child("bench.convergence", device, "trace")
         write_document(ROOT / "docs" / "benchmarks.md", machine, rows, lit=lit, shadows=shadows, quality=quality)
 
 
@@ -79,12 +77,12 @@ def run_light(presets: list[LitPreset], device: str) -> tuple[list[dict], dict]:
         rows = []
         for preset in presets:
             print(f"{preset.name} ...", flush=True)
-            row = {"preset": preset.name, "width": WIDTH, "height": HEIGHT}
-            rows.append(row | child("bench.light_case", device, preset.name, str(path)))
+            row = {"preset": preset.name, "width": LIT_SIZE[0], "height": LIT_SIZE[1]}
+            rows.append(row | child("bench.case", device, preset.name, str(path)))
         if len(presets) < len(LIGHT):
             return rows, {}
         print("stochastic shadows ...", flush=True)
-        return rows, child("bench.shadow_quality", device, str(path))
+        return rows, child("bench.convergence", device, "shadows", str(path))
 
 
 WARM_UP = "import sys, warp; warp.config.quiet = True; import lumisplat; lumisplat.create_renderer(device=sys.argv[1])"

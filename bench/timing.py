@@ -1,14 +1,16 @@
-"""Which device benchmarks run on, and how long its frames and their stages take."""
+"""Chooses a benchmark's device, times its frames and their stages, and prints its tables."""
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
 
 import lumisplat as ls
 from bench.presets import stage_ms
-from lumisplat.runtime.launcher import resolve_device
 
 
 def parser(program: str, description: str | None) -> argparse.ArgumentParser:
@@ -21,7 +23,9 @@ def parser(program: str, description: str | None) -> argparse.ArgumentParser:
 
 
 def device_here(name: str) -> str:
-    """The device that a name means on this machine."""
+    """Returns the device that a name means on this machine."""
+    from lumisplat.runtime.launcher import resolve_device
+
     try:
         return resolve_device(name)
     except ls.DeviceError as error:
@@ -33,6 +37,34 @@ def quiet_warp() -> None:
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
+
+
+def print_head(first: str, *names: str) -> None:
+    """Prints the first two lines of a Markdown table; all columns but the first hold numbers."""
+    print(f"| {' | '.join((first, *names))} |\n| --- {'| ---: ' * len(names)}|", flush=True)
+
+
+def print_row(*cells: object) -> None:
+    """Prints a line of a Markdown table."""
+    print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def clock_of(device: str) -> Callable[[], float]:
+    """Returns the clock of a device, seconds: processor time of all threads, or wall time on a GPU."""
+    return time.process_time if device == "cpu" else time.perf_counter
+
+
+def medians(rows: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Returns the median of each value over rows of the same names."""
+    return {name: median(row[name] for row in rows) for name in rows[0]}
+
+
+def peak_mib() -> float:
+    """Returns the most memory of this process; ``ru_maxrss`` would include its parent's when it was forked."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) / 1024
+    raise RuntimeError("this system does not report the peak memory of a process")
 
 
 def device_name(device: str) -> str:

@@ -1,4 +1,4 @@
-"""What training costs, and how near it comes.
+"""Times the stages of a training step, or fits photographs and measures what was held out (cost: a minute).
 
 ``python -m bench.training cost`` prints milliseconds of processor time of each stage of a step at 640 x 360, of sets
 made for it, or with ``cost CAPTURE`` of a thinned capture and the capture itself. ``python -m bench.training fit
@@ -16,7 +16,7 @@ import numpy as np
 
 import lumisplat as ls
 from bench.presets import synthetic
-from bench.timing import parser, quiet_warp
+from bench.timing import medians, parser, print_head, print_row, quiet_warp
 from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
@@ -66,14 +66,13 @@ def sets_of(path: Path | None) -> Generator[ls.Gaussians]:
 
 def print_cost(sets: Iterable[ls.Gaussians], device: str) -> None:
     """A row for each set."""
-    print("| Gaussians |", " | ".join(STAGES), "| backward pixels / compositing | backward / forward |")
-    print("| ---: |" + " ---: |" * (len(STAGES) + 2))
+    print_head("Gaussians", *STAGES, "backward pixels / compositing", "backward / forward")
     for gaussians in sets:
         stages = stages_of(gaussians, device)
         pixels = stages["backward: pixels"] / stages["composite"]
         whole = sum(stages[name] for name in BACKWARD) / sum(stages[name] for name in FORWARD)
-        times = " | ".join(f"{stages[name]:.1f}" for name in STAGES)
-        print(f"| {gaussians.count:,} | {times} | {pixels:.2f} | {whole:.2f} |", flush=True)
+        times = (f"{stages[name]:.1f}" for name in STAGES)
+        print_row(f"{gaussians.count:,}", *times, f"{pixels:.2f}", f"{whole:.2f}")
 
 
 def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
@@ -103,7 +102,8 @@ def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
     for _ in range(STEPS):
         trainer.step()
         rows.append(dict(trainer._launcher.stage_ms))
-    return {name: float(np.median([row[name] for row in rows[WARM_UP:]])) for name in STAGES}
+    found = medians(rows[WARM_UP:])
+    return {name: found[name] for name in STAGES}
 
 
 def print_fit(folder: Path, scale: float, config: ls.TrainConfig, device: str) -> None:

@@ -1,4 +1,4 @@
-"""How long the viewer takes from a page's camera to its picture, over a bare WebSocket: no browser is in it.
+"""Times the viewer from a page's camera to its picture, over a bare WebSocket without a browser (a minute).
 
 ``python -m bench.viewer CAPTURE`` starts the viewer in a process of its own, on the capture as captured and on the same
 relit by a lamp, and prints a table: seconds from the start to the address and to the first picture; milliseconds from a
@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import lumisplat as ls
-from bench.page_client import PageClient
-from bench.timing import parser
+from bench.timing import parser, print_head, print_row
+from support.viewer.page_client import PageClient
 
 WIDTH, HEIGHT = 640, 360
 STEPS = 60
@@ -39,10 +39,11 @@ def main() -> None:
     if options.serve:
         serve(options.capture, options.serve, options.device)
         return
-    print("| | address, s | first picture, s | median, ms | best | 90 % | beside the frame | pictures a second |")
-    print("| --- |" + " ---: |" * 7)
+    print_head(
+        "", "address, s", "first picture, s", "median, ms", "best", "90 %", "beside the frame", "pictures a second"
+    )
     for kind in ("captured", "lit"):
-        print(f"| {kind} | {measure(options.capture, kind, options.device)} |", flush=True)
+        print_row(kind, *measure(options.capture, kind, options.device))
 
 
 def scene_of(capture: Path, kind: str) -> ls.Scene:
@@ -88,8 +89,8 @@ class Served:
             self.frames.append((done, took))
 
 
-def measure(capture: Path, kind: str, device: str) -> str:
-    """A row of the table."""
+def measure(capture: Path, kind: str, device: str) -> tuple[str, ...]:
+    """Returns the figures of a row."""
     command = [sys.executable, "-m", "bench.viewer", str(capture), "--serve", kind, "--device", device]
     started = time.monotonic()
     pipe = subprocess.PIPE
@@ -116,8 +117,8 @@ def measure(capture: Path, kind: str, device: str) -> str:
     process.wait()
     middle, best, late = np.median(latencies), min(latencies), np.percentile(latencies, 90)
     return (
-        f"{address_s:.2f} | {first_s:.2f} | **{middle:.0f}** | {best:.0f} | {late:.0f} | "
-        f"{np.median(beside):.1f} | **{rate:.0f}**"
+        *(f"{address_s:.2f}", f"{first_s:.2f}", f"**{middle:.0f}**", f"{best:.0f}", f"{late:.0f}"),
+        *(f"{np.median(beside):.1f}", f"**{rate:.0f}**"),
     )
 
 

@@ -1,1 +1,1 @@
-"""Everything once, on a device that is new to us: ``python -m bench.first_light``."""
+"""Runs everything once, on a device that is new to us."""

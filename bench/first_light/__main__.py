@@ -1,7 +1,186 @@
-"""As a command."""
+"""Runs everything once on a device that is new to us, checks before times (8 minutes at most).
 
+``python -m bench.first_light [--device cuda] [--out FOLDER]``
+
+Each step runs in a process of its own, since an error on a GPU poisons all that its process does later, and is ended
+after its time. After each, FOLDER has the report anew: first_light.jsonl, a line a step, and first_light.md, to be
+read. What a step found before it failed is kept. Frames are compared with the CPU's of the same run. ``--device cpu``
+rehearses it all, with the schedule of GPUs on the CPU.
+
+The exit status is 0 if nothing is wrong. Timings are not judged.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
 import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
-from bench.first_light.run import main
+from bench import ROOT
+from bench.first_light.worker import Finding, Setting
+from bench.timing import parser
 
-sys.exit(main())
+BUDGET_S = 460.0
+"""Time of all steps: a machine that is lent for ten minutes has to start, too."""
+STEP_MIN_S = 10.0
+"""With less time left, a step is not begun."""
+LOG_CHARACTERS = 1500
+"""Of a failed step's output, its end."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to run."""
+
+    name: str
+    work: str
+    """``module:function``; the function takes a `Setting` and yields each `Finding` as soon as it has it."""
+    limit_s: float
+    """It is ended after this time."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of a step."""
+
+    step: str
+    status: str
+    """ok, wrong (it ended, and found what should not be), failed, timed out, or skipped."""
+    seconds: float = 0.0
+    findings: list[Finding] = field(default_factory=list)
+    problem: str = ""
+    """Why it failed or was skipped."""
+
+
+CHECKS, TIMES, DERIVATIVES = (f"bench.first_light.{name}" for name in ("checks", "times", "derivatives"))
+STEPS = (
+    Step("machine", f"{CHECKS}:machine", 60.0),
+    Step("kernels", f"{CHECKS}:kernels", 200.0),
+    Step("small raster frames", f"{CHECKS}:raster_frames", 90.0),
+    Step("small traced frames", f"{CHECKS}:traced_frames", 90.0),
+    Step("small lit frames", f"{CHECKS}:lit_frames", 90.0),
+    Step("graphs and repeats", f"{CHECKS}:repeats", 60.0),
+    Step("moving sets", f"{CHECKS}:moving_sets", 60.0),
+    Step("pictures", f"{CHECKS}:pictures", 60.0),
+    Step("rays", f"{CHECKS}:rays", 60.0),
+    Step("derivatives", f"{DERIVATIVES}:gradients", 60.0),
+    Step("deep shadow maps", f"{CHECKS}:deep_shadow_maps", 60.0),
+    Step("out of memory", f"{CHECKS}:out_of_memory", 60.0),
+    Step("rasterised frames, times", f"{TIMES}:raster_times", 120.0),
+    Step("beside gsplat", f"{TIMES}:beside_gsplat", 60.0),
+    Step("traced frames, times", f"{TIMES}:trace_times", 120.0),
+    Step("lit hybrid frames, times", f"{TIMES}:lit_times", 120.0),
+    Step("derivatives beside gsplat", f"{DERIVATIVES}:gradients_beside_gsplat", 60.0),
+    Step("training, times", f"{DERIVATIVES}:training_times", 60.0),
+    Step("sorts, times", f"{TIMES}:sort_times", 60.0),
+    Step("copies, times", f"{TIMES}:copy_times", 60.0),
+)
+"""What is wrong matters more than how fast it is, and what is small comes before what is large."""
+
+
+def main() -> int:
+    """Runs the steps; returns the exit status."""
+    given = parser("first_light", __doc__)
+    given.add_argument(
+        "--out", type=Path, default=ROOT / "bench" / "results" / "first_light", help="folder of the report"
+    )
+    given.add_argument("--budget", type=float, default=BUDGET_S, metavar="S", help="seconds for all steps")
+    given.add_argument("--only", nargs="+", metavar="STEP", help="run these only: " + ", ".join(s.name for s in STEPS))
+    given.add_argument("--sizes", type=int, nargs="+", metavar="N", help="Gaussians of the sets that are timed")
+    given.add_argument("--width", type=int, metavar="PX", help="of the frames that are timed, 16:9")
+    given.add_argument("--every", type=int, default=1, metavar="N", help="each n-th small frame only, for sanitizers")
+    options = given.parse_args()
+    known = {step.name for step in STEPS}
+    if unknown := set(options.only or ()) - known:
+        given.error(f"no step {', '.join(sorted(unknown))}: use {', '.join(sorted(known))}")
+    is_cpu = options.device == "cpu"
+    setting = Setting(
+        device=options.device,
+        sizes=options.sizes or ([10_000] if is_cpu else [1_000_000, 6_000_000]),
+        width=options.width or (320 if is_cpu else 1920),
+        every=options.every,
+    )
+    steps = [step for step in STEPS if not options.only or step.name in options.only]
+    rows = run_steps(steps, setting, options.out, options.budget)
+    return 0 if all(row.status in ("ok", "skipped") for row in rows) else 1
+
+
+def run_steps(steps: Sequence[Step], setting: Setting, folder: Path, budget_s: float) -> list[Row]:
+    """Runs steps one after another, and writes the report after each."""
+    folder.mkdir(parents=True, exist_ok=True)
+    begun, rows = time.perf_counter(), []
+    for step in steps:
+        left = budget_s - (time.perf_counter() - begun)
+        row = run_step(step, setting, left) if left >= STEP_MIN_S else Row(step.name, "skipped", problem="no time")
+        rows.append(row)
+        write_report(folder, setting, rows)
+        print(f"[{time.perf_counter() - begun:6.1f} s] {row.step}: {row.status} {row.problem[:160]}", flush=True)
+    return rows
+
+
+def run_step(step: Step, setting: Setting, left_s: float) -> Row:
+    """Runs a step in a process of its own, at most for its limit and the time that is left."""
+    limit = min(step.limit_s, left_s)
+    begun = time.perf_counter()
+    with tempfile.TemporaryDirectory() as name:
+        found, log = Path(name) / "findings", Path(name) / "log"
+        found.touch()
+        script = "import sys; from bench.first_light.worker import main; main(*sys.argv[1:])"
+        command = [sys.executable, "-c", script, step.work, json.dumps(asdict(setting)), str(found)]
+        paths = [str(ROOT), str(ROOT / "src"), os.environ.get("PYTHONPATH", "")]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+        status, problem = "ok", ""
+        with log.open("wb") as output:
+            try:
+                done = subprocess.run(
+                    command, cwd=ROOT, env=environment, stdout=output, stderr=output, timeout=limit, check=False
+                )
+                if done.returncode:
+                    status, problem = "failed", f"status {done.returncode}: {tail(log)}"
+            except subprocess.TimeoutExpired:
+                status, problem = "timed out", f"after {limit:.0f} s: {tail(log)}"
+        findings = [Finding(*json.loads(line)) for line in whole_lines(found)]
+    if status == "ok" and findings and findings[-1].name == "skipped":
+        status, problem = "skipped", str(findings.pop().value)
+    if status == "ok" and any(finding.is_wrong for finding in findings):
+        status = "wrong"
+    return Row(step.name, status, round(time.perf_counter() - begun, 1), findings, problem)
+
+
+def tail(log: Path) -> str:
+    """The end of a step's output."""
+    return log.read_text(errors="replace").strip()[-LOG_CHARACTERS:]
+
+
+def whole_lines(path: Path) -> list[str]:
+    """Lines of a file; one that a process that died did not finish is left out."""
+    return [line for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
+
+
+def write_report(folder: Path, setting: Setting, rows: list[Row]) -> None:
+    """Writes both files anew."""
+    objects = [{**asdict(setting), **row.__dict__, "findings": [f._asdict() for f in row.findings]} for row in rows]
+    (folder / "first_light.jsonl").write_text("".join(json.dumps(row) + "\n" for row in objects))
+    lines = [
+        f"# First light on {setting.device}",
+        "",
+        "| step | status | seconds | wrong |",
+        "| --- | --- | ---: | ---: |",
+    ]
+    lines += [f"| {r.step} | {r.status} | {r.seconds} | {sum(f.is_wrong for f in r.findings)} |" for r in rows]
+    for row in rows:
+        lines += ["", f"## {row.step}: {row.status}", ""]
+        lines += [f"- {'**wrong** ' if f.is_wrong else ''}{f.name}: {f.value}" for f in row.findings]
+        if row.problem:
+            lines += ["", "```", row.problem, "```"]
+    (folder / "first_light.md").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

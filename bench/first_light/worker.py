@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -43,7 +42,3 @@ def main(work: str, setting: str, found: str) -> None:
         for finding in step(Setting(**json.loads(setting))):
             file.write(json.dumps(Finding(*finding), default=str) + "\n")
             file.flush()
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

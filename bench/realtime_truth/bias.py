@@ -1,15 +1,15 @@
-"""How far frames in real time are from paths with the same first surfaces, where nothing moves.
+"""Measures how far frames in real time are from paths, where nothing moves (10 minutes of processor time).
 
 ``python -m bench.realtime_truth.bias`` prints, for rooms and the demo scene after 64 frames, by layer how far blocks of
 16 x 16 pixels are off, as shares of their light: 3 % of direct, 5 % of indirect and 10 % of glossy light are the bars
-on meshes, twice that on Gaussians. Then the PSNR of tone-mapped pictures (bars: 34 dB Cornell, 31 dB with Gaussians,
-30 dB demo scene), and furnaces, which have to be 1 within 0.5 %. Where captures keep their look, direct and indirect
+on meshes, twice that on Gaussians. Then the PSNR of tone-mapped pictures (bars: 34 dB Cornell, 31 dB with Gaussians, 30
+dB demo scene), and furnaces, which have to be 1 within 0.5 %. Where captures keep their look, direct and indirect
 diffuse light are taken together: the two pipelines put the light of captures in different ones.
 
 What single frames are off is bias and noise; *32 frames* are the mean of the last half of them, whose bias it is. The
-truth's noise is left out of PSNR: it is the product of the errors beside two independent halves of the truth. Its
-share of a block's bias is the last column. About 10 minutes of processor time, most of it for the truth; seconds with
-``--width 96 --samples 4 --frames 4 --only rooms``.
+truth's noise is left out of PSNR: it is the product of the errors beside two independent halves of the truth. Its share
+of a block's bias is the last column. Most of the time is for the truth; it takes seconds with ``--width 96 --samples 4
+--frames 4 --only rooms``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from bench.realtime_truth.frames import (
     bias,
     blocks,
     frames_of,
-    head,
     layer_of,
     options,
     percent,
@@ -34,6 +33,7 @@ from bench.realtime_truth.frames import (
     truth_of,
 )
 from bench.realtime_truth.scenes import View, demo, furnaces, rooms
+from bench.timing import print_head
 
 FURNACE_BAR = 0.005
 
@@ -50,15 +50,15 @@ def main() -> None:
     pictures = list[str]()
     if views:
         of = "mean", "rms of blocks", "largest", "beyond"
-        head("view", "layer", "bar", *of, *(f"32 frames: {name}" for name in of), "truth's noise")
+        print_head("view", "layer", "bar", *of, *(f"32 frames: {name}" for name in of), "truth's noise")
         for view in views:
             pictures.append(compared(view, given))
         print()
-        head("view", "PSNR, dB", "with the truth's noise", "bar")
+        print_head("view", "PSNR, dB", "with the truth's noise", "bar")
         print("\n".join(pictures), flush=True)
     if "furnaces" in chosen:
         print()
-        head("furnace, farthest of three views", "mean", "block of 32 frames", "block of one", "bar")
+        print_head("furnace, farthest of three views", "mean", "block of 32 frames", "block of one", "bar")
         print("\n".join(heated(given)))
 
 

@@ -1,4 +1,4 @@
-"""Sequences in real time, the paths that are their truth, and how far apart the two are."""
+"""Renders sequences in real time and the paths that are their truth, and measures how far apart the two are."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,6 @@ from lumisplat.config.render import PATH_PARTS
 from lumisplat.math.tone_map import lit_picture
 
 Doubles = npt.NDArray[np.float64]
-_Result = TypeVar("_Result")
 
 BLOCK = 16
 """Side of the blocks whose means are compared, pixels."""
@@ -59,25 +58,20 @@ def tell(text: str) -> None:
     print(f"{time.strftime('%H:%M:%S')} {text}", file=sys.stderr, flush=True)
 
 
-def head(first: str, *names: str) -> None:
-    """The first two lines of a table."""
-    print(f"| {' | '.join((first, *names))} |\n| --- {'| ---: ' * len(names)}|", flush=True)
-
-
 def realtime(**settings: Any) -> ls.RenderConfig:
     """Settings of a sequence, with its layers."""
     given = {"aovs": PATH_PARTS, "tone_map": ls.ToneMap.NEUTRAL} | settings
     return ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, **given)
 
 
-def paths(samples: int, seed: int, max_bounces: int | None = None) -> ls.RenderConfig:
+def paths(samples: int, seed: int) -> ls.RenderConfig:
     """Settings of a frame of paths whose first surface is that of real time."""
     return ls.RenderConfig(
         pipeline=ls.Pipeline.PATH,
         samples=samples,
         seed=seed,
         path=ls.PathConfig(primary=ls.config.PathPrimary.ISO),
-        max_bounces=max_bounces,
+        max_bounces=BOUNCES,
         tone_map=ls.ToneMap.NEUTRAL,
         aovs=(*PATH_PARTS, "albedo"),
     )
@@ -93,13 +87,6 @@ def last_of(renderer: ls.Renderer, view: View, count: int) -> ls.Frame:
     """The last of so many frames."""
     *_, frame = frames_of(renderer, view, count)
     return frame
-
-
-def cpu_seconds(work: Callable[[], _Result]) -> tuple[float, _Result]:
-    """Processor time of all threads, and the result."""
-    started = time.process_time()
-    result = work()
-    return time.process_time() - started, result
 
 
 @dataclass(frozen=True)
@@ -151,10 +138,7 @@ def truth_of(view: View, samples: int, device: str, folder: Path | None) -> Trut
         images = {name: values.astype(np.float64) for name, values in np.load(stored).items()}
         return Truth(images.pop("pictures"), images.pop("whole"), images)
     tell(f"{samples} paths a pixel: {view.name}, {size}")
-    halves = [
-        ls.create_renderer(paths(samples // 2, seed, BOUNCES), device).render(view.scene, view.camera)
-        for seed in (1, 2)
-    ]
+    halves = [ls.create_renderer(paths(samples // 2, seed), device).render(view.scene, view.camera) for seed in (1, 2)]
     pictures = np.stack([half.pixels_srgb() for half in halves]).astype(np.float64)
     captured, weight, light = (
         np.mean([getattr(half, part) for half in halves], axis=0) for part in ("captured", "captured_weight", "light")

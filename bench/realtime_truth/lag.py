@@ -1,4 +1,4 @@
-"""How soon frames in real time follow what changes, and how still they are where nothing does.
+"""Measures how soon frames in real time follow what changes, and how still they are otherwise (10 minutes).
 
 ``python -m bench.realtime_truth.lag`` prints
 
@@ -14,8 +14,8 @@
   stood still with other random numbers (1: within the noise);
 * how many pixels of a still scene flicker by less than 1 %, standard deviation over mean of 32 frames (bar: 95 %).
 
-Errors are root mean squares of tone-mapped pictures, those of new pixels beside paths, whose noise is left out. About
-10 minutes of processor time; seconds with ``--width 64 --samples 4 --only lamps,shadow,seen,trip``.
+Errors are root mean squares of tone-mapped pictures, those of new pixels beside paths, whose noise is left out. It
+takes seconds with ``--width 64 --samples 4 --only lamps,shadow,seen,trip``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ from bench.realtime_truth.frames import (
     Truth,
     blocks,
     frames_of,
-    head,
     last_of,
     layer_of,
     options,
@@ -45,6 +44,7 @@ from bench.realtime_truth.frames import (
     truth_of,
 )
 from bench.realtime_truth.scenes import View, aside, dark_room, demo, rooms, with_ball_at
+from bench.timing import print_head
 from support.scenes.path_rooms import room_camera
 
 Mask = npt.NDArray[np.bool_]
@@ -84,7 +84,7 @@ def row(name: str, values: Sequence[float], bar: str) -> None:
 
 def lamps(given: argparse.Namespace) -> None:
     """A lamp goes out."""
-    head("gone after frames", *(str(count) for count in AFTER), "bar")
+    print_head("gone after frames", *(str(count) for count in AFTER), "bar")
     lamp = ls.LightPoint((2.0, 2.5, 2.5), intensity=10.0)
     other = ls.LightPoint((0.8, 1.0, 4.2), intensity=3.0)
     for name, rest in {"alone": (), "beside another lamp": (other,)}.items():
@@ -106,7 +106,7 @@ def lamps(given: argparse.Namespace) -> None:
 
 def shadow(given: argparse.Namespace) -> None:
     """A ball jumps aside, and its shadow should do the same."""
-    head("left after frames", *(str(count) for count in AFTER), "bar")
+    print_head("left after frames", *(str(count) for count in AFTER), "bar")
     here, there = (View("ball", with_ball_at(x), camera_of(given)) for x in (0.0, JUMP))
     renderer = ls.create_renderer(realtime(), given.device)
     before = last_of(renderer, here, STEADY)
@@ -130,7 +130,7 @@ def shadow(given: argparse.Namespace) -> None:
 def newly_seen(given: argparse.Namespace) -> None:
     """Pixels that nothing is known of."""
     counts = [count for count in AFTER if count <= 8]
-    head("error over the steady one after frames", *(str(count) for count in counts), "steady", "black", "bar")
+    print_head("error over the steady one after frames", *(str(count) for count in counts), "steady", "black", "bar")
     here = View("ball", with_ball_at(0.0), camera_of(given))
     changes = {
         "the ball jumps": replace(here, name="ball aside", scene=with_ball_at(JUMP)),
@@ -160,7 +160,7 @@ def error_at(place: Mask, frame: ls.Frame, truth: Truth) -> float:
 
 def trip(given: argparse.Namespace) -> None:
     """The camera goes away and comes back."""
-    head("difference over noise after frames", *(str(count) for count in AFTER), "bar")
+    print_head("difference over noise after frames", *(str(count) for count in AFTER), "bar")
     here = View("ball", with_ball_at(0.0), camera_of(given))
     way = np.sin(np.linspace(0.0, np.pi, 17))[1:-1]
     renderer = ls.create_renderer(realtime(), given.device)
@@ -182,7 +182,7 @@ def trip(given: argparse.Namespace) -> None:
 
 def flicker(given: argparse.Namespace) -> None:
     """Nothing moves."""
-    head("flicker", "pixels below 1 %", "of blocks", "median", "95th percentile", "bar")
+    print_head("flicker", "pixels below 1 %", "of blocks", "median", "95th percentile", "bar")
     for view in (*rooms(given.width), demo(given.width)):
         tell(view.name)
         renderer = ls.create_renderer(realtime(), given.device)

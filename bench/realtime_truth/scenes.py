@@ -1,15 +1,11 @@
-"""What the commands look at: rooms of meshes and of Gaussians, furnaces, and the demo scene."""
+"""Builds what the commands look at: rooms of meshes and of Gaussians, furnaces, and the demo scene."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
 import lumisplat as ls
 from support.scenes.light_scenes import box, matte

@@ -7,7 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from bench.first_light.run import ROOT, STEPS, Step, run_steps
+from bench import ROOT
+from bench.first_light.__main__ import STEPS, Step, run_steps
 from bench.first_light.worker import Setting
 
 NAMES = ("raises", "dies", "hangs", "finds", "skips", "passes")

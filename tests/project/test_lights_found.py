@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from bench import lights_found
-from bench.lit_captures import LitCapture
 
 import lumisplat as ls
+from support.scenes.lit_captures import LitCapture
 
 FOUND = [(0.0, 2.0, 0.0), (3.0, 2.0, 0.0)]
 """Where a search says that there are lamps."""

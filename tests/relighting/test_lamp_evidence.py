@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench.lit_captures import lit_capture
 
 import lumisplat as ls
 from lumisplat.constants import LAMP_SIGNIFICANCE
@@ -15,6 +14,7 @@ from lumisplat.math.sh import even_directions
 from lumisplat.relighting import sun_estimation
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Shading, SolidCells
 from support.kinds import expect_kind
+from support.scenes.lit_captures import lit_capture
 from support.scenes.lit_places import Point, meadow, room
 
 CENTER = np.array([0.0, 0.9, 0.0])

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bench.page_client import PageClient
 from test_viewer import camera, eventually, lit_scene, settled
 
 import lumisplat as ls
@@ -21,6 +20,7 @@ from lumisplat.viewer.panels.settings import SettingsPanel
 from lumisplat.viewer.state.applicable import shown_views, unused_settings
 from lumisplat.viewer.state.session import Options, Session, State
 from lumisplat.viewer.words import page_words
+from support.viewer.page_client import PageClient
 
 UNLIT = ls.Scene([replace(lit_scene().splats[0], material=None)])
 

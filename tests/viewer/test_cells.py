@@ -169,7 +169,7 @@ def viewer() -> Iterator[ls.Viewer]:
 def notebook() -> Iterator[Any]:
     """A notebook without a browser."""
     pytest.importorskip("jupyter_rfb", reason="the extra notebook is not installed")
-    from bench.cell_client import CellClient
+    from support.viewer.cell_client import CellClient
 
     with CellClient() as client:
         yield client

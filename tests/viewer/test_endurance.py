@@ -8,9 +8,9 @@ import threading
 from pathlib import Path
 
 import pytest
-from bench.viewer_endurance import WEIGHTS, LeanPage, endured, orbit, scene_in, wait_until
 
 import lumisplat as ls
+from support.viewer.endurance import WEIGHTS, LeanPage, endured, orbit, scene_in, wait_until
 
 MEMORY_MIB = 60.0
 """What a hundred edits may add: undo keeps them, and allocators do not give all back. An edit that is kept for each

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bench.page_client import PageClient
 from test_viewer import HEIGHT, settled
 
 import lumisplat as ls
@@ -20,6 +19,7 @@ from lumisplat.viewer.outliner.level_panel import ground_normal
 from lumisplat.viewer.state.session import Session
 from lumisplat.viewer.state.sun import sun_angles
 from support.files.hdr_files import write_hdr
+from support.viewer.page_client import PageClient
 
 TILT = math.radians(20.0)
 UP = np.array([0.0, -math.cos(TILT), math.sin(TILT)])

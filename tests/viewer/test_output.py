@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench.page_client import PageClient
 from PIL import Image
 from test_viewer import HEIGHT, camera, cloud, eventually, lit_scene, settled
 
 import lumisplat as ls
 from lumisplat.viewer.output import capture_page
+from support.viewer.page_client import PageClient
 
 CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
 

@@ -17,7 +17,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from bench.page_client import PageClient
 
 import lumisplat as ls
 from lumisplat.cli import main
@@ -25,6 +24,7 @@ from lumisplat.viewer.frames.page import BrowserScreen, Page
 from lumisplat.viewer.panels.files import command_line
 from lumisplat.viewer.server import event_queue
 from lumisplat.viewer.state.session import State
+from support.viewer.page_client import PageClient
 
 HEIGHT = 90
 UP = (0.0, -1.0, 0.0)

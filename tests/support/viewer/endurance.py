@@ -1,9 +1,9 @@
-"""Whether the viewer bears long work: nothing lost, nothing left behind, memory that does not grow.
+"""Edits a viewer for long: three pages, and a ledger that says what the document should hold.
 
-``python -m bench.viewer_endurance`` opens three pages over bare WebSockets on a small lit scene, and edits it by what
-pages send, as an hour of work would: handles are dragged, materials, lights and settings changed, things added,
-uploaded, duplicated, hidden and deleted, edits undone and redone, pages closed and opened again, while all pages move.
-After each edit, the document is compared with a ledger that the same edits are entered in.
+`endured` opens three pages over bare WebSockets on a small lit scene, and edits it by what pages send, as an hour of
+work would: handles are dragged, materials, lights and settings changed, things added, uploaded, duplicated, hidden and
+deleted, edits undone and redone, pages closed and opened again, while all pages move. After each edit, the document is
+compared with a ledger that the same edits are entered in.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import gc
 import logging
 import os
 import random
-import tempfile
 import threading
 import time
 from collections import Counter
@@ -26,12 +25,9 @@ from typing import Any
 import numpy as np
 
 import lumisplat as ls
-from bench.page_client import PageClient
-from bench.timing import parser, quiet_warp
 from lumisplat.viewer.thresholds import UNDO_MAX
+from support.viewer.page_client import PageClient
 
-EDITS = 5000
-"""More than an hour has, at one in a second."""
 HEIGHT = 90
 PAGES = 3
 ENTRIES = (3, 9)
@@ -108,7 +104,6 @@ class Ledger:
 class Report:
     """What came of it."""
 
-    seconds: float
     done: Counter[str]
     memory_mib: tuple[float, ...]
     """After the warm-up, and in equal steps until the end."""
@@ -382,7 +377,6 @@ def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Rep
     viewer._loader.join()
     viewer._session.errors.append(faults.lines.append)
     hand = Hand(viewer, seed)
-    begun = time.monotonic()
     try:
         for page in hand.pages:
             page.picture()
@@ -398,7 +392,7 @@ def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Rep
         hand.close()
         viewer.close()
         logging.getLogger().removeHandler(faults)
-    return Report(time.monotonic() - begun, hand.done, tuple(memory), (threads[0], threads[-1]), faults.lines)
+    return Report(hand.done, tuple(memory), (threads[0], threads[-1]), faults.lines)
 
 
 def settled_threads(viewer: ls.Viewer) -> list[str]:
@@ -418,22 +412,3 @@ def memory_mib() -> float:
         ctypes.CDLL(None).malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
-def main() -> None:
-    """Prints what came of it."""
-    arguments = parser("viewer_endurance", __doc__)
-    arguments.add_argument("--edits", type=int, default=EDITS)
-    options = arguments.parse_args()
-    quiet_warp()
-    with tempfile.TemporaryDirectory() as folder:
-        report = endured(options.edits, Path(folder), options.device)
-    print("edits:", ", ".join(f"{count} {what}" for what, count in report.done.most_common()))
-    print(f"{report.done.total():,} in {report.seconds:.0f} s, none lost")
-    print("memory, MiB:", " ".join(f"{mib:.0f}" for mib in report.memory_mib))
-    print(f"threads: {len(report.threads[0])} -> {len(report.threads[1])}")
-    print("errors:", report.errors[:10] or "none")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,8 @@
-"""Captures whose light is known, drawn at random: rooms with lamps, nights, grounds in the sun and under clouds.
+"""Draws captures whose light is known, at random: rooms with lamps, nights, grounds in the sun and under clouds.
 
 What is built, how it is lit, exposed and turned follows from a seed, so that thresholds that were chosen on some seeds
-are tested on others. Nothing is shared with the captures of the tests.
+are tested on others. They share nothing with the captures that
+tests build by hand.
 """
 
 from __future__ import annotations
