@@ -9,11 +9,11 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, BOX_MARGIN, KERNEL_LINEAR_SLOPE
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, BOX_MARGIN
 from lumisplat.device.gaussian.particle import canonical_from_object
 from lumisplat.device.structs.bvh import FAR, Box, Particle
 from lumisplat.device.structs.scene import KernelData
-from lumisplat.renderer.scene.instance_tables import kernel_data
+from lumisplat.renderer.scene.instance_tables import KERNEL_LINEAR_SLOPE, kernel_data
 from lumisplat.renderer.scene.upload import upload_gaussians
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype

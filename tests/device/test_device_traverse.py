@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_MARGIN
+from lumisplat.constants import NODE_WIDTH
+from lumisplat.device.bvh.nodes import TRAVERSE_MARGIN
+from lumisplat.device.bvh.packet import COHERENT_SPREAD
 from lumisplat.device.structs.bvh import FAR, Children, Node, Slabs
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import SplatInstanceData

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants.delight import BIN_RINGS, BIN_SECTORS, ROUGHNESS_GRID, ROUGHNESS_UNKNOWN
-from lumisplat.constants.materials import SPREAD_SHARE
+from lumisplat.constants import SPREAD_SHARE
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting.delight.albedo_fit import Light, SkyCells
 from lumisplat.relighting.delight.neighbours import neighbours_of, normal_variances
 from lumisplat.relighting.delight.roughness_fit import (
+    BIN_RINGS,
+    BIN_SECTORS,
+    ROUGHNESS_GRID,
+    ROUGHNESS_UNKNOWN,
     Lobes,
     Roughness,
     RoughnessFit,

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants import LAMP_SIGNIFICANCE
 from lumisplat.math.sh import even_directions
 from lumisplat.relighting import sun_estimation
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Shading, SolidCells
+from lumisplat.relighting.light_estimation import LAMP_SIGNIFICANCE
 from support.kinds import expect_kind
 from support.scenes.lit_captures import lit_capture
 from support.scenes.lit_places import Point, meadow, room

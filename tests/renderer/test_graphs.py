@@ -10,8 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.constants import NOISE_SAMPLES_MIN
-from lumisplat.constants.realtime import GRID_LIGHTS
+from lumisplat.constants import GRID_LIGHTS, NOISE_SAMPLES_MIN
 from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
 from lumisplat.renderer.integrators.paths import PathIntegrator
 from lumisplat.renderer.realtime.indirect_light import IndirectLight

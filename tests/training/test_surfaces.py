@@ -11,9 +11,10 @@ import warp as wp
 from bench import known_surfaces
 
 import lumisplat as ls
-from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_SPREAD, SURFACE_VARIANCE_MIN
+from lumisplat.constants import SURFACE_ALPHA
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.training.parameters import TrainedParameters
+from lumisplat.training.surface_kernels import SURFACE_SPREAD, SURFACE_VARIANCE_MIN
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Picture, TrainingView

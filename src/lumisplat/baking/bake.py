@@ -24,16 +24,7 @@ from lumisplat.baking.sample_rays import (
 )
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.config.checks import check_whole
-from lumisplat.constants import SAMPLES_MAX, SH_DEGREE_MAX
-from lumisplat.constants.baking import (
-    BAKE_DIRECTIONS,
-    BAKE_DIRECTIONS_MAX,
-    BAKE_SAMPLES,
-    PILOT_DIRECTIONS,
-    RIDGE,
-    SIGNAL_MIN,
-    VIEWS_AT_ONCE,
-)
+from lumisplat.constants import RIDGE, SAMPLES_MAX, SH_DEGREE_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.color import decode_srgb
@@ -47,6 +38,24 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import LocalFrame, rendered_frame
 from lumisplat.scene.ops.colors import scale_light_of
 from lumisplat.scene.scene import Scene, SplatInstance
+
+BAKE_DIRECTIONS = 32
+"""From which each Gaussian is looked at: twice as many as the harmonics of degree 3, as half of them see its back."""
+
+BAKE_SAMPLES = 8
+"""Paths a ray; even, so that both halves tell the noise."""
+
+VIEWS_AT_ONCE = 2**17
+"""Views that are on the device at once: some 60 MiB."""
+
+PILOT_DIRECTIONS = 8
+"""From which each Gaussian is seen first, to know on which side it is seen; with two paths each."""
+
+SIGNAL_MIN = 1e-8
+"""Variance of colours over directions below which they are taken to be one, display-referred: 0.03 of 255."""
+
+BAKE_DIRECTIONS_MAX = 1024
+"""More directions of a Gaussian are a typing error: harmonics of degree 3 have 16 coefficients."""
 
 _log = logging.getLogger("lumisplat")
 

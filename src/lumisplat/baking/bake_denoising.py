@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.baking import SHARED_COLOR_MIN
 from lumisplat.math.arrays import Doubles, Flags
+
+SHARED_COLOR_MIN = 0.02
+"""Share of even light that rays show below which differences between rays count less: what they reflect is not noise of
+light that others have, too."""
 
 _Rows = npt.NDArray[np.int64]
 

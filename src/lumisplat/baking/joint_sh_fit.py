@@ -14,23 +14,6 @@ from lumisplat.baking import joint_sh_fit_kernels as kernels
 from lumisplat.baking.bake_denoising import SeenWeights, denoised_by_rays
 from lumisplat.baking.sample_rays import Lines, SampleRays, plane_normals
 from lumisplat.config import HitDistance, Pipeline, RenderConfig
-from lumisplat.constants.baking import (
-    BOUNCED_MIN,
-    BOUNCED_PART,
-    CHANGE_SPREAD,
-    COVERED_MIN,
-    DIRECT_SLOPE,
-    LINE_ROUNDS,
-    LINES_AT_ONCE,
-    MISFIT,
-    OTHERS_MAX,
-    RAYS_A_DIRECTION,
-    SIGHT_MIN,
-    SPAN_PAST,
-    TOGETHER_ERROR,
-    TOGETHER_RAYS,
-    TOGETHER_STEPS,
-)
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
 from lumisplat.math.tone_map import lit_picture
 from lumisplat.progress import Progress
@@ -46,6 +29,54 @@ from lumisplat.scene.lights import AreaLight, Light
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.ops.colors import base_colors
 from lumisplat.scene.scene import Scene, SplatInstance
+
+RAYS_A_DIRECTION = 2
+"""Rays to Gaussians that are seen together, for each direction from which they are seen alone."""
+
+LINE_ROUNDS = 8
+"""Rounds of as many lines as a Gaussian is to have rays, to those that lack any: in closed rooms, a quarter
+to a half of the lines show the back of something, or what is not baked, and near corners up to nine in ten."""
+
+DIRECT_SLOPE = 2.0
+"""How fast rays keep more of their own direct light as they differ from what is shared by more than their noise: by 1,
+edges of shadows are drawn to the mean, too, which costs 0.5 dB in a room."""
+
+BOUNCED_PART = 2
+"""One in so many paths of each ray bounces: what has bounced is shared among rays, so that fewer tell enough."""
+
+BOUNCED_MIN = 2
+"""Paths of each half of the samples that bounce at least, if there are as many."""
+
+SIGHT_MIN = 0.005
+"""Share of a ray below which a Gaussian is left out of it: half of those that it meets, and 1 % of what it shows."""
+
+COVERED_MIN = 0.05
+"""Share of a ray that Gaussians must cover for it to tell of them."""
+
+OTHERS_MAX = 0.02
+"""Share of a ray up to which what is not baked may show on it; it is not shaded."""
+
+SPAN_PAST = 1e-4
+"""How far behind the last Gaussian rays end before meshes, of its distance: more than float32 leaves uncertain."""
+
+LINES_AT_ONCE = 2**17
+"""Lines whose Gaussians are listed at once: some 200 MB of the host's memory."""
+
+CHANGE_SPREAD = 0.15
+"""Standard deviation of the changes that are expected of coefficients by what is seen together, of degree 0; of degree
+l a part of 1 / (l + 1), so that noise of rays does not go into how matt surfaces change with the direction."""
+
+MISFIT = 0.03
+"""Error of blended harmonics that is expected besides noise, display-referred."""
+
+TOGETHER_STEPS = 40
+"""Most steps of conjugate gradients: with 10, a room has 0.3 dB less, a statue 0.3, a ball of rough metal 0.6."""
+
+TOGETHER_ERROR = 1e-6
+"""Relative residual at which these end: what single precision on the device resolves."""
+
+TOGETHER_RAYS = 2**19
+"""Rays to Gaussians that are changed together: to 8,192 of them with 32 directions."""
 
 _Rows = npt.NDArray[np.int64]
 

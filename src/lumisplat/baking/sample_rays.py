@@ -8,13 +8,27 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import LUMINANCE
-from lumisplat.constants.baking import BACK_SHARE, DARK_SIDE_MIN, GOLDEN_STEP, SIDE_MIN, SIGHT_REACH
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
 from lumisplat.math.sh import even_directions
 from lumisplat.math.transforms import matrices_from_quaternions, transform_points
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import SplatInstance
+
+SIDE_MIN = 0.05
+"""Share of what counts below which a side is not looked at any further: the other one gets all directions."""
+
+BACK_SHARE = 0.02
+"""How much views of the back of Gaussians count whose normals are known, relative to those of their front."""
+
+DARK_SIDE_MIN = 1e-3
+"""Least factor of views of a side that is dark, where the other one is lit: it is the inside of something closed."""
+
+GOLDEN_STEP = 0.6180339887498949
+"""Fraction of the golden ratio: its multiples are spread evenly, however many there are."""
+
+SIGHT_REACH = 3.0
+"""Standard deviations from the middle of a Gaussian up to which rays look at it, of those seen together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

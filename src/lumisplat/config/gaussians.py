@@ -8,17 +8,27 @@ from typing import Annotated
 
 from lumisplat.config.checks import OneOf, Range
 from lumisplat.config.setting import Share, take_fields
-from lumisplat.constants import (
-    DEPTH_ISO_TRANSMITTANCE,
-    DILATION_PX2,
-    HIT_COUNTS,
-    HITS_PER_PASS,
-    KERNEL_DEGREE_MAX,
-    SH_DEGREE_MAX,
-    SHADOW_OFFSET,
-    TRANSMITTANCE_MIN,
-)
+from lumisplat.constants import HIT_COUNTS, KERNEL_DEGREE_MAX, SH_DEGREE_MAX, SHADOW_OFFSET
 from lumisplat.errors import ConfigError
+
+# Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
+
+TRANSMITTANCE_MIN = 1e-4
+"""A pixel or ray stops where its transmittance would fall to this; the crossing Gaussian is dropped. INRIA, gsplat."""
+
+DEPTH_ISO_TRANSMITTANCE = 0.7
+"""Transmittance that marks the iso-opacity surface. NVIDIA's default;
+docs/method/rasterisation.md#iso-opacity-surface."""
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+HITS_PER_PASS = 16
+"""Hits that a ray keeps sorted: 3DGRT's k, beyond which registers spill on GPUs."""
+
+# Projection to the image (EWA splatting, Zwicker et al. 2001)
+
+DILATION_PX2 = 0.3
+"""Variance added to the projected covariance, pixel^2: a low-pass filter of about one pixel. INRIA, gsplat eps2d."""
 
 
 class RasterStrategy(Enum):

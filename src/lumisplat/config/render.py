@@ -12,8 +12,11 @@ from lumisplat.config.gaussians import RasterConfig, ResponseConfig, ShadowConfi
 from lumisplat.config.pipelines import READ_BY, READ_IF_LIT, Pipeline
 from lumisplat.config.realtime import RealtimeConfig
 from lumisplat.config.setting import Seed, frozen, given, take_fields
-from lumisplat.constants import CAPTURE_GAIN_MAX, SAMPLES_MAX
+from lumisplat.constants import SAMPLES_MAX
 from lumisplat.errors import ConfigError
+
+CAPTURE_GAIN_MAX = 16.0
+"""Stops by which the light of captures is brightened at most: 65,536 times."""
 
 
 class Shadows(Enum):

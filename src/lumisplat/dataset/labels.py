@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import BOX_TAIL
 from lumisplat.dataset.objects import Asset, Placed
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance, bulk_extent
+
+BOX_TAIL = 0.002
+"""The same of the box of a capture in a data set, which is to hold what is seen of it, and not its strays."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.render import PATH_PARTS
-from lumisplat.constants import UNDISTORTED_AREA_MAX, UNDISTORTED_SCALE_MAX
-from lumisplat.constants.parts import WINDOW_STEP
+from lumisplat.constants import WINDOW_STEP
 from lumisplat.errors import SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles
@@ -21,6 +20,13 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.math.distortion import distort, distortion_jacobian, undistort
 from lumisplat.math.resampling import cubic_samples
 from lumisplat.scene.camera import Camera
+
+UNDISTORTED_AREA_MAX = 8.0
+"""Pixels of the pinhole image from which a distorted one is resampled, relative to those of the latter. Above it most
+of the work is thrown away, and rays are faster."""
+
+UNDISTORTED_SCALE_MAX = 2.0
+"""Largest factor of the focal length of that pinhole image, where a lens magnifies its edges."""
 
 _Image = npt.NDArray[Any]
 

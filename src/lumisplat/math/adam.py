@@ -7,7 +7,7 @@ from types import EllipsisType
 
 import numpy as np
 
-from lumisplat.constants.training import ADAM_BETA_1, ADAM_BETA_2, ADAM_EPSILON
+from lumisplat.constants import ADAM_BETA_1, ADAM_BETA_2, ADAM_EPSILON
 from lumisplat.math.arrays import Doubles
 
 

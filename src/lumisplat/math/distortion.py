@@ -8,8 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.constants import DISTORTION_MIN, DISTORTION_RESIDUAL, DISTORTION_STEPS
+from lumisplat.constants import DISTORTION_STEPS
 from lumisplat.math.arrays import Doubles
+
+DISTORTION_MIN = 1e-30
+"""Coefficients below this count as 0: they move no point, and reciprocals of them overflow."""
+
+DISTORTION_RESIDUAL = 1e-9
+"""Largest error of the inverse in float64, in tangents or radians; above it, a pixel shows nothing."""
 
 Coefficients = tuple[float, float, float, float, float, float]
 """k1, k2, k3, k4, p1, p2."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
-from lumisplat.constants.light_fit import RANK_TOLERANCE
 from lumisplat.math.arrays import Doubles
+
+RANK_TOLERANCE = 1e-13
+"""Eigenvalue, relative to the largest, up to which a combination of unknowns is not determined."""
 
 
 def nonnegative_least_squares(gram: Doubles, moments: Doubles) -> Doubles:

@@ -13,9 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import check_range, check_whole
-from lumisplat.constants.metrics import FLIP_PIXELS_PER_DEGREE, SSIM_SIGMA_PX, SSIM_WINDOW_PX
+from lumisplat.constants import SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.errors import MissingExtraError, SceneError
 from lumisplat.math.arrays import Flags, host_array
+
+FLIP_PIXELS_PER_DEGREE = 67.02064514160156
+"""FLIP's own default: a display 0.7 m wide, of 3840 pixels, seen from 0.7 m. Andersson et al. 2020."""
 
 
 def import_extra(module: str, metric: str) -> Any:

@@ -16,20 +16,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import check_whole, is_number, quoted
 from lumisplat.config.setting import frozen, given
-from lumisplat.constants import SH_C0
-from lumisplat.constants.metrics import (
-    CHROMATICITY_SAMPLES_MAX,
-    FIT_STEPS_MAX,
-    FIT_TOLERANCE,
-    HUBER_WIDTH,
-    HUBER_WIDTH_MIN,
-    IRRADIANCE_FLOOR,
-    IRRADIANCE_SH_DEGREE,
-    IRRADIANCE_SMOOTHNESS,
-    MAD_PER_DEVIATION,
-    NEIGHBOURHOOD_RADIUS,
-    TRIMMED_SHARE,
-)
+from lumisplat.constants import HUBER_WIDTH, MAD_PER_DEVIATION, SH_C0
 from lumisplat.errors import ConfigError, SceneError, check_shapes
 from lumisplat.math.arrays import Doubles, FloatArray, float_array, host_array, normalise_rows, refuse_rows, to_floats
 from lumisplat.math.color import decode_srgb, lab, luminance
@@ -38,6 +25,38 @@ from lumisplat.metrics.images import import_extra
 from lumisplat.scene.checks import take_scene_fields
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
+
+IRRADIANCE_SH_DEGREE = 3
+"""Order L of the irradiance that PAA-Y and APF-Y fit. Section 4.1."""
+
+NEIGHBOURHOOD_RADIUS = 1.5
+"""Metres around an avatar's centre within which the scene is compared with it: the middle of section 4.1's 1 to 2."""
+
+TRIMMED_SHARE = 0.05
+"""Share of the largest residuals that a fit leaves out. Section 4.1."""
+
+HUBER_WIDTH_MIN = 0.05
+"""Relative residual below which no point is an outlier, however well the others fit: 8-bit colours are no better."""
+
+FIT_STEPS_MAX = 100
+"""Reweightings of a fit; it ends where the coefficients change by less than FIT_TOLERANCE. Some ten do."""
+
+FIT_TOLERANCE = 1e-9
+"""Relative to the largest coefficient."""
+
+IRRADIANCE_SMOOTHNESS = 1e-3
+"""Weight of the penalty l (l + 1) c^2 on a band of irradiance, per sample: in directions without normals, irradiance is
+smooth. With normals in all directions, bands shrink by some 4 to 20 %, higher ones more. Less leaves noise: of a floor
+lit evenly, 3000 normals within 0.2 of upright, scales log-normal by 0.5, PAA-Y from constant light is 0.12 to 0.20 with
+this, and 0.3 to 0.45 with a tenth of it."""
+
+IRRADIANCE_FLOOR = 0.1
+"""Irradiance, relative to the mean luminance, below which residuals of a fit are no longer relative to it: darker
+values are mostly noise and the camera's black level."""
+
+CHROMATICITY_SAMPLES_MAX = 2000
+"""Gaussians of each side in NCM-ab, drawn at random beyond: optimal transport between so many takes half a second,
+four times as many half a minute."""
 
 Lit = Gaussians | SplatInstance | Scene
 """What `LitPoints.of` takes."""

@@ -5,10 +5,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.materials_measured import BLACK, ENVIRONMENT_ROWS, LIT_SHARE
 from lumisplat.math.arrays import Doubles, host_array
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.directions import panorama_directions, panorama_lookup, panorama_solid_angles
+
+BLACK = 0.0015
+"""Linear values below this, 5 of 255 on a display, are black: their ratios to others tell nothing of a scale."""
+
+LIT_SHARE = 0.02
+"""Share of what counts that is not black, below which a channel is black: a few stray pixels are no median of it."""
+
+ENVIRONMENT_ROWS = 16
+"""Rows at which environments are compared: those of R3DG's, which are 16 x 32."""
 
 Channels = tuple[float, float, float]
 

@@ -11,8 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import check_range
-from lumisplat.constants.metrics import BOUNDARY_TOLERANCE_PX, SHADOW_MASK_THRESHOLD
 from lumisplat.metrics.images import Image, shadow_pair
+
+SHADOW_MASK_THRESHOLD = 0.1
+"""tau: shadow strength above which a pixel is in shadow. Section 4.2."""
+
+BOUNDARY_TOLERANCE_PX = 2.0
+"""Distance, pixels, within which boundaries of shadows agree. Section 4.2, table 3."""
 
 _Mask = npt.NDArray[np.bool_]
 

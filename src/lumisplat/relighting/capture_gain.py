@@ -8,13 +8,22 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RenderConfig
-from lumisplat.constants import CAPTURE_GAIN_FOUND_MAX, GAIN_DIRECTIONS, SURROUNDINGS_ALBEDO
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import three_numbers
 from lumisplat.renderer.checks import check_scene
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.scene.scene import Scene
+
+CAPTURE_GAIN_FOUND_MAX = 6.0
+"""Stops that are found at most: beyond, the place is too dark to say what light it has."""
+
+SURROUNDINGS_ALBEDO = 0.5
+"""Albedo that surfaces around an object are taken to have on average, of which the brightness of the light on them
+follows: rooms have 0.4 to 0.6 (CIBSE, Lighting Guide 5)."""
+
+GAIN_DIRECTIONS = 1024
+"""Rays that look around an object for the gain of captured light."""
 
 
 def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, device: str = "auto") -> float:

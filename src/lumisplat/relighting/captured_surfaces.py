@@ -11,31 +11,56 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import (
-    LUMINANCE,
-    SH_C0,
-    SURFACE_BLOCK,
-    SURFACE_CELLS,
-    SURFACE_CLIP,
-    SURFACE_COVERAGE,
-    SURFACE_DISC,
-    SURFACE_FLATNESS,
-    SURFACE_OFFSET,
-    SURFACE_PER_CELL,
-    SURFACE_STEP,
-    SURFACE_THIN,
-    SURFACES_MAX,
-    TRACE_DIRECTIONS,
-    TRACE_FLOOR,
-    TRACE_RIDGE,
-    TRACE_STEPS,
-)
-from lumisplat.constants.metrics import HUBER_WIDTH, MAD_PER_DEVIATION
+from lumisplat.constants import HUBER_WIDTH, LUMINANCE, MAD_PER_DEVIATION, SH_C0, TRACE_DIRECTIONS
 from lumisplat.math.arrays import Doubles, Flags, Rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.scene import SplatInstance
+
+# Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
+
+SURFACE_CELLS = 64
+"""Cells along each side of the cube that holds a capture: in a room of 5 m, 8 cm."""
+
+SURFACE_COVERAGE = 0.3
+"""Area of the Gaussians in a cell, times their opacity, in faces of the cell, from which it is solid: haze is not."""
+
+SURFACE_FLATNESS = 0.25
+"""Largest ratio of the smallest variance of what is in a cell to the second one: foliage has no normal."""
+
+SURFACE_THIN = 0.5
+"""Largest ratio of the smallest scale of a Gaussian to the second one for it to have a normal of its own."""
+
+SURFACE_DISC = 1.2
+"""Radius of the circle on which a Gaussian's area is put, standard deviations: about its root mean square."""
+
+SURFACE_PER_CELL = 3
+"""Gaussians of a cell that are used, at most: fine objects must not outvote the room."""
+
+SURFACE_CLIP = 0.98
+"""Quantile of the luminance of surfaces that none exceeds: lamps are not what they light."""
+
+SURFACE_OFFSET = 1.8
+"""Distance from a surface at which ways to the light start, cells: beyond the diagonal of its own."""
+
+SURFACE_STEP = 0.7
+"""Steps along ways to the light, cells."""
+
+SURFACE_BLOCK = 4
+"""Side of a block, cells: what texture makes brighter is brighter over a block, and counts once."""
+
+SURFACES_MAX = 3000
+"""Gaussians on surfaces that are used, a random choice if there are more."""
+
+TRACE_RIDGE = 1e-6
+"""Ridge of the regression, in mean squares of its columns: in a closed room the sky lights nothing."""
+
+TRACE_FLOOR = 0.25
+"""Residuals are relative to the explained luminance, at least to this share of the median."""
+
+TRACE_STEPS = 4
+"""Steps of the robust weights."""
 
 _DISC = [(0.0, 0.0)] + [(np.cos(angle), np.sin(angle)) for angle in np.arange(8) * (np.pi / 4.0)]
 """Where a Gaussian's area is put: at its centre, and on a circle."""

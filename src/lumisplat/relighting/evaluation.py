@@ -13,7 +13,6 @@ import numpy.typing as npt
 from lumisplat.config import Pipeline, RenderConfig, Shadows
 from lumisplat.config.checks import check_kind
 from lumisplat.constants import SH_C0
-from lumisplat.constants.materials_measured import RELIT_SAMPLES
 from lumisplat.errors import MissingExtraError, SceneError
 from lumisplat.frame.frame_data import unpremultiplied
 from lumisplat.io.files.source import PathLike
@@ -30,6 +29,9 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.scene import Scene, SplatInstance
+
+RELIT_SAMPLES = 64
+"""Of each pixel of relit pictures, unless it is said: docs/guide/materials.md#grain has what is left."""
 
 
 def evaluate_materials(

@@ -10,24 +10,43 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.delight import (
-    ALBEDO_HIGH,
-    ALPHA_LEAST,
-    LIGHTEST,
-    LIT_LEAST,
-    RADIANCE_LEAST,
-    SCALE_STEPS,
-    SKY_LEAST,
-    VIEW_DIRECTIONS,
-    VIEW_TILT,
-)
-from lumisplat.constants.materials import OUTGOING_COSINE, OUTGOING_DIRECTIONS
+from lumisplat.constants import RADIANCE_LEAST
 from lumisplat.math.arrays import Doubles, FloatArray, weighted_quantile
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.renderer.ray_queries import RayHits
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
+
+ALPHA_LEAST = 1e-6
+"""Share of a ray that is met, below which its colour is not told."""
+
+VIEW_DIRECTIONS = 16
+"""Directions in which the colour of a Gaussian is looked at."""
+
+VIEW_TILT = 0.5
+"""By how much these are bent towards normals: at grazing angles, colours say little."""
+
+ALBEDO_HIGH = 0.8
+"""Albedo of the lightest surfaces in their lightest channel, that fixes the scale where light comes from the sky."""
+
+LIT_LEAST = 0.05
+"""Light of the sky and lamps at a Gaussian, in medians, from which on it tells how bright these may be."""
+
+SKY_LEAST = 0.05
+"""Radiance of the sky and lamps that the fit begins with, at least."""
+
+LIGHTEST = 0.95
+"""Share of Gaussians that are darker than those."""
+
+SCALE_STEPS = 5
+"""Steps by which the scale is found: what Gaussians show each other stays as it was captured."""
+
+OUTGOING_DIRECTIONS = 64
+"""Over the sphere, in which the captured colour of a Gaussian is looked at."""
+
+OUTGOING_COSINE = 0.3
+"""Of those with the normal, at least: flatter views are extrapolated."""
 
 HalfArray = npt.NDArray[np.float16]
 

@@ -16,28 +16,7 @@ import numpy.typing as npt
 
 from lumisplat.config import LightEstimationConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.constants import (
-    LAMP_CANDIDATES,
-    LAMP_DOUBT,
-    LAMP_ELSEWHERE,
-    LAMP_SIGNIFICANCE,
-    LIGHT_SEARCH_BROAD,
-    LIGHT_SEARCH_CLIP,
-    LIGHT_SEARCH_EMITTER,
-    LIGHT_SEARCH_PRIOR,
-    LIGHT_SEARCH_REACH,
-    LIGHT_SEARCH_SEPARATION,
-    LIGHT_SEARCH_STRAYS,
-    LIGHT_SEARCH_VIEWPOINTS,
-    LUMINANCE,
-    SH_C0,
-    SURFACE_REACH,
-    TRACE_CASING,
-    TRACE_DIRECTIONS,
-    TRACE_GROUND_MIN,
-    TRACE_NEAREST,
-    TRACE_SURFACES_MIN,
-)
+from lumisplat.constants import LUMINANCE, SH_C0, SURFACE_REACH, TRACE_DIRECTIONS, TRACE_GROUND_MIN, TRACE_SURFACES_MIN
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, three_numbers
 from lumisplat.math.color import decode_srgb
@@ -47,6 +26,56 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightPoint
 from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.scene import Scene, SplatInstance
+
+# Light found in captures (Mir et al. 2026, section 3.1, gives no figures; docs/adr/0014)
+
+LIGHT_SEARCH_STRAYS = 0.02
+"""Share of the Gaussians, the farthest from the character, that do not count for the scene's size: captures have strays
+far outside."""
+
+LIGHT_SEARCH_REACH = 1.5
+"""Radius of the region, in sizes of the scene: lamps hang at its rim, also among the Gaussians that do not count."""
+
+LIGHT_SEARCH_VIEWPOINTS = 0.1
+"""Distance of the viewpoints from the character, in sizes of the scene: in a room of 3 m, a person's width."""
+
+LIGHT_SEARCH_EMITTER = 1.0 / 12.0
+"""Size of a compact emitter, in sizes of the scene: in a room of 3 m, a lamp of 25 cm."""
+
+LIGHT_SEARCH_SEPARATION = 3.0
+"""Distance of two lights, in sizes of an emitter: beyond the surroundings that a candidate is compared with."""
+
+LIGHT_SEARCH_CLIP = 0.99
+"""Quantile of luminance above which it counts by its logarithm: single Gaussians of captures are a hundred times too
+bright."""
+
+LIGHT_SEARCH_PRIOR = 4.0
+"""Gaussians of median score that are added to each direction's surroundings: one outlier decides nothing."""
+
+LIGHT_SEARCH_BROAD = 0.05
+"""Factor on the score of a light that does not stand out from its surroundings at all."""
+
+# Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
+
+TRACE_NEAREST = 2.0
+"""Surfaces nearer to a lamp than this, in sizes of an emitter, do not count: a bright patch is bright around itself. As
+far are the places with which a lamp's own is compared."""
+
+TRACE_CASING = 1.5
+"""What is nearer to a lamp than this, in sizes of an emitter, does not shadow it: it hangs in its own shade."""
+
+LAMP_SIGNIFICANCE = 4.0
+"""Least ratio of a lamp's factor to its standard error: by chance, one of 64 candidates comes to it in one
+capture of 500."""
+
+LAMP_DOUBT = 2.0
+"""Factor on the evidence that is asked of what is low, or broad."""
+
+LAMP_ELSEWHERE = 0.6
+"""Least share of what a lamp beside the candidate explains: the light of a lamp is brightest around itself."""
+
+LAMP_CANDIDATES = 64
+"""Bright places that are tested as lamps, the best by `estimate_lights`' score."""
 
 _log = logging.getLogger("lumisplat")
 

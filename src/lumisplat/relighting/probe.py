@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.checks import check_range, check_whole
-from lumisplat.constants import NEAR_PLANE, PROBE_DEGREE_MAX, PROBE_FACE_PX, PROBE_IMAGE_ROWS, PROBE_RIDGE
+from lumisplat.constants import NEAR_PLANE, PROBE_FACE_PX
 from lumisplat.errors import ConfigError, FormatError, SceneError, check_instance, check_shapes
 from lumisplat.io.images.radiance import write_radiance
 from lumisplat.math.arrays import (
@@ -34,6 +34,18 @@ from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.checks import check_kind
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
+
+# Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
+
+PROBE_DEGREE_MAX = 8
+"""Highest SH degree of a probe: 81 coefficients, lobes of some 20 degrees. Beyond, an image serves better."""
+
+PROBE_RIDGE = 1e-9
+"""Ridge of the fit where weights sum to 4 pi: below float32's rounding, so that what harmonics can hold comes out
+exactly, and enough for a solution where directions are too few."""
+
+PROBE_IMAGE_ROWS = 64
+"""Rows of a probe's latitude-longitude image: several pixels to the narrowest wave of degree 8."""
 
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _ROWS_AT_ONCE = 2**16

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RelightConfig, RenderConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.constants import LUMINANCE, SH_C0, SUN_WAYS
+from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.errors import check_instance, check_shapes
 from lumisplat.math.arrays import Doubles, FloatArray, float_array, normalise_rows
 from lumisplat.math.directions import panorama_directions
@@ -28,6 +28,11 @@ from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.ops.colors import Subject, scale_light_of
 from lumisplat.scene.ops.normals import estimate_normals
 from lumisplat.scene.scene import Scene, SplatInstance
+
+# Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
+
+SUN_WAYS = 256
+"""Rays from an actor to a sun that are followed, at most."""
 
 _NORMALS_AT_ONCE = 1024
 """Normals whose lobes are in memory at once: 2 MB with 16 rows, which fits the cache."""

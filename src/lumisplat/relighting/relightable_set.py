@@ -9,7 +9,6 @@ from typing import NoReturn, cast
 
 import numpy as np
 
-from lumisplat.constants.materials_measured import INSIDE
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.images.exr import read_exr
@@ -18,6 +17,9 @@ from lumisplat.io.scene_toml.scene_file import read_scene_file
 from lumisplat.io.training_images.loading import Photograph, load_photographs
 from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.scene.lights import Light, LightEnvironment
+
+INSIDE = 0.5
+"""Share of a pixel that the object covers from which on it counts, as photographs' masks do."""
 
 LAYERS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
 """Channels of the layers."""

@@ -8,22 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import (
-    SUN_APART,
-    SUN_CONFIDENCE_MIN,
-    SUN_DIRECTIONS,
-    SUN_LIFT,
-    SUN_LIT,
-    SUN_REFINED,
-    SUN_SHARE,
-    SUN_SHARE_BEYOND,
-    SUN_SIGNIFICANCE,
-    SUN_SIGNIFICANCE_BEYOND,
-    SURFACE_REACH,
-    TRACE_DIRECTIONS,
-    TRACE_GROUND_MIN,
-    TRACE_SURFACES_MIN,
-)
+from lumisplat.constants import SURFACE_REACH, TRACE_DIRECTIONS, TRACE_GROUND_MIN, TRACE_SURFACES_MIN
 from lumisplat.math.arrays import Doubles, Flags, three_numbers
 from lumisplat.math.sh import even_directions
 from lumisplat.progress import Progress
@@ -32,6 +17,39 @@ from lumisplat.relighting.light_estimation import capture_extent, splats_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.scene import Scene, SplatInstance
+
+# Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
+
+SUN_DIRECTIONS = 320
+"""Directions in which a sun is searched first: 11 degrees apart."""
+
+SUN_REFINED = 24
+"""Directions around the best in each of two finer steps."""
+
+SUN_SHARE = 0.05
+"""Least share of what smooth surroundings do not explain that a sun does."""
+
+SUN_SIGNIFICANCE = 6.0
+"""Least ratio of a sun's factor to its standard error."""
+
+SUN_SHARE_BEYOND = 0.025
+"""Least share that a sun explains of what a sky of degree 2 does not: one of degree 1 does not hold an overcast sky,
+which is brightest at its top."""
+
+SUN_SIGNIFICANCE_BEYOND = 4.0
+"""Least ratio of a sun's factor to its standard error beside a sky of degree 2."""
+
+SUN_LIFT = 6.0
+"""Distance from the ground, cells, of the place from which the sky is tested: objects stand beside and below it."""
+
+SUN_LIT = 0.05
+"""Least share of surfaces that a sun reaches: through a gap of a closed room shines none."""
+
+SUN_APART = 0.7
+"""Cosine of the angle beyond which a direction is another one."""
+
+SUN_CONFIDENCE_MIN = 0.2
+"""Confidence below which no sun is given."""
 
 SUN_ANNOUNCED_S = 1.0
 """Seconds after which a search for the sun shows its progress."""

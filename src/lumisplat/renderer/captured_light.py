@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants import CAPTURED_LIGHT_COVERED, CAPTURED_LIGHT_ROWS, NEAR_PLANE, PROBE_FACE_PX
+from lumisplat.constants import NEAR_PLANE, PROBE_FACE_PX
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.directions import panorama_directions
@@ -22,6 +22,16 @@ from lumisplat.renderer.cubemap import cube_solid_angles, face_pixels, render_fa
 from lumisplat.renderer.scene.frame_plan import CapturedLight, keeps_captures
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+# Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
+
+CAPTURED_LIGHT_ROWS = 32
+"""Rows of the image of a capture around meshes without lights: 5.6 degrees, finer than most highlights."""
+
+CAPTURED_LIGHT_COVERED = 0.75
+"""Share of all directions that a capture must cover around meshes to light them; else a light at the camera does. Rooms
+and places under a sky cover nearly all; ground without a sky covers half, from below, and would show meshes nearly
+black."""
 
 _log = logging.getLogger("lumisplat")
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from lumisplat.config import Pipeline, RenderConfig
-from lumisplat.constants import CATCHER_ALBEDO, CATCHER_ALBEDO_MIN, CATCHER_AMBIENT, CATCHER_FILL_PX
+from lumisplat.constants import CATCHER_AMBIENT
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
@@ -19,6 +19,15 @@ from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import MaterialPbr, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+CATCHER_ALBEDO = 0.5
+"""Albedo of meshes that catch shadows whose material has no base colour of its own: light bounces off them in paths."""
+
+CATCHER_ALBEDO_MIN = 0.02
+"""Least albedo of a mesh that catches shadows, in each channel: a black one would show no ratio."""
+
+CATCHER_FILL_PX = 3
+"""Pixels by which the ratio of meshes that catch shadows is carried on behind the edges of objects."""
 
 Render = Callable[[Scene], Frame]
 """Renders a scene from the camera of the frame."""

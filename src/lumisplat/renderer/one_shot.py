@@ -9,7 +9,6 @@ import numpy.typing as npt
 from lumisplat.config import RenderConfig
 from lumisplat.config.checks import check_whole
 from lumisplat.constants import SAMPLES_MAX
-from lumisplat.constants.realtime import WARM_UP_FRAMES
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
@@ -18,6 +17,11 @@ from lumisplat.renderer.ray_queries import RayHits, tracing
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
+
+# Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
+
+WARM_UP_FRAMES = 32
+"""Frames of a view that stands still, of which the last is shown: as many as direct light is averaged over."""
 
 
 def render(

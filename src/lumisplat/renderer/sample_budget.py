@@ -6,8 +6,13 @@ import logging
 import time
 from collections.abc import Callable
 
-from lumisplat.constants import NOISE_CHECKS, NOISE_SAMPLES_MIN
+from lumisplat.constants import NOISE_SAMPLES_MIN
 from lumisplat.renderer.scene.frame_plan import FramePlan
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+NOISE_CHECKS = 8
+"""How often noise is estimated while samples double: a frame has at most an eighth more of them than it needs."""
 
 _log = logging.getLogger("lumisplat")
 

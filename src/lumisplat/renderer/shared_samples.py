@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from lumisplat.constants.parts import SAMPLES_A_BLOCK
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.sample_part import SamplePart, merged
@@ -17,6 +16,10 @@ from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
+
+SAMPLES_A_BLOCK = 32
+"""Samples of a frame that one process adds up where several share it; frames that are shared depend on it by rounding.
+A power of two, as points of Sobol sequences are well spread in such numbers."""
 
 
 def sample_blocks(renderer: Renderer, scene: Scene) -> list[range]:

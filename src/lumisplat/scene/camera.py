@@ -13,12 +13,14 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import Range, enum_member, is_number, plain
 from lumisplat.config.setting import frozen, given
-from lumisplat.constants import DISTORTION_MAX, EXPOSURE_MAX, NEAR_PLANE
-from lumisplat.constants.parts import WINDOW_STEP
+from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE, WINDOW_STEP
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
 from lumisplat.math.distortion import Coefficients, undistort
 from lumisplat.scene.checks import take_scene_fields
+
+DISTORTION_MAX = 1e9
+"""Largest coefficient of a lens: far beyond those of any, and its polynomial still fits into float64."""
 
 _RIGID_ERROR = 1e-3
 """Largest error of the scalar products of a rotation's rows."""

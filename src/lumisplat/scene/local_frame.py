@@ -15,14 +15,33 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import NEAR_PLANE, NEAR_SHARE, ORIGIN_GRID, ORIGIN_LOSS, SCALE_MIN, SIZE_SAMPLE, SIZE_TAIL
-from lumisplat.constants.photographs import CAMERA_MARGIN, ONE_PLACE
+from lumisplat.constants import NEAR_PLANE, ONE_PLACE, ORIGIN_LOSS, SCALE_MIN
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
+
+# Projection to the image (EWA splatting, Zwicker et al. 2001)
+
+NEAR_SHARE = 1e-3
+"""The same as a share of a scene's size, where that is less: a scene of millimetres, in metres, is not cut away."""
+
+# Local origins (docs/adr/0086-one-local-origin.md)
+
+ORIGIN_GRID = 16.0
+"""Step of the grid of origins of what is rendered, in sizes of the scene, rounded up to a power of two: positions have
+five digits below the size of the scene, and what stands around zero, or moves a little, keeps its origin."""
+
+SIZE_SAMPLE = 4096
+"""Points of an asset, at most, that tell its size where that need not be exact."""
+
+SIZE_TAIL = 0.02
+"""Share of them at each end of each axis that counts as strays."""
+
+CAMERA_MARGIN = 1.1
+"""By how much a scene is taken to be larger than the sphere of its cameras, as INRIA's trainer does."""
 
 
 class _Box(NamedTuple):

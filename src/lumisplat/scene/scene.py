@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import Range
 from lumisplat.config.setting import frozen, given
-from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
+from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, box_text
 from lumisplat.math.transforms import quaternions_from_matrices, transform_points
@@ -24,6 +24,10 @@ from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.placing import PlacedInstance, Placing
 from lumisplat.scene.up import UP_AXES, up_vector, up_vector_or_none, y_up_from
+
+BULK_TAIL = 0.02
+"""Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold
+an object above the ground."""
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""

@@ -7,8 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import TRIANGLE_HEIGHT_MIN
 from lumisplat.errors import SceneError, check_shapes
+
+TRIANGLE_HEIGHT_MIN = 1e-12
+"""Height of a triangle over its longest edge, at or below which it has no area: corners on a line come out at 1e-16 in
+float64, thin triangles from float32 at 1e-7."""
 
 _BLOCK = 2**16
 """Triangles checked at once: few enough for their float64 corners to stay in the cache."""

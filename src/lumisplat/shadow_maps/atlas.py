@@ -14,7 +14,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import AtlasLayout, DeepShadowConfig
-from lumisplat.constants import SHADOW_BLOCKING_REACH, SHADOW_BOUND_MARGIN, SHADOW_FOOTPRINT, SHADOW_TILE
+from lumisplat.constants import SHADOW_BOUND_MARGIN, SHADOW_FOOTPRINT, SHADOW_TILE
 from lumisplat.device.shadow_map.atlas import (
     CUBEMAP,
     EVERYTHING,
@@ -35,6 +35,11 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.lights import LightDirectional, PlacedLight
 from lumisplat.scene.ops.world_space import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
+
+# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
+
+SHADOW_BLOCKING_REACH = 6.0
+"""Standard deviations from a mean at which a Gaussian absorbs no more: erfc(6 / sqrt(2)) is 2e-9."""
 
 Source = npt.NDArray[np.float64] | LightDirectional
 """Where light comes from: a point, shape (3,), or a direction."""

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.constants import SHADOW_BLOCK_TILES, SHADOW_TILE
+from lumisplat.constants import SHADOW_TILE
 from lumisplat.device.shadow_map.atlas import TILE_TEXELS, Atlas
 from lumisplat.device.shadow_map.culling import CasterLists, Cell
 from lumisplat.errors import SceneError
@@ -16,6 +16,11 @@ from lumisplat.math.arrays import IntArray
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
+
+# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
+
+SHADOW_BLOCK_TILES = 8
+"""Side of the blocks of tiles for which they are looked up first: 256 of them at 1024 texels."""
 
 BANDS_PER_THREAD = 16
 """Work is cut finely, because cells differ much in cost: some have many casters, others none."""

@@ -12,20 +12,32 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import Densification, TrainConfig
-from lumisplat.constants import KERNEL_DEGREE
-from lumisplat.constants.training import (
-    DEAD_OPACITY,
-    GROWTH,
-    RELOCATED_MAX,
-    RESET_EVERY,
-    RESET_OPACITY,
-    SPLIT_SCALE,
-    SPLIT_SHRINKS,
-    TOO_LARGE,
-    TOO_LARGE_AFTER,
-)
+from lumisplat.constants import DEAD_OPACITY, KERNEL_DEGREE
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.training.parameters import TrainedParameters
+
+GROWTH = 1.05
+"""Factor by which their number grows in a change, up to the cap. gsplat's."""
+
+RELOCATED_MAX = 51
+"""Gaussians that share a place, at most: more are counted as so many. gsplat's."""
+
+SPLIT_SCALE = 0.01
+"""Scale, as a share of the extent, above which a Gaussian is split and not cloned. Kerbl et al. 2023."""
+
+SPLIT_SHRINKS = 1.6
+"""Factor by which both halves are smaller. Kerbl et al. 2023, section 5.2."""
+
+TOO_LARGE = 0.1
+"""Scale, as a share of the extent, above which a Gaussian is pruned."""
+
+TOO_LARGE_AFTER = 3000
+
+RESET_EVERY = 3000
+"""Steps between two resets of opacities. Kerbl et al. 2023."""
+
+RESET_OPACITY = 0.01
+"""Opacity to which they are reset. Kerbl et al. 2023."""
 
 Doubles = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from lumisplat.constants.training import EXPOSURE_CHUNK
+from lumisplat.constants import EXPOSURE_CHUNK
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.device.training import Exposure

@@ -5,8 +5,7 @@ The equations are in docs/method/training.md#exposures.
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS
-from lumisplat.constants.training import EXPOSURE_CHUNK
+from lumisplat.constants import EXPOSURE_CHUNK, FUSED_FLAGS
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.device.training import Exposure

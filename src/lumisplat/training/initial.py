@@ -12,21 +12,33 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from lumisplat.config import TrainConfig
-from lumisplat.constants import SH_C0
-from lumisplat.constants.photographs import ONE_PLACE, PLACES_MIN
-from lumisplat.constants.training import (
-    INITIAL_DEPTHS,
-    INITIAL_OPACITY,
-    INITIAL_SCALE,
-    INITIAL_SCALE_MIN,
-    POINTS_SHARE_MIN,
-)
+from lumisplat.constants import ONE_PLACE, SH_C0
 from lumisplat.io.training_images.loading import camera_target, count_places, count_poses
 from lumisplat.io.training_images.pixels import is_bent
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.local_frame import camera_extent
 from lumisplat.training.parameters import TrainedParameters
+
+PLACES_MIN = 3
+"""Places from which photographs are taken, below which a line says that this is few: two say nothing of what only one
+of them sees."""
+
+POINTS_SHARE_MIN = 0.05
+"""Known points, as a share of those that training begins with where none are known, below which random ones are added:
+MCMC adds a twentieth of what there is, and never gets far from next to nothing."""
+
+INITIAL_OPACITY = {"mcmc": 0.5, "adaptive": 0.1}
+
+INITIAL_SCALE = {"mcmc": 0.3, "adaptive": 1.0}
+"""Scale of the first Gaussians, as a share of the root mean square of the distances to their three nearest neighbours.
+That of MCMC is between gsplat's 0.1 and 1."""
+
+INITIAL_DEPTHS = (0.4, 1.8)
+"""Depths of points at random, as shares of the distance to what the cameras look at."""
+
+INITIAL_SCALE_MIN = 1e-6
+"""Least scale of the first Gaussians, scene units: points may coincide."""
 
 _log = logging.getLogger("lumisplat")
 

@@ -11,12 +11,18 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS
-from lumisplat.constants.metrics import SSIM_SIGMA_PX, SSIM_WINDOW_PX
-from lumisplat.constants.training import COVERED_MIN, SSIM_C1, SSIM_C2
+from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from lumisplat.device.training import LossGrid, LossMaps, LossWeights, Photograph, counted, share_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler_flags": FUSED_FLAGS})
+
+SSIM_C1 = 0.01**2
+
+SSIM_C2 = 0.03**2
+"""Wang et al. 2004, section III-C, of pictures in 0..1."""
+
+COVERED_MIN = 1e-6
+"""Alpha, and 1 less alpha, below which the entropy of what is covered stays as it is. Gao et al. 2024, code."""
 
 TAPS = wp.constant(SSIM_WINDOW_PX)
 REACH = wp.constant(SSIM_WINDOW_PX // 2)

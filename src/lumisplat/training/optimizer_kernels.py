@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS
-from lumisplat.constants.training import ADAM_BETA_1, ADAM_BETA_2, ADAM_EPSILON, DEAD_OPACITY, NOISE_SLOPE
+from lumisplat.constants import ADAM_BETA_1, ADAM_BETA_2, ADAM_EPSILON, DEAD_OPACITY, FUSED_FLAGS
 from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.gradients import GaussianGradient, SplatGradient
 from lumisplat.device.structs.raster import TileRect
@@ -11,6 +10,11 @@ from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.training import LearntSplats, NoiseData, SplatRecord, StepRates
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+
+# Markov chain Monte Carlo (Kheradmand et al. 2024; values of gsplat)
+
+NOISE_SLOPE = 100.0
+"""How sharply the noise ends at `DEAD_OPACITY`."""
 
 BETA_1 = wp.constant(wp.float32(ADAM_BETA_1))
 BETA_2 = wp.constant(wp.float32(ADAM_BETA_2))

@@ -7,8 +7,7 @@ docs/method/training.md#surfaces.
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS
-from lumisplat.constants.training import SURFACE_ALPHA, SURFACE_SPREAD, SURFACE_VARIANCE_MIN
+from lumisplat.constants import FUSED_FLAGS, SURFACE_ALPHA
 from lumisplat.device.camera.pixels import is_listed
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient
@@ -17,6 +16,13 @@ from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.training import Photograph, SplatRecord, SurfaceMaps, SurfaceTerms, share_of
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+
+SURFACE_VARIANCE_MIN = 1e-6
+"""Variance of depth, extents^2, below which a surface is thin enough. Gao et al. 2024, code."""
+
+SURFACE_SPREAD = 0.1
+"""Standard deviation of depth, extents, beyond which it counts by ever less: what is farther apart is fog in which no
+surface is yet to be seen, and a film close to the cameras would be the thinnest of all (decision 0071)."""
 
 OPAQUE = wp.constant(wp.float32(SURFACE_ALPHA))
 VARIANCE_MIN = wp.constant(wp.float32(SURFACE_VARIANCE_MIN))

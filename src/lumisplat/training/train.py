@@ -15,7 +15,6 @@ import numpy as np
 from lumisplat.config import TrainConfig
 from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.constants import KERNEL_DEGREE
-from lumisplat.constants.training import TRAINING_EXTENT
 from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io import save
 from lumisplat.io.training_images.loading import Photographs, load_photographs
@@ -31,6 +30,12 @@ from lumisplat.training.initial import enough_points, say_if_few
 from lumisplat.training.run_folder import Curve, HeldOut, HeldOutScore, RunFolder
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
+
+# The frame (docs/adr/0086-one-local-origin.md)
+
+TRAINING_EXTENT = 4.4
+"""Extent of the cameras in the frame in which Gaussians are learnt, whatever the unit of the scene: cameras four units
+around an object, as in NeRF's synthetic sets, for which weights of scales and strengths of noise are chosen."""
 
 _log = logging.getLogger("lumisplat")
 

@@ -17,17 +17,7 @@ from lumisplat.config import (
     TraceConfig,
     TrainConfig,
 )
-from lumisplat.constants.training import (
-    ADAM_BETA_1,
-    ADAM_BETA_2,
-    DENSIFY_AFTER,
-    DENSIFY_EVERY,
-    DENSIFY_UNTIL,
-    NOISE_STRENGTH,
-    POSES_AFTER,
-    SH_REST_SHARE,
-    SURFACES_AFTER,
-)
+from lumisplat.constants import ADAM_BETA_1, ADAM_BETA_2
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
 from lumisplat.device.training import NoiseData, Photograph, SplatRecord, StepRates
@@ -57,6 +47,27 @@ from lumisplat.training.photo_loss import Loss, PhotoLoss
 from lumisplat.training.ray_backends import TrainingRays, TrainingUnscented
 from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Lesson, TrainingView
+
+SURFACES_AFTER = 0.23
+"""Share of the steps after which normals and depths count. 7,000 of 30,000, Huang et al. 2024, code."""
+
+POSES_AFTER = 0.1
+"""Share of the steps after which poses are learnt: before, nothing is where it will be."""
+
+DENSIFY_AFTER = 500
+"""Steps before the first change of the number of Gaussians, but for short trainings: a sixtieth of these."""
+
+DENSIFY_EVERY = 100
+"""Steps between two changes."""
+
+DENSIFY_UNTIL = {"mcmc": 0.83, "adaptive": 0.5}
+"""Share of the steps after which their number stays. gsplat's 25,000 and 15,000 of 30,000."""
+
+SH_REST_SHARE = 0.05
+"""How far harmonics above the constant one move, as a share of that. Kerbl et al. 2023."""
+
+NOISE_STRENGTH = 5e5
+"""Of the noise, times the rate of the means. gsplat's."""
 
 
 class DivergedError(LumisplatError, RuntimeError):

@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lumisplat.constants.photographs import ALIKE_FEATURES, ALL_PAIRS_UP_TO, MOST_ALIKE, NEXT_FRAMES
-from lumisplat.io.training_images.poses import compared_pairs, largest_features, most_alike
+from lumisplat.io.training_images.poses import (
+    ALIKE_FEATURES,
+    ALL_PAIRS_UP_TO,
+    MOST_ALIKE,
+    NEXT_FRAMES,
+    compared_pairs,
+    largest_features,
+    most_alike,
+)
 
 
 def features_of_a_walk(count: int, period: int, seed: int = 0) -> list[np.ndarray]:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants import NOISE_SAMPLES_MIN, SAMPLE_RATE_MIN, SAMPLE_RATES
-from lumisplat.renderer.film.adaptive_rays import rates_of
+from lumisplat.constants import NOISE_SAMPLES_MIN, SAMPLE_RATES
+from lumisplat.renderer.film.adaptive_rays import SAMPLE_RATE_MIN, rates_of
 from support.compare.ways import WAYS, renderer_of
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
 from support.scenes.raster_scenes import front_camera, one_gaussian

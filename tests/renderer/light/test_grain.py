@@ -12,9 +12,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli.output import demo_images
-from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
 from lumisplat.demo.shapes import icosphere
-from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.frame_plan import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS, FramePlan
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import front_camera, random_gaussians
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants import HORIZON_COSINE
+from lumisplat.device.splat.projection import HORIZON_COSINE
 from lumisplat.math.sh import even_directions
 from support.oracles.bsdf_oracle import evaluate
 from support.scenes.pipelines import DIRECT

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants.realtime import GRID_LIGHTS
+from lumisplat.constants import GRID_LIGHTS
 from support.compare.chi_square import LIMIT, chi_square_z
 from support.oracles.light_grid_oracle import chosen_lights, exponential_draws, point_weights
 from support.oracles.light_oracle import LUMINANCE

@@ -9,11 +9,12 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.config import ProbeConfig
-from lumisplat.constants import LAYER_LIFT, SHADOW_OFFSET
-from lumisplat.constants.realtime import OUTDATED_SHARE
+from lumisplat.constants import SHADOW_OFFSET
+from lumisplat.device.gaussian.layers import LAYER_LIFT
 from lumisplat.device.gi.probe_placement import ProbeData
 from lumisplat.math.directions import directions_of_square
 from lumisplat.renderer.scene.camera_table import subpixel
+from lumisplat.renderer.scene.light_changes import OUTDATED_SHARE
 from lumisplat.runtime.buffers import device_array
 from support.oracles import screen_probe_oracle as oracle
 from support.oracles.means_oracle import mean_weight

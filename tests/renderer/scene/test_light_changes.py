@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants.realtime import CHANGED_FRAMES, CHANGED_SHARE, MOVED_FRAMES, MOVED_SHARE, OUTDATED_SHARE
-from lumisplat.renderer.scene.light_changes import LightChanges, in_order
+from lumisplat.renderer.scene.light_changes import (
+    CHANGED_FRAMES,
+    CHANGED_SHARE,
+    MOVED_FRAMES,
+    MOVED_SHARE,
+    OUTDATED_SHARE,
+    LightChanges,
+    in_order,
+)
 from support.scenes.raster_scenes import octahedron, random_gaussians
 
 SKY = np.ones((4, 8, 3), np.float32)

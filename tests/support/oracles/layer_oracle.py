@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.constants import LAYER_COSINE, LAYER_FLATNESS, LAYER_HEIGHT, LAYER_RISE
+from lumisplat.device.gaussian.layers import LAYER_COSINE, LAYER_FLATNESS, LAYER_HEIGHT, LAYER_RISE
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.gaussians import Gaussians
 

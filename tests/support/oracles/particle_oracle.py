@@ -10,14 +10,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from lumisplat.config import Antialiasing, HitDistance, NormalMethod, RenderConfig, ResponseConfig
-from lumisplat.constants import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    FOOTPRINT_LEAD,
-    FOOTPRINT_MAX,
-    FOOTPRINT_REACH,
-    KERNEL_LINEAR_SLOPE,
-)
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN
+from lumisplat.device.bvh.nodes import FOOTPRINT_LEAD, FOOTPRINT_MAX, FOOTPRINT_REACH
+from lumisplat.renderer.scene.instance_tables import KERNEL_LINEAR_SLOPE
 from lumisplat.scene.scene import Scene
 from support.oracles.mirror_oracle import ROUNDING, Ray, Triangles, triangles_of
 from support.oracles.raster_oracle import normalized, sh_basis, world_gaussians

@@ -14,14 +14,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from lumisplat.config import Antialiasing, RasterConfig, RenderConfig
-from lumisplat.constants import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    COVARIANCE_2D_DET_MIN,
-    JACOBIAN_CLAMP,
-    NORMAL_DEGENERATE,
-    SURFACE_DEPTH_SCALES,
-)
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, JACOBIAN_CLAMP, NORMAL_DEGENERATE
+from lumisplat.device.gaussian.particle import SURFACE_DEPTH_SCALES
+from lumisplat.device.splat.projection import COVARIANCE_2D_DET_MIN
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.mesh import Mesh

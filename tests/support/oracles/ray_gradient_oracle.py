@@ -10,14 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lumisplat.constants import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    FOOTPRINT_LEAD,
-    FOOTPRINT_MAX,
-    FOOTPRINT_REACH,
-    KERNEL_LINEAR_SLOPE,
-)
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN
+from lumisplat.device.bvh.nodes import FOOTPRINT_LEAD, FOOTPRINT_MAX, FOOTPRINT_REACH
+from lumisplat.renderer.scene.instance_tables import KERNEL_LINEAR_SLOPE
 from support.oracles.gradient_oracle import Parameters
 from support.oracles.raster_oracle import normalized, rotation_from_quaternion, sh_basis
 

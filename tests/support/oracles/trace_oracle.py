@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lumisplat.config import HitDistance, RenderConfig, TraceConfig, TraceStrategy
-from lumisplat.constants import BOUNCE_WEIGHT_MIN, NORMAL_DEGENERATE
+from lumisplat.constants import NORMAL_DEGENERATE
+from lumisplat.renderer.light.surface_kernels import BOUNCE_WEIGHT_MIN
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.scene import Scene
 from support.oracles.mirror_oracle import ROUNDING, Facet, MeshHit, Ray, branches, facet, nearest

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.constants.realtime import GRID_LIGHTS
+from lumisplat.constants import GRID_LIGHTS
 from lumisplat.device.gi.light_grid import LightGrid
 from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.shading import ShadingScene, ShadingSettings

@@ -9,16 +9,24 @@ The equations are in docs/method/ray_tracing.md#traversal.
 
 import warp as wp
 
-from lumisplat.constants import (
-    FOOTPRINT_LEAD,
-    FOOTPRINT_MAX,
-    FOOTPRINT_REACH,
-    NODE_WIDTH,
-    TRAVERSE_MARGIN,
-    TRAVERSE_STACK,
-)
+from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK
 from lumisplat.device.math.memory import aligned_load_of, storage_of
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, Children, Node, Slabs, TreeRay, WaitingLink
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+TRAVERSE_MARGIN = 1e-6
+"""Rays widen by this share of the distance, and of their origin's coordinates: rounding must not lose a box."""
+
+FOOTPRINT_REACH = 3.7
+"""Widest canonical reach of a Gaussian of any degree and opacity."""
+
+FOOTPRINT_LEAD = 1.1
+"""A Gaussian is widened by the footprint at its mean, but by at most this much of the footprint where its ellipsoid
+begins: nodes widen as their Gaussians do."""
+
+FOOTPRINT_MAX = 0.1
+"""Largest half width of a ray's footprint over the length of its path, beyond that of any sensible image."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD, FUSED_FLAGS, NODE_WIDTH
+from lumisplat.constants import FUSED_FLAGS, NODE_WIDTH
 from lumisplat.device.bvh.nodes import (
     enter_children,
     footprint_of_ray,
@@ -39,6 +39,11 @@ from lumisplat.device.structs.bvh import (
     WaitingNode,
 )
 from lumisplat.device.structs.rays import RayData
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+COHERENT_SPREAD = 0.15
+"""Rays of a packet are not traced with its first one if their directions differ from that one's by more than this."""
 
 # --- The nearest hits of a ray, sorted as they are blended: by distance, then by index ---
 

@@ -7,12 +7,17 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import DISTORTION_RESIDUAL_FLOAT, DISTORTION_STEPS
-from lumisplat.constants.unscented import SHUTTER_STEPS
+from lumisplat.constants import DISTORTION_STEPS
 from lumisplat.device.camera.pixels import picture_index
 from lumisplat.device.math.random import LENS_ANGLE, LENS_RADIUS, draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
+
+DISTORTION_RESIDUAL_FLOAT = 2e-6
+"""The same in float32, relative to one plus the radius: 16 roundings, a hundredth of a pixel of the largest images."""
+
+SHUTTER_STEPS = 5
+"""Steps in which the row that sees a point finds the time at which it is exposed. 3DGUT's number."""
 
 # --- Lens distortion, and its inverse by Newton's method (docs/method/ray_tracing.md#distortion) ---
 

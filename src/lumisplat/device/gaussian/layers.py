@@ -2,10 +2,26 @@
 
 import warp as wp
 
-from lumisplat.constants import LAYER_COSINE, LAYER_FLATNESS, LAYER_HEIGHT, LAYER_LIFT, LAYER_RISE
 from lumisplat.device.structs.bvh import Particle
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+
+LAYER_FLATNESS = 0.15
+"""Smallest over middle scale of a Gaussian up to which its thin axis tells the layer that it is of (docs/adr/0088)."""
+
+LAYER_COSINE = 0.35
+"""Cosine between the normals of two layers up to which only their order decides: 70 degrees apart and more."""
+
+LAYER_HEIGHT = 0.0625
+"""How far before a surface the mean of a Gaussian of another layer stands at least, and how far before its plane the
+surface, in shadow offsets: a quarter of a scale."""
+
+LAYER_RISE = 1.0
+"""By how much that rises with the cosine beyond ``LAYER_COSINE``: to 2.85 scales between parallel layers."""
+
+LAYER_LIFT = 0.0625
+"""How far above a surface of Gaussians rays begin that bounce there, in shadow offsets: a quarter of a scale. From
+within a layer, those along it come out below and see what lights its other side (docs/adr/0088)."""
 
 COSINE = wp.constant(wp.float32(LAYER_COSINE))
 FLATNESS = wp.constant(wp.float32(LAYER_FLATNESS))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import HITS_KEPT_CPU, HITS_KEPT_CUDA, PASS_REWIND
+from lumisplat.constants import HITS_KEPT_CPU, HITS_KEPT_CUDA
 from lumisplat.device.bvh.nodes import footprint_variance, larger, lesser
 from lumisplat.device.bvh.packet import empty_list, is_before, keep_hit, largest_of, least_of, packet_of
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
@@ -39,6 +39,11 @@ from lumisplat.device.structs.bvh import (
 )
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray, RayData
 from lumisplat.device.structs.scene import KernelData, SplatInstanceData
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+PASS_REWIND = 1e-4
+"""A new pass starts earlier by this share of the distance: rounding may put the hits of a box outside of it."""
 
 # --- Hits, and how much each absorbs (docs/method/ray_tracing.md#hits) ---
 

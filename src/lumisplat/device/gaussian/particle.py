@@ -5,7 +5,7 @@ Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing, section 4. The equations are
 
 import warp as wp
 
-from lumisplat.constants import BOX_MARGIN, SURFACE_DEPTH_SCALES
+from lumisplat.constants import BOX_MARGIN
 from lumisplat.device.bvh.nodes import footprint_of_ray, footprint_variance, larger, lesser, tree_ray
 from lumisplat.device.math.memory import aligned_load_of
 from lumisplat.device.math.sh import sh_color
@@ -14,6 +14,10 @@ from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, HIT_PEAK, Box,
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import Ray, RayData
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
+
+SURFACE_DEPTH_SCALES = 3.0
+"""How far from its mean a Gaussian's surface may lie on a ray, in its largest scales: where a Gaussian ends. Only
+Gaussians smaller than a pixel, which its footprint shows where they are not, come that far."""
 
 load_particle = aligned_load_of(Particle)
 

@@ -5,8 +5,7 @@ Without a grid, surfaces in real time choose as paths do. docs/method/realtime.m
 
 import warp as wp
 
-from lumisplat.constants import LIGHT_POWER_MAX
-from lumisplat.constants.realtime import GRID_CELL_SIZE, GRID_CHOICES, GRID_LIGHTS
+from lumisplat.constants import GRID_LIGHTS, LIGHT_POWER_MAX
 from lumisplat.device.gi.radiance_cache import exponent_of, width_of
 from lumisplat.device.light.direct_light import (
     CHOICE_BRANCH,
@@ -31,6 +30,13 @@ from lumisplat.device.structs.shading import (
     ShadingScene,
     WaveData,
 )
+
+GRID_CELL_SIZE = 1.0 / 4.0
+"""Largest width of such a cell as a share of its distance from the eye; widths are powers of two."""
+
+GRID_CHOICES = 4
+"""Independent choices for each cell, of which each surface takes one: with the eight cells that it may take, more than
+the 25 pixels whose noise is taken for independent where light changes."""
 
 
 @struct

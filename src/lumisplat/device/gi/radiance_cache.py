@@ -6,10 +6,13 @@ its cells row by row, then of squares of 2 x 2, 4 x 4 and 8 x 8 cells. docs/meth
 
 import warp as wp
 
-from lumisplat.constants.realtime import LAYER_SHIFT
 from lumisplat.device.math.random import mix
 from lumisplat.device.math.sorting import first_not_below
 from lumisplat.device.structs import struct
+
+LAYER_SHIFT = 0.382
+"""Where, in cells, layers of cells begin: walls lie at whole numbers, halves or quarters, where rounding would put
+their points into two layers."""
 
 TILE_CELLS: int = wp.constant(64)
 """Cells of a tile."""

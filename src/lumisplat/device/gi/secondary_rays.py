@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from lumisplat.constants.realtime import LOBE_ALPHA_FROM, LOBE_ALPHA_TO, MIRRORED_SOLID_ANGLE
 from lumisplat.device.gi.surfaces import SurfacePixels, is_same_surface, least_cosine, tolerance
 from lumisplat.device.light.direct_light import environment_number, light_importance, meets_rays
 from lumisplat.device.light.emitters import environment_radiance
@@ -19,6 +18,17 @@ from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import Bounce, RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+MIRRORED_SOLID_ANGLE = 0.02
+"""Least solid angle, steradians, as which a light counts that a mirror shows: a tenth of a probe's cell. Without it one
+ray in thousands would be thousands of times too bright."""
+
+LOBE_ALPHA_FROM = 0.16
+"""Width of highlights (GGX, roughness 0.4) from which on their rays count less beside what screen probes see: their
+cells are 0.4 wide. GI-1.1 follows rays to a roughness of 0.2, and probes take over without a blend."""
+
+LOBE_ALPHA_TO = 0.25
+"""Width (roughness 0.5) from which on highlights send no rays."""
 
 
 @struct

@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from lumisplat.constants import RAY_BLOCK_PX
-from lumisplat.constants.realtime import SAME_NORMAL_MESH, SAME_NORMAL_SPLATS, SAME_SURFACE_PX, STILL_PX, YOUNG_SHARE
+from lumisplat.constants import RAY_BLOCK_PX, STILL_PX
 from lumisplat.device.material.bsdf import (
     coat_share,
     has_layers,
@@ -20,6 +19,22 @@ from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.scene import GaussianData, MeshData, SplatInstanceData
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf
+
+# Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
+
+SAME_SURFACE_PX = 8.0
+"""Two points are on one surface if neither is farther from the other's plane than this many pixels are wide there;
+GI-1.1's size of a tile."""
+
+SAME_NORMAL_MESH = 0.9
+"""Least cosine between the normals of one mesh surface in two frames: what turns faster loses its history."""
+
+SAME_NORMAL_SPLATS = 0.5
+"""The same of Gaussians, whose normals are noisy."""
+
+YOUNG_SHARE = 0.5
+"""Share of its rays so far for which a young mean counts when one more is added: what is found later has bounced more
+often, and is nearer to the truth. The variance is a third higher than that of plain means."""
 
 
 @struct

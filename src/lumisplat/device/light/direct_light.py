@@ -12,7 +12,7 @@ The equations are in docs/method/lighting.md and docs/method/paths.md#lights.
 
 import warp as wp
 
-from lumisplat.constants import LIGHT_COSINE_MIN, LUMINANCE
+from lumisplat.constants import LUMINANCE
 from lumisplat.device.light.emitters import (
     environment_density,
     environment_radiance,
@@ -39,6 +39,9 @@ from lumisplat.device.structs.shading import (
     ShadingScene,
     WaveData,
 )
+
+LIGHT_COSINE_MIN = 0.1
+"""Lights are chosen as if they were at least this cosine above the horizon: parts of them may be."""
 
 LIGHT_BRANCHES = wp.constant(2)
 """First branch of a ray's key for the random numbers of all lights: 0 and 1 are the reflected and the refracted ray."""

@@ -2,11 +2,16 @@
 
 import warp as wp
 
-from lumisplat.constants import EMITTER_MARGIN, ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
+from lumisplat.constants import ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
 from lumisplat.device.light.interaction import emission_at
 from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, PI, TWO_PI, angle_of
 from lumisplat.device.mesh.mesh_surface import surface_alpha
 from lumisplat.device.structs.shading import EmitterTriangle, EnvironmentData, LightSample, ShadingScene
+
+# Paths of light that bounces (docs/method/paths.md)
+
+EMITTER_MARGIN = 1e-5
+"""Shadow rays to triangles that shine end before them by this share of the way."""
 
 # --- The environment ---
 #

@@ -5,7 +5,7 @@ The equations are in docs/method/lighting.md#surfaces.
 
 import warp as wp
 
-from lumisplat.constants import SMOOTH_HEIGHT_MIN, SMOOTH_START_COSINE, SPLAT_ROUGHNESS_MIN
+from lumisplat.constants import SPLAT_ROUGHNESS_MIN
 from lumisplat.device.material.bsdf import has_layers, head_on_share, mean_mirrored_share
 from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.material.microfacets import mean_fresnel, rescattered_share
@@ -32,6 +32,13 @@ from lumisplat.device.structs.shading import (
     ShadingScene,
     WaveData,
 )
+
+SMOOTH_HEIGHT_MIN = 1.0e-5
+"""Height of a smooth surface over its triangle, as a share of its sides, below which it is rounding: there is none."""
+
+SMOOTH_START_COSINE = 0.1
+"""Cosine of the light on a triangle of a smooth mesh, from which on shadow rays start at the triangle itself. Where it
+is less or negative, they start higher, up to the smooth surface (docs/adr/0019-smooth-terminators.md)."""
 
 # --- Shadow rays from triangles that stand for a smooth surface (docs/method/shadows.md#smooth-meshes) ---
 #

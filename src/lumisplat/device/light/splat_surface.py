@@ -5,7 +5,7 @@ The equations are in docs/method/lighting.md#surfaces.
 
 import warp as wp
 
-from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
+from lumisplat.constants import NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.layers import is_flat
 from lumisplat.device.light.interaction import bsdf_of, mesh_spawn_point, unit_or
 from lumisplat.device.material.media import index_around, media_of_ray
@@ -22,6 +22,9 @@ from lumisplat.device.structs.shading import (
     SplatSurface,
     WaveData,
 )
+
+KEPT_SHARE_MIN = 1.0e-6
+"""Share of a ray of Gaussians that keep their captured colour, below which it is rounding beside relit ones."""
 
 KEPT_MIN = wp.constant(wp.float32(KEPT_SHARE_MIN))
 

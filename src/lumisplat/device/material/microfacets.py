@@ -9,10 +9,13 @@ The equations are in docs/method/materials.md#smooth-surfaces.
 import numpy as np
 import warp as wp
 
-from lumisplat.constants import COAT_HEAD_ON, GGX_WIDTH_MIN
+from lumisplat.constants import COAT_HEAD_ON
 from lumisplat.device.math.color import is_black, mean_of
 from lumisplat.device.math.directions import INV_PI, TWO_PI
 from lumisplat.device.structs.shading import Bsdf
+
+GGX_WIDTH_MIN = 1e-6
+"""Alpha (roughness 0.001) below which a rough highlight gets no narrower: float32 directions are no finer."""
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 

@@ -5,7 +5,6 @@ The equations are in docs/method/paths.md#lights.
 
 import warp as wp
 
-from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
 from lumisplat.device.light.direct_light import arrives
 from lumisplat.device.light.interaction import load_interaction
 from lumisplat.device.light.shadow_rays import spawn_lift, spawn_origin
@@ -26,6 +25,14 @@ from lumisplat.device.structs.shading import (
     ShadingScene,
     WaveData,
 )
+
+# Paths of light that bounces (docs/method/paths.md)
+
+ROULETTE_BOUNCE = 3
+"""From this bounce on, paths end at random."""
+
+ROULETTE_RANGE = (0.05, 0.95)
+"""Probability with which they go on: their largest throughput, clamped to this."""
 
 LEAVES_RECEIVER: float = wp.constant(-1.0)
 """In place of a density: the ray leaves a shadow-only surface, whose lights all count by their own samples."""

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.constants import SHADOW_BOUND_MARGIN, SHADOW_BOUND_STEP
+from lumisplat.constants import SHADOW_BOUND_MARGIN
 from lumisplat.device.math.directions import around
 from lumisplat.device.shadow_map.atlas import (
     EVERYTHING,
@@ -14,6 +14,11 @@ from lumisplat.device.shadow_map.atlas import (
 )
 from lumisplat.device.shadow_map.optical_depth import Casters, reach_squared_of
 from lumisplat.device.structs import struct
+
+# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
+
+SHADOW_BOUND_STEP = 4
+"""Texels between the points that bound a tile: atlas edges fold at multiples of it, as sizes are multiples of 8."""
 
 
 @struct

@@ -7,10 +7,19 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import ALPHA_MAX, SHADOW_DEPTH_MIN, SHADOW_ERF_MAX
+from lumisplat.constants import ALPHA_MAX
 from lumisplat.device.gaussian.particle import canonical_from_object
 from lumisplat.device.shadow_map.atlas import PARALLEL, TILE_TEXELS, Atlas, LightRay, atlas_from_world, texel_number
 from lumisplat.device.structs import struct
+
+# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
+
+SHADOW_DEPTH_MIN = 1e-6
+"""Optical depth of a whole Gaussian along a ray below which it is left out, when casters are culled: a thousand such
+tails change the transmittance by 0.001."""
+
+SHADOW_ERF_MAX = 4.0
+"""Argument from which on the error function is one: erfc(4) is 1.5e-8, below float32's last digit."""
 
 
 @struct

@@ -7,13 +7,31 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, BEYOND_HORIZON, COVARIANCE_2D_DET_MIN, HORIZON_COSINE
-from lumisplat.constants.training import COMPENSATION_MIN, SH_COEFFICIENTS_MAX
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, SH_COEFFICIENTS_MAX
 from lumisplat.device.math.sh import C0, C1, C2_XX, C2_XY, C2_ZZ, C3_0, C3_1, C3_2, C3_3, C3_5, sh_color
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import SplatGradient, SplatOrigin
 from lumisplat.device.structs.raster import RasterData, Splat
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+
+# Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
+
+BEYOND_HORIZON = 0.5
+"""Cosine with the direction away from the eye up to which a Gaussian's own normal is of a surface that bends away
+there, 30 degrees beyond its horizon; one that faces away further is of a surface seen from behind.
+docs/method/gaussians.md#normals."""
+
+HORIZON_COSINE = 0.02
+"""Cosine of what is bent to a horizon, one degree: at 0, rounding would decide whether a surface is seen at all."""
+
+# Projection to the image (EWA splatting, Zwicker et al. 2001)
+
+COVARIANCE_2D_DET_MIN = 1e-12
+"""Projected covariance determinants below this, pixel^4, are degenerate and the Gaussian is culled."""
+
+COMPENSATION_MIN = 0.005
+"""Mip-Splatting's compensation of an opacity below which it is taken for constant: it falls to 0 for a Gaussian that is
+seen edge-on, where its derivative by the scales grows beyond all bounds. gsplat's has this floor after 1.5.3."""
 
 OPACITY_MIN = wp.constant(wp.float32(ALPHA_MIN))
 

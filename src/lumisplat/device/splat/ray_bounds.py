@@ -7,21 +7,43 @@ import math
 
 import warp as wp
 
-from lumisplat.constants.unscented import (
-    OUTLINE_MARGIN,
-    OUTLINE_POINTS,
-    OUTLINE_SLACK,
-    PLANE_SHARE,
-    UNSCENTED_ALPHA,
-    UNSCENTED_BETA,
-    UNSCENTED_KAPPA,
-    UNSCENTED_MARGIN,
-    UNSCENTED_SINE_MAX,
-    UNSCENTED_SLACK_PX,
-)
 from lumisplat.device.camera.camera import FISHEYE, row_time, seen_point, turned
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import ImageBounds, ImageMoments, PixelBox, WorldGaussian
+
+UNSCENTED_ALPHA = 1.0
+"""Spread of the sigma points; 3DGUT's value, as the next two: sqrt(3) standard deviations from the mean."""
+
+UNSCENTED_BETA = 2.0
+"""What is known of the distribution; 2 is best for a Gaussian (Wan and van der Merwe 2000)."""
+
+UNSCENTED_KAPPA = 0.0
+"""The other number that spreads the sigma points."""
+
+UNSCENTED_SINE_MAX = 0.02
+"""Half the size of a Gaussian, as a share of its distance from where the projection is not smooth, up to which sigma
+points bound it. They know the projection along its three axes only, and extrapolate: where it bends within the
+Gaussian, they miss some of it."""
+
+PLANE_SHARE = 5.0
+"""A pinhole's plane counts as so many times farther away: within 0.02 of that, tangents grow by up to a tenth."""
+
+UNSCENTED_MARGIN = 0.1
+"""By this share of themselves bounds by sigma points are wider: projections bend by less within 0.02 of the distance
+above."""
+
+UNSCENTED_SLACK_PX = 0.5
+"""And by so many pixels, for lenses that nearly stop to magnify, as at the edge of what they show."""
+
+OUTLINE_POINTS = 16
+"""Points around the outline of a Gaussian that is seen under a larger angle."""
+
+OUTLINE_SLACK = 0.5
+"""Its bounds are wider by this share of the largest second difference of the points: four times what a smooth curve
+strays from the chord between two of them."""
+
+OUTLINE_MARGIN = 0.1
+"""A Gaussian is all around the image when the direction against the axis is within its outline, wider by this."""
 
 _SPREAD2 = UNSCENTED_ALPHA**2 * (3.0 + UNSCENTED_KAPPA)
 SPREAD = wp.constant(wp.float32(math.sqrt(_SPREAD2)))

@@ -19,14 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
-from lumisplat.constants import KERNEL_DEGREE
-from lumisplat.constants.blocks import (
-    BLOCK_CELLS_MAX,
-    BLOCK_DEPTH_MAX,
-    BLOCK_GAUSSIANS_MAX,
-    BLOCK_LEVEL_SHARE,
-    BLOCK_PIECE,
-)
+from lumisplat.constants import BLOCK_GAUSSIANS_MAX, BLOCK_PIECE, KERNEL_DEGREE
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io.files.atomic import atomic_write, writers_of
 from lumisplat.io.files.source import BLOCKS, PathLike, parsing, read_bytes
@@ -35,6 +28,15 @@ from lumisplat.io.splats.orientation import UNSTATED, Orientation, orientation_o
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
+
+BLOCK_DEPTH_MAX = 16
+"""How often a cell is cut in eight: Gaussians that are in one place cannot be told apart."""
+
+BLOCK_LEVEL_SHARE = 4
+"""Gaussians of a level for one of the next coarser one."""
+
+BLOCK_CELLS_MAX = 2**16
+"""Cubes of a capture at most, each of which is a file: more are a wrong edge."""
 
 _INDEX = BLOCKS
 """The index in the folder of a capture; it is written last: without it, there is no capture."""

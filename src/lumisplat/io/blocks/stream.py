@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.constants.blocks import BLOCK_CELLS, BLOCK_GAUSSIANS_MAX, BLOCK_PIECE, BLOCK_SAMPLE
+from lumisplat.constants import BLOCK_GAUSSIANS_MAX, BLOCK_PIECE
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.source import PathLike, check_regular, parsing
 from lumisplat.io.ply import PlyElement, PlyHeader, PlyRows, read_ply_header, read_ply_rows
@@ -28,6 +28,12 @@ from lumisplat.io.splats.compressed_ply import is_compressed_header
 from lumisplat.io.splats.splat_ply import columns_of_rows, scale_columns, splat_element
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import needed_origin
+
+BLOCK_SAMPLE = 2**16
+"""Gaussians of a file by which the edge of its cubes is chosen."""
+
+BLOCK_CELLS = 4096
+"""Cubes at most that such a sample is in."""
 
 _log = logging.getLogger("lumisplat")
 

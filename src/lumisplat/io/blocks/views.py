@@ -15,9 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_whole
-from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP, NEAR_PLANE
-from lumisplat.constants.blocks import BLOCK_MEMORY, BLOCK_PREVIEW
-from lumisplat.constants.parts import WINDOW_STEP
+from lumisplat.constants import ALPHA_MIN, JACOBIAN_CLAMP, NEAR_PLANE, WINDOW_STEP
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io.blocks.storage import Block, BlockIndex, joined, open_blocks, read_rows, unpacked
 from lumisplat.io.files.source import PathLike, check_memory, parsing
@@ -25,6 +23,13 @@ from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import default_near, note_box
+
+BLOCK_PREVIEW = 2**18
+"""Gaussians of a capture by which a view of all of it is framed."""
+
+BLOCK_MEMORY = 5
+"""Memory of Gaussians of blocks that are rendered, as a factor of their bytes on disk: 6.7 million of 56 bytes each
+took 1.7 GiB on a CPU."""
 
 _log = logging.getLogger("lumisplat")
 

@@ -20,9 +20,19 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from lumisplat.constants import DECODED_BYTES_FREE, EXPANSION_MAX, FILE_BYTES_MAX, TEXTURE_BYTES_FREE
+from lumisplat.constants import FILE_BYTES_MAX
 from lumisplat.errors import FormatError, LumisplatError, MissingFileError, SceneError
 from lumisplat.memory import usable_memory
+
+DECODED_BYTES_FREE = 256 * 2**20
+"""Decoded size, bytes, that any file may ask for. Above it, EXPANSION_MAX applies."""
+
+EXPANSION_MAX = 200
+"""Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""
+
+TEXTURE_BYTES_FREE = 2**30
+"""Decoded size, bytes, that the textures of one file may have together: twenty of 4096 x 4096. Above it, EXPANSION_MAX
+applies to their sum."""
 
 PathLike = str | os.PathLike[str]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.constants import ANIMATION_FRAMES_MAX, ANIMATION_SAMPLES_MAX
+from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.cameras import cameras_of
@@ -31,6 +31,10 @@ from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.keyframes import Keyframes
 from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Skeleton
 from lumisplat.scene.scene import Scene, SplatInstance, check_similarity
+
+ANIMATION_SAMPLES_MAX = 400_000
+"""Samples of a camera or capture of a glTF animation, which are made when it is read: more than an hour. So many take a
+minute on one core, and 500 MB."""
 
 _log = logging.getLogger("lumisplat")
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import RIG_BLACK_COLOR, RIG_BLACK_SHARE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.gltf.container import TRIANGLES, GltfDocument, GltfFile, GltfPrimitive
@@ -22,6 +21,12 @@ from lumisplat.math.transforms import is_mirroring, transform_normals_each, tran
 from lumisplat.scene.animation.rig import blend_matrices
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
+
+RIG_BLACK_COLOR = 0.5 / 255.0
+"""Vertex colour below which a vertex is black: 8 bits round it to 0."""
+
+RIG_BLACK_SHARE = 0.5
+"""Share of black vertices above which a file is taken to hold something else than colours in COLOR_0."""
 
 _log = logging.getLogger("lumisplat")
 

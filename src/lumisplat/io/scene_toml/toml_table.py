@@ -18,9 +18,11 @@ from typing import Any, NamedTuple, TypeGuard, cast
 import numpy as np
 
 from lumisplat.config.checks import suggestion
-from lumisplat.constants import TOML_KEY_PARTS_MAX
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.source import PathLike, TextureBytes, named_path, read_text
+
+TOML_KEY_PARTS_MAX = 32
+"""Parts of a dotted key of a TOML file; scene files have up to three. Python's parser takes their number squared."""
 
 KeyPath = tuple[str | int, ...]
 """Keys and indices from the top of the document, e.g. ``("splats", 1, "position")``."""

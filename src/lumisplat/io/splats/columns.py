@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import KERNEL_DEGREE, LOGIT_MAX, SCALE_MIN
+from lumisplat.constants import KERNEL_DEGREE, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.orientation import (
@@ -29,6 +29,9 @@ from lumisplat.io.splats.orientation import (
 from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.up import Vector
+
+LOGIT_MAX = 20.0
+"""Opacities are written as logits of at most this size: the float32 sigmoid of 20 is 1, that of -20 is 2e-9."""
 
 _log = logging.getLogger("lumisplat")
 

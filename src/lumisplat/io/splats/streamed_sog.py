@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.constants.sog import SOG_CHUNK_COUNT, SOG_CHUNK_EXTENT, SOG_LEAF_LEAST, SOG_LEVEL_LEAST
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import STREAMED_SOG, PathLike, parsing, read_bytes, referenced_file
@@ -38,6 +37,18 @@ from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.editing.morton import sort_morton
 from lumisplat.scene.gaussians import Gaussians, merge_gaussians
+
+SOG_CHUNK_COUNT = 512 * 1024
+"""Gaussians of a capture of a streamed SOG, about, and at most of a leaf: what splat-transform takes, 7 MB."""
+
+SOG_CHUNK_EXTENT = 16.0
+"""Largest extent of a leaf, scene units, again splat-transform's: viewers choose the level of a leaf as a whole."""
+
+SOG_LEAF_LEAST = 8192
+"""Gaussians of a leaf that is not divided any more, however large: scenes need not be in metres."""
+
+SOG_LEVEL_LEAST = 20_000
+"""Gaussians that the coarsest level has at least, of a capture that has as many: they are loaded in an instant."""
 
 _log = logging.getLogger("lumisplat")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.config.checks import Color, check_flag, check_range, check_whole, display_color, is_number, quoted
-from lumisplat.constants.photographs import HOLD_OUT, ONE_PLACE, PHOTOGRAPH_CACHE_BYTES, SAME_PLACE, SAME_TURN
+from lumisplat.constants import ONE_PLACE
 from lumisplat.errors import ConfigError, FormatError, MissingFileError
 from lumisplat.io.cameras.colmap import count_colmap_images, is_colmap, read_colmap_points
 from lumisplat.io.cameras.common import unique_names
@@ -41,6 +41,20 @@ from lumisplat.io.training_images.pixels import (
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.local_frame import camera_extent
+
+PHOTOGRAPH_CACHE_BYTES = 1 << 30
+"""Memory for photographs that have been decoded, by default: 520 of 960 x 720, and more would not fit beside a trainer
+on small machines."""
+
+HOLD_OUT = 8
+"""One photograph of so many is not trained with, as Mip-NeRF 360 and those after it do."""
+
+SAME_PLACE = 1e-3
+"""Distance of two cameras, as a share of the extent of all, up to which they stand in one place: between them, hardly
+anything moves in the picture."""
+
+SAME_TURN = 1e-3
+"""Angle between two cameras, radians, up to which they are turned alike: a pixel or two."""
 
 _log = logging.getLogger("lumisplat")
 

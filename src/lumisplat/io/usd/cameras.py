@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
-from lumisplat.constants.usd import USD_FILM_WIDTH
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.common import pose_of_node, size_of_aspect
 from lumisplat.io.files.source import PathLike
@@ -24,6 +23,9 @@ from lumisplat.io.usd.stage import StageWriter, UsdFile, number, open_usd, short
 from lumisplat.io.usd.walk import Placed, placed_prims
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
+
+USD_FILM_WIDTH = 0.036
+"""Width of the film of cameras that are written, metres: that of small-format film, whose focal lengths people know."""
 
 _FILM_UNIT = 0.1
 """Unit of films and focal lengths, in those of the stage."""

@@ -8,11 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from lumisplat.constants.usd import USD_LAYERS_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import check_regular, leaves_folder, parsing, read_text, referenced_file
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.process import grant
+
+USD_LAYERS_MAX = 10_000
+"""Most layers of a stage."""
 
 
 def check_layers(path: Path, text: str) -> list[Any]:

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from lumisplat.constants import SIMILARITY_TOLERANCE
-from lumisplat.constants.usd import USD_POINT_RADIUS
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.images.radiance import read_radiance, write_radiance
 from lumisplat.io.images.texture import decode_texture
@@ -43,6 +42,9 @@ from lumisplat.scene.lights import (
     LightSphere,
     LightSpot,
 )
+
+USD_POINT_RADIUS = 1e-3
+"""Radius of the sphere that a point light is written as, metres; who reads ``treatAsPoint`` does not use it."""
 
 _UNREAD = {
     "inputs:diffuse": ("the diffuse and specular factors of lights", 1.0),

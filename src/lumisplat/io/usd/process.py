@@ -28,18 +28,33 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, cast
 
-from lumisplat.constants.usd import (
-    USD_ASSETS_MEMORY,
-    USD_CPU_SECONDS,
-    USD_CPU_SECONDS_A_MEGABYTE,
-    USD_IDLE_SECONDS,
-    USD_MEMORY,
-    USD_MEMORY_A_BYTE,
-    USD_START_SECONDS,
-    USD_WALL_FACTOR,
-)
 from lumisplat.errors import FormatError, LumisplatError, MissingExtraError
 from lumisplat.io.files.source import PathLike, check_regular, leaves_folder, may_leave_folder, references_outside
+
+USD_MEMORY = 3 * 2**28
+"""Memory, bytes, that the process that reads a stage may take at least: the library and Warp take 0.2 GB of it."""
+
+USD_ASSETS_MEMORY = 2 * 2**30
+"""Further bytes of memory from the first texture on, which are bounded by themselves (`TEXTURE_BYTES_FREE`)."""
+
+USD_MEMORY_A_BYTE = 40
+"""Further bytes of memory for each byte of layers and textures: text of 8 digits becomes doubles, which are held three
+times."""
+
+USD_CPU_SECONDS = 30
+"""Processor time, seconds, that reading a stage may take at least: references nested 16 deep took minutes."""
+
+USD_CPU_SECONDS_A_MEGABYTE = 1.0
+"""Further seconds for each 2^20 bytes of the files: text is read in 0.1 s."""
+
+USD_WALL_FACTOR = 10.0
+"""Time on the clock after which reading ends, as a factor of its processor time: on machines that are busy."""
+
+USD_START_SECONDS = 300.0
+"""Time on the clock, seconds, in which that process must have loaded the library: 0.2 s on a machine that is idle."""
+
+USD_IDLE_SECONDS = 60.0
+"""Time without a request, seconds, after which the process that has loaded the library ends."""
 
 _log = logging.getLogger("lumisplat")
 

@@ -8,11 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lumisplat.constants.usd import USD_INSTANCES_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.stage import UsdFile
 from lumisplat.math.arrays import Doubles
+
+USD_INSTANCES_MAX = 1_000_000
+"""Most prims that a file may have, and most instances of point instancers: instances of instances multiply, so that a
+small file could ask for any number."""
 
 
 class Placed(NamedTuple):

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from lumisplat.constants import SH_DEGREE_MAX
-from lumisplat.constants.usd import USD_PACKAGE_BYTES_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.native import utf8_path
@@ -37,6 +36,10 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+USD_PACKAGE_BYTES_MAX = 2**32 - 1
+"""Size, bytes, of the largest package and of what is in it: those of zip without its extension, which USD does not
+read."""
 
 Instance = SplatInstance | MeshInstance
 _PROTOTYPES = "/Prototypes"

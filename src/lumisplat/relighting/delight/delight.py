@@ -11,24 +11,7 @@ import numpy.typing as npt
 
 from lumisplat.config import DelightConfig, Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.constants.delight import (
-    BRIGHT_CELLS,
-    BRIGHT_PARTS,
-    BRIGHT_ROUNDS,
-    CLIPPED,
-    GAUSSIANS_LEAST,
-    LAMP_GAP,
-    LAMPS_MAX,
-    LIGHT_SEEN,
-    MATT_LEAST,
-    OPACITY_SEEN,
-    PAIRS,
-    RADIANCE_LEAST,
-    RESIDUAL_LARGE,
-    SKY_IMAGE_ROWS,
-    SURE,
-    TOO_LIGHT,
-)
+from lumisplat.constants import GAUSSIANS_LEAST, OPACITY_SEEN, RADIANCE_LEAST
 from lumisplat.errors import SceneError
 from lumisplat.io.images.radiance import write_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_view
@@ -55,6 +38,45 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.ops.normals import agreeing_signs, shortest_axes
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
+
+BRIGHT_CELLS = 6
+"""Cells of the sky that are divided further: those that shine most."""
+
+BRIGHT_PARTS = 4
+"""Into so many times so many parts."""
+
+BRIGHT_ROUNDS = 2
+"""Times that this is done."""
+
+CLIPPED = 0.985
+"""Display-referred value of all channels from which on a Gaussian may have been brighter than could be captured."""
+
+LAMPS_MAX = 8
+"""Groups of such Gaussians whose light is found apart."""
+
+LAMP_GAP = 4.0
+"""Distance between Gaussians of one group, in median scales of such Gaussians."""
+
+PAIRS = 24_000
+"""Pairs of neighbours whose albedos are compared, at most."""
+
+LIGHT_SEEN = 0.03
+"""Light at a Gaussian, as a share of the median, below which its albedo is that of its neighbours."""
+
+MATT_LEAST = 0.2
+"""Share of what Gaussians show that is left, at least, when what they mirror is taken away."""
+
+SURE = 0.8
+"""Sureness of a roughness from which on highlights are said to tell it."""
+
+TOO_LIGHT = 0.02
+"""Share of Gaussians beyond what is possible, or not explained, from which on it is worth a remark."""
+
+RESIDUAL_LARGE = 0.25
+"""Unexplained share of a captured colour that counts for that."""
+
+SKY_IMAGE_ROWS = 64
+"""Of the image of the sky that was found."""
 
 _log = logging.getLogger("lumisplat")
 

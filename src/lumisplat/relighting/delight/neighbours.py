@@ -8,11 +8,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from lumisplat.constants.delight import NEIGHBOURS, NORMAL_SHARPNESS
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs, pairs_of_about
+
+NEIGHBOURS = 12
+"""Gaussians, about, over which the light at a Gaussian is averaged: it changes less than its noise."""
+
+NORMAL_SHARPNESS = 8
+"""Exponent of the cosine between normals of those."""
 
 
 def neighbours_of(gaussians: Gaussians) -> Pairs:

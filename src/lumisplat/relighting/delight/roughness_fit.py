@@ -10,23 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from lumisplat.constants.baking import RIDGE
-from lumisplat.constants.delight import (
-    ALBEDO_STEPS,
-    BIN_RINGS,
-    BIN_SAMPLES,
-    BIN_SECTORS,
-    HIGHLIGHT_NOISE,
-    LIKE_ALBEDO,
-    LIKE_NORMALS,
-    LOBE_VIEWS,
-    RADIANCE_LEAST,
-    ROUGHNESS_GRID,
-    ROUGHNESS_ROWS,
-    ROUGHNESS_UNKNOWN,
-    VIEW_COSINE_LEAST,
-)
-from lumisplat.constants.materials import SPREAD_SHARE
+from lumisplat.constants import RADIANCE_LEAST, RIDGE, SPREAD_SHARE
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_view
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
@@ -39,6 +23,43 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.sampling.blue_noise import Pairs
+
+ROUGHNESS_UNKNOWN = 0.8
+"""Roughness of Gaussians whose highlights say nothing."""
+
+ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
+"""Roughnesses that are tried: below the first one, harmonics of degree 3 show the same."""
+
+ROUGHNESS_ROWS = 2048
+"""Gaussians that are tried at once: some 100 MB."""
+
+LOBE_VIEWS = 96
+"""Views of the upper hemisphere in which colours are compared. With 24, what harmonics cannot keep of a sharp highlight
+turns up in what they do, and roughness 0.3 is found as 0.4; with 48, as 0.33."""
+
+VIEW_COSINE_LEAST = 0.2
+"""Cosine between normal and view, from which on they are: nobody sees Gaussians edge-on."""
+
+BIN_RINGS = 8
+"""Rings of equal solid angle into which the light above a Gaussian is sorted."""
+
+BIN_SECTORS = 20
+"""Equal sectors of each: bins are 11 degrees wide."""
+
+BIN_SAMPLES = 4
+"""Times as many directions of each bin are integrated over."""
+
+ALBEDO_STEPS = 4
+"""Steps of Gauss-Newton to the albedo that goes with a roughness."""
+
+HIGHLIGHT_NOISE = 0.008
+"""Error of captured colours, display-referred, that is expected at least: 2 of 255."""
+
+LIKE_ALBEDO = 0.1
+"""Difference of albedo, natural logarithm, of neighbours that may be of one material."""
+
+LIKE_NORMALS = 4
+"""Exponent of the cosine between their normals."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from lumisplat.config import RenderConfig, ToneMap
 from lumisplat.config.checks import check_kind, check_whole, enum_member
-from lumisplat.constants.light_fit import COARSE_SAMPLES, COARSE_SIZE, FIT_SIZE, PLACES_A_SIDE, STEPS_EXPECTED
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Pace, Progress, say_nothing
@@ -28,6 +27,22 @@ from lumisplat.relighting.surface_measure import surface_remark
 from lumisplat.renderer.checks import check_scene
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
+
+FIT_SIZE = 128
+"""Pixels along the longer side of the pictures in which lights are fitted: light is smooth, and shadows are wide."""
+
+COARSE_SIZE = 40
+"""The same where lamps are looked for: shadows that are coarse have no edges to be caught at."""
+
+COARSE_SAMPLES = 0.25
+"""Of the samples, there."""
+
+PLACES_A_SIDE = (3, 4)
+"""Lamps are tried at so many places along each side of the box that holds the scene, cubed, one lattice after the
+other: from one alone, three lamps of one photograph ended in a wrong place."""
+
+STEPS_EXPECTED = 8
+"""Steps that searches mostly take, to say how far a fit is: two that were far away took 11 and 22, others 2 to 8."""
 
 _log = logging.getLogger("lumisplat")
 

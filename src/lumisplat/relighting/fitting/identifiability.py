@@ -7,12 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lumisplat.constants.light_fit import ALIKE_BELOW, DARK_SHARE
 from lumisplat.math.arrays import Doubles
 from lumisplat.relighting.fitting.normal_equations import Columns, covariance, normal_equations, unknown_counts
 from lumisplat.relighting.fitting.parameters import FitTask
 from lumisplat.relighting.fitting.power_fit import NAME, Candidate, PowerFitter
 from lumisplat.relighting.fitting.search import anchor_of, joint_columns, slopes_of
+
+ALIKE_BELOW = 1e-3
+"""Eigenvalue of the columns' correlations below which those that its vector is made of cannot be told apart: two of
+them correlate to 0.999."""
+
+DARK_SHARE = 1e-5
+"""Of the brightest column's length: a light of that little is not in the photographs."""
 
 _PART = 0.3
 """Of a unit vector: what has at least this share of an eigenvector is named."""

@@ -12,13 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import ToneMap
-from lumisplat.constants.light_fit import CLIPPED_ABOVE
 from lumisplat.errors import SceneError, check_instance
 from lumisplat.io.images.radiance import LINEAR, read_picture, read_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.resampling import area_mean
 from lumisplat.math.tone_map import remove_tone_map
 from lumisplat.scene.camera import Camera
+
+CLIPPED_ABOVE = 0.995
+"""Display value from which on a pixel may be clipped: 254 of 255 and above."""
 
 _ASPECT_ERROR = 0.51
 """Pixels by which the height of a photograph may miss the camera's aspect ratio."""

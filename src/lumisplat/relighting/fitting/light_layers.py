@@ -10,14 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig
-from lumisplat.constants.light_fit import (
-    FIT_SAMPLES_OF_PATHS,
-    SMOOTH_ALBEDO_MIN,
-    SMOOTH_COSINE_MIN,
-    SMOOTH_PLANE,
-    SMOOTH_REACH,
-    SMOOTH_ROUGHNESS_MIN,
-)
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles, Flags, IntArray
@@ -26,6 +18,25 @@ from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.lights import Light, LightPoint
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+FIT_SAMPLES_OF_PATHS = 64
+"""Samples a pixel of paths, for each light: with them, 128 x 96 pixels know a lamp's light to some thousandths."""
+
+SMOOTH_REACH = 1.0 / 32.0
+"""How far to each side light that has bounced is averaged, of the longer side of the picture: as far in the scene,
+whatever the picture's size. With twice that, at 64 pixels, a lamp of a bounced room was off by 2.8 % instead of 1.4."""
+
+SMOOTH_COSINE_MIN = 0.9
+"""Cosine between normals from which on neighbours are on one surface."""
+
+SMOOTH_PLANE = 0.2
+"""Distance of a neighbour from a pixel's plane up to which both are on one surface, relative to their distance."""
+
+SMOOTH_ROUGHNESS_MIN = 0.3
+"""Roughness below which what a surface reflects is not averaged: it may have edges."""
+
+SMOOTH_ALBEDO_MIN = 0.02
+"""Least albedo by which light is divided before it is averaged, so that textures stay sharp."""
 
 Layer = Callable[[Scene, Frame], Doubles]
 """What is taken of a frame, shape (H, W, 3)."""

@@ -7,17 +7,29 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lumisplat.constants.light_fit import (
-    DEVIATION_MIN,
-    HUBER_WIDTH,
-    NOISE_SHARE_MAX,
-    NORMAL_RIDGE,
-    ROBUST_CHANGE,
-    ROBUST_STEPS,
-    TUKEY_WIDTH,
-)
 from lumisplat.math.arrays import Doubles, Flags, Rows
 from lumisplat.math.nonnegative import bounded_least_squares
+
+HUBER_WIDTH = 1.345
+"""Deviations up to which residuals count as squares: 95 % efficient if they are normal (Huber 1981)."""
+
+TUKEY_WIDTH = 4.685
+"""Deviations from which on a residual does not count at all: as efficient (Beaton and Tukey 1974)."""
+
+DEVIATION_MIN = 1e-4
+"""Of residuals, in units of the expected noise: perfect photographs have none, and weights divide by it."""
+
+ROBUST_STEPS = 40
+"""Steps of reweighting, at most."""
+
+ROBUST_CHANGE = 1e-7
+"""Change of the unknowns, relative, at which reweighting ends."""
+
+NORMAL_RIDGE = 1e-9
+"""Relative to the diagonal of the normal equations: lights that cannot be told apart share evenly."""
+
+NOISE_SHARE_MAX = 0.5
+"""Of the square of a sum of pictures, at most so much is taken for noise and left out: of more, nothing is known."""
 
 _MAD_TO_DEVIATION = 1.4826
 """Standard deviation of normal numbers over the median of their magnitudes."""

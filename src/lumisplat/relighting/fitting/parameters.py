@@ -10,7 +10,6 @@ from typing import Literal, cast
 import numpy as np
 
 from lumisplat.config.checks import check_flag, check_whole, is_number, suggestion
-from lumisplat.constants.light_fit import ANGLE_STEP, FIT_DEGREE_MAX, PLACE_STEP
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import Doubles, read_only_view, unit_vector
 from lumisplat.renderer.scene.materials import is_relit, material_of
@@ -18,6 +17,15 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import AimedLight, Light, LightEnvironment, LightSpot, PlacedLight, RoundLight
 from lumisplat.scene.ops.colors import base_colors, scale_light
 from lumisplat.scene.scene import Scene
+
+FIT_DEGREE_MAX = 4
+"""Of an environment's harmonics: matt surfaces take in hardly more than degree 2 (Ramamoorthi and Hanrahan 2001)."""
+
+PLACE_STEP = 0.004
+"""Of the room's size: half the way between two pictures of a derivative."""
+
+ANGLE_STEP = 0.02
+"""The same of directions and cones, radians."""
 
 Kind = Literal["position", "direction", "radius", "inner", "outer"]
 _ANGLE_GAP = 1e-3

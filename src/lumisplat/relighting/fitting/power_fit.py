@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 
-from lumisplat.constants.light_fit import BLOCK_PX, NOISE_BLUR, RELATIVE_NOISE, SKY_DIRECTIONS, SKY_ROWS
 from lumisplat.math.arrays import Doubles, Rows
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.directions import panorama_directions
@@ -20,6 +19,22 @@ from lumisplat.relighting.fitting.parameters import FitTask
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
+
+RELATIVE_NOISE = 0.02
+"""Error of a photograph's light that is expected of it, relative to the pixel and to the mean: no model is better."""
+
+NOISE_BLUR = 2
+"""Pixels to each side over which a photograph is averaged to say what error is expected: by noisy pixels
+themselves, those that noise has made dark would weigh more."""
+
+SKY_ROWS = 32
+"""Rows of the images of harmonics as environments, and of the environment that is found."""
+
+SKY_DIRECTIONS = 96
+"""Directions in which the radiance of harmonics must not be negative, spread evenly."""
+
+BLOCK_PX = 8
+"""Side of the squares of pixels whose residuals are taken to go together, where errors are estimated."""
 
 _HARMONIC_RIDGE = 1e-7
 """Of an environment's coefficients beyond the constant: directions that no surface faces stay even."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lumisplat.constants import LUMINANCE, SH_C0
-from lumisplat.constants.light_fit import SKY_ERRORS_MIN, SKY_SHARE_MIN
+from lumisplat.constants import LUMINANCE, SH_C0, SKY_ERRORS_MIN, SKY_SHARE_MIN
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import encode_srgb
 from lumisplat.relighting.fitting.identifiability import Certainty, light_name

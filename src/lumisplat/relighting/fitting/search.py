@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lumisplat.constants.light_fit import COLOR_STEP, DAMPING_MAX, DAMPING_START, MOVE_MAX, MOVED_LEAST, SEARCH_STEPS
+from lumisplat.constants import DAMPING_MAX, DAMPING_START
 from lumisplat.math.arrays import Doubles, Rows
 from lumisplat.math.nonnegative import bounded_least_squares, nonnegative_least_squares
 from lumisplat.relighting.fitting.light_layers import unit
@@ -18,6 +18,18 @@ from lumisplat.relighting.fitting.parameters import BaseColor, LightParameter, c
 from lumisplat.relighting.fitting.power_fit import Candidate, PowerFitter
 from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
+
+COLOR_STEP = 0.04
+"""The same of base colours."""
+
+MOVE_MAX = 0.15
+"""Of the room's size: the longest way of a lamp in one step."""
+
+MOVED_LEAST = 2e-4
+"""Of the room's size: steps shorter than this end the search."""
+
+SEARCH_STEPS = 25
+"""Gauss-Newton steps at each resolution, at most."""
 
 _ANGLE_MAX, _STOPS_MAX = 0.3, 0.7
 """Largest steps of angles, radians, and of the logarithm of an exposure's factor."""

@@ -5,13 +5,18 @@ The equations are in docs/method/samples.md#adaptive-sampling.
 
 import warp as wp
 
-from lumisplat.constants import NOISE_RADIUS_PX, NOISE_SAMPLES_MIN, SAMPLE_RATES, SUBPIXEL_STEPS
+from lumisplat.constants import NOISE_SAMPLES_MIN, SAMPLE_RATES, SUBPIXEL_STEPS
 from lumisplat.device.camera.pixels import pixel_of_ray
 from lumisplat.device.film.samples import relative_variance
 from lumisplat.device.structs.camera import FilmData, ListedRays
 
 # Products and sums are rounded one by one, as the host's are: samples lie where they do in frames of equal samples.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+NOISE_RADIUS_PX = 3
+"""Adaptive sampling knows a pixel by those up to so many rows and columns away."""
 
 FIRST = wp.constant(NOISE_SAMPLES_MIN)
 RATES = wp.constant(SAMPLE_RATES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from lumisplat.constants import NOISE_PIXELS, NOISE_SAMPLES_MIN, SAMPLE_RATE_MIN, SAMPLE_RATES
+from lumisplat.constants import NOISE_PIXELS, NOISE_SAMPLES_MIN, SAMPLE_RATES
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import adaptive_kernels as kernels
@@ -14,6 +14,11 @@ from lumisplat.renderer.trace.camera_rays import ray_count
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+SAMPLE_RATE_MIN = 2
+"""Fewest of these: an eighth of all samples reaches pixels that seemed quiet, where light that was missed may be."""
 
 
 class AdaptiveRays:

@@ -7,13 +7,26 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import CATCHER_BLUR, CATCHER_BLUR_STEPS, CATCHER_DEPTHS, CATCHER_STEPS
 from lumisplat.device.camera.camera import ORTHOGRAPHIC
 from lumisplat.device.film.samples import captured_ratio, develop
 from lumisplat.device.structs.camera import CameraData, FilmData
 from lumisplat.device.structs.shading import ShadingScene
 
 wp.set_module_options({"enable_backward": False})
+
+CATCHER_STEPS = 144
+"""The noise of depths is measured between pixels so many of which are the longer side of a picture: as far apart as
+Gaussians of short trainings are large. Between neighbours their depths are smooth."""
+
+CATCHER_BLUR = 2.0
+"""Standard deviation by which the ratio of a catcher is smoothed, over that of its height; a pixel's is taken off. With
+2, the shadow on a wall of 12,000 Gaussians has one edge; floors with a surface stay as they are to the bit."""
+
+CATCHER_BLUR_STEPS = 2
+"""Its most, in those distances."""
+
+CATCHER_DEPTHS = 16.0
+"""Standard deviation of depths that are one layer for it, over that of the height."""
 
 STEPS = wp.constant(CATCHER_STEPS)
 BLUR = wp.constant(wp.float32(CATCHER_BLUR))

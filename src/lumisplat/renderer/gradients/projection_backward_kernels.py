@@ -5,8 +5,7 @@ The equations are in docs/method/gradients.md.
 
 import warp as wp
 
-from lumisplat.constants import FUSED_FLAGS
-from lumisplat.constants.training import POSE_CHUNK, SH_COEFFICIENTS_MAX
+from lumisplat.constants import FUSED_FLAGS, POSE_CHUNK, SH_COEFFICIENTS_MAX
 from lumisplat.device.camera.pixels import is_listed
 from lumisplat.device.splat.projection import ShFloats, color_dot, open_channels, sh_weights, splat_origin
 from lumisplat.device.structs.camera import CameraData

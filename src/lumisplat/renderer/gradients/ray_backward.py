@@ -10,7 +10,6 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import RAY_BANDS_PER_THREAD
-from lumisplat.constants.training import BACKWARD_HITS
 from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient, RayMotion
@@ -25,6 +24,9 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum, sort_pairs
+
+BACKWARD_HITS = 2**22
+"""Hits of rays whose derivatives are on the device at once: 44 bytes each, some 180 MiB, unless a packet has more."""
 
 Noun = TypeVar("Noun")
 

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.constants import TILE_BANDS_PER_THREAD
-from lumisplat.constants.training import POSE_CHUNK
+from lumisplat.constants import POSE_CHUNK, TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, PoseGradient, SplatGradient
 from lumisplat.renderer.gradients import (

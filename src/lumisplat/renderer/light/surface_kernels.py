@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from lumisplat.constants import BOUNCE_WEIGHT_MIN, LIT_WEIGHT_MIN
 from lumisplat.device.light.emitters import environment_radiance
 from lumisplat.device.light.glossy_lobe import lobe_slot
 from lumisplat.device.light.interaction import (
@@ -36,6 +35,13 @@ from lumisplat.device.structs.shading import (
     SplatSurface,
     WaveData,
 )
+
+BOUNCE_WEIGHT_MIN = 1.0 / 512.0
+"""Share of a pixel below which a reflected or refracted ray is not traced: half a step of an 8-bit image."""
+
+LIT_WEIGHT_MIN = 1.0 / 512.0
+"""Transmittance of the Gaussians before a mesh below which the mesh is not lit: half a step of an 8-bit image. Opaque
+captures transmit up to 1 %."""
 
 wp.set_module_options(SHADE_OPTIONS)
 

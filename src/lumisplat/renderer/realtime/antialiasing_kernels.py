@@ -2,14 +2,7 @@
 
 import warp as wp
 
-from lumisplat.constants.realtime import (
-    ANTIALIASING_FRAMES,
-    ANTIALIASING_LEAST,
-    ANTIALIASING_MOVING,
-    ANTIALIASING_SIGMAS,
-    FAR_AWAY,
-    STILL_PX,
-)
+from lumisplat.constants import STILL_PX
 from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.film.samples import first_surface, is_finite
 from lumisplat.device.gi.surfaces import (
@@ -29,6 +22,21 @@ from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
+
+ANTIALIASING_FRAMES = 32.0
+"""Frames that a pixel is the mean of at most, each with a sample elsewhere in it."""
+
+ANTIALIASING_MOVING = 3.0
+"""The same where its history lies between pixels: each interpolation blurs it."""
+
+ANTIALIASING_SIGMAS = 3.0
+"""Standard deviations by which the samples of a pixel that stands still may differ from their mean."""
+
+ANTIALIASING_LEAST = 0.05
+"""Share of the light around a pixel by which its history may be outside what its neighbours show."""
+
+FAR_AWAY = 1e6
+"""Distance at which the background is for its motion, scene units."""
 
 FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
 MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))

@@ -5,8 +5,7 @@ The method is in docs/method/realtime.md#captured-emitters.
 
 import warp as wp
 
-from lumisplat.constants import LIGHT_POWER_MAX
-from lumisplat.constants.realtime import EMITTER_OPAQUE
+from lumisplat.constants import EMITTER_OPAQUE, LIGHT_POWER_MAX
 from lumisplat.device.gi.captured_emitters import EmitterBox, chosen_box, direction_density, point_in, total_weight
 from lumisplat.device.gi.secondary_rays import lobe_share
 from lumisplat.device.gi.surfaces import PixelLight, highlight_width

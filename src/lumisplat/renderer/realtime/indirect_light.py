@@ -11,7 +11,6 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import PACKET_RAYS, SHADE_BANDS_PER_THREAD
-from lumisplat.constants.realtime import SPECULAR_WAVES
 from lumisplat.device.gi.radiance_cache import CacheSamples
 from lumisplat.device.gi.secondary_rays import BouncedRays, LobeRays, OnwardRays
 from lumisplat.device.gi.surfaces import SurfaceLight, SurfacePixels
@@ -32,6 +31,9 @@ from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
+
+SPECULAR_WAVES = 8
+"""Smooth surfaces after one another that reflect such a ray or let it pass: two panes are four."""
 
 
 class IndirectLight:

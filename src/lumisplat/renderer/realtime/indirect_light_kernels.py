@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from lumisplat.constants.realtime import RAY_LIFT
 from lumisplat.device.gaussian.layers import above_layer
 from lumisplat.device.gi.probe_placement import ProbeData, ProbeGrid, ProbeLight
 from lumisplat.device.gi.radiance_cache import CachePoints, CacheSamples
@@ -18,6 +17,10 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False})
+
+RAY_LIFT = 1e-4
+"""Share of the largest coordinate by which rays start above a mesh whose triangle is not known any more: rounding must
+not put them below."""
 
 LIFT = wp.constant(wp.float32(RAY_LIFT))
 GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))

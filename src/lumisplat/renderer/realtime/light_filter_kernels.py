@@ -6,15 +6,6 @@ weights that are 0 from some distance on (docs/method/realtime.md#filters).
 
 import warp as wp
 
-from lumisplat.constants.realtime import (
-    CHANGE_LEAST,
-    CHANGE_SIGMAS,
-    LUMINANCE_SIGMAS,
-    MOMENT_FRAMES,
-    SAME_PIXEL_PX,
-    WEIGHT_LEAST,
-    YOUNG_FRAMES,
-)
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
     LightChange,
@@ -33,6 +24,32 @@ from lumisplat.device.math.color import luminance
 from lumisplat.device.structs.camera import CameraData
 
 wp.set_module_options({"enable_backward": False})
+
+# Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
+
+SAME_PIXEL_PX = 2.0
+"""The same of a point and where it was a frame before: contact shadows are not taken from what stood on a surface."""
+
+CHANGE_SIGMAS = 3.0
+"""Standard deviations by which samples around a pixel differ from their histories where light has changed: by chance
+they do in one of some hundred pixels and frames."""
+
+CHANGE_LEAST = 0.02
+"""Share of the light below which no difference counts as a change."""
+
+MOMENT_FRAMES = 8
+"""Frames over which the moments of luminance are averaged at least, from which its variance follows."""
+
+LUMINANCE_SIGMAS = 4.0
+"""Neighbours count less the more standard deviations of noise lie between them and the pixel. SVGF's."""
+
+YOUNG_FRAMES = 3.5
+"""With fewer frames of history than this, the variance is that of the neighbourhood. SVGF's 4: means of equal histories
+are whole numbers but for rounding."""
+
+WEIGHT_LEAST = 1e-8
+"""Least weight by position and normal with which a neighbour counts: those at an angle give a pixel without samples
+nothing."""
 
 PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
 CHANGED_SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))

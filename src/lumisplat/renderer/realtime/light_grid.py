@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.constants.realtime import GRID_CELLS_MAX, GRID_LIGHTS
+from lumisplat.constants import GRID_CELLS_MAX, GRID_LIGHTS, SHADE_BANDS_PER_THREAD
 from lumisplat.device.gi.light_grid import LightGrid
 from lumisplat.renderer.realtime import light_grid_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene

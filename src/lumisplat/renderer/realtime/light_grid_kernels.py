@@ -5,7 +5,7 @@ Write-once, and a function of the cell alone: the same for any schedule.
 
 import warp as wp
 
-from lumisplat.constants.realtime import GRID_CELLS_MAX
+from lumisplat.constants import GRID_CELLS_MAX
 from lumisplat.device.gi.light_grid import (
     CELL_BRANCH,
     NO_CELL,

@@ -7,7 +7,7 @@ import itertools
 import warp as wp
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants.realtime import GRID_LIGHTS
+from lumisplat.constants import GRID_LIGHTS
 from lumisplat.device.gi.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.light.direct_light import DirectLight

@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from lumisplat.constants.realtime import ALBEDO_MIN
 from lumisplat.device.camera.pixels import pixel_number, pixel_of_ray
 from lumisplat.device.gi.light_grid import LightGrid, lit_surface, sample_light_of
 from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight, SurfacePixels, has_turn
@@ -12,6 +11,11 @@ from lumisplat.device.math.color import is_black
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+# Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
+
+ALBEDO_MIN = 1e-3
+"""Least diffuse albedo that reflected light is divided by to find irradiance: below it, a surface shows none."""
 
 wp.set_module_options(SHADE_OPTIONS)
 

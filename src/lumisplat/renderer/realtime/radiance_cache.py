@@ -15,7 +15,6 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import RadianceCacheConfig
-from lumisplat.constants.realtime import BOUNCES_PER_RAY
 from lumisplat.device.gi.radiance_cache import (
     COUNT_DROPPED,
     COUNT_EVICTED,
@@ -35,6 +34,10 @@ from lumisplat.renderer.realtime import radiance_cache_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, bytes_of, device_array
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
+
+BOUNCES_PER_RAY = 4
+"""Times a frame that each cell takes in what its rays see: what they have met has taken in more light each time. A
+look-up costs much less than a ray."""
 
 _log = logging.getLogger("lumisplat")
 

@@ -6,7 +6,6 @@ keys into which new ones are merged, and out of which old ones are removed (docs
 
 import warp as wp
 
-from lumisplat.constants.realtime import CELL_RAYS_MAX
 from lumisplat.device.gi.radiance_cache import (
     AGE_LAST,
     COUNT_DROPPED,
@@ -42,6 +41,9 @@ from lumisplat.device.math.random import mix
 from lumisplat.device.math.sorting import first_not_below
 
 wp.set_module_options({"enable_backward": False})
+
+CELL_RAYS_MAX = 16
+"""Rays that a cell of long rays sends in a frame at most, where few cells share those of a frame."""
 
 RAYS_MAX = wp.constant(CELL_RAYS_MAX)
 

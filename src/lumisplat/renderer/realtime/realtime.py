@@ -9,7 +9,6 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.render import PATH_PARTS, REALTIME_AOVS
-from lumisplat.constants.realtime import INDIRECT_SHARED
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime.antialiasing import Antialiasing
@@ -27,6 +26,11 @@ from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
+
+# Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
+
+INDIRECT_SHARED = 4
+"""Pixels that share a sample of indirect light, of which its noise is the same: 2 x 2 share a ray of a highlight."""
 
 _log = logging.getLogger("lumisplat")
 

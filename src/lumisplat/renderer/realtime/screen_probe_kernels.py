@@ -5,7 +5,7 @@ The method is in docs/method/realtime.md#screen-probes. Every kernel writes each
 
 import warp as wp
 
-from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS, PROBE_STAYS_PX
+from lumisplat.constants import MEANS_CHUNK, PROBE_NORMALS
 from lumisplat.device.camera.camera import seen_at
 from lumisplat.device.gi.probe_placement import (
     LOOKED_AT,
@@ -35,6 +35,9 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False})
+
+PROBE_STAYS_PX = 2.0
+"""A probe stays where it was if a pixel of its tile shows its surface within so many pixels."""
 
 STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 

@@ -8,8 +8,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import ProbeConfig
-from lumisplat.constants import SHADOW_OFFSET
-from lumisplat.constants.realtime import MEANS_CHUNK, PROBE_NORMALS
+from lumisplat.constants import MEANS_CHUNK, PROBE_NORMALS, SHADOW_OFFSET
 from lumisplat.device.gi.probe_placement import ProbeCells, ProbeData, ProbeGrid, ProbeLight, TileNeeds
 from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.device.structs.camera import CameraData

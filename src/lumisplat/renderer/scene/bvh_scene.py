@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, NODE_WIDTH, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
+from lumisplat.constants import BOX_MARGIN, NODE_WIDTH, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, HIT_PEAK, NO_CHILD, AssetBvh, Node, SceneBvh
 from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.errors import DeviceError
@@ -22,6 +22,11 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+COHERENT_RADIUS = 0.03
+"""Nor are they if their origins differ from that one's by more than this share of the scene's largest capture."""
 
 
 class SplatSets(Enum):

@@ -5,15 +5,26 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.config import Pipeline, Projection
-from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
-from lumisplat.constants.parts import PICTURE_PIXELS_MAX
-from lumisplat.constants.unscented import FIELD_MARGIN, FIELD_MAX
+from lumisplat.constants import JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
 from lumisplat.device.camera.camera import FISHEYE, ORTHOGRAPHIC, PINHOLE
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.errors import SceneError
 from lumisplat.math.distortion import distortion_reach, undistort
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
+
+IMAGE_PIXELS_MAX = 200_000_000
+"""Pixels of a frame: its buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
+
+PICTURE_PIXELS_MAX = 2**31 - 1
+"""Pixels of a picture that frames show windows of: signed 32-bit numbers count them."""
+
+FIELD_MARGIN = 0.1
+"""Radians beyond the last ray of a pinhole's image up to which points are projected as they are. From there on they
+move outwards with their angle, where tangents would leave all bounds."""
+
+FIELD_MAX = 1.56
+"""Largest angle of that kind, radians."""
 
 CENTER = (0.5, 0.5)
 """The centre of a pixel."""

@@ -9,14 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import LUMINANCE, SH_C0
-from lumisplat.constants.realtime import (
-    EMITTER_BOXES,
-    EMITTER_FLAT,
-    EMITTER_GAUSSIANS,
-    EMITTER_LEAST_SHARE,
-    EMITTER_REACH,
-    EMITTER_RECEIVERS,
-)
 from lumisplat.device.gi.captured_emitters import EmitterBox
 from lumisplat.device.structs.scene import SplatInstanceData
 from lumisplat.math.arrays import Doubles
@@ -28,6 +20,24 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene, SplatInstance
+
+EMITTER_BOXES = 16
+"""Boxes around parts of a capture that is sampled as a light."""
+
+EMITTER_REACH = 3.0
+"""Standard deviations of Gaussians that are within the boxes."""
+
+EMITTER_FLAT = 1e-3
+"""Least edge of a box as a share of its longest: volumes of flat boxes are more than rounding errors."""
+
+EMITTER_LEAST_SHARE = 0.05
+"""Of the power, for a box around the whole capture; and of the mean luminance, for Gaussians that are dark."""
+
+EMITTER_GAUSSIANS = 16_384
+"""Gaussians of a capture by which boxes are found, at most."""
+
+EMITTER_RECEIVERS = 1024
+"""Triangles or Gaussians of an instance that stand for all it has, when captures are told from surroundings."""
 
 Found = TypeVar("Found")
 

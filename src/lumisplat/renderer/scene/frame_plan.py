@@ -18,17 +18,6 @@ from lumisplat.config import (
 )
 from lumisplat.config.pipelines import Integrator
 from lumisplat.config.render import PATH_PARTS
-from lumisplat.constants import (
-    AMBIENT_RAYS_OF_FRAMES,
-    CAPTURED_LIGHT_DRAWS,
-    METAL_MIN,
-    PATH_BOUNCES,
-    SAMPLES_OF_PATHS,
-    SAMPLES_OF_RANDOM_LIGHT,
-    SAMPLES_OF_SKY_ON_SPLATS,
-    SAMPLES_OPEN,
-    SPECULAR_BOUNCES,
-)
 from lumisplat.renderer.scene.materials import (
     absorbs,
     catcher_ambient,
@@ -42,6 +31,42 @@ from lumisplat.scene.checks import with_checked
 from lumisplat.scene.lights import AreaLight, Light, LightDirectional, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+SAMPLES_OPEN = 1_000_000
+"""Most samples of a frame that ends by its time or its noise: no scene needs as many."""
+
+SAMPLES_OF_RANDOM_LIGHT = 16
+"""Samples of a pixel where light comes from random directions, or alpha is drawn, unless they are given: what noise is
+left is fine grain."""
+
+SAMPLES_OF_SKY_ON_SPLATS = 8
+"""The same where an environment shines on splat sets alone: captures are rough, and 8 samples of them are as near to
+many (41 dB on the biker) as 16 of meshes (42 dB on a duck), but cost more, as each ray crosses Gaussians."""
+
+METAL_MIN = 0.5
+"""Factor ``metallic`` from which on a rough material counts as a metal, which is black without what is around it."""
+
+AMBIENT_RAYS_OF_FRAMES = 2
+"""Shadow rays a frame in real time from each pixel that shows a shadow catcher: frames are averaged."""
+
+# Paths of light that bounces (docs/method/paths.md)
+
+SPECULAR_BOUNCES = 3
+"""Reflections and refractions that a ray follows, unless told."""
+
+PATH_BOUNCES = 8
+"""Bounces of a path, unless told."""
+
+SAMPLES_OF_PATHS = 64
+"""Paths a pixel, unless told."""
+
+# Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
+
+CAPTURED_LIGHT_DRAWS = 32
+"""Directions in which each pixel of a mesh looks for the light of a capture, over all samples of a frame: without
+shadow rays they cost little, and a frame needs one sample only. docs/adr/0093-meshes-put-into-captures.md."""
 
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
 """Further images that unlit frames have, too."""

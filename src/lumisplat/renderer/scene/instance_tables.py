@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from lumisplat.config import Antialiasing, HitDistance, RenderConfig
-from lumisplat.constants import KERNEL_LINEAR_SLOPE
 from lumisplat.device.structs.bvh import HIT_HULL, HIT_MEAN, HIT_PEAK
 from lumisplat.device.structs.scene import (
     ALPHA_BLEND,
@@ -26,6 +25,11 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import AlphaMode, MaterialPbr, wraps_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+KERNEL_LINEAR_SLOPE = 0.329630334487
+"""Degree 0 is max(1 - slope * d, 0), which is exp(-4.5) at d = 3. NVIDIA's figure."""
 
 _ALPHA_MODES = {AlphaMode.OPAQUE: ALPHA_OPAQUE, AlphaMode.MASK: ALPHA_MASK, AlphaMode.BLEND: ALPHA_BLEND}
 _HIT_DISTANCES = {HitDistance.MEAN: HIT_MEAN, HitDistance.PEAK: HIT_PEAK, HitDistance.HULL: HIT_HULL}

@@ -9,17 +9,28 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.realtime import (
-    CHANGED_FRAMES,
-    CHANGED_SHARE,
-    CHANGED_STRENGTH,
-    MOVED_FRAMES,
-    MOVED_SHARE,
-    OUTDATED_SHARE,
-)
 from lumisplat.scene.lights import Light
 from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import Scene
+
+OUTDATED_SHARE = 1e-4
+"""Share of its weight that a mean keeps when a light comes or goes: what is found next takes its place, and is until
+then better than nothing. Many old cells of a tile together weigh less than one new sample."""
+
+CHANGED_SHARE = 0.7
+"""The same when lights move or change a little, in each of the frames that follow: means are over some three frames."""
+
+CHANGED_FRAMES = 8
+"""Frames for which means fade after a change."""
+
+MOVED_SHARE = 0.8
+"""Share of its weight that a mean keeps in a frame when things move that light falls on."""
+
+MOVED_FRAMES = 16
+"""Frames for which means fade after such a move."""
+
+CHANGED_STRENGTH = 2.0
+"""A light that is suddenly more than so many times as strong as before counts as another."""
 
 SMALL = 16
 """Numbers that an array has at most whose values are compared."""

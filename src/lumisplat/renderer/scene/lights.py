@@ -8,13 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.constants import (
-    ENVIRONMENT_SHARE_MIN,
-    ENVIRONMENT_SHARE_STEPS,
-    LIGHT_POWER_MAX,
-    LUMINANCE,
-    TRANSFORM_MAX,
-)
+from lumisplat.constants import ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX, LUMINANCE, TRANSFORM_MAX
 from lumisplat.device.light.light import (
     LIGHT_DIRECTIONAL,
     LIGHT_DISK,
@@ -45,6 +39,9 @@ from lumisplat.scene.lights import (
     RoundLight,
 )
 from lumisplat.scene.scene import Scene
+
+ENVIRONMENT_SHARE_MIN = 4
+"""Least share of a texel or row that is not black, in those steps: each can be sampled."""
 
 WHITE = np.ones((1, 1, 3), dtype=np.float32)
 """The image of an environment of one colour."""

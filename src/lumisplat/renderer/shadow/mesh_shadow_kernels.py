@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from lumisplat.constants import EDGE_WEIGHT_MAX
 from lumisplat.device.bvh.nodes import (
     LinkStackStorage,
     enter_boxes,
@@ -29,6 +28,9 @@ from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
 # As for all that intersects triangles: fused products would let rays through shared edges.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 4})
+
+EDGE_WEIGHT_MAX = 1e-5
+"""Barycentric weight above which a ray through glass is certainly not on a triangle's edge: above all rounding."""
 
 EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 

@@ -8,14 +8,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import HitDistance, RenderConfig, ShadowMethod
-from lumisplat.constants import (
-    PACKET_RAYS,
-    RAY_BANDS_PER_THREAD,
-    SHRINK_INSTANCES_MAX,
-    SHRINK_RAYS_PER_GAUSSIAN,
-    TILE_BANDS_PER_THREAD,
-    TRAVERSE_STACK_SMALL,
-)
+from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import (
     DRAWS_NONE,
     DRAWS_PER_RAY,
@@ -34,6 +27,13 @@ from lumisplat.renderer.trees.ray_order import RAY_ORDER_MODULES, ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
+
+SHRINK_RAYS_PER_GAUSSIAN = 2.0
+"""Shadow rays of a stochastic sample, active or not, per Gaussian, from which on its hierarchies are shrunk. That costs
+what one ray per Gaussian saves in a capture that is all surface, and pays off far earlier if rays cross much of it."""
+
+SHRINK_INSTANCES_MAX = 8
+"""Largest number of instances of an asset whose hierarchy is shrunk: it has to be valid for all of them."""
 
 
 class ShadowRays:

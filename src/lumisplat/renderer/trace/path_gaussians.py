@@ -8,7 +8,7 @@ from typing import NamedTuple
 import warp as wp
 
 from lumisplat.config import PathPrimary, RenderConfig, TraceStrategy
-from lumisplat.constants.realtime import EMITTER_OPAQUE
+from lumisplat.constants import EMITTER_OPAQUE
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene

@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.constants import TREE_SURFACE_LEVELS
 from lumisplat.device.structs.bvh import Box, ChildLinks, Node
 from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.trees import box_tree_kernels as kernels
@@ -28,6 +27,11 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.editing.morton import morton_codes
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+TREE_SURFACE_LEVELS = 10
+"""Levels of a hierarchy that are split by surface area; below, in the middle, which bounds the depth of any input."""
 
 SPLIT_BANDS = 64  # nodes of a level differ in cost
 _BUILDS = itertools.count()

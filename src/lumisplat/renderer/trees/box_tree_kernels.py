@@ -6,10 +6,15 @@ child. ``link_nodes``, ``refit_nodes``: one item is one node of a level. ``place
 
 import warp as wp
 
-from lumisplat.constants import NODE_WIDTH, SAH_BINS
+from lumisplat.constants import NODE_WIDTH
 from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Children, Node
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
+
+SAH_BINS = 16
+"""Bins per axis, at whose edges a build tries to split a node (Wald 2007)."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 BINS = wp.constant(SAH_BINS)

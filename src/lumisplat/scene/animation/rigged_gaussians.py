@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import RIG_HIDDEN_AREA, RIG_SHEAR_MIN
 from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.animation.rig import Rig
@@ -15,6 +14,14 @@ from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.mesh_sampling import SurfaceSamples, sample_surfaces
+
+RIG_HIDDEN_AREA = 1e-4
+"""Area of a posed triangle, relative to that at rest, below which its Gaussians vanish: scaled to a hundredth, or so
+flat that its normal is lost in float32."""
+
+RIG_SHEAR_MIN = 1e-5
+"""Cosine between a Gaussian's two deformed wide axes up to which they stay its axes: above float32's rounding, by
+which round discs would else turn."""
 
 _Floats = npt.NDArray[np.floating]
 

@@ -11,11 +11,13 @@ from typing import Annotated
 import numpy as np
 
 from lumisplat.config.checks import Range
-from lumisplat.constants import SEQUENCE_TIME_SLACK
 from lumisplat.errors import SceneError
 from lumisplat.scene.animation.keyframes import check_time
 from lumisplat.scene.checks import take_scene_fields
 from lumisplat.scene.gaussians import Gaussians
+
+SEQUENCE_TIME_SLACK = 1e-6
+"""Frames by which a time may precede the frame that it denotes: k / fps * fps is below k for some k."""
 
 SEQUENCE_FRAMES_KEPT = 2
 """Frames that a sequence keeps in memory: the one shown, and the one before it. A frame may have a gigabyte."""

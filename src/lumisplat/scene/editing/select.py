@@ -8,11 +8,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from lumisplat.constants import FLOATER_NEIGHBOURS, FLOATER_REACH, SH_C0
+from lumisplat.constants import SH_C0
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, finite_numbers
 from lumisplat.scene.checks import check_argument, check_positive, check_whole
 from lumisplat.scene.gaussians import Gaussians
+
+FLOATER_NEIGHBOURS = 4
+"""Others that a Gaussian must have around it."""
+
+FLOATER_REACH = 3.0
+"""How far around it, in its largest scale or the capture's median one: where a Gaussian ends."""
 
 Range = tuple[float | None, float | None]
 """Smallest and largest value that is kept; None: no limit."""

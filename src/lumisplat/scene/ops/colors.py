@@ -11,13 +11,19 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import RECOLOR_DARK, SH_C0, SH_DEGREE_MAX
+from lumisplat.constants import SH_C0, SH_DEGREE_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, float_array, read_only_view, refuse_rows
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import SplatInstance
+
+# Spherical harmonics (Condon-Shortley signs as in INRIA's code)
+
+RECOLOR_DARK = 1e-4
+"""Display-referred colour below which the gain of `scale_light` is taken: far inside the straight part of the sRGB
+curve (0.04), where the gain is the factor, and far above float32's rounding of 0.5 (6e-8)."""
 
 _DIRECTIONS_PER_COEFFICIENT = 8
 """Directions in which colours are compared, for each coefficient: the root mean square stays as with twice as many."""

@@ -18,20 +18,7 @@ from scipy import ndimage
 
 from lumisplat.config import NormalEstimate
 from lumisplat.config.checks import enum_member, is_number
-from lumisplat.constants import (
-    CREASE_ANGLE,
-    NORMAL_NEIGHBOURS,
-    NORMAL_NEIGHBOURS_MIN,
-    NORMAL_NEIGHBOURS_PER_CELL,
-    OUTSIDE_CELLS,
-    OUTSIDE_CONNECTED,
-    OUTSIDE_CONTRAST,
-    OUTSIDE_OPACITY_MIN,
-    OUTSIDE_REACH,
-    OUTSIDE_STEPS_MAX,
-    STRAY_SHARE,
-    WELD_SHARE,
-)
+from lumisplat.constants import CREASE_ANGLE, STRAY_SHARE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.transforms import matrices_from_quaternions
@@ -40,6 +27,40 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs, pairs_of_about
 from lumisplat.scene.triangles import area_vectors
+
+# Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
+
+NORMAL_NEIGHBOURS = 24
+"""Median number of neighbours through which the plane of a Gaussian's normal is fitted: over two rings on a surface."""
+
+NORMAL_NEIGHBOURS_PER_CELL = 16
+"""Neighbours that count in a cube of the search radius, twice as many as a surface has there: dense clusters would
+otherwise pair all with all."""
+
+NORMAL_NEIGHBOURS_MIN = 4
+"""Least number of neighbours that determine a plane."""
+
+OUTSIDE_CELLS = 1_500_000
+"""Largest number of voxels that find a set's outside: about a centimetre for a person; half a second."""
+
+OUTSIDE_OPACITY_MIN = 0.1
+"""Gaussians fainter than this are no wall: haze around an object must not enclose it."""
+
+OUTSIDE_REACH = 1.5
+"""Scales of a Gaussian up to which its disc is solid: neighbours on a surface meet there."""
+
+OUTSIDE_STEPS_MAX = 12
+"""Largest number of cells from a disc's centre to its rim: a few huge Gaussians may leak, but not take all the time."""
+
+OUTSIDE_CONNECTED = 0.25
+"""Weight of a cell's connection to the outside, around corners; the rest is that of its open directions."""
+
+OUTSIDE_CONTRAST = 0.1
+"""One side is outside if its share exceeds the other's by this: two or three of 26 directions."""
+
+WELD_SHARE = 1e-6
+"""Distance, relative to the diagonal of a mesh, below which its vertices are one where it is smoothed: text files round
+to six digits."""
 
 _BORDER = 2
 """Free cells around the set: they are outside, and keep the blur off the grid's edge."""

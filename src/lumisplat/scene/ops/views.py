@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number, is_whole
-from lumisplat.constants import ANIMATION_FRAMES_MAX, FRAMING_FARTHEST
-from lumisplat.constants.parts import WINDOW_STEP
+from lumisplat.constants import ANIMATION_FRAMES_MAX, WINDOW_STEP
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, finite_numbers
 from lumisplat.math.transforms import axis_rotation
@@ -19,6 +18,9 @@ from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.checks import check_argument, check_positive, check_whole
 from lumisplat.scene.scene import Scene, SplatInstance
 from lumisplat.scene.up import Vector, front_vector, up_vector
+
+FRAMING_FARTHEST = 1e17
+"""How far a scene may reach from the origin, in its units: a camera may stand at up to 1e18."""
 
 _FRAMING_FOV_Y = 0.8
 """Vertical field of view, radians: a normal lens."""

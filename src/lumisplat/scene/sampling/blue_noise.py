@@ -9,8 +9,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from lumisplat.constants import SAMPLING_RADIUS_STEP, SAMPLING_RADIUS_STEPS_MAX
 from lumisplat.math.arrays import FloatArray
+
+# Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has
+
+SAMPLING_RADIUS_STEP = 0.97
+"""Factor by which the radius shrinks while too few points are kept."""
+
+SAMPLING_RADIUS_STEPS_MAX = 100
+"""Steps at most, to a twentieth of the radius: closer points coincide, and make up for those missing."""
 
 _Indices = npt.NDArray[np.integer]
 

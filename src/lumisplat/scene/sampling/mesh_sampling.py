@@ -13,24 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import (
-    SAMPLING_AXIS_COSINE,
-    SAMPLING_CANDIDATES_PER_GAUSSIAN,
-    SAMPLING_COUNT_MAX,
-    SAMPLING_COVERED_ALPHA,
-    SAMPLING_CREASE_POINTS_PER_GAUSSIAN,
-    SAMPLING_EDGE_BAND,
-    SAMPLING_EDGE_ROW,
-    SAMPLING_FACING_COSINE,
-    SAMPLING_FIRST_SCALE,
-    SAMPLING_GROWTH,
-    SAMPLING_GROWTH_REACH,
-    SAMPLING_GROWTH_STEPS,
-    SAMPLING_OPACITY,
-    SAMPLING_SEARCH_SPACINGS,
-    SAMPLING_THICKNESS,
-    SH_C0,
-)
+from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.transforms import (
     is_mirroring,
@@ -55,6 +38,54 @@ from lumisplat.scene.sampling.surface_points import (
     surface_area,
 )
 from lumisplat.scene.scene import MeshInstance, Scene
+
+# Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has
+
+SAMPLING_COUNT_MAX = 50_000_000
+"""Candidates and pairs take about 1 KB a Gaussian: this is 50 GB and a quarter of an hour."""
+
+SAMPLING_CANDIDATES_PER_GAUSSIAN = 4.0
+"""Points to choose from: Poisson-disk elimination needs several times as many as it keeps."""
+
+SAMPLING_SEARCH_SPACINGS = 0.86
+"""First radius of the elimination, which shrinks until the count is kept; the densest packing of discs reaches 1.07."""
+
+SAMPLING_OPACITY = 0.995
+"""Above ALPHA_MAX, so that a disc's centre is as opaque as a Gaussian can be."""
+
+SAMPLING_THICKNESS = 0.05
+"""Scale along the normal, as a share of the smaller wide one: flat enough to tell layers (docs/adr/0088)."""
+
+SAMPLING_FIRST_SCALE = 0.7
+"""Wide scales before they grow; without holes to close they stay."""
+
+SAMPLING_GROWTH = 1.08
+"""Factor by which a disc grows in a step."""
+
+SAMPLING_GROWTH_STEPS = 8
+"""Steps at most: 1.08^8 = 1.85 times the first scale."""
+
+SAMPLING_GROWTH_REACH = 0.5
+"""A disc grows too where its exponent is within this of the nearest disc's: one alone would grow out of proportion."""
+
+SAMPLING_COVERED_ALPHA = 0.95
+"""A candidate point counts as covered from this alpha on."""
+
+SAMPLING_FACING_COSINE = -0.5
+"""Neighbours whose normals make a smaller cosine lie on the two sides of a thin wall."""
+
+SAMPLING_AXIS_COSINE = 0.97
+"""Where shading and geometric normal make a smaller cosine (14 degrees), discs lie in the face."""
+
+SAMPLING_EDGE_BAND = 0.2
+"""Nearer to a crease than this, a surface need not be covered: discs would have to reach over it."""
+
+SAMPLING_EDGE_ROW = 0.45
+"""Scale that a disc next to a crease may always have."""
+
+SAMPLING_CREASE_POINTS_PER_GAUSSIAN = 50
+"""Creases of compact objects need fewer than ten points a Gaussian; slivers, all edge and no area, would ask for any
+number."""
 
 _Floats = npt.NDArray[np.floating]
 _Indices = npt.NDArray[np.integer]

@@ -12,13 +12,24 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import CREASE_COSINE, SAMPLING_DEFAULT_COUNTS, SAMPLING_SPACINGS_PER_DIAGONAL
 from lumisplat.math.arrays import Doubles, IntArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.materials import wraps_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.textures import TextureWrap, WrapPair
 from lumisplat.scene.triangles import area_vectors
+
+# Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has
+
+SAMPLING_SPACINGS_PER_DIAGONAL = 300
+"""Without a count, neighbours are about this fraction of the bounding box's diagonal apart: detail against number, some
+70,000 to 100,000 Gaussians for a compact object."""
+
+SAMPLING_DEFAULT_COUNTS = (1_000, 1_000_000)
+"""Bounds of the default count."""
+
+CREASE_COSINE = 0.77
+"""Faces whose normals make a smaller cosine than this meet at a crease (about 40 degrees)."""
 
 _Floats = npt.NDArray[np.floating]
 _Ints = npt.NDArray[np.integer]

@@ -16,7 +16,6 @@ import numpy as np
 
 from lumisplat.config import MaterialsConfig, Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.constants.materials import EXPOSURE_PIXELS, EXPOSURE_RANGE, EXPOSURE_VIEWS, EXPOSURES_DIFFER
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.io import save
@@ -43,6 +42,19 @@ from lumisplat.training.materials.material_fit import MaterialFit, fitted_sky, l
 from lumisplat.training.run_folder import RunFolder
 from lumisplat.training.train import CHECKPOINT_EVERY_S
 from lumisplat.training.views import Picture, TrainingView
+
+EXPOSURE_VIEWS = 24
+"""Photographs whose exposures are compared, at most."""
+
+EXPOSURE_PIXELS = 64
+"""Of a photograph, at least, for it to tell."""
+
+EXPOSURE_RANGE = (0.08, 0.92)
+"""Display values between which neither black nor white has cut off what was there."""
+
+EXPOSURES_DIFFER = 0.25
+"""Standard deviation of exposures, stops, from which on it is said: photographs of one exposure have 0.1,
+rendered ones 0.01."""
 
 _log = logging.getLogger("lumisplat")
 

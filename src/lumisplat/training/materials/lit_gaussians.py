@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from lumisplat.constants.materials import LIFT_ALONG, LIFT_SHORTEST, SKY_CHUNK, SPREAD_SHARE
-from lumisplat.constants.training import SURFACE_ALPHA
+from lumisplat.constants import SKY_CHUNK, SPREAD_SHARE, SURFACE_ALPHA
 from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.progress import Progress
@@ -24,6 +23,12 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import Scene
 from lumisplat.training.materials import material_gradient_kernels, material_kernels
+
+LIFT_SHORTEST = 4.0
+"""How far above a Gaussian rays begin, in its least scales, at which its own response is 3e-4."""
+
+LIFT_ALONG = 1.0
+"""The same in its middle scales: neighbours lie as far above its plane."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

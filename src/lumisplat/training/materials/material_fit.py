@@ -13,25 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lumisplat.config import MaterialsConfig
-from lumisplat.constants.delight import RADIANCE_LEAST
-from lumisplat.constants.materials import (
-    ALBEDO_RATE,
-    ALBEDO_SMOOTHNESS,
-    CHROMA_WIDTH,
-    EDGE_WIDTH,
-    NEIGHBOURS,
-    PHOTO_SSIM,
-    ROUGHNESS_MIN,
-    ROUGHNESS_RATE,
-    ROUGHNESS_SMOOTHNESS,
-    SKY_FINE_RATE,
-    SKY_NEIGHBOURS,
-    SKY_PAIRS,
-    SKY_PRIOR,
-    SKY_RATE,
-    SKY_SEEN,
-    SKY_SMOOTHNESS,
-)
+from lumisplat.constants import RADIANCE_LEAST
 from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.directions import panorama_directions
@@ -45,6 +27,51 @@ from lumisplat.training.materials.colored_gaussians import ColoredGaussians
 from lumisplat.training.materials.lit_gaussians import IncidentRadiance, LitGaussians, Materials
 from lumisplat.training.photo_loss import Loss, PhotoLoss
 from lumisplat.training.views import TrainingView
+
+SKY_PAIRS = 60_000
+"""Pairs of Gaussians by whose albedos the sky is found."""
+
+SKY_RATE = 0.05
+"""How far the logarithm of a radiance moves in the first step; it falls to 0."""
+
+SKY_SMOOTHNESS = 1e-3
+"""Weight of squared differences between neighbouring directions, beside the mean over pairs."""
+
+SKY_NEIGHBOURS = 6
+
+SKY_PRIOR = 1e-4
+"""Weight of the squared distance from where it begins, likewise."""
+
+SKY_SEEN = 0.02
+"""Share of the sky that Gaussians see at the median, below which there is none to be found: a closed room."""
+
+CHROMA_WIDTH = 0.15
+"""Difference of chromaticity, natural logarithm, of Gaussians that may have one albedo."""
+
+EDGE_WIDTH = 0.3
+"""Difference of albedo, natural logarithm, from which on it is rather an edge of a texture (Cauchy)."""
+
+ROUGHNESS_MIN = 0.1
+"""Least roughness that is found."""
+
+NEIGHBOURS = 6
+"""Gaussians near each, whose materials are compared with its own."""
+
+ALBEDO_RATE = 0.01
+
+ROUGHNESS_RATE = 0.02
+
+SKY_FINE_RATE = 0.005
+"""How far logits and logarithms move in the first step; from half of the steps on, rates fall to a tenth."""
+
+ALBEDO_SMOOTHNESS = 0.05
+"""Weight of squared differences, between neighbours, of what photographs change of the logarithms of albedos."""
+
+ROUGHNESS_SMOOTHNESS = 0.05
+"""Weight of squared differences between neighbours."""
+
+PHOTO_SSIM = 0.2
+"""Share of SSIM in the loss of photographs, as in training."""
 
 _ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
 _LOGIT_MAX = 7.0

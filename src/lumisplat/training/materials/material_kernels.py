@@ -5,8 +5,7 @@ The equations are in docs/method/relightable.md.
 
 import warp as wp
 
-from lumisplat.constants import SH_C0
-from lumisplat.constants.materials import SKY_CHUNK
+from lumisplat.constants import SH_C0, SKY_CHUNK
 from lumisplat.device.camera.pixels import is_listed
 from lumisplat.device.material.microfacets import diffuse_factor, highlight_factor
 from lumisplat.device.math.color import encode_srgb
