@@ -126,7 +126,7 @@ PROGRAM = """
 import sys
 from pathlib import Path
 import lumisplat as ls
-from lumisplat.cli.farm.alone import make_alone
+from lumisplat.cli.farm.job import make_alone
 from support.frame_makers import FakeMaker
 
 nothing = lambda *_: None

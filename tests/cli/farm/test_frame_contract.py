@@ -14,9 +14,8 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.farm.alone import make_alone
 from lumisplat.cli.farm.failed_frames import FramesMissingError
-from lumisplat.cli.farm.job import FrameJob
+from lumisplat.cli.farm.job import FrameJob, make_alone
 from support.files.cli_files import Workplace
 from support.frame_makers import FakeMaker
 

@@ -11,8 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.farm.alone import make_alone
-from lumisplat.cli.farm.job import FrameJob, FrameList
+from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import block_views, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers

@@ -13,10 +13,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.farm.alone import make_alone
-from lumisplat.cli.farm.job import FrameJob, FrameList
-from lumisplat.cli.farm.samples import SharedSamples
-from lumisplat.cli.farm.tiles import Tiles
+from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
+from lumisplat.cli.farm.parts import Parts
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import BlockViews, block_views, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
@@ -124,25 +122,30 @@ class Render(ViewsCommand, FrameCommand):
             wanted=tuple(self._wanted(shots)),
             in_sequence=config.pipeline.is_sequence and self.camera_path is not None,
         )
+        parts = Parts.of(shots, frames.wanted, self.output, _STAMP)
         if tiles_text:
-            has_layers = bool(self._layers.names)
-            tiles = Tiles.of(shots, [*frames.wanted], tiles_text, self.output, _STAMP, has_layers=has_layers)
-            if splits_samples:
-                shared = SharedSamples.of_tiles(tiles, ls.farm.sample_blocks(source.renderer, pictures.scene))
-                return self._shared_job(pictures, frames, shared)
-            shots = list(tiles.shots)
-            frames = replace(frames, folder=tiles.folder, wanted=tiles.wanted, unit="tile")
-        elif splits_samples:
-            blocks = ls.farm.sample_blocks(source.renderer, pictures.scene)
-            shared = SharedSamples.of(shots, [*frames.wanted], blocks, self.output, _STAMP)
-            return self._shared_job(pictures, frames, shared)
+            parts = parts.cut(tiles_text, has_layers=bool(self._layers.names))
+        if splits_samples:
+            parts = parts.split(ls.farm.sample_blocks(source.renderer, pictures.scene))
+        if tiles_text or splits_samples:
+            unit = "part" if splits_samples else "tile"
+            frames = replace(frames, folder=parts.folder, wanted=parts.wanted, needs=parts.needs, unit=unit)
         elif folder != self.output:
             raise ls.ConfigError(f"-o {self.output} is one picture, and frames are many: give a folder")
+
+        def write(made: ls.Frame | ls.farm.SamplePart, index: int) -> None:
+            if isinstance(made, ls.farm.SamplePart):
+                made.save(parts.folder.path(index))
+            else:
+                self._write(pictures, made, parts.shot(index))
+
         return FrameJob(
             frames=frames,
-            render=lambda index, report: source.frame(pictures.scene, shots[index].camera, report),
-            write=lambda frame, index: self._write(pictures, frame, shots[index]),
-            summarise=(lambda frame, _: print_stats(frame, config.pipeline)) if self.stats else None,
+            render=lambda index, report: parts.make(source, pictures.scene, index, report),
+            write=write,
+            summarise=(lambda frame, _: print_stats(frame, config.pipeline))
+            if self.stats and not splits_samples
+            else None,
         )
 
     def _open(self, report: Report) -> _Pictures:
@@ -179,22 +182,6 @@ class Render(ViewsCommand, FrameCommand):
         }
         whole = next((name for name, is_given in given.items() if is_given), "")
         return block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole, upright=self.viewpoint.upright)
-
-    def _shared_job(self, pictures: _Pictures, frames: FrameList, shared: SharedSamples) -> FrameJob:
-        """Blocks of samples of all pictures or tiles, and these."""
-        source, scene = pictures.source, pictures.scene
-
-        def write(made: ls.Frame | ls.farm.SamplePart, index: int) -> None:
-            if isinstance(made, ls.farm.SamplePart):
-                made.save(shared.folder.path(index))
-            else:
-                self._write(pictures, made, shared.shot(index))
-
-        return FrameJob(
-            frames=replace(frames, folder=shared.folder, wanted=shared.wanted, needs=shared.needs, unit="part"),
-            render=lambda index, report: shared.make(source, scene, index, report),
-            write=write,
-        )
 
     def _check_tiles(self) -> None:
         """Refuses what is not made of parts of a picture.

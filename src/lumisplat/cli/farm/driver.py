@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import lumisplat as ls
-from lumisplat.cli.farm.alone import film_lines
 from lumisplat.cli.farm.cluster import LOCAL, connected, end_of_actor, usable_cores
-from lumisplat.cli.farm.job import FrameList, FrameMaker
+from lumisplat.cli.farm.job import FrameList, FrameMaker, film_lines
 from lumisplat.cli.farm.worker import Answer, Order, Worker
 from lumisplat.cli.input.numbers import seconds_of
 from lumisplat.cli.options.farm import FarmOptions

@@ -1,40 +1,55 @@
-"""Pictures in parts: each part is a file of its own until what it is part of is there."""
+"""Pictures in parts, which are files until the picture is there: tiles, blocks of samples, or blocks of each tile.
+
+Tiles are joined when all of a picture are there. Blocks of samples are merged by their sums into the picture or tile
+that they are of, which is a unit of work that comes after them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
-from typing import Protocol
 
+import lumisplat as ls
 from lumisplat.cli.output.console import Report
 from lumisplat.cli.output.frame_folder import FrameFolder
+from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.images import Shot
 
+AUTO = "auto"
+AUTO_PIXELS = 2**22
+"""Pixels of a tile of ``--tiles auto``, about: what a frame of 2048 x 2048 takes of memory."""
+_GRID = re.compile(r"(\d+)x(\d+)")
 
-class PartedPicture(Protocol):
-    """A picture of parts."""
 
-    @property
-    def path(self) -> Path:
-        """The picture."""
-        ...
+@dataclass(frozen=True)
+class PartedPicture:
+    """A picture, and the files of its tiles by the windows that they show; none: a unit of work writes it."""
+
+    path: Path
+    tiles: dict[tuple[int, int, int, int], Path] = field(default_factory=dict[tuple[int, int, int, int], Path])
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is there, or all that it is joined of."""
-        ...
+        """Whether it is there, or all of its tiles."""
+        return self.path.is_file() or (bool(self.tiles) and all(map(Path.is_file, self.tiles.values())))
 
     def join(self) -> None:
-        """Writes the picture, if it is not there.
+        """Joins its tiles, unless it is there.
 
         Raises:
-            FormatError: A part cannot be read, or the picture cannot be written.
+            FormatError: A tile cannot be read, or the picture cannot be written.
         """
-        ...
+        if not self.path.is_file():
+            try:
+                ls.io.join_windows(self.path, self.tiles)
+            except ls.FormatError:
+                if not self.path.is_file():  # else another run has joined it, and removed the tiles
+                    raise
 
 
 @dataclass(frozen=True)
@@ -51,16 +66,10 @@ class PartFolder(FrameFolder):
 
     def tidy(self, index: int) -> None:
         """As of `FrameFolder.tidy`."""
-        remove_parts(self._parts.get(self.path(index), []))
+        _remove_parts(self._parts.get(self.path(index), []))
 
     def join(self, report: Report) -> list[Path]:
-        """Writes the pictures whose parts are there, and removes the parts.
-
-        Args:
-            report: Shows the progress.
-
-        Returns:
-            The pictures that are there now.
+        """Writes the pictures whose parts are there, removes the parts, and returns the pictures that are there now.
 
         Raises:
             FormatError: As of `PartedPicture.join`.
@@ -69,7 +78,7 @@ class PartFolder(FrameFolder):
         for number, picture in enumerate(whole):
             report("joining parts", number / len(whole))
             picture.join()
-            remove_parts(self._parts.get(picture.path, []))
+            _remove_parts(self._parts.get(picture.path, []))
         report("joining parts", 1.0)
         return [picture.path for picture in whole]
 
@@ -86,30 +95,136 @@ class PartFolder(FrameFolder):
         return list(dict.fromkeys([*super()._frames(), *(one.path for one in self.pictures if one.path.is_file())]))
 
 
-def part_folder(shots: list[Shot], units: list[list[Path]], output: Path, stamp: str) -> tuple[Path, str, list[str]]:
-    """Where the parts of pictures lie.
+@dataclass(frozen=True)
+class Parts:
+    """The units of work of a command's pictures: pictures or tiles, each after the blocks of its samples."""
 
-    Args:
-        shots: The pictures.
-        units: The files that each is made by.
-        output: As of ``-o``: a folder, or the file of the only picture.
-        stamp: File that says what they are made of, in a folder; of a single file it begins with its name.
+    folder: PartFolder
+    shots: tuple[Shot, ...]
+    """The pictures or tiles: a camera and a file each."""
+    wanted: tuple[int, ...]
+    """The numbers of units of the pictures that are to be made."""
+    blocks: tuple[range, ...] = ()
+    """Numbers of samples, the same of each shot; none: a shot is made at once."""
 
-    Returns:
-        The folder, the name of the stamp there, and those of all files.
-    """
-    folder = shots[0].path.parent
-    names = [str(path.relative_to(folder)) for files in units for path in files]
-    return folder, stamp if folder == output else f"{output.stem}.{stamp}", names
+    @staticmethod
+    def of(shots: list[Shot], wanted: tuple[int, ...], output: Path, stamp: str) -> Parts:
+        """Returns pictures that are not in parts yet.
+
+        Args:
+            shots: The pictures.
+            wanted: Numbers of those that are to be made.
+            output: As of ``-o``: a folder, or the file of the only picture.
+            stamp: File that says what they are made of, in a folder; of a single file it begins with its name.
+        """
+        folder = shots[0].path.parent
+        name = stamp if folder == output else f"{output.stem}.{stamp}"
+        pictures = tuple(PartedPicture(shot.path) for shot in shots)
+        names = tuple(shot.path.name for shot in shots)
+        return Parts(PartFolder(folder, "", name, names, pictures, ((),) * len(shots)), tuple(shots), wanted)
+
+    def cut(self, grid: str, *, has_layers: bool) -> Parts:
+        """Cuts pictures into tiles.
+
+        Args:
+            grid: ``auto``, or columns and rows, such as ``4x4``.
+            has_layers: Whether there are layers beside the colour.
+
+        Raises:
+            ConfigError: There are no such tiles, or the format is none of rows.
+        """
+        tiles: list[list[Shot]] = []
+        pictures: list[PartedPicture] = []
+        for shot in self.shots:
+            _check_format(shot.path, has_layers=has_layers)
+            folder = shot.path.with_suffix(".tiles")
+            files = {
+                camera.window: Shot(camera, folder / ("_".join(map(str, camera.window)) + shot.path.suffix))
+                for camera in _cut(shot.camera, grid)
+                if camera.window is not None
+            }
+            tiles.append([*files.values()])
+            pictures.append(PartedPicture(shot.path, {window: tile.path for window, tile in files.items()}))
+        holders = tuple((picture.path,) for picture in pictures for _ in picture.tiles)
+        cut = self._divided([[tile.path for tile in files] for files in tiles], holders)
+        return replace(
+            cut,
+            folder=replace(cut.folder, pictures=tuple(pictures)),
+            shots=tuple(shot for files in tiles for shot in files),
+        )
+
+    def split(self, blocks: list[range]) -> Parts:
+        """Splits the samples of pictures or tiles into blocks of these numbers."""
+        units: list[list[Path]] = []
+        holders: list[tuple[Path, ...]] = []
+        for shot, picture in zip(self.shots, self.folder.holders, strict=True):
+            folder = shot.path.with_suffix(".samples")
+            units.append([*(folder / f"{block.start:06d}.npz" for block in blocks), shot.path])
+            holders += [*[(shot.path, *picture)] * len(blocks), picture]
+        return replace(self._divided(units, tuple(holders)), blocks=tuple(blocks))
+
+    def _divided(self, units: list[list[Path]], holders: tuple[tuple[Path, ...], ...]) -> Parts:
+        """The same with several files in place of each."""
+        names = tuple(str(path.relative_to(self.folder.folder)) for files in units for path in files)
+        ends = list(accumulate(map(len, units), initial=0))
+        wanted = tuple(number for one in self.wanted for number in range(ends[one], ends[one + 1]))
+        return replace(self, folder=replace(self.folder, names=names, holders=holders), wanted=wanted)
+
+    @property
+    def needs(self) -> dict[int, tuple[int, ...]]:
+        """Units that must be there before others: blocks before their shot."""
+        count = len(self.blocks)
+        return {end: tuple(range(end - count, end)) for end in self.wanted if count and end % (count + 1) == count}
+
+    def shot(self, index: int) -> Shot:
+        """The picture or tile that a unit is of."""
+        return self.shots[index // (len(self.blocks) + 1)]
+
+    def make(self, source: FrameSource, scene: ls.Scene, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart:
+        """Renders a block, or a picture or tile, of its blocks if it has some.
+
+        Raises:
+            ConfigError: The samples of such frames are not shared.
+            FormatError: A block cannot be read.
+            LumisplatError: As of `FrameSource.frame`.
+        """
+        camera = self.shot(index).camera
+        if not self.blocks:
+            return source.frame(scene, camera, report)
+        camera = source.focused(scene, camera)
+        number = index % (len(self.blocks) + 1)
+        if number < len(self.blocks):
+            return ls.farm.render_samples(source.renderer, scene, camera, self.blocks[number], progress=report)
+        return source.finished(ls.farm.merge_samples(source.renderer, scene, camera, self._loaded(index)))
+
+    def _loaded(self, index: int) -> Iterator[ls.farm.SamplePart]:
+        """The blocks of a shot, loaded one by one."""
+        for number in range(index - len(self.blocks), index):
+            yield ls.farm.SamplePart.load(self.folder.path(number))
 
 
-def numbers_of(units: list[list[Path]], pictures: Iterable[int]) -> tuple[int, ...]:
-    """The numbers of all files of some pictures."""
-    ends = list(accumulate(map(len, units), initial=0))
-    return tuple(number for picture in pictures for number in range(ends[picture], ends[picture + 1]))
+def _check_format(path: Path, *, has_layers: bool) -> None:
+    """Refuses pictures that are not written by rows."""
+    if path.suffix.lower() not in (".png", ".exr"):
+        raise ls.ConfigError(f"{path}: --tiles writes pictures by rows, .png or .exr")
+    if has_layers and path.suffix.lower() == ".png":
+        raise ls.ConfigError(f"{path}: --aov and --tiles write the layers into an EXR: give --format exr")
 
 
-def remove_parts(parts: list[Path]) -> None:
+def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
+    """Cameras of the tiles of a picture."""
+    if grid == AUTO:  # bands as wide as the picture, which are joined in as little memory as they are made in
+        return camera.windows(1, -(-camera.width * camera.height // AUTO_PIXELS))
+    numbers = _GRID.fullmatch(grid)
+    if numbers is None:
+        raise ls.ConfigError(f"--tiles is '{grid}', expected columns and rows, such as 4x4, or auto")
+    try:
+        return camera.windows(int(numbers[1]), int(numbers[2]))
+    except ls.SceneError as error:
+        raise ls.ConfigError(f"--tiles {grid}: {error}") from None
+
+
+def _remove_parts(parts: list[Path]) -> None:
     """Removes parts, and their folders if they are empty then."""
     for part in parts:
         with suppress(OSError):
