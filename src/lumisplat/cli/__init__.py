@@ -29,7 +29,7 @@ from lumisplat.cli.commands.demo import Demo
 from lumisplat.cli.commands.doctor import Doctor
 from lumisplat.cli.commands.evaluate import Evaluate
 from lumisplat.cli.commands.export import Export
-from lumisplat.cli.commands.farm.farm import Farm
+from lumisplat.cli.commands.farm import Farm
 from lumisplat.cli.commands.fit import Fit
 from lumisplat.cli.commands.frames import Frames
 from lumisplat.cli.commands.info import Info

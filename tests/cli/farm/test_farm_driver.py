@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.cli.farm.cluster import LOCAL
-from lumisplat.cli.farm.driver import FAILURES_IN_A_ROW, Driver
+from lumisplat.cli.farm.driver import FAILURES_IN_A_ROW, Driver, FarmOptions
 from lumisplat.cli.farm.failed_frames import FramesMissingError
 from lumisplat.cli.farm.worker import Answer, Order
-from lumisplat.cli.options.farm import FarmOptions
 from support.fake_ray import Does, FakeRay, answer, died
 from support.frame_makers import FakeMaker
 

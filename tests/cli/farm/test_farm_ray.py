@@ -20,10 +20,9 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.cli.farm import cluster
 from lumisplat.cli.farm.cluster import connected
-from lumisplat.cli.farm.driver import Driver
+from lumisplat.cli.farm.driver import Driver, FarmOptions
 from lumisplat.cli.farm.failed_frames import FramesMissingError
 from lumisplat.cli.farm.worker import Order
-from lumisplat.cli.options.farm import FarmOptions
 from support.files.cli_files import Workplace
 from support.frame_makers import FakeMaker
 from support.scenes.raster_scenes import one_gaussian, random_gaussians
@@ -182,9 +181,8 @@ DRIVER = """
 import os, sys
 from pathlib import Path
 from lumisplat.cli.farm.cluster import connected
-from lumisplat.cli.farm.driver import Driver
+from lumisplat.cli.farm.driver import Driver, FarmOptions
 from lumisplat.cli.farm.worker import Order
-from lumisplat.cli.options.farm import FarmOptions
 from support.frame_makers import FakeMaker
 
 maker = FakeMaker(Path(sys.argv[1]), count=200, seconds=0.1)
@@ -246,9 +244,8 @@ import os
 from pathlib import Path
 from ray.cluster_utils import Cluster
 from lumisplat.cli.farm.cluster import connected
-from lumisplat.cli.farm.driver import Driver
+from lumisplat.cli.farm.driver import Driver, FarmOptions
 from lumisplat.cli.farm.worker import Order
-from lumisplat.cli.options.farm import FarmOptions
 from support.frame_makers import FakeMaker
 
 quick = {"health_check_initial_delay_ms": 500, "health_check_period_ms": 500, "health_check_failure_threshold": 3}

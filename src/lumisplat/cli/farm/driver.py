@@ -16,14 +16,15 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
+
+from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
 from lumisplat.cli.farm.cluster import LOCAL, connected, end_of_actor, usable_cores
 from lumisplat.cli.farm.job import FrameList, FrameMaker, film_lines
 from lumisplat.cli.farm.worker import Answer, Order, Worker
 from lumisplat.cli.input.numbers import seconds_of
-from lumisplat.cli.options.farm import FarmOptions
 from lumisplat.cli.output.console import Report, counted, one_line, progress_bars, spoken_time
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.video import check_video
@@ -40,6 +41,28 @@ STARTS_IN_A_ROW = 2
 """Workers that end before they are ready, none ready between them, after which none is started in their place."""
 _WAIT_S = 1.0
 """For an answer, before workers that are at a frame for too long are looked for, seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarmOptions:
+    """What makes the frames."""
+
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a GPU, or one for 4 cores)")] = (
+        None
+    )
+    """Start so many processes, each of which holds the scene."""
+    cores: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: their share of the machine)")] = None
+    """Give each worker so many CPU cores."""
+    frame_timeout: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="(default: as long as it takes)")] = (
+        None
+    )
+    """End a worker that is at a frame for longer: 90s, 10m, 1.5h."""
+    address: Annotated[str, arg(metavar="local|auto|ray://HOST:PORT")] = "local"
+    """Run on Ray here, on this machine's cluster, or on one elsewhere."""
+
+
+FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]
+"""A field of a command that shows its options in a group of their own."""
 
 
 class FarmCommand(FrameMaker, Protocol):
@@ -109,20 +132,10 @@ class _Task:
 
 @dataclass
 class Driver:
-    """Makes frames by workers.
-
-    Args:
-        ray: The module, which is connected to a cluster.
-        order: What workers are to do.
-        options: How many there are, and what each has.
-        device: As of ``--device``.
-        report: Shows the progress.
-        overwrite: Whether to make frames that are there anew.
-        video: A video of them; None: none.
-        clock: The time, seconds.
-    """
+    """Makes frames by workers; arguments are as of `run_farm`."""
 
     ray: Any
+    """The module, which is connected to a cluster."""
     order: Order
     options: FarmOptions
     device: str
@@ -314,13 +327,7 @@ class Driver:
             self._count_failure(frame, answer.error)
 
     def _bury(self, task: _Task, how: str, error: BaseException | None = None) -> None:
-        """Starts another worker in place of a lost one, and counts the frame that it was at as failed.
-
-        Args:
-            task: What it was at.
-            how: What is known of its end.
-            error: Why the frame is left, if it is; None: for the worker's end.
-        """
+        """Starts another worker in place of a lost one, and counts the frame that it was at as failed, by its end."""
         self.ray.kill(task.worker)
         self._lost += 1
         unit = "frame" if self._frames is None else self._frames.unit

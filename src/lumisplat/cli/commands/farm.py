@@ -9,12 +9,11 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
 from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.dataset import Dataset
-from lumisplat.cli.commands.farm.train import FarmTrain
+from lumisplat.cli.commands.farm_train import FarmTrain
 from lumisplat.cli.commands.orbit import Orbit
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.farm.driver import run_farm
+from lumisplat.cli.farm.driver import FarmGroup, FarmOptions, run_farm
 from lumisplat.cli.options.command import Flag
-from lumisplat.cli.options.farm import FarmGroup, FarmOptions
 
 
 @dataclass(frozen=True, kw_only=True)

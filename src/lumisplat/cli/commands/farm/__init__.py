@@ -1,1 +1,0 @@
-"""Commands whose frames are made by workers."""
