@@ -131,7 +131,7 @@ def check_mutations(tmp_path: Path, extension: str, seeds: range, *, moves: bool
 def test_mutations(tmp_path: Path, extension: str) -> None:
     """A few of each kind of file."""
     usd_core()
-    check_mutations(tmp_path, extension, range(25))
+    check_mutations(tmp_path, extension, range(10))
 
 
 @pytest.mark.deep
@@ -142,7 +142,7 @@ def test_many_mutations(tmp_path: Path, extension: str) -> None:
     check_mutations(tmp_path, extension, range(2000))
 
 
-@pytest.mark.parametrize(("extension", "count"), [(".usda", 25), (".usdc", 50)])
+@pytest.mark.parametrize(("extension", "count"), [(".usda", 8), (".usdc", 16)])
 def test_mutations_of_what_moves(tmp_path: Path, extension: str, count: int) -> None:
     """A few, and in the deep suite two thousand."""
     usd_core()
@@ -156,7 +156,8 @@ def test_many_mutations_of_what_moves(tmp_path: Path) -> None:
     check_mutations(tmp_path, ".usdc", range(2000), moves=True)
 
 
-def test_numbers_between_sections(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", [148, pytest.param(37, marks=pytest.mark.deep)])
+def test_numbers_between_sections(tmp_path: Path, step: int) -> None:
     """Whatever byte of the tables behind the values is wrong, a file is refused or read: nothing crashes."""
     usd_core()
     path = tmp_path / "a.usdc"
@@ -164,7 +165,7 @@ def test_numbers_between_sections(tmp_path: Path) -> None:
     data = path.read_bytes()
     (table,) = struct.unpack_from("<q", data, 16)
     start = min(struct.unpack_from("<16sqq", data, table + 8 + 32 * number)[1] for number in range(6))
-    for at in range(start, table, 37):
+    for at in range(start, table, step):
         for byte in (0x00, 0xFF, data[at] ^ 0x10):
             path.write_bytes(data[:at] + bytes([byte]) + data[at + 1 :])
             with suppress(FormatError):
@@ -187,32 +188,36 @@ MOST_MEMORY = """
 import resource, sys
 import lumisplat as ls
 from lumisplat.io.usd import process
-try:
-    ls.load(sys.argv[1])
-except ls.FormatError:
-    process._end_idle()
-    print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+for path in sys.argv[1:]:
+    try:
+        ls.load(path)
+    except ls.FormatError:
+        continue
+    raise SystemExit(f"{path} is not refused")
+process._end_idle()
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
-"""Prints the most memory of the processes that read a file that is refused, kB.
+"""Prints the most memory of the processes that read files that are refused, kB.
 
 A process of its own runs this: what it has of the kernel begins without the memory of those before.
 """
 
 
-@pytest.mark.parametrize("name", [b"SPECS", b"PATHS", b"FIELDS", b"TOKENS"])
-def test_counts_that_no_file_can_hold(tmp_path: Path, name: bytes) -> None:
+def test_counts_that_no_file_can_hold(tmp_path: Path) -> None:
     """Entries of terabytes in a binary layer, and in one in a package, cost this process nothing."""
     usd_core()
-    data = crate_with(tmp_path / "a.usdc", name, 2**40)
-    (tmp_path / "b.usdc").write_bytes(data)
-    refused(tmp_path / "b.usdc")
-    with zipfile.ZipFile(tmp_path / "b.usdz", "w") as package:
-        package.writestr("a.usdc", data)
-    refused(tmp_path / "b.usdz")
-    for path in ("b.usdc", "b.usdz"):
-        command = [sys.executable, "-c", MOST_MEMORY, tmp_path / path]
-        most = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-        assert 0 < int(most) < 300_000  # kB, most of them the library itself
+    paths: list[Path] = []
+    for name in ("SPECS", "PATHS", "FIELDS", "TOKENS"):
+        data = crate_with(tmp_path / "a.usdc", name.encode(), 2**40)
+        paths += [tmp_path / f"{name}.usdc", tmp_path / f"{name}.usdz"]
+        paths[-2].write_bytes(data)
+        with zipfile.ZipFile(paths[-1], "w") as package:
+            package.writestr("a.usdc", data)
+    for path in paths:
+        refused(path)
+    command = [sys.executable, "-c", MOST_MEMORY, *map(str, paths)]
+    most = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    assert 0 < int(most) < 300_000  # kB, most of them the library itself
 
 
 def laughs(depth: int) -> str:
@@ -313,7 +318,7 @@ def test_each_call_of_a_function_has_the_time_of_its_own(tmp_path: Path) -> None
     """Frames of a long animation together take more than the limit of a file; a single one that does is ended."""
     usd_core()
     work = process.read_apart(tmp_path / "a.usda", working)
-    assert sum(work(0.5) for _ in range(8)) == 4.0
+    assert sum(work(0.5) for _ in range(4)) == 2.0
     with pytest.raises(FormatError, match="takes more than 1 s to read"):
         work(10.0)
 
@@ -347,12 +352,12 @@ def test_memory_at_its_end_is_not_called_damage(tmp_path: Path) -> None:
         process.read_apart(tmp_path / "a.usda", exhausted)
 
 
-@pytest.mark.parametrize("name", ["struct", "lumisplat", "pxr", "sitecustomize", "usercustomize", "pickle"])
-def test_no_code_of_the_working_folder_is_run(tmp_path: Path, name: str) -> None:
+def test_no_code_of_the_working_folder_is_run(tmp_path: Path) -> None:
     """Modules beside a file, in the folder in which somebody works, are no modules of the process that reads it."""
     usd_core()
     write_usda(tmp_path / "a.usda", field())
-    (tmp_path / f"{name}.py").write_text("open('run', 'w')\n")
+    for name in ("struct", "lumisplat", "pxr", "sitecustomize", "usercustomize", "pickle"):
+        (tmp_path / f"{name}.py").write_text("open('run', 'w')\n")
     code = "import sys, lumisplat as ls; sys.path.append(''); ls.load('a.usda')"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, check=True)

@@ -142,7 +142,7 @@ class _Child:
     """A process that reads files, as its parent sees it."""
 
     _idle: list[_Child] = []  # noqa: RUF012
-    _lock = threading.Lock()
+    _lock = threading.RLock()  # `_forget` may run at any time, also within `take`
 
     def __init__(self) -> None:
         home = os.fspath(Path(__file__).parents[3])  # where the parent has found this package
@@ -244,6 +244,9 @@ class _Child:
                     raise FormatError(path, "cannot be read: the process that reads OpenUSD does not start") from None
                 self._process.kill()
                 raise _dead(path, limit, self._process.wait()) from None
+            except KeyboardInterrupt:  # nobody waits for the answer any more
+                self.end()
+                raise
 
     def _begin(self, request: _Request | tuple[int, float]) -> _Limit:
         """Forgets the file before, if the request is another one, and returns the limit of the call."""
@@ -273,7 +276,7 @@ class _Child:
         return receive(self._out, self._remote)
 
     def _remote(self, number: int) -> Callable[[float], Any]:
-        """A function of the child; the child ends with the last of them."""
+        """A function of the child, which reads no other file before the last of them is gone."""
         self._remotes += 1
 
         def call(argument: float) -> Any:
@@ -284,8 +287,7 @@ class _Child:
 
     def _forget(self) -> None:
         self._remotes -= 1
-        if not self._remotes:
-            self.end()
+        self.rest()
 
 
 @atexit.register
