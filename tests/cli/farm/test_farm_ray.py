@@ -26,7 +26,6 @@ from lumisplat.cli.farm.worker import Order
 from support.files.cli_files import Workplace
 from support.frame_makers import FakeMaker
 from support.scenes.raster_scenes import one_gaussian, random_gaussians
-from support.scenes.training_scenes import folder_of
 
 needs_ray = pytest.mark.skipif(
     importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install 'lumisplat[farm]'"
@@ -108,12 +107,12 @@ def test_errors_cross_to_the_driver(ray: Any, tmp_path: Path) -> None:
     with pytest.raises(
         ls.errors.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"
     ):
-        farm(ray, FakeMaker(tmp_path / "a", count=4, wrong={0: "extra", 1: "extra"}))
+        farm(ray, FakeMaker(tmp_path / "a", count=4, wrong={0: "extra", 1: "extra"}), workers=1)
     with pytest.raises(ls.SceneError, match="ends in the middle of Gaussian 5"):
-        farm(ray, FakeMaker(tmp_path / "b", count=3, wrong=dict.fromkeys(range(3), "data"), again=True))
+        farm(ray, FakeMaker(tmp_path / "b", count=3, wrong=dict.fromkeys(range(3), "data"), again=True), workers=1)
     ours = r"^frame 1: ValueError: shapes differ, in .*frame_makers\.py, line \d+;"
     with pytest.raises(FramesMissingError, match=ours):
-        farm(ray, FakeMaker(tmp_path / "c", count=4, wrong={1: "bug"}, again=True))
+        farm(ray, FakeMaker(tmp_path / "c", count=4, wrong={1: "bug"}, again=True), workers=1)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -124,7 +123,6 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 PATH = ("--pipeline", "path", "--lighting", "on", "--samples", "40")
-TRAIN = ("--iterations", "20", "--cap", "100", "--sh-degree", "0", "--prune-below", "0", "--device", "cpu")
 
 
 @pytest.mark.parametrize(
@@ -135,7 +133,11 @@ TRAIN = ("--iterations", "20", "--cap", "100", "--sh-degree", "0", "--prune-belo
         pytest.param(
             "render", ("@capture.ply", "-o", "@OUT/s.exr", *SIZE, *PATH, "--tiles", "samples"), marks=pytest.mark.deep
         ),
-        ("render", ("@capture.ply", "-o", "@OUT/b.exr", *SIZE, *PATH, "--tiles", "2x1,samples")),
+        pytest.param(
+            "render",
+            ("@capture.ply", "-o", "@OUT/b.exr", *SIZE, *PATH, "--tiles", "2x1,samples"),
+            marks=pytest.mark.deep,
+        ),
         pytest.param("dataset", ("@mesh.obj", "-o", "@OUT/set", "--views", "6", *SIZE), marks=pytest.mark.deep),
     ],
 )
@@ -153,28 +155,21 @@ def test_files_are_those_of_one_process(work: Workplace, name: str, options: tup
     ("options", "message"),
     [
         (("orbit", "@lost.ply"), "lost.ply: no such file"),
-        (("orbit", "@capture.ply", "--samples", "0"), "samples is 0, expected"),
-        (("render", "@capture.ply", "--view", "normal"), "--view colours all pictures by the first"),
+        pytest.param(("orbit", "@capture.ply", "--samples", "0"), "samples is 0, expected", marks=pytest.mark.deep),
+        pytest.param(
+            ("render", "@capture.ply", "--view", "normal"),
+            "--view colours all pictures by the first",
+            marks=pytest.mark.deep,
+        ),
     ],
 )
 def test_mistakes_that_workers_find(work: Workplace, monkeypatch, options: tuple[str, ...], message: str) -> None:
     """One line and status 2; no frame is there."""
     monkeypatch.chdir(work.folder)
-    done = work.run("farm", *options, "--device", "cpu", *TWO)
+    done = work.run("farm", *options, "--device", "cpu", "--workers", "1")
     assert (done.status, done.out) == (2, ""), done.err
     assert message in done.err and done.err.strip().count("\n") == 0
     assert not [name for name in work.files() if name.endswith(".png")]
-
-
-def test_trainings_are_those_of_one_process(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the bit; what came of each is printed."""
-    monkeypatch.chdir(work.folder)
-    for name in ("one", "two"):
-        folder_of(work.path(name))
-    assert work.run("train", "@two", "-o", "@two.ply", *TRAIN).status == 0
-    done = work.run("farm", "train", "one", "two", "-o", "captures", *TRAIN, *TWO)
-    assert done.status == 0 and done.out.count("100 Gaussians, 20 of 20 steps") == 2, done.err
-    assert work.path("captures/two.ply").read_bytes() == work.path("two.ply").read_bytes()
 
 
 DRIVER = """
@@ -198,9 +193,13 @@ except KeyboardInterrupt as stop:
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.deep)])
 def test_a_driver_that_is_stopped(ray: Any, tmp_path: Path, sent: signal.Signals) -> None:
-    """Ctrl-C says how far it is; killed, too, its workers end, half-made frames leave nothing, and the next goes on."""
+    """Ctrl-C says how far it is; killed, too, its workers end, half-made frames leave nothing, and the next goes on.
+
+    Modules in the folder in which all this happens are not run.
+    """
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
-    command = [sys.executable, "-c", DRIVER, str(tmp_path / "out")]
+    strangers_modules(tmp_path)
+    command = [sys.executable, "-P", "-c", DRIVER, str(tmp_path / "out")]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     maker = FakeMaker(tmp_path / "out", count=200)
     driver = subprocess.Popen(command, env=environment, cwd=tmp_path, start_new_session=True, **pipes)
@@ -213,6 +212,7 @@ def test_a_driver_that_is_stopped(ray: Any, tmp_path: Path, sent: signal.Signals
     if sent == signal.SIGINT:
         assert f"{tmp_path / 'out'} holds " in out and "of 200 frames; the same command continues" in out, err
         assert "Traceback" not in err and "its ports are open on 127.0.0.1 alone" in err
+    assert not (tmp_path / "hostile").exists()
     begun = len(maker.begun)
     there = len(maker.contents)
     assert f"{there} of them were there" in farm(ray, maker)
@@ -272,10 +272,16 @@ assert len(joined) == 2, "nothing has happened"
 """
 
 
-def test_a_stranger_s_folder_runs_nothing(work: Workplace) -> None:
-    """Python would look for its own modules there first; and the ports are open to this machine alone."""
+def strangers_modules(folder: Path) -> None:
+    """Writes modules that leave a file ``hostile`` where they are run; Python would look for its own there first."""
     for name in ("multiprocessing.py", "numpy.py", "sitecustomize.py"):
-        work.path(name).write_text("open('hostile', 'w').close()")
+        (folder / name).write_text("open('hostile', 'w').close()")
+
+
+@pytest.mark.deep
+def test_a_stranger_s_folder_runs_nothing(work: Workplace) -> None:
+    """Nor by the installed command; and the ports are open to this machine alone."""
+    strangers_modules(work.folder)
     ls.save(work.path("one.ply"), one_gaussian())
     command = [str(Path(sys.executable).with_name("lumisplat")), "farm", "render", "one.ply", "--width", "16"]
     command += ["--workers", "1", "--device", "cpu", "-o", "frames"]

@@ -46,7 +46,10 @@ def test_captures_are_the_same(ray: Any, tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_each_folder_may_have_its_own_settings(ray: Any, tmp_path: Path, capsys, caplog) -> None:
-    """As those of train alone, to the bit. Folders may come later; what has changed for one is said."""
+    """As those of train alone, to the bit. Folders may come later; what has changed for one is said.
+
+    Overwriting removes what was there, with its checkpoint, and nothing else; other settings are no mistake then.
+    """
     one, two = (str(folder_of(tmp_path / name)) for name in ("one", "two"))
     own = tmp_path / "own.toml"
     own.write_text("[two]\ncap = 60\nantialiased = true\n")
@@ -61,6 +64,12 @@ def test_each_folder_may_have_its_own_settings(ray: Any, tmp_path: Path, capsys,
     own.write_text("[two]\ncap = 70\nantialiased = true\n")
     assert main([*command, one, two]) == 2
     assert "holds frames of other settings or files (settings of two" in capsys.readouterr().err
+    others = [tmp_path / "out/other.txt", tmp_path / "out/two.training/note.txt"]
+    for path in others:
+        path.write_text("mine")
+    assert main([*command, two, "--overwrite"]) == 0
+    assert "70 Gaussians, 20 of 20 steps" in capsys.readouterr().out
+    assert [path.read_text() for path in others] == ["mine", "mine"]
 
 
 def test_trainings_that_end_before_their_time_go_on(
@@ -79,19 +88,6 @@ def test_trainings_that_end_before_their_time_go_on(
     assert "200 of 200 steps" in capsys.readouterr().out
     assert (tmp_path / "out/one.ply").read_bytes() == (tmp_path / "alone.ply").read_bytes()
     assert not (tmp_path / "out/one.unfinished.txt").exists()
-
-
-def test_overwriting_begins_anew(ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What was there is removed, with its checkpoint, and nothing else; other settings are no mistake then."""
-    folder = str(folder_of(tmp_path / "one"))
-    command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *SHORT, "--workers", "1"]
-    assert main(command) == 0
-    (tmp_path / "out/other.txt").write_text("mine")
-    (tmp_path / "out/one.training/note.txt").write_text("mine")
-    assert main([*command, "--cap", "60"]) == 2
-    assert main([*command, "--cap", "60", "--overwrite"]) == 0
-    assert "60 Gaussians, 20 of 20 steps" in capsys.readouterr().out
-    assert (tmp_path / "out/other.txt").read_text() == (tmp_path / "out/one.training/note.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
