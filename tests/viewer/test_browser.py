@@ -124,6 +124,7 @@ def test_a_browser_shows_the_renderers_picture(browser: Any, viewer: ls.Viewer) 
     page.close()
 
 
+@pytest.mark.deep
 def test_a_click_and_a_drag_in_a_browser_move_the_lamp(browser: Any, viewer: ls.Viewer) -> None:
     """The handle of the lamp is dragged along its axis; undo puts it back, and the picture with it."""
     page = open_page(browser, viewer)
@@ -187,6 +188,7 @@ def pixels(viewer: ls.Viewer) -> np.ndarray:
     return np.asarray(page.frame, np.uint8).copy()
 
 
+@pytest.mark.deep
 def test_a_setting_in_a_browser_changes_the_picture_and_undo_restores_its_bits(browser: Any, viewer: ls.Viewer) -> None:
     """The exposure is typed into its field."""
     page = open_page(browser, viewer)
@@ -205,6 +207,7 @@ def test_a_setting_in_a_browser_changes_the_picture_and_undo_restores_its_bits(b
     page.close()
 
 
+@pytest.mark.deep
 def test_two_browser_pages_have_their_own_views(browser: Any, viewer: ls.Viewer) -> None:
     """One is turned by the mouse; the other one shows what it showed."""
     left, right = open_page(browser, viewer), open_page(browser, viewer)
@@ -236,6 +239,7 @@ def test_a_broken_upload_in_a_browser_says_so(browser: Any, viewer: ls.Viewer, t
     page.close()
 
 
+@pytest.mark.deep
 @pytest.mark.skipif(os.name != "posix", reason="no process can be killed like that")
 def test_a_browser_that_is_killed_can_be_opened_again(browser: Any, viewer: ls.Viewer, tmp_path: Path) -> None:
     """Its page goes, with its thread; a new one sees the scene as it was left."""

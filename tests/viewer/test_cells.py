@@ -8,7 +8,6 @@ import logging
 import math
 import sys
 import threading
-import time
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -183,9 +182,7 @@ def settled(viewer: ls.Viewer, notebook: Any) -> np.ndarray:
     def rests() -> bool:
         return page.is_at_rest and page.key == (session.revision, page.pose_number)
 
-    for _ in range(3):  # the last picture may still be on its way
-        time.sleep(0.1)
-        eventually(rests, "the cell does not come to rest")
+    eventually(rests, "the cell does not come to rest")
     return notebook.picture()
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from pathlib import Path
@@ -462,12 +461,12 @@ def test_numbers_that_follow_each_other_soon_are_one_undo_and_choices_never() ->
 
 def test_edits_of_several_threads_are_all_there() -> None:
     """One that takes long, as it reads a file, loses nothing of what is changed meanwhile."""
-    session, begun = Session(Options()), threading.Event()
+    session, begun, edited = Session(Options()), threading.Event(), threading.Event()
     session.open(State(document()))
 
     def slow(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
         begun.set()
-        time.sleep(0.3)
+        edited.wait()
         return document.added("lights", {"type": "point", "position": [0, 0, 0]})[0]
 
     thread = threading.Thread(target=session.apply, args=(slow,))
@@ -475,6 +474,7 @@ def test_edits_of_several_threads_are_all_there() -> None:
     begun.wait()
     session.configure(lambda config: replace(config, seed=7))
     session.apply(lambda document: document.changed(2, intensity=5.0))
+    edited.set()
     thread.join()
     assert session.state.config.seed == 7 and len(session.state.document.entries) == 9
     assert session.state.document.entry(2).lights[0].intensity == 5.0  # pyright: ignore

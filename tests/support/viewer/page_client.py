@@ -60,6 +60,10 @@ class PageClient:
         """Sends bytes."""
         self._socket.send(raw)
 
+    def ping(self) -> None:
+        """Waits until the viewer's connection has got all that was sent."""
+        assert self._socket.ping().wait(300.0), "the viewer does not answer"
+
     def look(self, camera: ls.Camera, target: Any = (0.0, 0.0, 0.0)) -> None:
         """Looks from a camera's place."""
         from viser import transforms
