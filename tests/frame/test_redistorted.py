@@ -49,7 +49,7 @@ def test_raster_and_rays_agree_on_meshes(lens):
     np.testing.assert_array_equal(raster.instance_index[inside], trace.instance_index[inside])
 
 
-@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.REALTIME])
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_depth_is_that_of_rays(lens: Any, pipeline: ls.Pipeline) -> None:
     """Of a floor to rounding, also beside the edge of a ball before it, of the ball within 1e-3; positions likewise."""
@@ -67,6 +67,15 @@ def test_depth_is_that_of_rays(lens: Any, pipeline: ls.Pipeline) -> None:
         assert np.quantile(errors, share) < limit
         apart = np.linalg.norm(frame.position[rows] - exact.position[rows], axis=1) / exact.depth[rows]
         np.testing.assert_allclose(apart, errors, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [pytest.param(lens, id=name, marks=[] if name == "barrel" else pytest.mark.deep) for name, lens in LENSES.items()],
+)
+def test_depth_is_that_of_rays_in_real_time(lens: Any) -> None:
+    """As in other pipelines, whose first hits it has."""
+    test_depth_is_that_of_rays(lens, ls.Pipeline.REALTIME)
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)

@@ -198,8 +198,14 @@ def test_lamps_that_are_seen_are_samples_of_light(name: str) -> None:
     )
 
 
-@pytest.mark.parametrize("name", LAMPS)
-@pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.REALTIME])
+@pytest.mark.parametrize(
+    ("pipeline", "name"),
+    [
+        *((ls.Pipeline.PATH, name) for name in LAMPS),
+        (ls.Pipeline.REALTIME, "rect"),
+        *(pytest.param(ls.Pipeline.REALTIME, name, marks=pytest.mark.deep) for name in ("sphere", "disk")),
+    ],
+)
 def test_samples_add_up_to_frames_with_lamps(scene: ls.Scene, name: str, pipeline: ls.Pipeline) -> None:
     """That stand among Gaussians and meshes, and before nothing, without a background, too."""
     lit = replace(scene, lights=[LAMPS[name], replace(LAMPS["sphere"], position=(-1.0, -0.8, 2.5), radius=0.2)])

@@ -63,6 +63,7 @@ SCENES = {
     "no shadow": scene([], ls.LightDirectional((0.2, 0.3, 1.0), casts_shadow=False)),
     "shadow-only": scene([icosphere(0.4)], LAMP, shadow_catcher=True),
     "lit by a capture": ls.Scene([random_gaussians(3, count=60)], [icosphere(0.4)]),
+    "everything": scene([icosphere(0.4), replace(icosphere(0.3), material=MIRROR)], LAMP),
     "mesh catcher": ls.Scene(
         [random_gaussians(3, count=60)], [icosphere(0.2), ls.MeshInstance(ls.box(1.0), shadow_catcher=True)], [LAMP]
     ),
@@ -83,10 +84,18 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("parallel", [False, True], ids=["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
-def test_the_first_frame_of_a_prepared_renderer_compiles_nothing(pipeline: ls.Pipeline, parallel: bool) -> None:
-    """A kernel that compiled in the middle of a frame would do so on one thread, without progress."""
+@pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.deep)], ids=["some", "all"])
+def test_the_first_frame_of_a_prepared_renderer_compiles_nothing(
+    all_of_them: bool, pipeline: ls.Pipeline, parallel: bool
+) -> None:
+    """A kernel that compiled in the middle of a frame would do so on one thread, without progress.
+
+    Each scene with the default settings, and each setting with a scene that has everything.
+    """
     for name, content in SCENES.items():
         for kind, settings in SETTINGS.items():
+            if not (all_of_them or kind == "plain" or name == "everything"):
+                continue
             if pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME) and "lights" in settings.get("aovs", ()):
                 continue  # refused
             launcher = Recorder(parallel)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ MATERIALS = {
     "mirror": ls.MaterialPbr(base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.0),
     "glass": ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0),
 }
-CAMERA = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=240, height=120, fov_y=0.5)
+CAMERA = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=192, height=96, fov_y=0.5)
 
 
 def floor(level: float, *, catches: bool) -> ls.SplatInstance:
@@ -30,6 +31,7 @@ def floor(level: float, *, catches: bool) -> ls.SplatInstance:
     return ls.SplatInstance(sheet, shadow_catcher=catches)
 
 
+@cache
 def scene(level: float, *, catches: bool) -> ls.Scene:
     """Four balls on the sheet in a sun from the upper left."""
     balls = [
@@ -45,8 +47,9 @@ def within(mask: npt.NDArray[np.bool_], reach: int = 2) -> npt.NDArray[np.bool_]
     return np.logical_not(around.any(axis=(2, 3)))
 
 
+@cache
 def rendered(pipeline: ls.Pipeline, level: float, *, catches: bool, lights_only: bool = False) -> ls.Frame:
-    """A frame with the defaults of the pipeline, or without bounces and light of captures; in real time a late one."""
+    """Renders with the pipeline's defaults, or without bounces and light of captures; in real time, a late frame."""
     config = ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",))
     if lights_only:
         config = replace(config, max_bounces=0, capture_gain=-16.0)
@@ -132,10 +135,11 @@ def test_samples_that_nobody_asked_for_smooth_meshes_and_leave_captures(pipeline
     """Edges of a ball have values in between; what shows the capture alone is the unlit frame's, to the bit."""
     sky = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
     lit = ls.Scene([floor(0.8, catches=False)], [replace(sphere(0.5, rows=32), material=diffuse(0.02))], [sky])
-    frame = ls.render(lit, CAMERA, ls.RenderConfig(pipeline=pipeline), device="cpu")
+    camera = CAMERA.scaled(240)
+    frame = ls.render(lit, camera, ls.RenderConfig(pipeline=pipeline), device="cpu")
     unlit = ls.Pipeline.RASTER if pipeline is ls.Pipeline.HYBRID else ls.Pipeline.TRACE
     config = ls.RenderConfig(pipeline=unlit, lighting=False)
-    plain = ls.render(ls.Scene(lit.splats), CAMERA, config, device="cpu")
+    plain = ls.render(ls.Scene(lit.splats), camera, config, device="cpu")
     assert frame.captured_weight is not None and frame.captured is not None
     mixed = (frame.captured_weight > 0.1) & (frame.captured_weight < 0.9)
     assert mixed.sum() > 20

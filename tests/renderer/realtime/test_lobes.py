@@ -54,7 +54,7 @@ def halves(image: np.ndarray) -> np.ndarray:
     return floor.reshape(2, 16, 2, 48, 3).mean(axis=(1, 3))
 
 
-@pytest.mark.parametrize("roughness", [0.2, 0.45, 0.6])
+@pytest.mark.parametrize("roughness", [0.2, pytest.param(0.45, marks=pytest.mark.deep), 0.6])
 def test_highlights_show_what_is_around(roughness: float) -> None:
     """By rays, by both and by probes: within 10 % of paths. Colours are told apart by rays alone."""
     scene = corner(roughness)

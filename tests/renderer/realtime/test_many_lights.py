@@ -110,7 +110,7 @@ def blocks_of(image: np.ndarray) -> np.ndarray:
     return np.stack([blocks(image[..., channel]) for channel in range(3)], axis=-1)
 
 
-@pytest.mark.parametrize("interval", [1, 2])
+@pytest.mark.parametrize("interval", [1, pytest.param(2, marks=pytest.mark.deep)])
 def test_a_thousand_lamps_light_a_floor_as_they_do(interval: int) -> None:
     """After 32 samples a pixel the mean is right within 1 %, and blocks of 8 x 8 pixels of each colour within noise."""
     found, truth = lit_floor(1000, 32 * interval, realtime=ls.RealtimeConfig(light_interval=interval))

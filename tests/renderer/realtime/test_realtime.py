@@ -53,7 +53,7 @@ def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: A
 
 
 @pytest.mark.parametrize(
-    "of_gaussians", [pytest.param(False, id="meshes", marks=pytest.mark.deep), pytest.param(True, id="gaussians")]
+    "of_gaussians", [pytest.param(False, id="meshes"), pytest.param(True, id="gaussians", marks=pytest.mark.deep)]
 )
 def test_a_room_is_lit_as_by_paths(of_gaussians: bool) -> None:
     """After 64 frames: direct light within 3 % in the mean, indirect light 5 %, twice that with Gaussians."""

@@ -63,7 +63,7 @@ GREEN = replace(clear_glass(), base_color=(0.5, 0.9, 0.6))
 @pytest.mark.parametrize(
     "things",
     [
-        [PANE],
+        pytest.param([PANE], marks=pytest.mark.deep),
         [PANE, ls.MeshInstance(PANE.mesh, position=(2.0, 1.5, 0.5))],
         [ls.MeshInstance(box((3.0, 0.08, 3.5), GREEN), position=(2.0, 1.9, 2.2))],
         [ls.MeshInstance(box((0.05, 2.4, 4.0), MIRROR), position=(0.1, 1.4, 2.5))],

@@ -101,7 +101,10 @@ def room(count: int) -> ls.Scene:
 CORNER = ls.Camera.look_at((0.6, 0.3, 0.7), (-1.0, -0.6, -1.0), width=64, height=48, fov_y=1.2)
 
 
-@pytest.mark.parametrize(("count", "direct", "all_bounces"), [(20_000, 0.004, 0.01), (60_000, 0.002, 0.008)])
+@pytest.mark.parametrize(
+    ("count", "direct", "all_bounces"),
+    [(20_000, 0.004, 0.01), pytest.param(60_000, 0.002, 0.008, marks=pytest.mark.deep)],
+)
 def test_a_closed_room_is_dark(count: int, direct: float, all_bounces: float) -> None:
     """Of a sky around it, less than 1 % arrives inside: 1.5 and 10 % did with 20,000 Gaussians."""
     scene = room(count)
