@@ -36,7 +36,10 @@ def test_a_picture(run, tmp_path: Path) -> None:
     assert piped.stderr.startswith(b"last frame")
     assert piped.stderr.endswith(b"standard output (32 x 18)\n")
     assert {path.name for path in tmp_path.iterdir()} == {"mesh.obj", "capture.ply"}
-    run("render", "mesh.obj", "--width", "32", "--device", "cpu", "-o", "file.png")
+    assert (
+        main(["render", str(tmp_path / "mesh.obj"), "--width", "32", "--device", "cpu", "-o", f"{tmp_path}/file.png"])
+        == 0
+    )
     pixels = [np.asarray(Image.open(source)) for source in (io.BytesIO(piped.stdout), tmp_path / "file.png")]
     np.testing.assert_array_equal(pixels[0], pixels[1])
 
@@ -82,13 +85,16 @@ def test_info_shows_what_is_used_often_once(tmp_path: Path, capsys) -> None:
     ],
     ids=["relight", "shadowmap"],
 )
-def test_captures_of_other_commands(run, tmp_path: Path, command: tuple[str, ...]) -> None:
+def test_captures_of_other_commands(
+    run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
     """A PLY, the same as in a file; what is printed goes to standard error, and no file is left."""
     piped = run(*command, "--device", "cpu", "-o", "-")
     assert piped.returncode == 0, piped.stderr
     assert b"standard output: " in piped.stderr
     assert {path.name for path in tmp_path.iterdir()} == {"mesh.obj", "capture.ply"}
-    run(*command, "--device", "cpu", "-o", "file.ply")
+    monkeypatch.chdir(tmp_path)
+    assert main([*command, "--device", "cpu", "-o", "file.ply"]) == 0
     assert piped.stdout == (tmp_path / "file.ply").read_bytes()
 
 

@@ -54,8 +54,9 @@ def messages() -> list[str]:
 
 def test_no_message_names_python_in_the_shell() -> None:
     """Whatever the library says about settings and choices has a translation."""
-    assert len(messages()) >= 3
-    for text in messages():
+    texts = messages()
+    assert len(texts) >= 3
+    for text in texts:
         assert not PYTHON_NAME.search(shell_words(text, Render())), text
 
 

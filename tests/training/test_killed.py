@@ -7,8 +7,8 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +42,19 @@ def killed(folder: Path, output: Path, moment: str, number: int, *more: str) -> 
 
 
 def killed_at_random(folder: Path, output: Path, rng: np.random.Generator, *more: str) -> None:
-    """A training that was killed from outside, some time after it has begun to write checkpoints."""
+    """Kills a training from outside, after some checkpoints that it has written."""
     checkpoint = output.with_suffix(".training") / "checkpoint.npz"
-    before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+
+    def written() -> int:
+        return checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+
+    last, left = written(), int(rng.integers(1, 40))
     process = subprocess.Popen(command(folder, output, "never", 0, *more), stdout=subprocess.DEVNULL, env=ENVIRONMENT)
-    while process.poll() is None and (not checkpoint.exists() or checkpoint.stat().st_mtime_ns == before):
-        time.sleep(0.001)
-    time.sleep(rng.uniform(0.0, 0.4))
+    while left and process.poll() is None:
+        if (now := written()) != last:
+            last, left = now, left - 1
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(0.001)
     process.send_signal(signal.SIGKILL)
     process.wait()
 
