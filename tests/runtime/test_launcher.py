@@ -110,6 +110,17 @@ def test_buffers_grow_and_never_shrink() -> None:
     assert buffers.allocations == 2
 
 
+def test_limits_of_memory_are_read_for_large_arrays_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame allocates many small ones, and to read the limits takes longer than to render a small one."""
+    asked: list[None] = []
+    monkeypatch.setattr("lumisplat.runtime.buffers.usable_memory", lambda: asked.append(None))
+    buffers = Buffers("cpu")
+    buffers.get("small", wp.float32, 2**18 - 1)
+    assert not asked
+    buffers.get("large", wp.float32, 2**18)
+    assert len(asked) == 1
+
+
 @pytest.mark.parametrize("size", [2**40, 2**55])
 def test_out_of_memory_is_a_device_error(size: int) -> None:
     """An allocation that cannot succeed says which device and which buffer, before the system ends the process."""
