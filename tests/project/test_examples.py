@@ -17,7 +17,7 @@ from support.scenes.raster_scenes import random_gaussians
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.py"))
 LONG = {
     "avatar_in_capture": {"width": 48},
-    "bake_light": {"width": 48, "count": 400, "samples": 2},
+    "bake_light": {"width": 48, "count": 100, "samples": 2},
     "build_while_watched": {"steps": 2, "pause": 0.0, "stays": False},
     "light_a_capture": {"width": 48, "samples": 1},
     "realtime_room": {"width": 48, "frames": 2, "warm_up": 1},

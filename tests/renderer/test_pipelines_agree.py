@@ -84,6 +84,7 @@ def test_matte_balls_and_shadows_agree_in_five_pipelines(dark: dict[ls.Pipeline,
         assert max(means.values()) / min(means.values()) < 1.05, (name, means)
 
 
+@pytest.mark.deep
 def test_direct_light_agrees_in_five_pipelines_on_a_bright_floor() -> None:
     """Within 5 %, without bounces and light of captures: the lit side of the matte ball, its shadow, and free floor."""
     frames = {pipeline: rendered(pipeline, 0.75, catches=True, lights_only=True) for pipeline in ls.Pipeline}
