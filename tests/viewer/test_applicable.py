@@ -109,7 +109,9 @@ def is_refused(config: ls.RenderConfig) -> bool:
 
 def test_controls_of_settings_without_an_effect_are_disabled_and_say_why() -> None:
     """On the page, as the pipeline changes."""
-    viewer = ls.view(lit_scene(), height=90, device="cpu", config=ls.RenderConfig(pipeline=ls.Pipeline.HYBRID))
+    viewer = ls.view(
+        lit_scene(), height=90, device="cpu", config=ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=2)
+    )
     viewer._loader.join()
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -159,7 +161,7 @@ def test_whole_numbers_go_by_the_steps_that_are_accepted() -> None:
 
 def test_no_background_can_be_chosen_and_taken_back() -> None:
     """Transparent is no colour: it has a control of its own."""
-    viewer = ls.view(lit_scene(), height=90, device="cpu", config=ls.RenderConfig(background=None))
+    viewer = ls.view(lit_scene(), height=90, device="cpu", config=ls.RenderConfig(background=None, samples=2))
     viewer._loader.join()
     session = viewer._session
     with PageClient(viewer.url) as page:

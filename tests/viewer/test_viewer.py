@@ -404,7 +404,7 @@ def page_threads() -> set[threading.Thread]:
 
 def test_a_page_that_vanishes_and_comes_back_sees_the_edits(recwarn: pytest.WarningsRecorder) -> None:
     """Its threads end, what was on its way to it warns nobody, and the scene is as it was left."""
-    viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu")
+    viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=ls.RenderConfig(samples=2))
     viewer._loader.join()
     before = page_threads()
     page = PageClient(viewer.url)
