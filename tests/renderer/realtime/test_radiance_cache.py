@@ -117,7 +117,7 @@ def test_reset_is_a_new_cache() -> None:
     rig = CacheRig(tiles=700, unused_frames=4)
     run_frames(rig)
     rig.cache.reset()
-    assert rig.cache.statistics.tiles == rig.cache.statistics.cells == rig.cache.statistics.evicted == 0
+    assert rig.statistics.tiles == rig.statistics.cells == rig.statistics.evicted == 0
     again, fresh = run_frames(rig), run_frames(CacheRig(tiles=700, unused_frames=4))
     assert all(per_slot_equal(fresh, again, name) for name in ("direct", "indirect", "frames", "used", "bounced"))
     for name in ("counts", "keys", "slots", "seen", "is_active"):
@@ -231,9 +231,9 @@ def test_keys_hold_what_they_are_made_of() -> None:
     rig.insert(samples, 0)
     twin = RadianceCacheOracle(rig.config.cell_size, 32, 1, 32)
     twin.insert(samples, 0)
-    assert rig.cache.statistics.cells == len(twin.direct)
+    assert rig.statistics.cells == len(twin.direct)
     tiles = {cell._replace(u=cell.u // 8, v=cell.v // 8) for cell in twin.direct}
-    assert rig.cache.statistics.tiles == len(tiles)
+    assert rig.statistics.tiles == len(tiles)
     assert np.abs(rig.look_up(samples) - twin.look_up(samples)).max() < 1e-6
     assert min(cell.level for cell in twin.direct) < -10 and max(cell.level for cell in twin.direct) > 8
     assert cell_at(samples, 0, 0, is_near=False).level == 0
@@ -261,6 +261,6 @@ def test_what_is_not_active_does_not_count() -> None:
     samples = made_samples(on_floor(rng, 1000))
     rig = CacheRig()
     rig.insert(samples, 0, active=False)
-    assert rig.cache.statistics.tiles == 0
+    assert rig.statistics.tiles == 0
     assert (rig.look_up(samples, active=False) == 0).all()
     assert (rig.look_up(samples) == samples.radiance).all(), "without a tile, a sample is what it is"

@@ -28,10 +28,10 @@ def test_unused_tiles_are_forgotten() -> None:
     for frame in range(1, 15):
         rig.insert(made_samples(tile_row(0, 5), radiance=2.0), frame)
         rig.cache.evict(frame)
-        assert rig.cache.statistics.tiles == (20 if frame < 10 else 5)
+        assert rig.statistics.tiles == (20 if frame < 10 else 5)
     probes = made_samples(tile_row(0, 20), radiance=0.0)
     assert rig.look_up(probes)[:, 0].tolist() == [2.0] * 5 + [0.0] * 15
-    assert rig.cache.statistics.evicted == 0, "these have not gone before their time"
+    assert rig.statistics.evicted == 0, "these have not gone before their time"
 
 
 def test_tiles_come_back_empty() -> None:
@@ -56,7 +56,7 @@ def test_a_full_cache_forgets_the_oldest(caplog: pytest.LogCaptureFixture) -> No
         for frame in range(8):
             rig.insert(made_samples(tile_row(8 * frame, 8), radiance=1.0), frame)
             rig.cache.evict(frame)
-        assert rig.cache.statistics.tiles == 64 and rig.cache.statistics.evicted == 0 and not caplog.records
+        assert rig.statistics.tiles == 64 and rig.statistics.evicted == 0 and not caplog.records
         rig.insert(made_samples(tile_row(0, 4)), 8)  # the first four are young again
         for frame in (9, 10):
             rig.insert(made_samples(tile_row(10 * frame, 10)), frame)
@@ -64,7 +64,7 @@ def test_a_full_cache_forgets_the_oldest(caplog: pytest.LogCaptureFixture) -> No
     assert [record.message for record in caplog.records] == [
         "the radiance cache is full: 10 tiles had to go, 0 found no room; set realtime.cache.tiles above 64"
     ]
-    assert rig.cache.statistics.evicted == 20
+    assert rig.statistics.evicted == 20
     left = rig.look_up(made_samples(tile_row(0, 64), radiance=0.0))[:, 0]
     assert left.tolist() == [1.0] * 4 + [0.0] * 20 + [1.0] * 40
 
@@ -76,7 +76,7 @@ def test_a_frame_larger_than_the_cache_is_counted(parallel: bool) -> None:
     rig.insert(made_samples(tile_row(-50, 50)), 0)
     samples = made_samples(tile_row(0, 100), radiance=3.0)
     rig.insert(samples, 1)
-    statistics = rig.cache.statistics
+    statistics = rig.statistics
     assert (statistics.tiles, statistics.evicted, statistics.dropped) == (64, 50, 36)
     assert (rig.look_up(samples) == 3.0).all()
     kept = rig.look_up(made_samples(tile_row(0, 100), radiance=0.0))[:, 0]
@@ -98,10 +98,10 @@ def test_a_long_walk_holds_memory_constant() -> None:
         rig.look_up(made_samples(position))
         if frame >= 2:
             held.add((rig.buffers.bytes, rig.buffers.allocations))
-        most = max(most, rig.cache.statistics.tiles)
+        most = max(most, rig.statistics.tiles)
     assert len(held) == 1
-    assert 10 < most < 40 and rig.cache.statistics.evicted == 0
-    assert rig.cache.statistics.bytes < 2**21
+    assert 10 < most < 40 and rig.statistics.evicted == 0
+    assert rig.statistics.bytes < 2**21
 
 
 def test_cells_take_turns() -> None:
@@ -109,7 +109,7 @@ def test_cells_take_turns() -> None:
     rng = np.random.default_rng(2)
     rig = CacheRig(bounces=256)
     rig.insert(made_samples(on_floor(rng, 6000, 64.0)), 0)
-    cells = rig.cache.statistics.cells
+    cells = rig.statistics.cells
     visits: dict[tuple[int, int], int] = {}
     rounds = 0
     while len(visits) + 256 <= cells:
@@ -208,9 +208,9 @@ def test_many_cells_of_short_rays_leave_half_to_those_of_long_ones(far_width: fl
     rng = np.random.default_rng(5)
     rig = CacheRig(bounces=512)
     rig.insert(made_samples(on_floor(rng, 20_000, 8.0), distance=0.1), 0)
-    near_cells = rig.cache.statistics.cells
+    near_cells = rig.statistics.cells
     rig.insert(made_samples(on_floor(rng, 20_000, far_width)), 0)
-    far_cells = rig.cache.statistics.cells - near_cells
+    far_cells = rig.statistics.cells - near_cells
     assert near_cells > 2000 and far_cells == far_width**2
     visited: set[tuple[int, int]] = set()
     for frame in range(1 + near_cells // (256 - 64)):

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
 from lumisplat.config import RadianceCacheConfig
-from lumisplat.device.gi.radiance_cache import CachePoints, CacheSamples
+from lumisplat.device.gi.radiance_cache import (
+    COUNT_DROPPED,
+    COUNT_EVICTED,
+    COUNT_LIVE,
+    CachePoints,
+    CacheSamples,
+    CacheTiles,
+)
 from lumisplat.renderer.realtime.radiance_cache import RadianceCache
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, bytes_of, device_array
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.radiance_cache_oracle import Samples
 
@@ -48,6 +56,22 @@ def on_floor(
     return np.column_stack([middle + rng.uniform(-size / 2, size / 2, (count, 2)), np.full(count, 0.5)])
 
 
+@dataclass(frozen=True)
+class Statistics:
+    """Size of a cache, and tiles that did not fit."""
+
+    tiles: int
+    """Live tiles."""
+    cells: int
+    """Cells of these with samples."""
+    evicted: int
+    """Tiles that went before their time, since the start."""
+    dropped: int
+    """Tiles that found no room, since the start."""
+    bytes: int
+    """Memory of the capacity."""
+
+
 class CacheRig:
     """A cache with its buffers.
 
@@ -63,6 +87,16 @@ class CacheRig:
         self.config = RadianceCacheConfig(**{"bounce_history": settings["history"]} | settings)
         self.cache = RadianceCache(self.launcher, self.buffers, self.config)
         self.cache.reset()
+
+    @property
+    def statistics(self) -> Statistics:
+        """Read off the tiles on the device."""
+        tiles, noun = self.cache.tiles, cast(Any, CacheTiles)
+        counts = device_array(tiles.counts).numpy()
+        slots = device_array(tiles.slots).numpy()[: counts[COUNT_LIVE]]
+        cells = int(device_array(tiles.filled).numpy()[slots].sum())
+        size = bytes_of(*(getattr(tiles, field) for field in noun.vars))
+        return Statistics(len(slots), cells, int(counts[COUNT_EVICTED]), int(counts[COUNT_DROPPED]), size)
 
     def upload(self, name: str, samples: Samples, active: Any = True) -> CacheSamples:
         """Samples on the device."""

@@ -25,10 +25,9 @@ from lumisplat.renderer.film.noise import least_luminance, quantile
 from lumisplat.renderer.film.picture import encoded_lit_pixels, encoded_pixels, picture_data, picture_of
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums
 from lumisplat.renderer.film.restored import images_of_frame, images_of_part
-from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.renderer.trace.ray_wave import LightImages, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, rows_of
 from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import KernelModule, Launcher

@@ -6,9 +6,8 @@ import warp as wp
 
 from lumisplat.config.render import PATH_PARTS
 from lumisplat.device.path.contributions import PARTS, PathImages
-from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.renderer.trace.ray_wave import LightImages, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 
 

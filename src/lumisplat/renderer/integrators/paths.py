@@ -11,14 +11,13 @@ from lumisplat.device.path.steps import PathData, PathSteps
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.integrators import path_kernels as kernels
 from lumisplat.renderer.integrators.path_layers import PathLayers
-from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.ray_wave import Carried, RayWave
+from lumisplat.renderer.trace.ray_wave import Carried, LightImages, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, Noun, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum

@@ -6,13 +6,12 @@ import itertools
 
 from lumisplat.config import RenderConfig
 from lumisplat.renderer.light.direct_light import DirectLight
-from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.ray_wave import Carried, RayWave
+from lumisplat.renderer.trace.ray_wave import Carried, LightImages, RayWave
 from lumisplat.renderer.trace.specular_waves import SpecularWaves
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher

@@ -10,11 +10,10 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals
 from lumisplat.renderer.light import direct_light_kernels as kernels
 from lumisplat.renderer.light import unshadowed_light_kernels
-from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
-from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.renderer.trace.ray_wave import LightImages, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.lights import LightEnvironment

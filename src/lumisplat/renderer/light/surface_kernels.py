@@ -215,11 +215,11 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
             branches = followed_branches(i, bounce, surface.transmittance, wave)
             store_branches(i, branches, wave)
             if branches[0] == 0 and not is_black(bounce.reflected):
-                seen = far_radiance(reflect(wave[0].rays.direction[i], bounce.normal), scene)
-                beyond += surface.transmittance * wp.cw_mul(bounce.reflected, seen)
+                far = far_radiance(reflect(wave[0].rays.direction[i], bounce.normal), scene)
+                beyond += surface.transmittance * wp.cw_mul(bounce.reflected, far)
             if branches[1] == 0 and not is_black(bounce.refracted) and sees_far(i, wave):
-                seen = far_radiance(refract(wave[0].rays.direction[i], bounce.normal, bounce.eta), scene)
-                beyond += surface.transmittance * wp.cw_mul(bounce.refracted, seen)
+                far = far_radiance(refract(wave[0].rays.direction[i], bounce.normal, bounce.eta), scene)
+                beyond += surface.transmittance * wp.cw_mul(bounce.refracted, far)
     elif over_light and shows_environment(i, scene, wave):
         light = surface.transmittance * environment_radiance(scene[0].environment, wave[0].rays.direction[i])
 

@@ -114,19 +114,19 @@ def end_behind_glass(
 
 
 @wp.kernel
-def start_through_glass(start: int, is_glass: wp.array[int], seen: GaussianHits, rays_inout: RayData):
+def start_through_glass(start: int, is_glass: wp.array[int], emitted: GaussianHits, rays_inout: RayData):
     """Deactivates all rays but those that hit glass, which end at the captures behind it."""
     i = start + wp.tid()
     if is_glass[i] == 0:
         rays_inout.is_active[i] = False
-    rays_inout.t_max[i] = wp.min(rays_inout.t_max[i], seen.depth[i])
+    rays_inout.t_max[i] = wp.min(rays_inout.t_max[i], emitted.depth[i])
 
 
 @wp.kernel
 def add_captured_light(
     start: int,
     scene: wp.array[ShadingScene],
-    seen: GaussianHits,
+    emitted: GaussianHits,
     reflected: PixelLight,
     is_glass: wp.array[int],
     passed: wp.array[wp.vec3],
@@ -139,7 +139,7 @@ def add_captured_light(
     Args:
         start: First item.
         scene: The scene.
-        seen: Radiance of captures on rays towards them, apart from other radiance.
+        emitted: Radiance of captures on rays towards them, apart from other radiance.
         reflected: Reflected radiance for radiance 1, as ``start_captured_rays`` writes it.
         is_glass: 1: the ray hits glass first.
         passed: Transmittance of the glass.
@@ -152,11 +152,11 @@ def add_captured_light(
         light_inout.diffuse[i] = wp.cw_mul(light_inout.diffuse[i], visibility[i])
         light_inout.glossy[i] = wp.cw_mul(light_inout.glossy[i], visibility[i])
         rays_inout.is_active[i] = False
-    if seen.relit_weight[i] <= 0.0:
+    if emitted.relit_weight[i] <= 0.0:
         return
-    radiance = scene[0].settings[0].capture_gain * captured_color(seen.relit_color[i], seen.relit_weight[i])
-    if seen.transmittance[i] <= OPAQUE:
-        radiance = radiance / (1.0 - seen.transmittance[i])
+    radiance = scene[0].settings[0].capture_gain * captured_color(emitted.relit_color[i], emitted.relit_weight[i])
+    if emitted.transmittance[i] <= OPAQUE:
+        radiance = radiance / (1.0 - emitted.transmittance[i])
     if is_glass[i] != 0:
         radiance = wp.cw_mul(radiance, passed[i])
     light_inout.diffuse[i] += wp.min(wp.cw_mul(reflected.diffuse[i], radiance), BRIGHTEST)

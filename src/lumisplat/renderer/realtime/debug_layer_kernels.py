@@ -11,22 +11,43 @@ from lumisplat.device.structs.camera import CameraData
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.func
+def larger_kind(pixel: int, splats: SurfacePixels, meshes: SurfacePixels) -> int:
+    """The kind of surface that covers more of a pixel: 0, splats, or 1, meshes; -1: there is none.
+
+    One of the kinds may be without elements.
+    """
+    kind = int(-1)
+    share = float(0.0)
+    if splats.share:
+        if splats.share[pixel] > 0.0:
+            kind = 0
+            share = splats.share[pixel]
+    if meshes.share:
+        if meshes.share[pixel] > share:
+            kind = 1
+    return kind
+
+
 @wp.kernel
 def show_motion(
     start: int,
     camera: wp.array[CameraData],
     camera_before: wp.array[CameraData],
-    surfaces: SurfacePixels,
-    share_inout: wp.array[float],
+    splats: SurfacePixels,
+    meshes: SurfacePixels,
     image_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: motion of its pixel's surface of one kind, if its share is above ``share_inout``."""
+    """Item = ray: motion of its pixel's larger surface."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
         return
-    if surfaces.share[pixel] > share_inout[i]:
-        share_inout[i] = surfaces.share[pixel]
+    kind = larger_kind(pixel, splats, meshes)
+    surfaces = splats
+    if kind == 1:
+        surfaces = meshes
+    if kind >= 0:
         image_inout[i] = motion_of(surfaces.position[pixel], surfaces.previous[pixel], camera, camera_before)
 
 
@@ -34,19 +55,22 @@ def show_motion(
 def show_history(
     start: int,
     camera: wp.array[CameraData],
-    surfaces: SurfacePixels,
-    frames: wp.array[float],
-    share_inout: wp.array[float],
+    splats: SurfacePixels,
+    meshes: SurfacePixels,
+    splat_frames: wp.array[float],
+    mesh_frames: wp.array[float],
     image_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: frames in the history of its pixel's surface of one kind, by the same rule."""
+    """Item = ray: frames in the history of its pixel's larger surface."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
         return
-    if surfaces.share[pixel] > share_inout[i]:
-        share_inout[i] = surfaces.share[pixel]
-        image_inout[i] = wp.vec3(frames[pixel])
+    kind = larger_kind(pixel, splats, meshes)
+    if kind == 0:
+        image_inout[i] = wp.vec3(splat_frames[pixel])
+    elif kind == 1:
+        image_inout[i] = wp.vec3(mesh_frames[pixel])
 
 
 @wp.kernel
@@ -62,39 +86,31 @@ def show_probes(start: int, camera: wp.array[CameraData], probes: ProbeData, ima
 
 @wp.kernel
 def list_surfaces(
-    start: int, camera: wp.array[CameraData], surfaces: SurfacePixels, is_first: bool, samples_inout: CacheSamples
+    start: int, camera: wp.array[CameraData], splats: SurfacePixels, meshes: SurfacePixels, samples_out: CacheSamples
 ):
-    """Item = ray: its pixel's surface of one kind as a query of the cache, if it covers more than a kind before.
-
-    Until ``measure_distances``, ``distance`` is the share of the pixel that the surface covers.
-    """
+    """Item = ray: its pixel's larger surface as a query of the cache."""
     i = start + wp.tid()
-    if is_first:
-        samples_inout.is_active[i] = False
-        samples_inout.distance[i] = 0.0
+    samples_out.is_active[i] = False
     pixel = pixel_number(i, camera)
     if pixel < 0:
         return
-    share = surfaces.share[pixel]
-    if share <= samples_inout.distance[i]:
+    kind = larger_kind(pixel, splats, meshes)
+    if kind < 0:
         return
+    surfaces = splats
+    if kind == 1:
+        surfaces = meshes
     position = surfaces.position[pixel]
-    samples_inout.is_active[i] = True
-    samples_inout.distance[i] = share
-    samples_inout.position[i] = position
-    samples_inout.normal[i] = surfaces.normal[pixel]
-    samples_inout.direction[i] = wp.normalize(position - camera[0].eye)
-    samples_inout.from_eye[i] = wp.length(position - camera[0].eye)
-    samples_inout.albedo[i] = surfaces.albedo[pixel]
-    samples_inout.radiance[i] = wp.vec3(0.0)
-    samples_inout.extent[i] = surfaces.extent[pixel]
-
-
-@wp.kernel
-def measure_distances(start: int, samples_inout: CacheSamples):
-    """Item = ray: its length, from the eye to its surface."""
-    i = start + wp.tid()
-    samples_inout.distance[i] = samples_inout.from_eye[i]
+    distance = wp.length(position - camera[0].eye)
+    samples_out.is_active[i] = True
+    samples_out.distance[i] = distance
+    samples_out.position[i] = position
+    samples_out.normal[i] = surfaces.normal[pixel]
+    samples_out.direction[i] = wp.normalize(position - camera[0].eye)
+    samples_out.from_eye[i] = distance
+    samples_out.albedo[i] = surfaces.albedo[pixel]
+    samples_out.radiance[i] = wp.vec3(0.0)
+    samples_out.extent[i] = surfaces.extent[pixel]
 
 
 @wp.kernel

@@ -10,8 +10,9 @@ import math
 import warp as wp
 
 from lumisplat.device.gi.radiance_cache import CacheSamples
+from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.renderer.realtime import debug_layer_kernels as kernels
-from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
+from lumisplat.renderer.realtime.gbuffer import MESHES, SPLATS, PixelSurfaces
 from lumisplat.renderer.realtime.radiance_cache import RadianceCache
 from lumisplat.renderer.realtime.screen_probes import ScreenProbes
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -41,19 +42,18 @@ class DebugLayers:
 
     def motion(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
         """Motion of each pixel's larger surface since the last frame, pixels; NaN where it is unknown."""
-        image, share = self.empty("motion", count), self._shares(count)
-        for kind in surfaces:
-            inputs = scene.camera, scene.motion.camera, kind.now, share, image
-            self._launcher.run_banded(kernels.show_motion, count, *inputs)
+        image = self.empty("motion", count)
+        inputs = scene.camera, scene.motion.camera, *_kinds(surfaces), image
+        self._launcher.run_banded(kernels.show_motion, count, *inputs)
         return image
 
     def history(
-        self, scene: DeviceScene, surfaces: list[PixelSurfaces], frames: list[DeviceArray], count: int
+        self, scene: DeviceScene, surfaces: list[PixelSurfaces], frames: dict[int, DeviceArray], count: int
     ) -> DeviceArray:
         """Frames in the history of direct light of each pixel's larger surface; ``frames`` are those of each kind."""
-        image, share = self.empty("history", count), self._shares(count)
-        for kind, of_kind in zip(surfaces, frames, strict=True):
-            self._launcher.run_banded(kernels.show_history, count, scene.camera, kind.now, of_kind, share, image)
+        image = self.empty("history", count)
+        inputs = scene.camera, *_kinds(surfaces), frames.get(SPLATS), frames.get(MESHES), image
+        self._launcher.run_banded(kernels.show_history, count, *inputs)
         return image
 
     def probes(self, scene: DeviceScene, probes: ScreenProbes, count: int) -> DeviceArray:
@@ -78,17 +78,15 @@ class DebugLayers:
 
     def _samples(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> CacheSamples:
         """Each pixel's larger surface as a query of the cache."""
-        samples, run = self._buffers.struct("debug.samples", CacheSamples, count), self._launcher.run_banded
-        for number, kind in enumerate(surfaces):
-            run(kernels.list_surfaces, count, scene.camera, kind.now, number == 0, samples)
-        run(kernels.measure_distances, count, samples)
+        samples = self._buffers.struct("debug.samples", CacheSamples, count)
+        self._launcher.run_banded(kernels.list_surfaces, count, scene.camera, *_kinds(surfaces), samples)
         return samples
-
-    def _shares(self, count: int) -> DeviceArray:
-        """Zeroed share of each pixel that the surface drawn so far covers."""
-        share = self._buffers.get("debug.share", wp.float32, count)
-        share.zero_()
-        return share
 
     def _image(self, name: str, count: int) -> DeviceArray:
         return self._buffers.get(f"debug.{name}", wp.vec3, count)
+
+
+def _kinds(surfaces: list[PixelSurfaces]) -> tuple[SurfacePixels, SurfacePixels]:
+    """Surfaces of Gaussians and of meshes; without elements if the scene has none."""
+    of_kind = {each.kind: each.now for each in surfaces}
+    return of_kind.get(SPLATS, SurfacePixels()), of_kind.get(MESHES, SurfacePixels())

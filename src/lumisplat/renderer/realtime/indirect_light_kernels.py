@@ -102,14 +102,16 @@ def radiance_of_probes(
     surfaces: SurfacePixels,
     probes: ProbeData,
     adaptive_of: wp.array[int],
-    seen: ProbeLight,
+    probe_light: ProbeLight,
 ) -> wp.vec3:
     """Radiance of probes along a random direction within a pixel's highlight."""
     view = wp.normalize(camera[0].eye - surfaces.position[pixel])
     key = pixel_key_of(pixel, wp.bit_xor(grids[0].seed, GLOSSY_SEED))
     direction = reflected_direction(pixel, key, grids[0].frame, view, surfaces)
     at = wp.vec2(float(pixel % grids[0].width) + 0.5, float(pixel // grids[0].width) + 0.5)
-    return gathered_light(pixel, at, direction, True, grids[0], camera[0], surfaces, probes, adaptive_of, seen).total
+    return gathered_light(
+        pixel, at, direction, True, grids[0], camera[0], surfaces, probes, adaptive_of, probe_light
+    ).total
 
 
 @wp.kernel
@@ -121,7 +123,7 @@ def receive_light(
     surfaces: SurfacePixels,
     probes: ProbeData,
     adaptive_of: wp.array[int],
-    seen: ProbeLight,
+    probe_light: ProbeLight,
     irradiance: wp.array[wp.vec3],
     lobes: LobeRays,
     interval: int,
@@ -137,7 +139,7 @@ def receive_light(
         surfaces: Surfaces of the pixels.
         probes: The probes.
         adaptive_of: Adaptive probes of tiles.
-        seen: Radiance of the probes.
+        probe_light: Radiance of the probes.
         irradiance: Irradiance of the surfaces, by the probes.
         lobes: Rays within highlights.
         interval: Frames in which each pixel has its turn, 1 or 2.
@@ -158,5 +160,7 @@ def receive_light(
         share *= found[3]
         reflected = share * wp.vec3(found[0], found[1], found[2])
     if share < 1.0:
-        reflected += (1.0 - share) * radiance_of_probes(pixel, grids, camera, surfaces, probes, adaptive_of, seen)
+        reflected += (1.0 - share) * radiance_of_probes(
+            pixel, grids, camera, surfaces, probes, adaptive_of, probe_light
+        )
     light_out.glossy[pixel] = wp.cw_mul(surfaces.glossy_albedo[pixel], reflected)

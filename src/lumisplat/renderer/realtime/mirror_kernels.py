@@ -9,6 +9,7 @@ from lumisplat.device.light.direct_light import sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.math.directions import around
 from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.path.steps import Branch
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Interaction, LightChoice, ShadingScene, WaveData
@@ -69,6 +70,27 @@ def add_cached(start: int, indirect: wp.array[wp.vec3], wave_inout: wp.array[Wav
             wave_inout[0].radiance.light[i] += wave_inout[0].interactions.weight[j] * indirect[j]
 
 
+@wp.func
+def sample_surface(
+    i: int,
+    surface: Branch,
+    number: int,
+    chance: float,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    rays_out: RayData,
+) -> wp.vec3:
+    """Unshadowed light ``number``, chosen by a ``chance``, at a surface of ray ``i``; starts its shadow ray."""
+    choice = LightChoice()
+    choice.number = number
+    choice.probability = surface.probability * chance
+    if choice.probability <= 0.0:
+        return wp.vec3(0.0)
+    interaction = load_interaction(surface.kind * wave[0].rays.is_active.shape[0] + i, wave)
+    return sample_choice(i, surface.kind, choice, interaction, no_shadows, scene, wave, rays_out).color
+
+
 @wp.kernel
 def sample_emitters(
     start: int,
@@ -84,14 +106,9 @@ def sample_emitters(
     if not wave[0].rays.is_active[i]:
         return
     surface = lit_surface(i, wave)
-    if surface.kind < 0:
-        return
-    choice = LightChoice()
-    choice.number = scene[0].settings[0].light_count
-    choice.probability = surface.probability
-    interaction = load_interaction(surface.kind * wave[0].rays.is_active.shape[0] + i, wave)
-    contribution = sample_choice(i, surface.kind, choice, interaction, False, scene, wave, rays_out)
-    contributions_out[i] = contribution.color
+    if surface.kind >= 0:
+        number = scene[0].settings[0].light_count
+        contributions_out[i] = sample_surface(i, surface, number, 1.0, False, scene, wave, rays_out)
 
 
 @wp.kernel
@@ -110,17 +127,12 @@ def sample_light_of_cells(
     contributions_out[i] = wp.vec3(0.0)
     rays_out.is_active[i] = False
     cell = grid.cell_of[i]
-    if cell < 0:
-        return
-    surface = lit_surface(i, wave)
-    choice = LightChoice()
-    choice.number = grid.numbers[cell * SLOTS + slot]
-    choice.probability = surface.probability * grid.chances[cell * SLOTS + slot]
-    if choice.probability <= 0.0:
-        return
-    interaction = load_interaction(surface.kind * wave[0].rays.is_active.shape[0] + i, wave)
-    contribution = sample_choice(i, surface.kind, choice, interaction, no_shadows, scene, wave, rays_out)
-    contributions_out[i] = contribution.color
+    if cell >= 0:
+        at = cell * SLOTS + slot
+        surface = lit_surface(i, wave)
+        contributions_out[i] = sample_surface(
+            i, surface, grid.numbers[at], grid.chances[at], no_shadows, scene, wave, rays_out
+        )
 
 
 @wp.kernel

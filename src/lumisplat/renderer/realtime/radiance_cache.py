@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from lumisplat.device.gi.radiance_cache import (
     COUNT_DROPPED,
     COUNT_EVICTED,
     COUNT_EXCESS,
-    COUNT_LIVE,
     COUNT_NEW,
     COUNTS,
     TILE_CELLS,
@@ -31,7 +29,7 @@ from lumisplat.device.gi.radiance_cache import (
     SortedSamples,
 )
 from lumisplat.renderer.realtime import radiance_cache_kernels as kernels
-from lumisplat.runtime.buffers import Buffers, DeviceArray, bytes_of, device_array
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
@@ -45,22 +43,6 @@ HISTORY_CUDA, HISTORY_CPU = 16, 32
 """Frames that a mean is taken over, unless settings say so."""
 
 _STAGE = "cache"
-
-
-@dataclass(frozen=True, slots=True)
-class RadianceCacheStatistics:
-    """Size of the cache, and tiles that did not fit."""
-
-    tiles: int
-    """Live tiles."""
-    cells: int
-    """Cells of these with samples."""
-    evicted: int
-    """Tiles that a full cache has evicted early, since the start."""
-    dropped: int
-    """Tiles that found no room since the start, in frames that needed more than the capacity."""
-    bytes: int
-    """Memory of the cache's capacity."""
 
 
 class RadianceCache:
@@ -82,7 +64,8 @@ class RadianceCache:
         self._grid.cell_size, self._grid.tiles = config.cell_size, config.tiles
         self._grid.history, self._grid.samples_min = float(history), float(min(config.samples_min, history))
         self._grid.bounce_history = float(config.bounce_history)
-        self._tiles = _allocated_tiles(buffers, config.tiles)
+        self.tiles = _allocated_tiles(buffers, config.tiles)
+        """Live tiles, and room for as many as the settings say."""
         self._has_warned = False
 
     @staticmethod
@@ -92,13 +75,13 @@ class RadianceCache:
 
     def reset(self) -> None:
         """Empties the cache; also needed before its first frame."""
-        self._launcher.run_banded(kernels.clear_tiles, self._config.tiles, self._tiles)
+        self._launcher.run_banded(kernels.clear_tiles, self._config.tiles, self.tiles)
         self._has_warned = False
 
     def outdate(self, share: float) -> None:
         """Lowers the weight of all means to a share, as the light has changed."""
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, share, self._tiles)
+            self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, share, self.tiles)
 
     def insert(self, samples: CacheSamples, frame: int) -> None:
         """Adds the direct radiance of a frame's samples to the means of their cells.
@@ -110,7 +93,7 @@ class RadianceCache:
             with self._launcher.stage(_STAGE):
                 sorted_samples = self._sorted(samples, count)
                 self._make_tiles(sorted_samples, count, frame)
-                run, tiles = self._launcher.run_banded, self._tiles
+                run, tiles = self._launcher.run_banded, self.tiles
                 run(kernels.add_samples, count, frame, self._grid, samples, sorted_samples, tiles)
                 run(kernels.update_tiles, count, sorted_samples, tiles)
 
@@ -132,7 +115,7 @@ class RadianceCache:
         count = len(device_array(samples.is_active))
         radiance = self._get("indirect", wp.vec3, count)
         with self._launcher.stage(_STAGE):
-            inputs = self._grid, samples, points, self._tiles, radiance
+            inputs = self._grid, samples, points, self.tiles, radiance
             self._launcher.run_banded(kernels.look_up_indirect, count, *inputs)
         return radiance
 
@@ -141,7 +124,7 @@ class RadianceCache:
         count = len(device_array(samples.is_active))
         numbers = self._get("cell_numbers", wp.int32, count)
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.number_cells, count, self._grid, samples, self._tiles, numbers)
+            self._launcher.run_banded(kernels.number_cells, count, self._grid, samples, self.tiles, numbers)
         return numbers
 
     def bounce_points(self, frame: int) -> CachePoints:
@@ -151,7 +134,7 @@ class RadianceCache:
         `add_bounces`. As many as the settings say, half of them for cells of long rays if these are so many; behind
         the last tiles of either kind that fit whole they are not active.
         """
-        run, buffers, tiles = self._launcher.run_banded, self._buffers, self._tiles
+        run, buffers, tiles = self._launcher.run_banded, self._buffers, self.tiles
         points = buffers.struct("radiance_cache.points", CachePoints, self._config.bounces)
         with self._launcher.stage(_STAGE):
             ranks = self._ranks(kernels.key_tiles_by_bounce)
@@ -172,15 +155,15 @@ class RadianceCache:
             hits: The hit of the ray from each, already inserted; not active: no light comes from there.
             radiance_of: From the radiance that the hits reflect to that of the rays, linear, vec3; None: the same.
         """
-        run, count, tiles = self._launcher.run_banded, self._config.bounces, self._tiles
+        run, count, tiles = self._launcher.run_banded, self._config.bounces, self.tiles
         means = self._get("means_before", wp.vec4, count)
         with self._launcher.stage(_STAGE):
             run(kernels.copy_means, count, points, tiles, means)
         for _ in range(BOUNCES_PER_RAY):
             reflected = self._look_up("reflected", hits)
-            seen = radiance_of(reflected) if radiance_of else reflected
+            radiance = radiance_of(reflected) if radiance_of else reflected
             with self._launcher.stage(_STAGE):
-                run(kernels.add_bounces, count, self._grid, points, means, seen, tiles)
+                run(kernels.add_bounces, count, self._grid, points, means, radiance, tiles)
                 run(kernels.update_bounced_tiles, count, points, tiles)
 
     def evict(self, frame: int) -> None:
@@ -188,19 +171,9 @@ class RadianceCache:
         oldest = frame - self._config.unused_frames + 1
         with self._launcher.stage(_STAGE):
             stays = self._per_tile("stays")
-            self._launcher.run_banded(kernels.mark_used, self._config.tiles, oldest, self._tiles, stays)
+            self._launcher.run_banded(kernels.mark_used, self._config.tiles, oldest, self.tiles, stays)
             self._compact(stays, is_early=False)
         self._warn_of_overflow()
-
-    @property
-    def statistics(self) -> RadianceCacheStatistics:
-        """Size of the cache; waits for the device."""
-        counts = device_array(self._tiles.counts).numpy()
-        live = int(counts[COUNT_LIVE])
-        slots = device_array(self._tiles.slots).numpy()[:live]
-        cells = int(device_array(self._tiles.filled).numpy()[slots].sum())
-        evicted, dropped = int(counts[COUNT_EVICTED]), int(counts[COUNT_DROPPED])
-        return RadianceCacheStatistics(live, cells, evicted, dropped, _bytes_of_tiles(self._tiles))
 
     def _sorted(self, samples: CacheSamples, count: int) -> SortedSamples:
         """Samples by tile, cell and index: stable sorts by cell, then by tile."""
@@ -218,7 +191,7 @@ class RadianceCache:
 
     def _make_tiles(self, samples: SortedSamples, count: int, frame: int) -> None:
         """Makes the tiles that samples need; when all are in use, for those that were unused longest."""
-        run, tiles, capacity = self._launcher.run_banded, self._tiles, self._config.tiles
+        run, tiles, capacity = self._launcher.run_banded, self.tiles, self._config.tiles
         is_new, ends = self._get("is_new", wp.int32, count), self._get("new_ends", wp.int32, count)
         run(kernels.find_new_tiles, count, frame, samples, tiles, is_new)
         prefix_sum(is_new, ends, inclusive=True)
@@ -241,23 +214,23 @@ class RadianceCache:
         ends = self._per_tile("ends")
         prefix_sum(stays, ends, inclusive=True)
         keys, slots = self._others()
-        self._launcher.run_banded(kernels.compact_tiles, self._config.tiles, self._tiles, stays, ends, keys, slots)
+        self._launcher.run_banded(kernels.compact_tiles, self._config.tiles, self.tiles, stays, ends, keys, slots)
         self._take(keys, slots)
-        self._launcher.run(kernels.count_remaining_tiles, 1, is_early, self._grid, ends, self._tiles)
+        self._launcher.run(kernels.count_remaining_tiles, 1, is_early, self._grid, ends, self.tiles)
 
     def _look_up(self, name: str, samples: CacheSamples) -> DeviceArray:
         """As ``look_up``, into the array of a name."""
         count = len(device_array(samples.is_active))
         radiance = self._get(name, wp.vec3, count)
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.look_up_samples, count, self._grid, samples, self._tiles, radiance)
+            self._launcher.run_banded(kernels.look_up_samples, count, self._grid, samples, self.tiles, radiance)
         return radiance
 
     def _ranks(self, key_tiles: Kernel) -> DeviceArray:
         """Ranks of the tiles by what a kernel writes for each, ties by key."""
         count = self._config.tiles
         ages, ranks = (self._get(name, wp.int32, 2 * count) for name in ("ages", "ranks"))
-        self._launcher.run_banded(key_tiles, count, self._tiles, ages, ranks)
+        self._launcher.run_banded(key_tiles, count, self.tiles, ages, ranks)
         sort_pairs(ages, ranks, count)
         return ranks
 
@@ -267,17 +240,17 @@ class RadianceCache:
 
     def _take(self, keys: DeviceArray, slots: DeviceArray) -> None:
         """Replaces the keys and slots of the tiles."""
-        copy_elements(keys, device_array(self._tiles.keys), self._config.tiles)
-        copy_elements(slots, device_array(self._tiles.slots), self._config.tiles)
+        copy_elements(keys, device_array(self.tiles.keys), self._config.tiles)
+        copy_elements(slots, device_array(self.tiles.slots), self._config.tiles)
 
     def _may_count(self, index: int) -> bool:
         """Whether a count is above 0. On a GPU, passes without work are cheaper than waiting for the count."""
-        return self._launcher.is_parallel or bool(device_array(self._tiles.counts).numpy()[index] > 0)
+        return self._launcher.is_parallel or bool(device_array(self.tiles.counts).numpy()[index] > 0)
 
     def _warn_of_overflow(self) -> None:
         """Logs once that the cache was full."""
         if not self._has_warned:
-            counts = device_array(self._tiles.counts).numpy()
+            counts = device_array(self.tiles.counts).numpy()
             if np.any(counts[[COUNT_EVICTED, COUNT_DROPPED]] > 0):
                 self._has_warned = True
                 _log.warning(
@@ -309,9 +282,3 @@ def _allocated_tiles(buffers: Buffers, capacity: int) -> CacheTiles:
         count = COUNTS if field == "counts" else capacity * _LENGTHS.get(field, 1)
         setattr(tiles, field, buffers.get(f"radiance_cache.tiles.{field}", variable.type.dtype, count))
     return tiles
-
-
-def _bytes_of_tiles(tiles: CacheTiles) -> int:
-    """Memory of all tiles that there may be."""
-    noun: Any = CacheTiles
-    return bytes_of(*(getattr(tiles, field) for field in noun.vars))

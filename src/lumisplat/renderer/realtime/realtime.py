@@ -9,7 +9,6 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.render import PATH_PARTS, REALTIME_AOVS
-from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime.antialiasing import Antialiasing
 from lumisplat.renderer.realtime.debug_layers import DebugLayers
@@ -23,7 +22,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.renderer.trace.ray_wave import LightImages, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
@@ -154,7 +153,7 @@ class RealtimeIntegrator:
             if name == "motion":
                 images[name] = debug.motion(scene, surfaces, count)
             elif name == "history":
-                frames = [self._filters["direct", kind.kind].frames(scene, frame) for kind in surfaces]
+                frames = {kind.kind: self._filters["direct", kind.kind].frames(scene, frame) for kind in surfaces}
                 images[name] = debug.history(scene, surfaces, frames, count)
             elif not self._bounces or not surfaces:
                 images[name] = debug.empty(name, count)

@@ -288,13 +288,13 @@ def add_samples(
         probes_out.refreshed[i] = grids[0].frame
     if not rays.is_active[ray]:
         return
-    seen = radiance[ray]
-    if not (wp.isfinite(seen[0]) and wp.isfinite(seen[1]) and wp.isfinite(seen[2])):
+    color = radiance[ray]
+    if not (wp.isfinite(color[0]) and wp.isfinite(color[1]) and wp.isfinite(color[2])):
         return
     k = i * count + cell
     samples = cells_out.samples[k]
     share = 1.0 / (mean_weight(samples, grids[0].history) + 1.0)
-    cells_out.radiance[k] = cells_out.radiance[k] + share * (seen - cells_out.radiance[k])
+    cells_out.radiance[k] = cells_out.radiance[k] + share * (color - cells_out.radiance[k])
     nearness = 1.0 / wp.max(hit_distance[ray], 1e-20)
     cells_out.nearness[k] = cells_out.nearness[k] + share * (nearness - cells_out.nearness[k])
     cells_out.samples[k] = wp.min(samples + 1.0, grids[0].history)

@@ -81,11 +81,11 @@ class ScreenProbes:
         self._write_grid(frame)
         self._store_history()
         run, tiles, grids = self._launcher.run_banded, self._tiles, self._grids
-        seen = grids, camera, camera_before, surfaces
-        run(kernels.place_in_tiles, tiles, *seen, self._before, self._adaptive_before, self.probes)
+        shown = grids, camera, camera_before, surfaces
+        run(kernels.place_in_tiles, tiles, *shown, self._before, self._adaptive_before, self.probes)
         keys, order = self._list("probes.needs_keys", tiles), self._tile_order
         history = self._before, self._adaptive_before
-        run(kernels.find_needs, tiles, *seen, self.probes, *history, self._needs, keys, order)
+        run(kernels.find_needs, tiles, *shown, self.probes, *history, self._needs, keys, order)
         sort_pairs(keys, order, tiles)
         run(
             kernels.place_adaptive,
@@ -121,8 +121,8 @@ class ScreenProbes:
             hit_distance: Distance of the hits, scene units; inf: nothing was hit.
         """
         run, cells = self._launcher.run_banded, self.cells
-        seen = self._refresh_order, self._rays, radiance, hit_distance
-        run(kernels.add_samples, self.ray_count, self._grids, *seen, self.probes, cells)
+        inputs = self._refresh_order, self._rays, radiance, hit_distance, self.probes, cells
+        run(kernels.add_samples, self.ray_count, self._grids, *inputs)
         weights = self._buffers.get("probes.weights", wp.float32, self.count * self._cell_count)
         places = self._camera, self.probes, self.adaptive_of, self._tile_order, cells
         run(kernels.filter_cells, self.count * self._cell_count, self._grids, *places, self.light, weights)

@@ -35,13 +35,13 @@ wp.set_module_options(SHADE_OPTIONS)
 @wp.func
 def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
     """Linear radiance that ray ``i`` sees of emitters, but for the meshes that are sampled as lights."""
-    seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
-    seen *= scene[0].settings[0].capture_gain
-    seen += wave[0].radiance.light[i]
+    radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
+    radiance *= scene[0].settings[0].capture_gain
+    radiance += wave[0].radiance.light[i]
     if wave[0].meshes.face[i] >= 0 and scene[0].emitters.ends.shape[0] > 0:
         if scene[0].emitters.first[wave[0].meshes.instance[i]] >= 0:
-            seen -= wave[0].gaussians.transmittance[i] * mesh_emission(i, scene, wave)
-    return wp.max(seen, wp.vec3(0.0))
+            radiance -= wave[0].gaussians.transmittance[i] * mesh_emission(i, scene, wave)
+    return wp.max(radiance, wp.vec3(0.0))
 
 
 @wp.func
@@ -111,7 +111,7 @@ def shade_hits(
         onward_inout.goes_on[i] = 0
     if not wave[0].rays.is_active[i]:
         return
-    seen = unsampled_light(i, scene, wave)
+    radiance = unsampled_light(i, scene, wave)
     weight = wp.vec3(1.0)
     length = float(0.0)
     bounce = Bounce()
@@ -120,8 +120,8 @@ def shade_hits(
         length = onward_inout.way[i]
         bounce = straight_bounce(i, scene, wave)
         if onward_inout.mirrored[i] != 0:
-            seen += mirrored_light(i, length, no_shadows, scene, wave)
-    bounced_out.seen[i] += wp.cw_mul(weight, seen)
+            radiance += mirrored_light(i, length, no_shadows, scene, wave)
+    bounced_out.seen[i] += wp.cw_mul(weight, radiance)
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], SURFACE_BRANCH), wave[0].rays.sample[i])
     surface = branch_of(i, u[0], False, bounce, wave)
     if surface.kind == BRANCH_NONE or not is_scattering(surface):

@@ -1,8 +1,8 @@
-"""A wave of rays: those that have been reflected or refracted equally often."""
+"""Waves of rays, which have been reflected or refracted equally often, and images of the light of the first wave."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from lumisplat.device.structs.shading import WaveData
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
@@ -45,3 +45,15 @@ class RayWave:
     def is_primary(self) -> bool:
         """Whether its rays are the first ones."""
         return self.number == 0
+
+
+@dataclass(frozen=True, slots=True)
+class LightImages:
+    """Light of the first wave's rays in parts, linear, one array of vec3 a part."""
+
+    direct: list[DeviceArray] = field(default_factory=list[DeviceArray])
+    """Of each light alone, unshadowed."""
+    arrived: list[DeviceArray] = field(default_factory=list[DeviceArray])
+    """Of each light alone, shadowed."""
+    layers: dict[str, DeviceArray] = field(default_factory=dict[str, DeviceArray])
+    """Further layers, by name."""
