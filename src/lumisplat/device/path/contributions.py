@@ -349,6 +349,21 @@ def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
 
 
 @wp.func
+def start_along(i: int, j: int, t_max: float, branch: int, wave: wp.array[WaveData], rays_out: RayData):
+    """Starts ray ``j`` along ray ``i`` of a wave, with keys of a branch of its own; the caller activates it."""
+    rays_out.origin[j] = wave[0].rays.origin[i]
+    rays_out.direction[j] = wave[0].rays.direction[i]
+    rays_out.t_min[j] = wave[0].rays.t_min[i]
+    rays_out.normal[j] = wave[0].rays.normal[i]
+    rays_out.t_max[j] = t_max
+    rays_out.path_length[j] = 0.0
+    rays_out.spread[j] = 0.0
+    rays_out.pixel_key[j] = branch_key(wave[0].rays.pixel_key[i], branch)
+    rays_out.sample_key[j] = branch_key(wave[0].rays.sample_key[i], branch)
+    rays_out.sample[j] = wave[0].rays.sample[i]
+
+
+@wp.func
 def start_shown_ray(
     i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], shadows: wp.array[PathShadowRays]
 ):
@@ -357,16 +372,7 @@ def start_shown_ray(
     shadows[0].contributions[j] = value
     shadows[0].lights[j] = light
     shadows[0].rays.is_active[j] = True
-    shadows[0].rays.origin[j] = wave[0].rays.origin[i]
-    shadows[0].rays.direction[j] = wave[0].rays.direction[i]
-    shadows[0].rays.t_min[j] = wave[0].rays.t_min[i]
-    shadows[0].rays.normal[j] = wave[0].rays.normal[i]
-    shadows[0].rays.t_max[j] = t
-    shadows[0].rays.path_length[j] = 0.0
-    shadows[0].rays.spread[j] = 0.0
-    shadows[0].rays.pixel_key[j] = branch_key(wave[0].rays.pixel_key[i], SHOWN_BRANCH)
-    shadows[0].rays.sample_key[j] = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
-    shadows[0].rays.sample[j] = wave[0].rays.sample[i]
+    start_along(i, j, t, SHOWN_BRANCH, wave, shadows[0].rays)
 
 
 @wp.func

@@ -29,6 +29,7 @@ from lumisplat.device.path.contributions import (
     leaves_receiver,
     light_surface,
     own_light,
+    start_along,
 )
 from lumisplat.device.path.steps import (
     BRANCH_NONE,
@@ -105,16 +106,7 @@ def start_ambient_rays(
     rays_out.is_active[i] = False
     if wave[0].rays.is_active[i] and leaves_receiver(i, paths):
         rays_out.is_active[i] = not is_black(images[0].ambient[paths[0].root[i]])
-        rays_out.origin[i] = wave[0].rays.origin[i]
-        rays_out.direction[i] = wave[0].rays.direction[i]
-        rays_out.t_min[i] = wave[0].rays.t_min[i]
-        rays_out.normal[i] = wave[0].rays.normal[i]
-        rays_out.t_max[i] = wp.inf
-        rays_out.path_length[i] = 0.0
-        rays_out.spread[i] = 0.0
-        rays_out.pixel_key[i] = branch_key(wave[0].rays.pixel_key[i], OPEN_BRANCH)
-        rays_out.sample_key[i] = branch_key(wave[0].rays.sample_key[i], OPEN_BRANCH)
-        rays_out.sample[i] = wave[0].rays.sample[i]
+        start_along(i, i, wp.inf, OPEN_BRANCH, wave, rays_out)
 
 
 @wp.kernel
