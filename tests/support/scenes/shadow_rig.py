@@ -35,7 +35,7 @@ class ShadowRig:
 
     def __init__(self, schedule: str = "cpu", threads: int | None = None) -> None:
         device = schedule.partition(" ")[0]
-        self._part = schedule.endswith("ray by ray")
+        self._is_incoherent = schedule.endswith("ray by ray")
         self._launcher = Launcher(device, threads, parallel=True if " as " in schedule else None)
         self._device = device
         self._buffers = Buffers(device)
@@ -75,7 +75,7 @@ class ShadowRig:
         rays.sample.fill_(sample)
         shadows.begin_sample(sample)
         blocked = wp.full(len(rays.pixel_key), opaque, dtype=wp.bool, device=self._device)
-        light = shadows.trace(on_device, rays, skipping, "light", opaque=blocked, part=self._part)
+        light = shadows.trace(on_device, rays, skipping, "light", opaque=blocked, incoherent=self._is_incoherent)
         return light.numpy()[: len(origins)].astype(float)
 
     def _rays(

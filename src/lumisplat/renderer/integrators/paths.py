@@ -46,7 +46,7 @@ class PathIntegrator:
         """The kernel modules of a frame, but for primary hits."""
         modules = [*self._surfaces.modules(), kernels, *self._tracer.modules(plan, bounced=True)]
         if plan.casts_shadows:
-            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, part=True)
+            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
@@ -122,7 +122,7 @@ class PathIntegrator:
         run(kernels.start_ambient_rays, count, wave.data, *rows, ambient, skips)
         with self._launcher.stage("shadow"):
             visibility = self._shadows.trace(
-                scene, ambient, skips, "path.open", of_splats=plan.splat_shadows, part=True
+                scene, ambient, skips, "path.open", of_splats=plan.splat_shadows, incoherent=True
             )
         run(kernels.add_open, count, ambient, visibility, *rows)
 
@@ -159,7 +159,7 @@ class PathIntegrator:
                     opaque=shadows.opaque,
                     media=device_array(shadows.media) if plan.absorbs else None,
                     of_splats=plan.splat_shadows,
-                    part=True,
+                    incoherent=True,
                 )
         run(kernels.add_sampled_light, count, number, scene.shading, wave.data, *rows[:2], visibility, rows[2])
         prefix_sum(device_array(steps.goes_on), device_array(steps.places), inclusive=True)

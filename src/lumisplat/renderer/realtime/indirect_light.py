@@ -196,7 +196,7 @@ class SecondaryRays:
         modules: list[KernelModule] = [ray_kernels, *self._surfaces.modules(), *self._grids.modules()]
         modules += self._tracer.modules(plan, bounced=True)
         if plan.casts_shadows:
-            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, part=True)
+            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
 
     def trace(
@@ -238,7 +238,7 @@ class SecondaryRays:
             visibility = bounced.sampled
             if plan.casts_shadows:
                 visibility = self._shadows.trace(
-                    scene, shadow_rays, None, f"{name}.visibility", of_splats=plan.splat_shadows, part=True
+                    scene, shadow_rays, None, f"{name}.visibility", of_splats=plan.splat_shadows, incoherent=True
                 )
             run(ray_kernels.light_samples, count, bounced, shadow_rays, visibility, samples)
         return SecondaryHits(bounced, samples)

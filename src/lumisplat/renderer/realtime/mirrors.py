@@ -65,7 +65,7 @@ class Mirrors:
             *self._direct_light.modules(plan),
         ]
         if plan.casts_shadows:
-            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, part=True)
+            modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
 
     def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
@@ -123,7 +123,7 @@ class Mirrors:
         visibility = sampled
         if plan.casts_shadows:
             visibility = self._shadows.trace(
-                scene, rays, None, "mirrors.visibility", of_splats=plan.splat_shadows, part=True
+                scene, rays, None, "mirrors.visibility", of_splats=plan.splat_shadows, incoherent=True
             )
         run(kernels.add_samples, count, sampled, rays, visibility, wave.data)
 

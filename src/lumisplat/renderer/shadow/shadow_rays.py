@@ -56,14 +56,14 @@ class ShadowRays:
         self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
         assign_table(self._settings, self._table)
 
-    def modules(self, of_splats: SplatShadows, *, has_meshes: bool, part: bool = False) -> list[KernelModule]:
+    def modules(self, of_splats: SplatShadows, *, has_meshes: bool, incoherent: bool = False) -> list[KernelModule]:
         """The kernel modules of rays; arguments as of `trace`."""
         modules: list[KernelModule] = [mesh_shadow_kernels] if has_meshes else []
         if not of_splats.exist:
             return modules
         if self._draws == DRAWS_SHARED:
             modules += [stochastic_bvh_kernels]
-        if self._traces_one_by_one(part=part):
+        if self._traces_one_by_one(incoherent=incoherent):
             return [gaussian_shadow_kernels, *RAY_ORDER_MODULES, *modules]
         return [shadow_kernel_of(self._launcher, self._config).module, *modules]
 
@@ -84,7 +84,7 @@ class ShadowRays:
         opaque: wp.array[wp.bool] | None = None,
         media: wp.array[wp.vec4i] | None = None,
         of_splats: SplatShadows = ON_ALL,
-        part: bool = False,
+        incoherent: bool = False,
     ) -> DeviceArray:
         """Transmittance of each ray up to ``t_max``: linear, per channel, 0..1, as wp.vec3.
 
@@ -97,7 +97,7 @@ class ShadowRays:
             name: Of the buffer that holds the result.
             opaque: Whether glass blocks each ray. None: it blocks none.
             media: Media at the origins, wp.vec4i as of ``Boundary``. None: all are in air.
-            part: Whether rays are incoherent, so that each goes through Gaussians alone.
+            incoherent: Whether rays are incoherent, so that each goes through Gaussians alone.
             of_splats: Shadows that Gaussians may cast; without any, the scene needs no hierarchies of them.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
@@ -114,7 +114,7 @@ class ShadowRays:
         ):
             bvh.assets = assets
         bands = RAY_BANDS_PER_THREAD * self._launcher.threads
-        if self._traces_one_by_one(part=part):
+        if self._traces_one_by_one(incoherent=incoherent):
             order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
             kernel = gaussian_shadow_kernels.shadow_ray_by_ray
             run(kernel, count, *(order, self._settings, bvh, rays, limits, skips, light), bands=bands)
@@ -123,9 +123,9 @@ class ShadowRays:
         run(kernel, count // self._lanes, *(self._settings, bvh, rays, limits, skips, light), bands=bands)
         return light
 
-    def _traces_one_by_one(self, *, part: bool) -> bool:
+    def _traces_one_by_one(self, *, incoherent: bool) -> bool:
         """Whether each ray goes through Gaussians alone."""
-        return part and self._config.shadow_rays.method is not ShadowMethod.FIRST_HITS
+        return incoherent and self._config.shadow_rays.method is not ShadowMethod.FIRST_HITS
 
     def _past_meshes(
         self,
