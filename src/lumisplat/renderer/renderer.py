@@ -348,8 +348,10 @@ class Renderer:
         self._film.begin(self._scene, plan, resume, part)
         first = part.first if part is not None else 0 if resume is None else resume.samples
         self._light_warnings.warn_of_noise(plan, first + plan.samples)
-        is_estimated = plan.noise is not None or plan.time_limit is not None or progress is not None
-        budget = SampleBudget(plan, first, partial(self._film.noise, exposure) if is_estimated else None)
+        config = self.config
+        is_estimated = config.noise is not None or config.time_limit is not None or progress is not None
+        estimate = partial(self._film.noise, exposure) if is_estimated else None
+        budget = SampleBudget(config, plan.samples, first, estimate)
         while not budget.is_spent:
             self._draw_sample(plan, exposure, self._frame_number if plan.has_history else budget.done)
             budget.add()
@@ -390,7 +392,7 @@ class Renderer:
         integrator = self._integrators.of(plan)
         wave = integrator.shade(self._scene, plan, hits, sample)
         self._film.add(self._scene, wave, integrator.light_images(self._scene, plan, hits))
-        if plan.time_limit is not None:
+        if self.config.time_limit is not None:
             self._launcher.synchronize()
 
     def trace_rays(
@@ -537,7 +539,8 @@ class Renderer:
             background=self.config.background,
             samples=samples,
             config=self.config,
-            draws_meshes=self._scene.draws_alpha and any(instance.mesh.material.blends for instance in scene.meshes),
+            draws_meshes=self._scene.plan.draws_alpha
+            and any(instance.mesh.material.blends for instance in scene.meshes),
             stats=FrameStats(
                 stage_ms=self._launcher.stage_ms,
                 gaussian_count=scene.gaussian_count,

@@ -6,8 +6,8 @@ import logging
 import time
 from collections.abc import Callable
 
+from lumisplat.config import RenderConfig
 from lumisplat.constants import NOISE_SAMPLES_MIN
-from lumisplat.renderer.scene.frame_plan import FramePlan
 
 # Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
 
@@ -27,13 +27,14 @@ class SampleBudget:
     interrupted ends with as many as one that is not.
 
     Args:
-        plan: Plan of the frame.
-        first: Samples that it has already.
+        config: Says which noise is low enough, and how long samples may take.
+        samples: How many are added at most.
+        first: How many the frame has already.
         estimate: Estimates the noise of the samples so far; None: nobody asks.
     """
 
-    def __init__(self, plan: FramePlan, first: int, estimate: Callable[[], float] | None) -> None:
-        self._plan, self._first, self._estimate = plan, first, estimate
+    def __init__(self, config: RenderConfig, samples: int, first: int, estimate: Callable[[], float] | None) -> None:
+        self._config, self._samples, self._first, self._estimate = config, samples, first, estimate
         self._started = time.monotonic()
         self.done = first
         """Samples so far."""
@@ -64,25 +65,25 @@ class SampleBudget:
         is_rough = self.done < NOISE_SAMPLES_MIN
         if self._estimate is not None and is_rough and self.done > 1:
             self.noise = self._estimate()
-        wanted = self._plan.noise
+        wanted = self._config.noise
         if wanted is not None and (is_rough or self.noise is None or self.noise > wanted):
             found = "too few to tell the noise" if is_rough else f"the noise is {self.noise:.3f}"
             _log.warning("%s after %s samples a pixel, where RenderConfig.noise is %g", found, f"{self.done:,}", wanted)
 
     def _update(self) -> None:
         """Estimates the noise, if its turn has come, and what is left to do."""
-        plan, added = self._plan, self.done - self._first
-        shares = [added / plan.samples]
+        config, added = self._config, self.done - self._first
+        shares = [added / self._samples]
         if self._estimate is not None and is_noise_checked(self.done):
             self.noise = self._estimate()
-        if plan.noise is not None and self.noise is not None:
+        if config.noise is not None and self.noise is not None:
             # Errors fall with the root of the number of samples.
-            is_low = self.noise <= plan.noise
-            shares += [1.0 if is_low else min((plan.noise / self.noise) ** 2, ALMOST)]
-        if plan.time_limit is not None and added > 0:
+            is_low = self.noise <= config.noise
+            shares += [1.0 if is_low else min((config.noise / self.noise) ** 2, ALMOST)]
+        if config.time_limit is not None and added > 0:
             seconds = time.monotonic() - self._started
-            would_be_late = seconds * (added + 1) / added > plan.time_limit
-            shares += [1.0 if would_be_late else seconds / plan.time_limit]
+            would_be_late = seconds * (added + 1) / added > config.time_limit
+            shares += [1.0 if would_be_late else seconds / config.time_limit]
         self.fraction = max(shares)
 
 

@@ -71,9 +71,9 @@ class RasterHits:
             if self._is_sorted:
                 counts = "hits" in self._config.aovs
                 self._splats.find_hits(scene, tiles, pixels, gaussians, counts=counts)
-                if scene.mixes_sets:
+                if scene.plan.mixes_sets:
                     self._splats.find_relit(scene, tiles, pixels, gaussians)
-                if scene.shows_means:
+                if scene.plan.shows_means:
                     self._splats.find_means(scene, splats, tiles, pixels, gaussians)
             else:
                 self._splats.sample_hits(scene, tiles, pixels, gaussians)

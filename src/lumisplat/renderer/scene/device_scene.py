@@ -81,21 +81,12 @@ class DeviceScene:
         """Gaussians over all instances."""
         self.triangle_count = 0
         """Triangles over all instances."""
-        self.mixes_sets = False
-        """What Gaussians of relit sets show is added up apart from what others do: `FramePlan.mixes_sets`."""
-        self.shows_means = False
-        """Surfaces of relit Gaussians are weighted means: `FramePlan.shows_means`."""
-        self.draws_alpha = False
-        """Rays meet surfaces of some alpha by chance, as `FramePlan.draws_alpha`."""
-        self.traces_paths = False
-        """Light bounces in all directions: `FramePlan.traces_paths`."""
-        self.keeps_captures = self.relights = False
-        """Whether some splat sets keep their captured colours, and whether some do not."""
+        self.plan: FramePlan
+        """That of the frame; written by ``sync``."""
         self.version = 0
         """Changes with the arrays of assets."""
         self.frame = LocalFrame(np.zeros(3))
         """The frame in which all that is on the device lies, world and camera alike."""
-        self._plan: FramePlan | None = None
         self._synced: object = None
         """`graph_key` of the last frame."""
 
@@ -140,7 +131,7 @@ class DeviceScene:
         What changes from frame to frame and sample to sample is in arrays, whose addresses stay.
         """
         tables = self.bvh.graph_key, self._mesh_bvh.graph_key, self._shading.graph_key
-        return self.image_size, self._plan, self.version, tables, self._buffers.allocations
+        return self.image_size, self.plan, self.version, tables, self._buffers.allocations
 
     @property
     def bytes(self) -> int:
@@ -159,9 +150,6 @@ class DeviceScene:
         if plan.has_history:  # its random choices among lights are the same whatever their order
             scene = replace(scene, lights=in_order(scene.lights))
         with self._launcher.stage("sync"):
-            self.mixes_sets, self.draws_alpha = plan.mixes_sets, plan.draws_alpha
-            self.traces_paths, self.shows_means = plan.traces_paths, plan.shows_means
-            self.keeps_captures, self.relights = plan.keeps_captures, plan.relights
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, camera.image_size
@@ -188,7 +176,7 @@ class DeviceScene:
         if plan.follows_rays:
             with self._launcher.stage("build"):
                 self.bvh.sync(scene, self.assets, self._config, is_lit=plan.is_lit, tells_apart=plan.traces_paths)
-        self._plan = plan
+        self.plan = plan
         if self._synced != self.graph_key:
             self._launcher.drop_graphs()
             self._synced = self.graph_key

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from lumisplat.config import (
@@ -16,7 +17,7 @@ from lumisplat.config import (
     ShadowMethod,
     Shadows,
 )
-from lumisplat.config.pipelines import Integrator
+from lumisplat.config.pipelines import Integrator, Visibility
 from lumisplat.config.render import PATH_PARTS
 from lumisplat.renderer.scene.materials import (
     absorbs,
@@ -112,32 +113,22 @@ class FramePlan:
 
     is_lit: bool
     """Lights light the surfaces that reflect."""
-    rasterises: bool
-    """Primary hits are rasterised; otherwise traced."""
+    visibility: Visibility
+    """How primary hits are found."""
     is_unscented: bool
     """They are rasterised along the rays of any lens, by sigma points; those of meshes are traced."""
-    traces_paths: bool
-    """Light bounces in all directions, by paths."""
-    follows_rays: bool
-    """Some rays traverse the scene's bounding volume hierarchies: from the camera, from mirrors, or to lights."""
-    traces_rays: bool
-    """Some of these rays find hits to be shaded: from the camera or from mirrors."""
+    integrator: Integrator
+    """How light is carried from there; that of an unlit frame is none by paths."""
     has_unshadowed: bool
     """Some surface reflects a light without a shadow: it casts none, the frame has none, or it is the headlight."""
     casts_shadows: bool
     """Shadow rays are followed: some light casts shadows, on some surface that something can shadow."""
     splat_shadows: SplatShadows
     """Which of these rays splat sets may block."""
-    spawns_shadow_rays: bool
-    """Rays start at interactions: for shadows, for images of each light, or within highlights."""
     is_sampled: bool
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
     samples: int
     """Samples a pixel, at most; of no meaning unless the frame is sampled."""
-    time_limit: float | None
-    """Seconds after which no sample begins."""
-    noise: float | None
-    """Relative error of most pixels at which the frame ends."""
     adapts: bool
     """Noisy pixels have more samples than others."""
     jitters: bool
@@ -149,8 +140,6 @@ class FramePlan:
     """How many its light needs, so that none of it is grainy."""
     grain: tuple[str, ...]
     """Light that comes from random directions, in words: too few samples show it as grain."""
-    environment_draws: int
-    """Directions in which each interaction and sample looks for an environment that casts no shadow."""
     has_lobes: bool
     """Rough surfaces reflect what is around them, by a ray within their highlights."""
     max_bounces: int
@@ -168,9 +157,6 @@ class FramePlan:
     """Interactions have clearcoat, sheen, or light that is scattered more than once."""
     has_rough_glass: bool
     """Paths are scattered through rough surfaces."""
-    draws_alpha: bool
-    """Rays meet surfaces of some alpha by chance, as in paths and where meshes are rasterised only; else they go on
-    behind such surfaces by the share that these leave. Media are met either way: who enters one leaves it, too."""
     has_shadow_only: bool
     """Some splat set is a shadow catcher, and not seen by paths: lights darken it."""
     ambient_rays: int
@@ -191,8 +177,40 @@ class FramePlan:
     """Further images of the frame."""
     for_camera: bool
     """Rays are those of a camera's pixels, which see a background."""
-    has_history: bool
-    """Each frame adds to what those before it have found."""
+
+    @property
+    def rasterises(self) -> bool:
+        """Primary hits are rasterised; otherwise traced."""
+        return self.visibility is Visibility.RASTERISED
+
+    @property
+    def traces_paths(self) -> bool:
+        """Light bounces in all directions, by paths."""
+        return self.integrator in (Integrator.PATH, Integrator.REALTIME)
+
+    @property
+    def has_history(self) -> bool:
+        """Each frame adds to what those before it have found."""
+        return self.integrator is Integrator.REALTIME
+
+    @property
+    def follows_rays(self) -> bool:
+        """Some rays traverse the hierarchies of Gaussians: from the camera, from mirrors, or to lights."""
+        return self.integrator is not Integrator.DIRECT or (self.casts_shadows and self.splat_shadows.exist)
+
+    @property
+    def spawns_shadow_rays(self) -> bool:
+        """Rays start at interactions: for shadows, for images of each light, or within highlights."""
+        return self.casts_shadows or self.traces_paths or self.has_lobes or "lights" in self.aovs
+
+    @property
+    def draws_alpha(self) -> bool:
+        """Rays meet surfaces of some alpha by chance, as in paths and where meshes are rasterised only.
+
+        Else they go on behind such surfaces by the share that these leave. Media are met either way: who enters one
+        leaves it, too.
+        """
+        return self.traces_paths or self.integrator is Integrator.DIRECT
 
     @property
     def has_path_layers(self) -> bool:
@@ -225,7 +243,6 @@ class FramePlan:
         has_lobes = wants_lobes and follows and is_lit and reflects
         grain += (SURROUNDINGS,) * has_lobes
         has_media = not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes)
-        draws_alpha = traces_paths or only_rasterises
         is_dithered = only_rasterises and any(instance.mesh.material.blends for instance in scene.meshes)
         samples_wanted = 1 if is_realtime else SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
         samples_wanted = max(samples_wanted, SAMPLES_OF_RANDOM_LIGHT if is_dithered else 1)
@@ -236,25 +253,19 @@ class FramePlan:
         samples = config.samples or (SAMPLES_OPEN if is_open else samples_wanted)
         return cls(
             is_lit=is_lit,
-            rasterises=rasterises,
+            visibility=pipeline.visibility,
             is_unscented=is_unscented,
-            traces_paths=traces_paths,
-            follows_rays=(casts_shadows and splat_shadows.exist) or not only_rasterises,
-            traces_rays=not only_rasterises,
+            integrator=pipeline.integrator if is_lit or not bounces else Integrator.WHITTED,
             has_unshadowed=has_unshadowed,
             casts_shadows=casts_shadows,
             splat_shadows=splat_shadows,
-            spawns_shadow_rays=casts_shadows or traces_paths or has_lobes or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises or is_unscented,
             samples=samples,
-            time_limit=config.time_limit,
-            noise=config.noise,
             adapts=adapts,
             jitters=may_jitter(config, is_lit=is_lit) and spreads,
             jitters_meshes=may_jitter(config, is_lit=is_lit) and not spreads and not adapts and bool(scene.meshes),
             samples_wanted=samples_wanted,
             grain=grain,
-            environment_draws=math.ceil(CAPTURED_LIGHT_DRAWS / samples) if draws_captured_light(config, scene) else 1,
             has_lobes=has_lobes,
             max_bounces=bounces_of(config, is_lit=is_lit, has_mirrors=has_mirrors, has_lobes=has_lobes),
             has_headlight=is_lit and not scene.lights and not (bounces and config.lighting is None and shines(scene)),
@@ -263,7 +274,6 @@ class FramePlan:
             absorbs=has_media and any(map(absorbs, scene.meshes)),
             has_coatings=is_lit and (config.energy_compensation or any(map(has_layers, materials_of(scene)))),
             has_rough_glass=traces_paths and any(map(is_rough_glass, scene.meshes)),
-            draws_alpha=draws_alpha,
             ambient_rays=ambient_rays_of(config, scene, samples_wanted) * casts_shadows,
             keeps_captures=keeps,
             relights=relights,
@@ -274,7 +284,6 @@ class FramePlan:
             shows_lights_in_haze=in_haze,
             aovs=aovs,
             for_camera=True,
-            has_history=is_realtime and is_lit,
         )
 
     @classmethod
@@ -387,17 +396,22 @@ def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
     """The lights whose direction differs from sample to sample, in words."""
     lights = [light for light in scene.lights if light.enabled]
     environment = any(isinstance(light, LightEnvironment) for light in lights)
-    environment = environment and not draws_captured_light(config, scene)
+    environment = environment and not draws_captured_light(config.aovs, scene)
     soft = config.shadows is Shadows.SOFT and any(has_size(light) for light in lights)
     return (SKY,) * environment + (SOFT_LIGHTS,) * soft
 
 
-def draws_captured_light(config: RenderConfig, scene: Scene) -> bool:
+def draws_captured_light(aovs: Collection[str], scene: Scene) -> bool:
     """Whether each sample looks for the light of captures in many directions, so that one sample is smooth.
 
     Images of single lights are added up by passes that look in one.
     """
-    return "lights" not in config.aovs and any(isinstance(light, CapturedLight) for light in scene.lights)
+    return "lights" not in aovs and any(isinstance(light, CapturedLight) for light in scene.lights)
+
+
+def environment_draws(plan: FramePlan, scene: Scene) -> int:
+    """Directions in which each interaction and sample looks for an environment that casts no shadow."""
+    return math.ceil(CAPTURED_LIGHT_DRAWS / plan.samples) if draws_captured_light(plan.aovs, scene) else 1
 
 
 def samples_of(grain: tuple[str, ...], scene: Scene) -> int:

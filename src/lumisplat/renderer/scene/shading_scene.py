@@ -17,7 +17,7 @@ from lumisplat.device.structs.shading import (
     SplatAttributes,
 )
 from lumisplat.renderer.scene.emitters import Emitters
-from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.frame_plan import FramePlan, environment_draws
 from lumisplat.renderer.scene.lights import LightTable
 from lumisplat.renderer.scene.materials import TextureFirst, material_table
 from lumisplat.renderer.scene.splat_assets import SplatAsset
@@ -124,7 +124,7 @@ class ShadingTables:
         row["light_count"] = self._table.count
         row["absorbs"] = plan.absorbs
         row["soft"] = config.shadows is Shadows.SOFT or plan.traces_paths
-        row["more_draws"] = plan.environment_draws - 1
+        row["more_draws"] = environment_draws(plan, scene) - 1
         row["changes_shadows"] = config.shadow_rays.changes_shadows
         row["shadow_offset"] = config.shadow_rays.offset
         row["capture_gain"] = 2.0**config.capture_gain

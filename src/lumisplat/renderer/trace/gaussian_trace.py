@@ -90,7 +90,7 @@ class GaussianTracer:
         """
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
-        tells_relit = marked is not None or (scene.mixes_sets and sets is SplatSets.ALL)
+        tells_relit = marked is not None or (scene.plan.mixes_sets and sets is SplatSets.ALL)
         hits = self._buffers.struct(name, GaussianHits, count, MEAN_FIELDS if tells_relit else EXTRA_FIELDS)
         if scene.gaussian_count == 0 and profiles is None:
             return without_hits(hits)

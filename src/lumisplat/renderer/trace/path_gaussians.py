@@ -75,11 +75,11 @@ class PathGaussians:
             bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
             dark: Captures that the rays see as black; None: there are none.
         """
-        if not scene.traces_paths or (self._is_blended_first and not bounced):
+        if not scene.plan.traces_paths or (self._is_blended_first and not bounced):
             return self._blended.find(scene, rays, limits, name, bounced=bounced)
-        if not scene.keeps_captures:
+        if not scene.plan.keeps_captures:
             return self._met.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.RELIT)
-        if not scene.relights:
+        if not scene.plan.relights:
             return self._kept(scene, rays, limits, name, bounced=bounced, dark=dark)
         met, ends = self._met_before(scene, rays, limits, name, bounced=bounced)
         kept = self._kept(scene, rays, ends, name, bounced=bounced, dark=dark)
@@ -100,7 +100,7 @@ class PathGaussians:
             marked: The splat instances, as for `GaussianTracer.find`.
             name: Of the buffers that hold the result.
         """
-        if scene.relights:
+        if scene.plan.relights:
             limits = self._met_before(scene, rays, limits, name, bounced=True)[1]
         return self._emitted.find(scene, rays, limits, name, bounced=True, sets=SplatSets.KEPT, marked=marked)
 

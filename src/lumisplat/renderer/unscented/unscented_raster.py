@@ -116,12 +116,12 @@ class UnscentedRaster:
         return splats
 
     def _composite(self, scene: DeviceScene, tiles: SplatTiles, rays: RayData, limits: wp.array[float]) -> GaussianHits:
-        fields = MEAN_FIELDS if scene.mixes_sets else EXTRA_FIELDS
+        fields = MEAN_FIELDS if scene.plan.mixes_sets else EXTRA_FIELDS
         hits = self._buffers.struct("unscented.hits", GaussianHits, len(rays.t_max), fields)
         lists = (tiles.splats, tiles.starts, tiles.items)
         before, after = (scene.splat_camera, self._settings), (*lists, rays, limits, hits)
         count, bands = math.prod(scene.tile_grid), TILE_BANDS_PER_THREAD * self._launcher.threads
-        if self._is_by_pixel(mixes_sets=scene.mixes_sets):
+        if self._is_by_pixel(mixes_sets=scene.plan.mixes_sets):
             inputs = (*before, scene.splat_instances, *after)
             kernel, count = ray_splat_pixel_kernels.composite_pixels, count * TILE_PX * TILE_PX
         else:
