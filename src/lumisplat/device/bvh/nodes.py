@@ -51,11 +51,8 @@ def larger(a: float, b: float) -> float:
 def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> Slabs:
     """The planes' factors and terms: a plane of slope s, ``s t <= b``, says t <= b / s or, for s < 0, t >= b / s.
 
-    Args:
-        low: Lower corner of a box around the origins of rays.
-        high: Its upper corner.
-        slow: Least components of their directions.
-        fast: Largest components.
+    ``low`` and ``high`` are corners of a box around the origins of rays, ``slow`` and ``fast`` the least and largest
+    components of their directions.
     """
     slabs = Slabs()
     width = wp.vec3(MARGIN * wp.max(wp.max(wp.abs(low)), wp.max(wp.abs(high))))
@@ -175,10 +172,8 @@ WIDEST = wp.constant(wp.float32(FOOTPRINT_MAX))
 def footprint_of_ray(footprint: float, spread: float, scale: float) -> float:
     """Standard deviation by which a ray widens Gaussians, object space, over the length of its path.
 
-    Args:
-        footprint: The same in widths of a pixel.
-        spread: Width of the ray's pixel over the length of its path.
-        scale: World from object.
+    ``footprint`` is that in widths of a pixel, ``spread`` the width of the pixel over the length of the path, and
+    ``scale`` world from object.
     """
     return lesser(footprint * spread, WIDEST) / scale
 
@@ -194,11 +189,9 @@ def footprint_slope(footprint: float, length: float) -> float:
 def footprint_variance(footprint: float, path: float, largest_scale: float) -> float:
     """Variance by which a ray finds a Gaussian widened, object space: the square of its footprint at the mean.
 
-    Args:
-        footprint: Standard deviation over the length of the path.
-        path: Its length to where the mean projects onto the ray.
-        largest_scale: Of the Gaussian, world space. Where its ellipsoid may begin long before the mean, the footprint
-            is one that is nearer, so that nodes need not be wider than their rays' footprints there.
+    ``footprint`` is a standard deviation over the length of the path, ``path`` the length to where the mean projects
+    onto the ray. Where an ellipsoid of ``largest_scale``, world space, may begin long before its mean, the footprint is
+    one that is nearer, so that nodes need not be wider than their rays' footprints there.
     """
     width = footprint * larger(lesser(path, LEAD * (path - REACH * largest_scale)), 0.0)
     return width * width
@@ -261,10 +254,7 @@ def inverse_or_large(v: wp.vec3) -> wp.vec3:
 def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
     """Where a ray enters the boxes of a node's children, at least 0; 2 FAR: it does not.
 
-    Args:
-        node: The node.
-        origin: Of the ray, in the space of the tree.
-        inverse: Of the components of its direction, finite.
+    ``inverse`` is that of the components of the ray's direction, finite, in the space of the tree.
     """
     entries = Children()
     low_x = node.low_x

@@ -68,11 +68,7 @@ def empty_list(begin: int) -> HitList:
 def keep_hit(hits: wp.array[Hit], kept: wp.ref[HitList], slots: int, hit: Hit) -> Hit:
     """Adds a hit to a list; if that is full, the farthest hit is dropped.
 
-    Args:
-        hits: The slots of all lists.
-        kept: The list.
-        slots: How many hits it may hold.
-        hit: The hit.
+    ``slots``: how many hits the list may hold.
 
     Returns:
         The hit that was dropped; its distance is FAR if none was.
@@ -253,15 +249,8 @@ def push_children(
 ) -> int:
     """Pushes the children of a node that are nodes, and collects those that are Gaussians.
 
-    Args:
-        stack: The stack.
-        top: Its height.
-        leaves: Receives the places of the Gaussians among the particles of the asset.
-        node: The node.
-        instance: The instance whose tree it is of, or WORLD.
-        entries: Distances at which the packet enters the children.
-        reach: Children that are entered farther away are left out.
-        order: NEAR_FIRST or FAR_FIRST.
+    ``leaves`` receives the places of the Gaussians among the particles of the asset. Children whose entries lie beyond
+    ``reach`` are left out; ``order`` is NEAR_FIRST or FAR_FIRST.
 
     Returns:
         The number of leaves.
@@ -399,11 +388,8 @@ def packet_of(lanes: int) -> RayPacket:
     def take_coherent(rays: RayData, first: int, waiting: wp.ref[Floats], radius_max: float) -> Floats:
         """Takes the first of the rays that wait, and those that start and point nearly as it does.
 
-        Args:
-            rays: The rays.
-            first: The ray of lane 0.
-            waiting: Positive for rays that wait; becomes -FAR for those that are taken.
-            radius_max: How far apart rays may start.
+        ``waiting`` is positive for rays that wait, and becomes -FAR for those that are taken; ``radius_max``: how far
+        apart rays may start.
 
         Returns:
             The numbers of the rays that are taken, and -FAR for the others.
@@ -488,13 +474,8 @@ def packet_of(lanes: int) -> RayPacket:
     ):
         """Goes on to another tree.
 
-        Args:
-            place: Becomes that tree.
-            packet: Receives the origins and directions in its space.
-            number: The instance whose tree it is, or WORLD.
-            scene: The trees.
-            rays: The rays in the world.
-            first: The ray of lane 0.
+        ``place`` becomes the tree of instance ``number``, or of WORLD, and ``packet`` receives the origins and
+        directions in its space.
         """
         place.number = number
         object_from_world = wp.identity(n=3, dtype=wp.float32)
@@ -531,17 +512,8 @@ def packet_of(lanes: int) -> RayPacket:
     ) -> int:
         """Pushes the children of the node just above the top of the stack, as ``push_children``.
 
-        Args:
-            stack: The stack, from which the node was popped.
-            top: Its height.
-            leaves: Receives the Gaussians among the children.
-            place: The tree that the node is of.
-            scene: The trees.
-            begin: Children that the packet leaves nearer are left out.
-            reach: Children that it enters farther away are left out.
-            order: NEAR_FIRST or FAR_FIRST.
-            hit_distance: HIT_MEAN, or another one.
-            end: With HIT_MEAN, where the last ray of the packet ends; ``reach`` is then a distance of means.
+        Children that the packet leaves before ``begin``, or enters beyond ``reach``, are left out. With HIT_MEAN,
+        ``end`` is where the last ray of the packet ends, and ``reach`` a distance of means.
 
         Returns:
             The number of leaves.

@@ -266,10 +266,7 @@ def seen_point(camera: CameraData, field: float, point: wp.vec3) -> wp.vec3:
 
     With a rolling shutter each row sees it elsewhere: it is where the row that it is in sees it.
 
-    Args:
-        camera: The camera.
-        field: As of ``image_point``.
-        point: As of ``view_at``.
+    ``field`` is as of ``image_point``, ``point`` as of ``view_at``.
     """
     at = image_point(camera, field, view_at(camera, point, 0.5))
     error = float(0.0)

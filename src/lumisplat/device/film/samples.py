@@ -113,15 +113,9 @@ def captured_factor(
 ) -> wp.vec3:
     """What is left of a captured colour, or more than that, by what its surface receives, per channel.
 
-    Args:
-        pixel: Whose means say what was sent.
-        radiance: The straight captured colour, linear.
-        part: Of that of the pixel, what is the surface's.
-        whole: All of it.
-        change: Of the irradiance by lights, by all that was added.
-        own_change: Of that by the captures around.
-        blocked: Ambient irradiance that was taken.
-        film: The film.
+    ``part`` of ``whole``, the captured colour of the pixel, is the surface's; ``radiance`` is its straight colour,
+    linear. ``change`` is that of the irradiance by lights, ``own_change`` of that by captures, and ``blocked`` is the
+    ambient irradiance that was taken.
     """
     factor = wp.vec3(1.0)
     for channel in range(3):

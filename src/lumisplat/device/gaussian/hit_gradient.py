@@ -21,11 +21,8 @@ NEAREST2 = wp.constant(wp.float32(1.0e-30))
 def log_alpha_gradient(alpha: float, before: float, shown: float, behind: float) -> float:
     """Derivative by the logarithm of a hit's alpha; 0 where that is at its limit.
 
-    Args:
-        alpha: Of the hit.
-        before: Transmittance before it.
-        shown: Derivative by what the pixel shows, times the hit's colour.
-        behind: What of the loss is still to come, this hit included.
+    ``before`` is the transmittance before the hit, ``shown`` the derivative by what the pixel shows times the hit's
+    colour, and ``behind`` what of the loss is still to come, this hit included.
     """
     return wp.where(alpha < ALPHA_LIMIT, alpha * (before * shown - behind) / (1.0 - alpha), 0.0)
 
@@ -63,14 +60,8 @@ def add_hit(
 ) -> HitMoments:
     """Adds a hit to those of its Gaussian.
 
-    Args:
-        moments: Of the hits so far.
-        instance: The placement of the set.
-        mean: Of the Gaussian.
-        axes: Of the Gaussian, as columns.
-        scale: Standard deviations along them.
-        ray: As ``ray_in_object`` has it.
-        by_log_alpha: Derivative by the logarithm of the hit's alpha.
+    ``axes`` of the Gaussian are columns, ``scale`` its standard deviations along them; the ray is in object space, and
+    ``by_log_alpha`` the derivative by the logarithm of the hit's alpha.
     """
     away = ray.origin - mean
     footprint = footprint_of_ray(instance.footprint, ray.spread, instance.scale)
@@ -106,13 +97,6 @@ def add_moments(
     """Adds the derivatives by Gaussian ``i`` that follow from its hits; returns those by its rays.
 
     These move against it: what changes if all of them are moved is what would if the Gaussian were moved back.
-
-    Args:
-        gaussians: The set.
-        i: The Gaussian.
-        axes: Its axes, as columns.
-        moments: Of its hits.
-        out: Receives the sums.
     """
     scale = gaussians.scales[i]
     by_scale = -2.0 * moments.spread

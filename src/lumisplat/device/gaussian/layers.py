@@ -42,10 +42,8 @@ def is_flat(scales: wp.vec3) -> bool:
 def above_layer(point: wp.vec3, normal: wp.vec3, near: float) -> wp.vec3:
     """Returns where a ray begins that bounces at a surface of Gaussians: a little above it, not to come out below.
 
-    Args:
-        point: Of the surface, world space.
-        normal: Of its layer, unit, on the side to which the ray goes; zero: it tells none, and the ray begins there.
-        near: The offset within which Gaussians of that layer do not block the ray, scene units; 0 for meshes.
+    ``normal`` of the layer is unit, on the side to which the ray goes; where it is zero, the ray begins at the point.
+    ``near``: the offset within which Gaussians of that layer do not block the ray, scene units; 0 for meshes.
     """
     return point + LIFT * near * normal
 
@@ -88,15 +86,8 @@ def is_other_layer(
     Two flat Gaussians can tell: its mean stands before that surface, by little if it is turned away from it, by more
     if the two are parallel; and the ray meets it from the front, or comes from well before its plane.
 
-    Args:
-        i: The ray.
-        near: The offset within which Gaussians of the ray's own layer do not block it, scene units.
-        mean: Of the Gaussian, world space.
-        axis: Its ``thin_axis``.
-        particle: The Gaussian.
-        instance: Its placement.
-        gaussians: Its set.
-        rays: With normals of layers.
+    ``near`` is the offset within which Gaussians of the ray's own layer do not block it, scene units; ``mean`` of the
+    Gaussian is in world space, and ``axis`` its ``thin_axis``.
     """
     normal = rays.normal[i]
     away = mean - rays.origin[i]

@@ -182,15 +182,7 @@ def packet_hits_of(lanes: int) -> PacketHits:
     ) -> int:
         """Leaves of near hits those on Gaussians of another layer; returns 0 if no hit is left.
 
-        Args:
-            kind: Of the hits.
-            begin: As of ``hit_distances``.
-            packet: The rays, in the space of the Gaussian.
-            particle: The Gaussian.
-            instance: Its placement.
-            scene: The scene.
-            rays: The rays in the world.
-            first: The ray of lane 0.
+        ``kind`` of the hits and ``begin`` are as of ``hit_distances``.
         """
         found = int(0)
         for lane in range(LANES):

@@ -112,13 +112,7 @@ def ellipsoid_normal(
 ) -> wp.vec3:
     """Unit normal, against the ray, where it enters the ellipsoid at which Gaussian ``i`` ends; object space.
 
-    Args:
-        instance: The placement of the set.
-        gaussians: The set.
-        i: The Gaussian.
-        origin: Of the ray, object space.
-        direction: Likewise.
-        ray: The ray, world space.
+    ``origin`` and ``direction`` of the ray are in object space, ``ray`` itself in world space.
     """
     scales = gaussians.scales[i]
     reach2 = reach_squared(instance.kernel, gaussians.opacities[i])
@@ -177,13 +171,8 @@ def hit_particle(
 ) -> ParticleHit:
     """Where a ray hits a Gaussian, widened by the ray's footprint.
 
-    Args:
-        particle: The Gaussian.
-        ray: In its space.
-        scale: World from that space.
-        hit_distance: HIT_PEAK, HIT_HULL or HIT_MEAN.
-        begin: Hits whose response peaks up to this distance are near ones.
-        end: The peak must lie before this one.
+    ``scale`` is world from the space of the ray and the Gaussian. Hits whose response peaks up to ``begin`` are near
+    ones; the peak must lie before ``end``.
     """
     hit = ParticleHit()
     hit.t = FAR
@@ -241,13 +230,8 @@ def surface_peak(
 ) -> float:
     """Where a Gaussian responds most on a ray, no farther from its mean than it reaches: footprints show it beyond.
 
-    Args:
-        rotation: Of the Gaussian.
-        scale: Its scales.
-        away: Its mean from the ray's origin, object space.
-        along: Direction of the ray, object space; its length is the unit of distance.
-        middle: Distance of the mean.
-        largest_scale: Its largest scale, in the unit of distance.
+    ``away`` is the mean from the ray's origin and ``along`` the direction, object space, whose length is the unit of
+    distance: of ``middle``, where the mean is, and of ``largest_scale``.
     """
     # Canonical space times the smallest scale: flat Gaussians stay inside float32.
     ratio = wp.cw_div(wp.vec3(wp.min(scale)), scale)
@@ -273,15 +257,8 @@ def surface_distance(
 ) -> float:
     """Distance along a pixel's ray at which a Gaussian responds most, before the mesh behind it.
 
-    Args:
-        camera: The camera.
-        instances: All instances.
-        assets: All assets.
-        number: The Gaussian's instance.
-        i: The Gaussian, in its asset.
-        ray: Of the pixel, camera space, z = 1.
-        distance: Along the ray, at the view depth of its mean.
-        mesh_z: View depth of the mesh in the pixel; inf: none.
+    ``ray`` of the pixel is in camera space with z = 1, ``distance`` along it that at the view depth of the mean, and
+    ``mesh_z`` the view depth of the mesh in the pixel; inf: none.
     """
     # Fields are read one by one: copying these structs for each pixel would cost more than the depth.
     asset = instances[number].asset

@@ -119,13 +119,7 @@ def close_pass(
 ) -> BlendState:
     """``end_pass`` of a ray, whose depth follows the pixel's surface.
 
-    Args:
-        pixel: What the pass has blended.
-        hits: Receives the depth.
-        ray: The ray.
-        sample_key: Key of its random numbers.
-        depth: Distance of the surface of the pass's farthest Gaussian.
-        last: That Gaussian.
+    ``depth`` is the distance of the surface of ``last``, the farthest Gaussian of the pass.
     """
     opacity = 1.0 - pixel.transmittance
     pixel = end_pass(pixel, sample_key, last)

@@ -112,11 +112,7 @@ class GridCell:
 def grid_key(position: wp.vec3, from_eye: float, u: wp.vec2, v: wp.vec2) -> wp.int64:
     """The cell whose lights a surface chooses among: that of a point in a cube around it, as wide as a cell.
 
-    Args:
-        position: World space.
-        from_eye: Its distance from the eye.
-        u: Random, 0..1 each.
-        v: Random, 0..1 each: the second one selects one of the choices of the cell.
+    ``u`` and ``v`` are random, 0..1 each; ``v[1]`` selects one of the choices of the cell.
     """
     width = wp.max(CELL_SIZE * from_eye, 2.0 * wp.max(wp.abs(position)) / float(COORDINATES))
     if not (width < wp.inf and wp.isfinite(position)):
@@ -150,10 +146,7 @@ def grid_cell(key: wp.int64) -> GridCell:
 def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> float:
     """About the irradiance that a light gives what faces it in a cell; above 0 if it gives any surface there some.
 
-    Args:
-        light: Any.
-        environment_mean: Mean luminance of the environment.
-        cell: The cell.
+    ``environment_mean``: mean luminance of the environment.
     """
     if light.kind == LIGHT_ENVIRONMENT:
         return PI * environment_mean
@@ -199,12 +192,7 @@ def grid_light(
 ) -> LightChoice:
     """One of the lights of a cell, in proportion to what each sends to a surface over its chance to be among them.
 
-    Args:
-        u: Random, 0..1.
-        cell: The cell; -1: there is none.
-        interaction: With the surface.
-        grid: With the cell.
-        scene: With the lights.
+    ``u`` is random, 0..1; without a cell, -1, there is no light.
     """
     choice = LightChoice()
     choice.number = -1

@@ -301,17 +301,8 @@ def place_among(
 ) -> ProbePlace:
     """The pixel of a tile for a probe: nearest to one of the frame before, else to where a new one is wanted.
 
-    Args:
-        rows: Rows and columns of the tile whose pixels are looked at.
-        tile: The tile.
-        only_uncovered: Only pixels count that no probe in ``probes`` covers.
-        grid: How probes lie on the pixels.
-        camera: Of this frame.
-        camera_before: Of the frame before.
-        surfaces: What the pixels show.
-        probes: The tiles' probes of this frame; read with ``only_uncovered``.
-        probes_before: Those of the frame before.
-        adaptive_before: Adaptive probes of its tiles.
+    ``rows`` x ``rows`` pixels of the tile are looked at; with ``only_uncovered``, those count that no probe of this
+    frame covers.
     """
     place = ProbePlace()
     place.pixel = -1

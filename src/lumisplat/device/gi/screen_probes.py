@@ -202,17 +202,9 @@ def gathered_light(
 ) -> Ballot:
     """What probes say of a pixel's surface, as a mean; without weight where none says anything.
 
-    Args:
-        pixel: The pixel; it shows a surface.
-        point: Where the nearest tiles are looked up, pixels: in the pixel, or jittered by up to half a tile.
-        direction: The surface's normal; ``glossy``: a unit direction away from it.
-        glossy: Radiance along the direction instead of irradiance.
-        grid: How probes lie on the pixels.
-        camera: Of this frame.
-        surfaces: What the pixels show.
-        probes: The probes of this frame.
-        adaptive_of: Adaptive probes of tiles.
-        light: What the probes see.
+    ``point`` is where the nearest tiles are looked up, pixels: in the pixel, or jittered by up to half a tile.
+    ``direction`` is the surface's normal or, ``glossy``, the unit direction whose radiance is asked for instead of
+    irradiance.
     """
     ballot = near_probes(pixel, point, direction, glossy, grid, camera, surfaces, probes, adaptive_of, light)
     if not ballot.weight > WEIGHT_MIN:

@@ -117,12 +117,7 @@ def lobe_radiance(
 ) -> wp.vec4:
     """What a pixel's highlight reflects over its albedo by the ray of its square, linear; and 1, or 0 if it has none.
 
-    Args:
-        pixel: The pixel.
-        slot: Which of its surfaces.
-        camera: Of the frame.
-        surfaces: Those of that kind.
-        lobes: The rays.
+    ``slot``: which of the pixel's surfaces; ``surfaces`` are those of that kind.
     """
     square = square_of(pixel, camera[0].width)
     if lobes.slot[square] != slot:
@@ -218,12 +213,7 @@ def mirrored_light(
 
     What is small and bright is met seldom: it counts as if it was as wide as ``MIRRORED_SOLID_ANGLE``, no brighter.
 
-    Args:
-        i: The ray.
-        way: Its length before, scene units.
-        no_shadows: Samples of lights pass mirrors.
-        scene: With the lights.
-        wave: Of the ray.
+    ``way`` is the ray's length before, scene units; ``no_shadows``: samples of lights pass mirrors.
     """
     origin = wave[0].rays.origin[i]
     direction = wave[0].rays.direction[i]

@@ -215,9 +215,7 @@ SHARE = wp.constant(wp.float32(YOUNG_SHARE))
 def mean_weight(count: float, history: float) -> float:
     """For how many samples a mean of ``count`` counts when one more is added; less than all of them while it is young.
 
-    Args:
-        count: Samples so far.
-        history: Samples that a mean goes back.
+    ``history``: samples that a mean goes back.
     """
     if count < history:
         return SHARE * count
@@ -237,10 +235,8 @@ GONE = -2
 def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
     """Whether an instance that a pixel showed has moved, and is not the one that it shows now.
 
-    Args:
-        before: Its number among those of the frame before, splats first; -1: the background.
-        now: That of what is shown, among those of this frame.
-        moved_to: By number in the frame before, that in this one of what has moved; ``STANDS`` or ``GONE``.
+    ``before`` is its number in the frame before, splats first; -1: the background. ``moved_to`` has, by these numbers,
+    those in this frame of what has moved, ``STANDS`` or ``GONE``.
     """
     if before < 0:
         return False
@@ -264,13 +260,7 @@ def splat_before(
 ) -> wp.vec3:
     """Where a point was that moves with a Gaussian.
 
-    Args:
-        position: The point, world space.
-        number: The Gaussian's instance.
-        gaussian: The Gaussian, in its asset.
-        instances: All splat instances.
-        assets: All assets.
-        motions: Of all splat instances.
+    ``number``: the Gaussian's instance, whose asset has it.
     """
     if motions[number].is_known == 0:
         return was_nowhere()
@@ -289,13 +279,7 @@ def mesh_before(
 ) -> wp.vec3:
     """Where a point of a mesh was.
 
-    Args:
-        position: The point, world space.
-        number: Its mesh instance.
-        face: Triangle, among those of all meshes.
-        weights: Barycentric, of its second and third corner.
-        meshes: The meshes.
-        motions: Of all mesh instances.
+    ``face`` counts among those of all meshes, ``weights`` are barycentric, of its second and third corner.
     """
     if motions[number].is_known == 0:
         return was_nowhere()
@@ -328,11 +312,7 @@ def motion_of(
 
     Each is that of now minus that of the frame before.
 
-    Args:
-        position: The point, world space.
-        previous: Where it was then; NaN: nowhere.
-        camera: The camera.
-        camera_before: That of the frame before.
+    ``previous``: where the point was then; NaN: nowhere.
     """
     if wp.isnan(previous[0]):
         return was_nowhere()
@@ -382,13 +362,7 @@ def is_near(
 ) -> bool:
     """Whether two points with normals are on one surface.
 
-    Args:
-        position: The point, world space.
-        normal: Unit.
-        tolerated: Distance between each and the plane of the other, scene units.
-        cosine_min: Least cosine between the normals.
-        other_position: The other point.
-        other_normal: Unit.
+    ``tolerated``: distance between each and the plane of the other, scene units.
     """
     if wp.dot(normal, other_normal) < cosine_min:
         return False

@@ -151,10 +151,7 @@ def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVe
 def chosen_light(u: float, vertex: PathVertex, scene: wp.array[ShadingScene]) -> LightChoice:
     """The light to be sampled at a surface.
 
-    Args:
-        u: Random, 0..1.
-        vertex: The surface.
-        scene: With the lights.
+    ``u``: random, 0..1.
     """
     choice = LightChoice()
     choice.number = -1
@@ -246,13 +243,8 @@ def environment_sample(
 
     The balance heuristic (Veach and Guibas 1995) makes the sum of both samples an unbiased estimate.
 
-    Args:
-        samples_bsdf: Which of the two.
-        bsdf: Of the surface, or a part of it.
-        interaction: The surface.
-        u: Random, 0..1 each.
-        choice: Random, 0..1, decides between the parts of the material.
-        scene: The scene.
+    ``bsdf`` is that of the surface, or a part of it; ``u`` and ``choice``, which decides between its parts, are random,
+    0..1.
     """
     sample = LightSample()
     environment = scene[0].environment
@@ -299,12 +291,7 @@ def light_sample_contribution(
 ) -> Contribution:
     """Contribution of light ``number``, not the environment, sampled at a random point of its extent.
 
-    Args:
-        number: Of the light.
-        interaction: What it lights.
-        pixel_key: Of the ray.
-        index: Number of the ray's sample.
-        scene: The scene.
+    ``index``: number of the ray's sample.
     """
     u = sobol_2d(light_key(pixel_key, number), index)
     sample = sample_light(scene[0].lights[number], interaction.position, 1, u)
@@ -369,13 +356,8 @@ def sample_chosen(
 ) -> SampledLight:
     """Contribution of the chosen light at an interaction, over the probability of the choice.
 
-    Args:
-        choice: The light.
-        interaction: The surface.
-        u: Random, 0..1 each.
-        which: Random, 0..1.
-        is_met: Whether rays that the surface scatters show this light, see ``meets_rays``.
-        scene: With the lights.
+    ``u`` and ``which`` are random, 0..1; ``is_met``: whether rays that the surface scatters show this light, see
+    ``meets_rays``.
     """
     sample = LightSample()
     if choice.number == scene[0].settings[0].light_count:
@@ -425,12 +407,7 @@ def sample_chosen_environment(
 
     One is of its radiance, the other one of the surface.
 
-    Args:
-        choice: The environment.
-        interaction: The surface.
-        u: Random, 0..1 each; the first one decides between the samples, so that all are stratified together.
-        which: Random, 0..1.
-        scene: The scene.
+    ``u`` and ``which`` are random, 0..1; ``u[0]`` decides between the samples, so that all are stratified together.
     """
     lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
     samples_lobe = u[0] >= 0.5
@@ -470,15 +447,7 @@ def sample_choice(
 ) -> Contribution:
     """One sample of a light that was chosen in real time; starts shadow ray ``i``, unless what it brings needs none.
 
-    Args:
-        i: The ray.
-        slot: Which of its surfaces is lit: 0, Gaussians, or 1, a mesh.
-        choice: The light.
-        interaction: With that surface.
-        no_shadows: Light passes through everything.
-        scene: The scene.
-        wave: Of the ray.
-        rays: The shadow rays; ``i`` is not active before.
+    ``slot``: which of the ray's surfaces is lit, 0, Gaussians, or 1, a mesh; shadow ray ``i`` is not active before.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]

@@ -126,9 +126,7 @@ def environment_density(environment: EnvironmentData, direction: wp.vec3) -> flo
 def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
     """A direction towards the environment, sampled in proportion to its brightness.
 
-    Args:
-        environment: The environment; if it is black or missing, the sample has no irradiance.
-        u: Random, 0..1 each.
+    Without light, the sample has no irradiance; ``u`` is random, 0..1 each.
     """
     sample = LightSample()
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
@@ -181,11 +179,8 @@ def emitter_share(k: int, scene: wp.array[ShadingScene]) -> float:
 def area_density(share: float, across: wp.vec3, direction: wp.vec3, distance2: float) -> float:
     """Density, per steradian, of a point of a triangle that is sampled with probability ``share``.
 
-    Args:
-        share: Of the triangle.
-        across: Cross product of two of its edges, world space.
-        direction: Unit, to the point.
-        distance2: To it, squared.
+    ``across``: cross product of two of its edges, world space; ``direction`` and ``distance2``, squared, lead to the
+    point.
     """
     projected = 0.5 * wp.abs(wp.dot(across, direction))
     if projected <= 0.0:
@@ -214,11 +209,7 @@ def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> 
 def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[ShadingScene]) -> LightSample:
     """A point of the triangles that shine, as ``point`` sees it.
 
-    Args:
-        point: World space.
-        u: Random, 0..1 each: where on a triangle.
-        which: Random, 0..1: on which.
-        scene: With the triangles.
+    ``u``, where on a triangle, and ``which``, on which one, are random, 0..1.
     """
     sample = LightSample()
     emitters = scene[0].emitters

@@ -66,12 +66,7 @@ def smooth_height(
     The smooth surface is the mean of the planes through the corners across their normals, weighted as the corners are.
     Normals that lean one way without spreading make no such surface.
 
-    Args:
-        instance: Of the mesh.
-        meshes: Where its triangles are.
-        corners: The triangle's vertices.
-        weights: Barycentric.
-        normal: Shading normal there, world space, unit, on the side from which the triangle is seen.
+    ``normal``: shading normal there, world space, unit, on the side from which the triangle is seen.
     """
     if instance.has_normals == 0:
         return 0.0
@@ -140,14 +135,8 @@ def bsdf_of(
 ) -> Bsdf:
     """The BSDF of a material at a point (docs/adr/0009).
 
-    Args:
-        materials: All materials.
-        number: Which of them.
-        color: Base colour of the point, linear.
-        roughness: There.
-        metallic: There.
-        transmission: There.
-        eta: Index of refraction on the side of the viewer over that behind the surface.
+    ``color`` is the base colour, linear, and ``eta`` the index of refraction on the side of the viewer over that behind
+    the surface.
     """
     bsdf = Bsdf()
     bsdf.model = materials[number].model
@@ -387,12 +376,7 @@ def emission_at(
 ) -> wp.vec3:
     """Linear radiance, without lights, of a point of a mesh: emission and reflected ambient light.
 
-    Args:
-        number: Of the mesh instance.
-        corners: Vertices of the triangle.
-        weights: Barycentric coordinates of the point.
-        direction: Of the ray that meets it, world space; some materials emit from the front of triangles alone.
-        scene: With the mesh.
+    ``direction``: of the ray that meets it, world space; some materials emit from the front of triangles alone.
     """
     material = scene[0].materials[scene[0].splats.shape[0] + number]
     meshes = scene[0].meshes

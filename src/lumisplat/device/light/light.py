@@ -172,11 +172,8 @@ def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
 def sample_light(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
     """A sample of a light, as ``point`` sees it.
 
-    Args:
-        light: Any light but the environment.
-        point: World space.
-        soft: 0: all of the light is at its centre; 1: it has an extent.
-        u: Random, 0..1 each; not used by lights that have one direction only.
+    ``soft`` 0: all of the light is at its centre; 1: it has an extent, sampled by ``u``, random, 0..1 each. It is any
+    light but the environment.
     """
     if light.kind == LIGHT_POINT or light.kind == LIGHT_SPOT:  # noqa: PLR1714
         return sample_point(light, point, soft, u)
@@ -244,11 +241,7 @@ def light_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Lig
 def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: float) -> float:
     """The most that the cone of a spot leaves of it anywhere within ``reach`` of a point.
 
-    Args:
-        light: The spot.
-        to_light: From the point.
-        distance: The same; its length.
-        reach: Scene units.
+    ``to_light`` and ``distance`` lead from the point to the spot.
     """
     if distance <= reach:
         return 1.0
@@ -263,10 +256,7 @@ def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: flo
 def light_bound(light: LightData, center: wp.vec3, half: float) -> float:
     """About the irradiance that a light gives what faces it in a cell; above 0 if it gives any surface there some.
 
-    Args:
-        light: Any but the environment.
-        center: Of the cell, world space.
-        half: Half its diagonal.
+    The light is any but the environment; ``half``: half the cell's diagonal.
     """
     power = wp.dot(WEIGHTS, light.power)
     if light.kind == LIGHT_DIRECTIONAL or light.kind == LIGHT_HEADLIGHT:  # noqa: PLR1714

@@ -147,10 +147,7 @@ def tint_of(gaussians: GaussianData, i: int) -> wp.vec3:
 def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.vec3:
     """Visibility of a light through Gaussians: the factor of each channel.
 
-    Args:
-        settings: Threshold and strength.
-        transmittance: Of all of them.
-        tint: Sum of their linear colours, weighted by alpha; its scale is irrelevant.
+    ``tint``: sum of their linear colours, weighted by alpha; its scale is irrelevant.
     """
     if transmittance <= wp.max(settings.transmittance_min, settings.threshold):
         return wp.vec3(0.0)

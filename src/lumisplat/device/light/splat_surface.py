@@ -78,11 +78,7 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
 
     What relit sets show is apart from what others do (docs/method/lighting.md#surfaces).
 
-    Args:
-        i: The ray.
-        over_light: Whether linear light is behind them, not the background that colours were captured over.
-        scene: The scene.
-        wave: Of the ray.
+    ``over_light``: whether linear light is behind them, not the background that colours were captured over.
     """
     surface = SplatSurface()
     surface.instance = -1
@@ -136,13 +132,8 @@ def with_captured(
 ) -> SplatSurface:
     """The surface with the captured colours that the ray shows, and their weight.
 
-    Args:
-        surface: With the share of what keeps its captured colours.
-        color: Of all Gaussians on the ray.
-        relit_color: Of those of relit sets.
-        relit: Their share.
-        over_light: As for ``splat_surface``.
-        scene: The scene.
+    ``color`` is that of all Gaussians on the ray, ``relit_color`` that of relit sets, whose share is ``relit``;
+    ``over_light`` as for ``splat_surface``.
     """
     if relit > 0.0:
         color = color - relit_color
@@ -168,10 +159,7 @@ def reflects_light(surface: SplatSurface) -> bool:
 def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
     """Share, per channel, of a ray's decoded captured colour that is not the background's.
 
-    Args:
-        surface: Of the ray.
-        over_light: As for ``splat_surface``.
-        scene: The scene.
+    ``over_light`` as for ``splat_surface``.
     """
     shown = captured_color(surface.captured, surface.weight)
     behind = wp.vec3(0.0)

@@ -478,12 +478,7 @@ def sampled_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, ch
 def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> BsdfSample:
     """A direction from which light may come, sampled by how much of it the material reflects.
 
-    Args:
-        bsdf: The material.
-        normal: Unit.
-        view: Unit, away from the surface.
-        u: Random, 0..1 each.
-        choice: Random, 0..1, decides between the parts of the material.
+    ``u`` and ``choice``, which decides between the parts of the material, are random, 0..1.
     """
     sample = BsdfSample()
     sample.direction = normal

@@ -88,11 +88,8 @@ def index_around(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> floa
 def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> Boundary:
     """What the surface of a mesh is to a ray: between which media, and whether it is there at all.
 
-    Args:
-        number: The mesh instance.
-        from_inside: The ray comes from inside; what is no medium has no inside.
-        media: Those that the ray has entered.
-        instances: All of them.
+    ``from_inside``: the ray comes from inside the mesh; what is no medium has no inside. ``media`` are those that the
+    ray has entered.
     """
     boundary = Boundary()
     boundary.media = media
@@ -186,13 +183,7 @@ def scattered_media(
 ) -> wp.vec4i:
     """The media of a ray that a surface scatters: those behind it, if it goes through the mesh.
 
-    Args:
-        i: The ray that arrives.
-        by_mesh: The mesh scatters it, else Gaussians before that do.
-        direction: In which it leaves.
-        normal: On the side from which it arrives.
-        scene: With the mesh.
-        wave: Of the ray.
+    ``by_mesh``: the mesh scatters it, else Gaussians before it do; ``normal`` is on the side from which it arrives.
     """
     if not by_mesh:
         return media_before(i, scene, wave)

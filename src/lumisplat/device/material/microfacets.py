@@ -83,10 +83,8 @@ def mean_fresnel(eta: float) -> float:
 def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> float:
     """``dielectric_share`` of even light from all around.
 
-    Args:
-        strength: Of the reflection.
-        fresnel_mean: The mean from the side of the lower index, of a strength of 1.
-        eta: Above 1 on the side of the higher index, from where the share 1 / eta^2 of the light gets to the other.
+    ``fresnel_mean`` is the mean from the side of the lower index, of a strength of 1. ``eta`` is above 1 on the side of
+    the higher index, from where the share 1 / eta^2 of the light gets to the other.
     """
     mean = strength * fresnel_mean
     if eta > 1.0:
@@ -172,9 +170,7 @@ def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
 
     Each time, light leaves with the mean albedo of white, or meets another facet.
 
-    Args:
-        head_on: Reflectance of the metal at normal incidence.
-        alpha: Of the facets; smooth ones lose nothing.
+    ``head_on``: reflectance of the metal at normal incidence; smooth facets lose nothing.
     """
     if alpha <= 0.0:
         return wp.vec3(0.0)
@@ -370,12 +366,7 @@ def glass_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
 def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, choice: float) -> wp.vec3:
     """Where light comes from that a sampled microfacet sends to the view; zero: from another microfacet.
 
-    Args:
-        bsdf: The material.
-        normal: Unit.
-        view: Unit, away from the surface.
-        half: Normal of the microfacet.
-        choice: Random, 0..1, decides between reflection and transmission.
+    ``half`` is the normal of the microfacet; ``choice``, random, 0..1, decides between reflection and transmission.
     """
     to_view = wp.dot(view, half)
     mirrored = wp.normalize(2.0 * to_view * half - view)

@@ -56,14 +56,10 @@ def bounce_of(
     Metals reflect by Schlick's approximation, dielectrics by Fresnel's equations. What a dielectric does not reflect is
     divided by its transmission between the refracted ray and the base colour.
 
-    Args:
-        material: What the surface is made of.
-        base_color: Linear.
-        face_normal: Unit, out of the mesh: a ray along it comes from inside. Opaque materials have no inside.
-        shading_normal: Unit; not used if it would reflect through the triangle, or refract back.
-        direction: Of the ray, unit.
-        eta: Index of refraction on the side of the ray over that behind the surface.
-        lit: Weights are for linear light instead of display-referred colours.
+    ``face_normal`` points out of the mesh: a ray along it comes from inside; opaque materials have no inside.
+    ``shading_normal`` is not used if it would reflect through the triangle, or refract back. ``eta`` is the index of
+    refraction on the side of the ray over that behind the surface. ``lit``: weights are for linear light instead of
+    display-referred colours.
     """
     bounce = Bounce()
     bounce.color = base_color
@@ -203,12 +199,7 @@ def spawn_point(
     Avoiding Self-Intersection). A point at an edge also moves away from it, by twice as much: in a corner, the ray
     would otherwise start behind the other wall.
 
-    Args:
-        instance: Of the mesh.
-        meshes: Where its triangles are.
-        corners: The triangle's vertices.
-        weights: Barycentric.
-        normal: World space, unit, across the triangle, to the side on which the ray goes on.
+    ``weights`` are barycentric; ``normal``, world space, unit, points to the side on which the ray goes on.
     """
     v0 = meshes.positions[corners[0]]
     local_edge1 = meshes.positions[corners[1]] - v0

@@ -99,10 +99,7 @@ def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
 def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
     """A stratified random number in [0, 1), a multiple of 2^-24: of 16 consecutive samples, one is in each sixteenth.
 
-    Args:
-        key: The same for these 16 samples, which begin with a multiple of 16.
-        sample: Its number.
-        dimension: Different ones are independent.
+    The 16 samples begin with a multiple of 16, and share a key; different dimensions are independent.
     """
     word = mix(key + mix(wp.uint32(dimension)))
     place = wp.bit_and(wp.uint32(sample), LOW_4)

@@ -157,12 +157,7 @@ def meets_alpha(
 ) -> bool:
     """Whether a ray meets a surface at a point of triangle ``face``: by chance, or wherever alpha is above 0.
 
-    Args:
-        instance: Of the mesh.
-        meshes: Where its triangles are.
-        face: The triangle.
-        weights: Barycentric.
-        sample_key: Of the ray's random numbers.
+    ``weights`` are barycentric; ``sample_key`` is that of the ray's random numbers.
     """
     alpha = surface_alpha(instance, meshes, meshes.indices[face], weights)
     if instance.alpha.is_drawn != 0 and alpha < 1.0:

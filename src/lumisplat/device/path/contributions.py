@@ -153,15 +153,8 @@ def add_light(
 ):
     """Adds what a path brings of a light.
 
-    Args:
-        root: The ray that the path began with.
-        receives: As of ``PathData``.
-        value: Linear radiance, times the throughput.
-        bounces: How often surfaces have scattered it.
-        light: Number of the light; one more than that of the last one: it is none, but shines.
-        light_count: How many lights there are.
-        diffuse: Share that the first surface has scattered diffusely.
-        images: Where it is added.
+    ``value`` is linear radiance times the throughput; ``light`` may be one more than the number of the last one: it is
+    none, but shines. ``diffuse``: share that the first surface has scattered diffusely.
     """
     if receives:
         if light < light_count:
@@ -184,12 +177,7 @@ def add_light(
 def add_first_light(root: int, sent: wp.vec3, arrived: wp.vec3, light: int, images: wp.array[PathImages]):
     """Adds a sample of a light at the first surface of a path, if it is one of the lights and the frame asks for it.
 
-    Args:
-        root: The ray that the path began with.
-        sent: What the surface would reflect of it unshadowed, linear.
-        arrived: What it does reflect.
-        light: Number of the light.
-        images: Where both are added.
+    ``sent``: what the surface would reflect of it unshadowed, linear.
     """
     if images[0].lights_sent:
         count = images[0].light.shape[0]
@@ -433,16 +421,8 @@ def light_surface(
 ):
     """Samples one light for the surface by which path ``i`` goes on, and starts its shadow ray.
 
-    Args:
-        i: Ray of the path.
-        slot: Which of its two interactions: 0, Gaussians, or 1, a mesh.
-        factor: Throughput of the path by that surface.
-        no_shadows: Light passes through everything.
-        interaction: With the surface.
-        vertex: The same.
-        scene: The scene.
-        wave: Of the ray.
-        shadows: Receives contribution and shadow ray.
+    ``slot``: which of its two interactions, 0, Gaussians, or 1, a mesh; ``factor``: throughput of the path by that
+    surface.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
@@ -495,14 +475,7 @@ def add_sent(
 ):
     """Adds samples of lights: to a shadow-only surface unshadowed, as captured, or to the lights' own layers.
 
-    Args:
-        i: Ray of the path.
-        number: Of its wave.
-        visible: Share of the light that the shadow ray lets through.
-        scene: With the lights.
-        paths: Those of the wave.
-        shadows: Has the samples.
-        images: Where they are added.
+    ``number`` is that of the wave, ``visible`` the share of the light that the shadow ray lets through.
     """
     light = shadows[0].lights[i]
     if shadows[0].skips[i]:

@@ -159,12 +159,7 @@ def scattering_share(j: int, receives_light: bool, wave: wp.array[WaveData]) -> 
 def branch_of(i: int, u: float, receives_light: bool, bounce: Bounce, wave: wp.array[WaveData]) -> Branch:
     """By which surface a path goes on, in proportion to what about each reflects.
 
-    Args:
-        i: Ray of the path.
-        u: Random, 0..1.
-        receives_light: Whether the path finds what a shadow-only surface receives.
-        bounce: Reflection and refraction by the mesh.
-        wave: Of the ray.
+    ``u`` is random, 0..1; ``receives_light``: whether the path finds what a shadow-only surface receives.
     """
     transmittance = wave[0].gaussians.transmittance[i]
     splats = scattering_share(i, receives_light, wave)
@@ -220,15 +215,8 @@ def scattered_step(
 ) -> PathStep:
     """The step of a path that an interaction scatters.
 
-    Args:
-        i: Ray of the path.
-        branch: BRANCH_SPLATS or BRANCH_MESH.
-        interaction: With that surface.
-        u: Random, 0..1 each.
-        choice: Random, 0..1, decides between diffuse and highlight.
-        splits: Whether the share that is diffuse is asked for.
-        scene: With the surface.
-        wave: Of the ray.
+    ``u`` and ``choice``, which decides between diffuse and highlight, are random, 0..1; ``splits``: whether the share
+    that is diffuse is asked for.
     """
     step = PathStep()
     sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)

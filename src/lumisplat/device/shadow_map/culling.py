@@ -158,11 +158,7 @@ def bounded_cell(atlas: Atlas, corner: wp.vec3i, side: int, parent: int) -> Cell
     Between two points of an edge that does not fold lies a great circle, which is nearer to the cone's axis than one of
     the points.
 
-    Args:
-        atlas: What the square is of.
-        corner: Face, x and y of its first texel.
-        side: A multiple of ``STEP``.
-        parent: As in `Cell`.
+    ``corner`` has face, x and y of its first texel; ``side`` is a multiple of ``STEP``.
     """
     cell = Cell()
     cell.parent = parent
@@ -192,12 +188,8 @@ def bounded_cell(atlas: Atlas, corner: wp.vec3i, side: int, parent: int) -> Cell
 def overlaps(axis_cosine: float, forward: float, sine: float, low: float, high: float) -> bool:
     """Whether a cone's image in the plane at distance 1 reaches between two lines across one of the plane's axes.
 
-    Args:
-        axis_cosine: Of the cone's axis with that axis of the plane.
-        forward: Of the cone's axis with the plane's normal, above ``sine``.
-        sine: Of half the cone's angle.
-        low: Coordinate of the first line along that axis.
-        high: Coordinate of the second.
+    ``axis_cosine`` is that of the cone's axis with that axis of the plane, ``forward`` that with the plane's normal,
+    above ``sine``, which is that of half the cone's angle; ``low`` and ``high`` are coordinates of the lines.
     """
     behind = forward * forward - sine * sine
     middle = axis_cosine * forward / behind

@@ -171,13 +171,7 @@ def first_touching(
 ) -> int:
     """The first splat of a sorted list that shows at a pixel; -1: none does.
 
-    Args:
-        splats: All splats.
-        tile_splats: Numbers of splats.
-        begin: First entry.
-        end: The one after the last.
-        seen: The pixel.
-        is_marked: Whether only those count whose normals begin with a positive number.
+    ``is_marked``: whether only those count whose normals begin with a positive number.
     """
     for j in range(begin, end):
         index = tile_splats[j]

@@ -193,12 +193,7 @@ def depth_plane(
 ) -> wp.vec3:
     """The vector k by which Gaussian ``i``, widened as its splat is, responds most on the ray r at view depth k . r.
 
-    Args:
-        camera: The view.
-        dilation: Variance added to the projected covariance, pixel^2.
-        instance: Of the Gaussian; the Gaussian is before the near plane.
-        gaussians: Its asset.
-        i: Its number there.
+    ``dilation``: variance added to the projected covariance, pixel^2. The Gaussian is before the near plane.
     """
     view = instance.camera_from_object * gaussians.means[i] + instance.camera_from_object_offset
     spread = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])

@@ -184,14 +184,8 @@ def outline_bounds(
 
     They are the corners of a polygon that the outline touches from inside.
 
-    Args:
-        camera: The camera.
-        field: As of ``image_point``.
-        gaussian: The Gaussian.
-        time: Of the shutter, when its mean is seen.
-        eye: Where that is then, in its canonical space, outside of the ellipsoid.
-        backward: Against the axis, world space.
-        reach: Canonical distance at which it ends.
+    ``eye`` is where the eye is at ``time`` of the shutter, when the mean is seen, in canonical space, outside of the
+    ellipsoid; ``backward`` is against the axis, world space; ``reach``: canonical distance at which the Gaussian ends.
     """
     distance2 = wp.length_sq(eye)
     middle = (reach * reach / distance2) * eye

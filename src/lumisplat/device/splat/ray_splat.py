@@ -484,12 +484,8 @@ def mean_gradient(
 ) -> wp.vec3:
     """By the mean, world space, by way of where it is and of how wide a pixel is there.
 
-    Args:
-        camera: The camera.
-        variance_per_pixel: Variance by which it is widened, in squared widths of a pixel.
-        seen: The Gaussian.
-        time: Of the shutter, when its mean is seen.
-        sums: Its derivatives.
+    ``variance_per_pixel``: variance by which it is widened, in squared widths of a pixel; ``time``: of the shutter,
+    when its mean is seen.
     """
     by_mean = seen.axes * wp.cw_div(sums.point, seen.scale)
     if variance_per_pixel > 0.0:
