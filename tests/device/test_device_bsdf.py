@@ -10,7 +10,8 @@ import numpy.typing as npt
 import pytest
 import warp as wp
 
-from lumisplat.device.structs.shading import BSDF_PBR, BSDF_SIMPLE, Bsdf, BsdfSample
+from lumisplat.device.material.bsdf import BsdfSample
+from lumisplat.device.structs.shading import BSDF_PBR, BSDF_SIMPLE, Bsdf
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.compare.chi_square import LIMIT, chi_square_z

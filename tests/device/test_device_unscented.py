@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.raster import ImageMoments, WorldGaussian
+from lumisplat.device.splat.ray_bounds import ImageMoments, WorldGaussian
 from lumisplat.renderer.scene.camera_table import image_field
 from lumisplat.runtime.struct_tables import table_dtype
 from support.oracles.raster_oracle import rotation_from_quaternion

@@ -9,7 +9,8 @@ import numpy.typing as npt
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.shading import Bsdf, BsdfSample, MaterialData
+from lumisplat.device.material.bsdf import BsdfSample
+from lumisplat.device.structs.shading import Bsdf, MaterialData
 from lumisplat.renderer.scene.materials import material_table
 from lumisplat.runtime.launcher import Launcher
 from support.probes import probe_light_kernels

@@ -6,16 +6,8 @@ from lumisplat.device.gi.surfaces import diffuse_albedo, glossy_albedo, transmit
 from lumisplat.device.light.emitters import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light.interaction import bsdf_of
 from lumisplat.device.light.light import light_crossing, sample_light
-from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
-from lumisplat.device.structs.shading import (
-    Bsdf,
-    BsdfSample,
-    EnvironmentData,
-    LightCrossing,
-    LightData,
-    LightSample,
-    MaterialData,
-)
+from lumisplat.device.material.bsdf import BsdfSample, bsdf_eval, bsdf_pdf, bsdf_sample
+from lumisplat.device.structs.shading import Bsdf, EnvironmentData, LightCrossing, LightData, LightSample, MaterialData
 
 wp.set_module_options({"enable_backward": False})
 

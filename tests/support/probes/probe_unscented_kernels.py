@@ -3,9 +3,8 @@
 import warp as wp
 
 from lumisplat.device.camera.camera import seen_point
-from lumisplat.device.splat.ray_bounds import projected_moments
+from lumisplat.device.splat.ray_bounds import ImageMoments, WorldGaussian, projected_moments
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import ImageMoments, WorldGaussian
 
 wp.set_module_options({"enable_backward": False})
 

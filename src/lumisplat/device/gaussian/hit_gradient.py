@@ -8,10 +8,42 @@ import warp as wp
 from lumisplat.device.bvh.nodes import footprint_of_ray, footprint_slopes, footprint_variance
 from lumisplat.device.gaussian.ray_compositing import hit_color
 from lumisplat.device.splat.projection import ALPHA_LIMIT, color_dot, open_channels, sh_weights
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import TraceData
-from lumisplat.device.structs.gradients import GaussianGradient, HitMoments, RayMotion
+from lumisplat.device.structs.gradients import GaussianGradient
 from lumisplat.device.structs.rays import Ray
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
+
+
+@struct
+class RayMotion:
+    """By where the rays are that hit a Gaussian of an instance, object space."""
+
+    shift: wp.vec3
+    """By a shift of all of them."""
+    turn: wp.vec3
+    """By a turn of all of them about the origin."""
+
+
+@struct
+class HitMoments:
+    """Sums over the hits of one Gaussian, of which its derivatives are made; along its own axes if not said otherwise.
+
+    Beside the derivative by the squared canonical distance, the terms are those of docs/method/gradients.md#hits.
+    """
+
+    log_opacity: float
+    pull: wp.vec3
+    """Of the canonical offset of the ray from the mean, over the scales."""
+    turn: wp.vec3
+    """The torque of that about the mean."""
+    spread: wp.vec3
+    """Of the squares of that offset, over the scales."""
+    path: wp.vec3
+    """By the mean's place along the ray, which says how wide the ray is there; object space."""
+    largest: float
+    """By the largest scale, which does so, too; object space."""
+
 
 NEAREST2 = wp.constant(wp.float32(1.0e-30))
 """Squared canonical distance below which a ray goes through the mean: degrees 0 and 1 have a kink there."""

@@ -22,11 +22,8 @@ from lumisplat.device.splat.projection import alpha_from_log
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import (
     FAR,
-    HIT_FAR,
     HIT_HULL,
     HIT_MEAN,
-    HIT_NEAR,
-    HIT_NONE,
     HIT_PEAK,
     STRATEGY_HIT,
     STRATEGY_PASS,
@@ -39,6 +36,13 @@ from lumisplat.device.structs.bvh import (
 )
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray, RayData
 from lumisplat.device.structs.scene import KernelData, SplatInstanceData
+
+HIT_NONE: int = wp.constant(0)
+HIT_FAR: int = wp.constant(1)
+"""A Gaussian is hit beyond the offset of the ray."""
+
+HIT_NEAR: int = wp.constant(2)
+"""It is hit within: it counts if it is of another layer."""
 
 # Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
 

@@ -10,10 +10,24 @@ from lumisplat.device.bvh.nodes import footprint_of_ray, footprint_variance, lar
 from lumisplat.device.math.memory import aligned_load_of
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.splat.projection import ALPHA_LIMIT, OPACITY_MIN, alpha_from_log, gaussian_normal
-from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, HIT_PEAK, Box, Particle, ParticleHit, TreeRay
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, HIT_PEAK, Box, Particle, TreeRay
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import Ray, RayData
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
+
+
+@struct
+class ParticleHit:
+    """Where a single ray hits a Gaussian."""
+
+    t: float
+    """The distance by which hits are ordered; FAR: it does not."""
+    distance2: float
+    """Squared canonical distance at the peak of the response."""
+    is_near: bool
+    """It is within the offset of the ray: it counts if the Gaussian is of another layer."""
+
 
 SURFACE_DEPTH_SCALES = 3.0
 """How far from its mean a Gaussian's surface may lie on a ray, in its largest scales: where a Gaussian ends. Only

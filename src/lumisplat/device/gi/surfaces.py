@@ -126,36 +126,6 @@ class LightHistory:
 
 
 @struct
-class PixelHistory:
-    """One element of `LightHistory`."""
-
-    frames: float
-    diffuse: wp.vec3
-    glossy: wp.vec3
-    moments: wp.vec4
-
-
-@struct
-class LightChange:
-    """How the light of a few neighbouring pixels differs from their histories."""
-
-    sampled: float
-    """Sum of the luminances of the samples."""
-    expected: float
-    """Sum of those of the histories."""
-    variance: float
-    """Of the first sum."""
-    brighter: float
-    """Pixels whose sample is brighter than their history."""
-    count: float
-    """Pixels."""
-    lowest: float
-    """Luminance of the darkest sample, of pixels with short histories, too; inf: there is none."""
-    highest: float
-    """That of the brightest one."""
-
-
-@struct
 class FilteredLight:
     """Light of surfaces of one kind as means over pixels, one element a pixel, row by row."""
 

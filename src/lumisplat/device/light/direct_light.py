@@ -26,6 +26,7 @@ from lumisplat.device.material.microfacets import transmits
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import (
     BSDF_SIMPLE,
@@ -35,31 +36,45 @@ from lumisplat.device.structs.shading import (
     LightChoice,
     LightSample,
     PathVertex,
-    SampledLight,
     ShadingScene,
     WaveData,
 )
+
+
+@struct
+class SampledLight:
+    """What one sample of a light contributes at a surface of a path."""
+
+    contribution: Contribution
+    """Weighted against what the path's own ray meets of the light."""
+    sent: wp.vec3
+    """Its colour, unweighted."""
+
 
 LIGHT_COSINE_MIN = 0.1
 """Lights are chosen as if they were at least this cosine above the horizon: parts of them may be."""
 
 LIGHT_BRANCHES = wp.constant(2)
 """First branch of a ray's key for the random numbers of all lights: 0 and 1 are the reflected and the refracted ray."""
+
 BSDF_BRANCHES = wp.constant(2)
 """First branch of a light's key for its shadow rays: 0 and 1 are samples of the BSDF."""
 
 # Branches of a ray's key where one light is chosen.
 POINT_BRANCH = wp.constant(2)
 """Which point of the light."""
+
 CHOICE_BRANCH = wp.constant(3)
 """Which light, and which triangle of those that shine."""
+
 SHADOW_BRANCH = wp.constant(5)
 """How Gaussians hide it: not by the numbers that chose its point."""
 
 WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
-COSINE_MIN = wp.constant(wp.float32(LIGHT_COSINE_MIN))
-TINY = wp.constant(wp.float32(1e-30))
 
+COSINE_MIN = wp.constant(wp.float32(LIGHT_COSINE_MIN))
+
+TINY = wp.constant(wp.float32(1e-30))
 
 # --- Which light: the triangles that shine are one light more, after all others ---
 

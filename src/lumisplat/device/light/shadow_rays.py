@@ -11,7 +11,7 @@ import warp as wp
 from lumisplat.constants import HIT_COUNTS
 from lumisplat.device.bvh.nodes import larger, lesser
 from lumisplat.device.bvh.packet import empty_list, insert_hit, is_before, packet_of
-from lumisplat.device.gaussian.packet_tracing import packet_hits_of
+from lumisplat.device.gaussian.packet_tracing import HIT_NONE, packet_hits_of
 from lumisplat.device.light.interaction import lift_of, mesh_spawn_point, seen_from_above
 from lumisplat.device.material.microfacets import fresnel
 from lumisplat.device.math.color import decode_srgb_color, is_black
@@ -25,7 +25,6 @@ from lumisplat.device.structs.bvh import (
     DRAWS_PER_RAY,
     DRAWS_SHARED,
     FAR,
-    HIT_NONE,
     WORLD,
     Hit,
     HitList,

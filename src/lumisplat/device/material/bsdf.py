@@ -30,7 +30,21 @@ from lumisplat.device.material.microfacets import (
 )
 from lumisplat.device.math.color import is_black, mean_of
 from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, around
-from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, BsdfSample
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf
+
+
+@struct
+class BsdfSample:
+    """A direction sampled from a BSDF."""
+
+    direction: wp.vec3
+    """Unit, away from the surface."""
+    weight: wp.vec3
+    """BSDF times cosine over density; zero: no direction was found."""
+    density: float
+    """Per steradian."""
+
 
 # --- The diffuse part: directions by the cosine, from inside a body only those in which it lets light through ---
 

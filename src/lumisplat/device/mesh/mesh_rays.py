@@ -12,9 +12,56 @@ import warp as wp
 from lumisplat.constants import RAY_START_BACK
 from lumisplat.device.bvh.nodes import enter_boxes, inverse_or_large, larger, lesser, load_node, push_entered, push_link
 from lumisplat.device.mesh.mesh_surface import hit_weights, meets_alpha
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node, WaitingLink
-from lumisplat.device.structs.rays import MeshHit, MeshRay, RayShear, TriangleHit
 from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshInstanceData
+
+
+@struct
+class RayShear:
+    """How to shear corners so that a ray becomes an axis (Woop, Benthin and Wald 2013)."""
+
+    axis: int
+    """Largest component of the direction."""
+    slope: wp.vec2
+    """The two other components, after it in cyclic order, per unit of it."""
+    inverse: float
+    """Ray parameter per unit along the axis."""
+
+
+@struct
+class MeshRay:
+    """A ray in the space of an instance's mesh; distances along it stay the world's."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    """Of any length."""
+    shear: RayShear
+    begin: float
+    """How far its origin is from the world-space ray's."""
+
+
+@struct
+class MeshHit:
+    """The nearest triangle on one ray so far, as ``MeshHits``."""
+
+    t: float
+    local_t: float
+    """Distance from where the ray begins in the space of the mesh: finer than ``t``, by which it orders its faces."""
+    face: int
+    """Of its mesh; -1: none."""
+    instance: int
+    weights: wp.vec2
+
+
+@struct
+class TriangleHit:
+    """Where a ray hits a triangle."""
+
+    t: float
+    """inf: it does not."""
+    weights: wp.vec2
+    """Barycentric weights of the second and third corner."""
 
 
 @wp.func

@@ -29,13 +29,7 @@ from lumisplat.device.math.random import branch_key, draw, sobol_2d
 from lumisplat.device.path.steps import BRANCH_MESH, PathData
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import (
-    Interaction,
-    LightCrossing,
-    PathVertex,
-    ShadingScene,
-    WaveData,
-)
+from lumisplat.device.structs.shading import Interaction, LightCrossing, PathVertex, ShadingScene, WaveData
 
 
 @struct

@@ -18,13 +18,7 @@ from lumisplat.device.math.random import sobol_2d
 from lumisplat.device.mesh.mesh_surface import hit_weights
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import (
-    BSDF_SIMPLE,
-    Bsdf,
-    Interaction,
-    ShadingScene,
-    WaveData,
-)
+from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, ShadingScene, WaveData
 
 # Paths of light that bounces (docs/method/paths.md)
 

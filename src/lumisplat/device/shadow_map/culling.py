@@ -4,14 +4,7 @@ import warp as wp
 
 from lumisplat.constants import SHADOW_BOUND_MARGIN
 from lumisplat.device.math.directions import around
-from lumisplat.device.shadow_map.atlas import (
-    EVERYTHING,
-    PARALLEL,
-    SOMETHING,
-    Atlas,
-    parallel_direction,
-    ray_through,
-)
+from lumisplat.device.shadow_map.atlas import EVERYTHING, PARALLEL, SOMETHING, Atlas, parallel_direction, ray_through
 from lumisplat.device.shadow_map.optical_depth import Casters, reach_squared_of
 from lumisplat.device.structs import struct
 

@@ -30,9 +30,7 @@ from lumisplat.device.camera.pixels import (
     tile_corner,
 )
 from lumisplat.device.math.memory import warp_sums
-from lumisplat.device.splat.blending import (
-    behind_pixel,
-)
+from lumisplat.device.splat.blending import behind_pixel
 from lumisplat.device.splat.projection import ALPHA_LIMIT, LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData, PixelData

@@ -9,10 +9,24 @@ import warp as wp
 
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, SH_COEFFICIENTS_MAX
 from lumisplat.device.math.sh import C0, C1, C2_XX, C2_XY, C2_ZZ, C3_0, C3_1, C3_2, C3_3, C3_5, sh_color
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gradients import SplatGradient, SplatOrigin
+from lumisplat.device.structs.gradients import SplatGradient
 from lumisplat.device.structs.raster import RasterData, Splat
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+
+
+@struct
+class SplatOrigin:
+    """By what one splat comes from: a Gaussian, and the camera that sees it."""
+
+    mean: wp.vec3
+    rotation: wp.quat
+    scale: wp.vec3
+    opacity: float
+    camera_from_object: wp.mat33
+    camera_from_object_offset: wp.vec3
+
 
 # Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
 
@@ -94,6 +108,28 @@ def above_horizon(direction: wp.vec3, axis: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def shown_color(
+    sh_degree: int, instance: SplatInstanceData, gaussians: GaussianData, i: int, to_eye: wp.vec3
+) -> wp.vec3:
+    """Display-referred colour of Gaussian ``i`` of an instance; ``to_eye`` from its mean, object space."""
+    if instance.own_colors != 0:
+        return gaussians.albedo[i]
+    stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
+    degree = wp.min(wp.min(sh_degree, instance.sh_degree), stored)
+    return sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
+
+
+@wp.func
+def shown_normal(
+    instance: SplatInstanceData, gaussians: GaussianData, i: int, rotation: wp.mat33, to_eye: wp.vec3
+) -> wp.vec3:
+    """Unit normal of Gaussian ``i`` of an instance, world space: its own, or that of its max-density plane."""
+    if instance.own_normals != 0:
+        return instance.world_from_object * towards(gaussians.normals[i], to_eye, BEYOND_MAX)
+    return instance.world_from_object * gaussian_normal(rotation, gaussians.scales[i], to_eye)
+
+
+@wp.func
 def project_gaussian(
     camera: CameraData, raster: RasterData, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> Splat:
@@ -154,16 +190,8 @@ def project_gaussian(
     splat.across = 0.5 / yy
     splat.log_opacity = log_opacity
     to_eye = instance.eye - mean
-    if instance.own_colors != 0:
-        splat.color = gaussians.albedo[i]
-    else:
-        stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
-        degree = wp.min(wp.min(raster.sh_degree, instance.sh_degree), stored)
-        splat.color = sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
-    if instance.own_normals != 0:
-        splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye, BEYOND_MAX)
-    else:
-        splat.normal = instance.world_from_object * gaussian_normal(rotation, scale, to_eye)
+    splat.color = shown_color(raster.sh_degree, instance, gaussians, i, to_eye)
+    splat.normal = shown_normal(instance, gaussians, i, rotation, to_eye)
     return splat
 
 

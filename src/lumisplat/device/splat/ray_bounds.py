@@ -8,8 +8,44 @@ import math
 import warp as wp
 
 from lumisplat.device.camera.camera import FISHEYE, row_time, seen_point, turned
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import ImageBounds, ImageMoments, PixelBox, WorldGaussian
+from lumisplat.device.structs.raster import PixelBox
+
+
+@struct
+class WorldGaussian:
+    """A Gaussian seen from the eye, world space."""
+
+    point: wp.vec3
+    """Its mean, from the eye; with a rolling shutter, from where that is at the start of the first row."""
+    axes: wp.mat33
+    """Unit axes as columns."""
+    scale: wp.vec3
+    """Standard deviations, widened by the footprint of a pixel."""
+
+
+@struct
+class ImageMoments:
+    """Mean and covariance of what a camera sees of a Gaussian."""
+
+    mean: wp.vec2
+    """Pixels."""
+    xx: float
+    """Pixels^2."""
+    xy: float
+    yy: float
+    error: float
+    """By which the rows of a rolling shutter have not found their time, pixels."""
+
+
+@struct
+class ImageBounds:
+    """A rectangle of the image, pixels; inf: unbounded."""
+
+    low: wp.vec2
+    high: wp.vec2
+
 
 UNSCENTED_ALPHA = 1.0
 """Spread of the sigma points; 3DGUT's value, as the next two: sqrt(3) standard deviations from the mean."""
@@ -46,10 +82,13 @@ OUTLINE_MARGIN = 0.1
 """A Gaussian is all around the image when the direction against the axis is within its outline, wider by this."""
 
 _SPREAD2 = UNSCENTED_ALPHA**2 * (3.0 + UNSCENTED_KAPPA)
+
 SPREAD = wp.constant(wp.float32(math.sqrt(_SPREAD2)))
 """Distance of the sigma points from the mean, standard deviations."""
+
 OUTER_WEIGHT = wp.constant(wp.float32(0.5 / _SPREAD2))
 """Of each but the first."""
+
 COVARIANCE_WEIGHT = wp.constant(wp.float32(2.0 - 3.0 / _SPREAD2 - UNSCENTED_ALPHA**2 + UNSCENTED_BETA))
 """Of the first, in the covariance; it may be negative."""
 
@@ -91,15 +130,24 @@ def projected_moments(camera: CameraData, field: float, gaussian: WorldGaussian)
 
 
 POINTS = wp.constant(OUTLINE_POINTS)
+
 HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
+
 STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
+
 WIDER = wp.constant(wp.float32(1.0 / math.cos(math.pi / OUTLINE_POINTS)))
 """The circle is within the polygon of points that are farther out by this."""
+
 AROUND = wp.constant(wp.float32((1.0 + OUTLINE_MARGIN) / math.cos(math.pi / OUTLINE_POINTS)))
+
 PLANE = wp.constant(wp.float32(PLANE_SHARE))
+
 SLACK = wp.constant(wp.float32(OUTLINE_SLACK))
+
 SINE_MAX = wp.constant(wp.float32(UNSCENTED_SINE_MAX))
+
 MARGIN = wp.constant(wp.float32(1.0 + UNSCENTED_MARGIN))
+
 SLACK_PX = wp.constant(wp.float32(UNSCENTED_SLACK_PX))
 
 

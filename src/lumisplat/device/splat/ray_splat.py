@@ -7,21 +7,19 @@ import warp as wp
 
 from lumisplat.device.camera.camera import FISHEYE, row_time, seen_point, turned, view_at
 from lumisplat.device.camera.pixels import STRIP, TILE, TileFloats, float_at, ray_index, set_at
-from lumisplat.device.math.sh import sh_color
 from lumisplat.device.splat.compositor import Footprint
 from lumisplat.device.splat.projection import (
-    BEYOND_MAX,
     LOG_ALPHA_MIN,
     OPACITY_MIN,
-    gaussian_normal,
-    towards,
+    shown_color,
+    shown_normal,
     visible_alpha,
 )
-from lumisplat.device.splat.ray_bounds import canonical, gaussian_bounds, pixel_box
+from lumisplat.device.splat.ray_bounds import WorldGaussian, canonical, gaussian_bounds, pixel_box
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import RaySplatGradient
-from lumisplat.device.structs.raster import PixelBox, PixelRays, RayRasterData, RaySplat, TileRect, WorldGaussian
+from lumisplat.device.structs.raster import PixelBox, PixelRays, RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 DEPTH_MIN = wp.constant(wp.float32(1.0e-30))
@@ -115,17 +113,9 @@ def ray_splat(
         depth = wp.length(view)
     splat.depth = wp.max(depth, DEPTH_MIN)
     to_eye = eye_at(camera, instance, time) - mean
-    if instance.own_colors != 0:
-        splat.color = gaussians.albedo[i]
-    else:
-        stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
-        degree = wp.min(wp.min(raster.sh_degree, instance.sh_degree), stored)
-        splat.color = sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
-    if instance.own_normals != 0:
-        splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye, BEYOND_MAX)
-    else:
-        rotation = wp.quat_to_matrix(gaussians.rotations[i])
-        splat.normal = instance.world_from_object * gaussian_normal(rotation, gaussians.scales[i], to_eye)
+    rotation = wp.quat_to_matrix(gaussians.rotations[i])
+    splat.color = shown_color(raster.sh_degree, instance, gaussians, i, to_eye)
+    splat.normal = shown_normal(instance, gaussians, i, rotation, to_eye)
     return splat
 
 

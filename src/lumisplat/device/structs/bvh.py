@@ -68,14 +68,6 @@ HIT_HULL: int = wp.constant(1)
 HIT_MEAN: int = wp.constant(2)
 """They are ordered by where their mean projects onto the ray, and lie where they respond most."""
 
-HIT_NONE: int = wp.constant(0)
-
-HIT_FAR: int = wp.constant(1)
-"""A Gaussian is hit beyond the offset of the ray."""
-
-HIT_NEAR: int = wp.constant(2)
-"""It is hit within: it counts if it is of another layer."""
-
 
 @struct
 class AssetBvh:
@@ -315,18 +307,6 @@ class Hit:
     alpha: float
     index: int
     """Among all Gaussians of the scene."""
-
-
-@struct
-class ParticleHit:
-    """Where a single ray hits a Gaussian."""
-
-    t: float
-    """The distance by which hits are ordered; FAR: it does not."""
-    distance2: float
-    """Squared canonical distance at the peak of the response."""
-    is_near: bool
-    """It is within the offset of the ray: it counts if the Gaussian is of another layer."""
 
 
 @struct

@@ -74,18 +74,6 @@ class PoseGradient:
 
 
 @struct
-class SplatOrigin:
-    """By what one splat comes from: a Gaussian, and the camera that sees it."""
-
-    mean: wp.vec3
-    rotation: wp.quat
-    scale: wp.vec3
-    opacity: float
-    camera_from_object: wp.mat33
-    camera_from_object_offset: wp.vec3
-
-
-@struct
 class RayGradient:
     """By what rays show, an element a ray."""
 
@@ -104,33 +92,3 @@ class HitGradients:
     """By the logarithm of alpha; 0 where that is at its limit."""
     weight: wp.array[float]
     """With which the Gaussian is blended."""
-
-
-@struct
-class RayMotion:
-    """By where the rays are that hit a Gaussian of an instance, object space."""
-
-    shift: wp.vec3
-    """By a shift of all of them."""
-    turn: wp.vec3
-    """By a turn of all of them about the origin."""
-
-
-@struct
-class HitMoments:
-    """Sums over the hits of one Gaussian, of which its derivatives are made; along its own axes if not said otherwise.
-
-    Beside the derivative by the squared canonical distance, the terms are those of docs/method/gradients.md#hits.
-    """
-
-    log_opacity: float
-    pull: wp.vec3
-    """Of the canonical offset of the ray from the mean, over the scales."""
-    turn: wp.vec3
-    """The torque of that about the mean."""
-    spread: wp.vec3
-    """Of the squares of that offset, over the scales."""
-    path: wp.vec3
-    """By the mean's place along the ray, which says how wide the ray is there; object space."""
-    largest: float
-    """By the largest scale, which does so, too; object space."""

@@ -196,37 +196,3 @@ class PixelRays:
     rays: RayData
     limits: wp.array[float]
     """Distances up to which Gaussians count."""
-
-
-@struct
-class WorldGaussian:
-    """A Gaussian seen from the eye, world space."""
-
-    point: wp.vec3
-    """Its mean, from the eye; with a rolling shutter, from where that is at the start of the first row."""
-    axes: wp.mat33
-    """Unit axes as columns."""
-    scale: wp.vec3
-    """Standard deviations, widened by the footprint of a pixel."""
-
-
-@struct
-class ImageMoments:
-    """Mean and covariance of what a camera sees of a Gaussian."""
-
-    mean: wp.vec2
-    """Pixels."""
-    xx: float
-    """Pixels^2."""
-    xy: float
-    yy: float
-    error: float
-    """By which the rows of a rolling shutter have not found their time, pixels."""
-
-
-@struct
-class ImageBounds:
-    """A rectangle of the image, pixels; inf: unbounded."""
-
-    low: wp.vec2
-    high: wp.vec2

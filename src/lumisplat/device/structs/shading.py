@@ -97,18 +97,6 @@ class EmitterData:
 
 
 @struct
-class RayAbsorption:
-    """What a shadow ray has passed so far."""
-
-    transmittance: float
-    """0: it is blocked."""
-    floor: float
-    """It is blocked as soon as its transmittance falls to this."""
-    tint: wp.vec3
-    """Sum of linear colours, weighted by alpha."""
-
-
-@struct
 class LightSample:
     """A direction from a surface towards a light, and the light that comes from there."""
 
@@ -163,18 +151,6 @@ class Bsdf:
     """Roughness of the sheen, squared."""
     sheen_curve: wp.vec4
     """Its albedo: coefficients of the logarithm by the cosine."""
-
-
-@struct
-class BsdfSample:
-    """A direction sampled from a BSDF."""
-
-    direction: wp.vec3
-    """Unit, away from the surface."""
-    weight: wp.vec3
-    """BSDF times cosine over density; zero: no direction was found."""
-    density: float
-    """Per steradian."""
 
 
 @struct
@@ -527,13 +503,3 @@ class LightChoice:
     number: int
     """-1: no light shines here."""
     probability: float
-
-
-@struct
-class SampledLight:
-    """What one sample of a light contributes at a surface of a path."""
-
-    contribution: Contribution
-    """Weighted against what the path's own ray meets of the light."""
-    sent: wp.vec3
-    """Its colour, unweighted."""

@@ -10,9 +10,10 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import RAY_BANDS_PER_THREAD
+from lumisplat.device.gaussian.hit_gradient import RayMotion
 from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.camera import PixelData
-from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient, RayMotion
+from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient
 from lumisplat.device.structs.rays import HitProfiles, RayData
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.gradients import ray_backward_kernels as kernels

@@ -9,20 +9,21 @@ writers. The equations are in docs/method/gradients.md.
 import warp as wp
 
 from lumisplat.device.camera.pixels import pixel_of_ray
-from lumisplat.device.gaussian.hit_gradient import add_color, add_hit, add_moments, log_alpha_gradient, ray_in_object
+from lumisplat.device.gaussian.hit_gradient import (
+    HitMoments,
+    RayMotion,
+    add_color,
+    add_hit,
+    add_moments,
+    log_alpha_gradient,
+    ray_in_object,
+)
 from lumisplat.device.gaussian.packet_tracing import ray_of
 from lumisplat.device.gaussian.ray_compositing import hit_color
 from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.structs.bvh import SceneBvh, TraceData
 from lumisplat.device.structs.camera import PixelData
-from lumisplat.device.structs.gradients import (
-    GaussianGradient,
-    HitGradients,
-    HitMoments,
-    PixelGradient,
-    RayGradient,
-    RayMotion,
-)
+from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient
 from lumisplat.device.structs.rays import HitProfiles, RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 

@@ -7,6 +7,7 @@ docs/method/gradients.md#rasterisation-along-rays.
 import warp as wp
 
 from lumisplat.device.camera.pixels import is_listed
+from lumisplat.device.gaussian.hit_gradient import RayMotion
 from lumisplat.device.splat.compositor import TILE_OPTIONS, backward_arrays, tile_walk
 from lumisplat.device.splat.projection import color_dot, open_channels, sh_weights
 from lumisplat.device.splat.ray_splat import (
@@ -21,7 +22,7 @@ from lumisplat.device.splat.ray_splat import (
 )
 from lumisplat.device.splat.visitors import derivatives
 from lumisplat.device.structs.camera import CameraData, PixelData
-from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RayMotion, RaySplatGradient
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RaySplatGradient
 from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from lumisplat.constants import TILE_BANDS_PER_THREAD
+from lumisplat.device.gaussian.hit_gradient import RayMotion
 from lumisplat.device.structs.camera import PixelData
-from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RayMotion, RaySplatGradient
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RaySplatGradient
 from lumisplat.renderer.gradients import (
     ray_splat_backward_kernels,
     ray_splat_backward_warp_kernels,

@@ -8,9 +8,7 @@ import warp as wp
 
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
-    LightChange,
     LightHistory,
-    PixelHistory,
     SurfaceLight,
     SurfacePixels,
     is_near,
@@ -21,6 +19,7 @@ from lumisplat.device.gi.surfaces import (
     tolerance,
 )
 from lumisplat.device.math.color import luminance
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
 
 wp.set_module_options({"enable_backward": False})
@@ -59,6 +58,36 @@ MOMENTS = wp.constant(wp.float32(MOMENT_FRAMES))
 SIGMAS = wp.constant(wp.float32(LUMINANCE_SIGMAS))
 WEIGHT_MIN = wp.constant(wp.float32(WEIGHT_LEAST))
 TINY = wp.constant(wp.float32(1e-8))
+
+
+@struct
+class PixelHistory:
+    """One element of `LightHistory`."""
+
+    frames: float
+    diffuse: wp.vec3
+    glossy: wp.vec3
+    moments: wp.vec4
+
+
+@struct
+class LightChange:
+    """How the light of a few neighbouring pixels differs from their histories."""
+
+    sampled: float
+    """Sum of the luminances of the samples."""
+    expected: float
+    """Sum of those of the histories."""
+    variance: float
+    """Of the first sum."""
+    brighter: float
+    """Pixels whose sample is brighter than their history."""
+    count: float
+    """Pixels."""
+    lowest: float
+    """Luminance of the darkest sample, of pixels with short histories, too; inf: there is none."""
+    highest: float
+    """That of the brightest one."""
 
 
 @wp.func

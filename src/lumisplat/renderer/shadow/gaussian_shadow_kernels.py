@@ -47,6 +47,7 @@ from lumisplat.device.light.shadow_rays import (
     tint_of,
 )
 from lumisplat.device.math.random import draw_stratified
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import (
     DRAWS_NONE,
     DRAWS_PER_RAY,
@@ -63,9 +64,20 @@ from lumisplat.device.structs.bvh import (
     WaitingLink,
 )
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import RayAbsorption
 
 wp.set_module_options(PACKET_OPTIONS)
+
+
+@struct
+class RayAbsorption:
+    """What a shadow ray has passed so far."""
+
+    transmittance: float
+    """0: it is blocked."""
+    floor: float
+    """It is blocked as soon as its transmittance falls to this."""
+    tint: wp.vec3
+    """Sum of linear colours, weighted by alpha."""
 
 
 @functools.cache

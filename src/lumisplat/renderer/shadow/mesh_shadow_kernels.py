@@ -13,7 +13,7 @@ from lumisplat.device.bvh.nodes import (
 )
 from lumisplat.device.light.shadow_rays import pass_straight
 from lumisplat.device.material.media import is_in, passed
-from lumisplat.device.mesh.mesh_rays import box_span, intersect_triangle, owns_crossing, ray_in_mesh
+from lumisplat.device.mesh.mesh_rays import MeshRay, box_span, intersect_triangle, owns_crossing, ray_in_mesh
 from lumisplat.device.mesh.mesh_surface import (
     face_normal,
     hit_weights,
@@ -22,8 +22,9 @@ from lumisplat.device.mesh.mesh_surface import (
     surface_color,
     surface_normal,
 )
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node, WaitingLink
-from lumisplat.device.structs.rays import MeshPassage, MeshRay, MeshShadowRay, RayData
+from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
 # As for all that intersects triangles: fused products would let rays through shared edges.
@@ -33,6 +34,31 @@ EDGE_WEIGHT_MAX = 1e-5
 """Barycentric weight above which a ray through glass is certainly not on a triangle's edge: above all rounding."""
 
 EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
+
+
+@struct
+class MeshShadowRay:
+    """A shadow ray past meshes, world space."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    t_max: float
+    is_opaque: bool
+    """Glass blocks it."""
+    media: wp.vec4i
+    """Those at its origin, as ``Boundary``."""
+
+
+@struct
+class MeshPassage:
+    """What a shadow ray has passed of an instance so far."""
+
+    light: wp.vec3
+    """What is left, linear."""
+    inside: float
+    """Length of its way inside, but for what ``entries`` adds."""
+    entries: int
+    """How often it has entered more than left: so often its end is to be added to the way."""
 
 
 @wp.func
