@@ -9,8 +9,17 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import LUMINANCE
-from lumisplat.constants import realtime as limits
+from lumisplat.constants import LUMINANCE, STILL_PX
+from lumisplat.device.gi.surfaces import SAME_NORMAL_MESH, SAME_NORMAL_SPLATS, SAME_SURFACE_PX
+from lumisplat.renderer.realtime.light_filter_kernels import (
+    CHANGE_LEAST,
+    CHANGE_SIGMAS,
+    LUMINANCE_SIGMAS,
+    MOMENT_FRAMES,
+    SAME_PIXEL_PX,
+    WEIGHT_LEAST,
+    YOUNG_FRAMES,
+)
 from lumisplat.renderer.scene.camera_table import CENTER
 from support.scenes.gi_surfaces import Doubles, Seen
 
@@ -41,12 +50,12 @@ def empty(count: int) -> Light:
 
 def tolerance(seen: Seen, distance: Doubles) -> Doubles:
     """How far points of one surface may be from each other's planes, scene units."""
-    return np.maximum(limits.SAME_SURFACE_PX * distance / seen.camera.fx, seen.extent)
+    return np.maximum(SAME_SURFACE_PX * distance / seen.camera.fx, seen.extent)
 
 
 def least_cosine(seen: Seen) -> Doubles:
     """Between normals of one surface."""
-    return np.where(seen.extent > 0.0, limits.SAME_NORMAL_SPLATS, limits.SAME_NORMAL_MESH)
+    return np.where(seen.extent > 0.0, SAME_NORMAL_SPLATS, SAME_NORMAL_MESH)
 
 
 def is_same(seen: Seen, points: Doubles, tolerated: Doubles, image: Seen, taps: Whole) -> Mask:
@@ -82,8 +91,8 @@ def reprojected(seen: Seen, before: Seen, history: Light) -> Light:
     depth = np.where(ahead, local[:, 2], 1.0)
     x = camera.fx * local[:, 0] / depth + camera.cx - seen.offset[0]
     y = camera.fy * local[:, 1] / depth + camera.cy - seen.offset[1]
-    x, y = (np.where(np.abs(u - np.round(u)) < limits.STILL_PX, np.round(u), u) for u in (x, y))
-    tolerated = np.maximum(limits.SAME_PIXEL_PX * np.linalg.norm(way, axis=1) / camera.fx, seen.extent)
+    x, y = (np.where(np.abs(u - np.round(u)) < STILL_PX, np.round(u), u) for u in (x, y))
+    tolerated = np.maximum(SAME_PIXEL_PX * np.linalg.norm(way, axis=1) / camera.fx, seen.extent)
     total = np.zeros(len(way))
     near = np.stack([np.floor(x), np.floor(y)]), range(2), range(2)
     around = near[0], range(-1, 2), range(-1, 2)
@@ -110,7 +119,7 @@ def retained_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask,
     """Share of its history that each pixel keeps, by the samples of 5 x 5 pixels; shape (pixels,)."""
     found, expected = luminance(samples), luminance(history.light)
     variance = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
-    old = sampled & (history.frames >= limits.YOUNG_FRAMES)
+    old = sampled & (history.frames >= YOUNG_FRAMES)
     sums = np.zeros((5, len(old), 2))
     for _, _, taps, inside in neighbours(seen, 2):
         counts = inside & old[taps] & is_same(seen, seen.position, tolerance(seen, seen.distance), seen, taps)
@@ -118,9 +127,7 @@ def retained_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask,
         sums += np.where(counts[:, None], values, 0.0)
     sampled_sum, expected_sum, noise, brighter, count = sums
     difference = sampled_sum - expected_sum
-    by_chance = limits.CHANGE_SIGMAS * np.sqrt(
-        np.minimum(shared, count) * noise + (limits.CHANGE_LEAST * expected_sum) ** 2
-    )
+    by_chance = CHANGE_SIGMAS * np.sqrt(np.minimum(shared, count) * noise + (CHANGE_LEAST * expected_sum) ** 2)
     is_change = (np.abs(difference) > by_chance) & ((difference <= 0.0) | (brighter >= 0.5 * count))
     ratio = by_chance / np.where(is_change, np.abs(difference), 1.0)
     return np.where(old, np.where(is_change, ratio**4, 1.0).min(axis=1), 1.0)
@@ -134,7 +141,7 @@ def shares_inside(seen: Seen, history: Light, samples: Doubles, sampled: Mask) -
         counts = inside & sampled[taps] & is_same(seen, seen.position, tolerance(seen, seen.distance), seen, taps)
         low = np.where(counts[:, None], np.minimum(low, found[taps]), low)
         high = np.where(counts[:, None], np.maximum(high, found[taps]), high)
-    outside, tolerated = np.maximum(low - held, held - high), limits.CHANGE_LEAST * held
+    outside, tolerated = np.maximum(low - held, held - high), CHANGE_LEAST * held
     is_change = outside > tolerated
     return np.where(is_change, (tolerated / np.where(is_change, outside, 1.0)) ** 4, 1.0).min(axis=1)
 
@@ -154,12 +161,12 @@ def accumulated(
     retained = retained_shares(seen, history, samples, sampled, shared)
     if known_share < 1.0:
         retained = np.minimum(retained, shares_inside(seen, history, samples, sampled))
-        retained *= np.where(history.frames < limits.YOUNG_FRAMES, known_share, 1.0)
+        retained *= np.where(history.frames < YOUNG_FRAMES, known_share, 1.0)
     count = retained * history.frames + 1.0
     bright = luminance(samples)
     moments = np.stack([bright, bright * bright], axis=-1)
     add = np.where(sampled, 1.0 / count, 0.0)[:, None, None]
-    add_moments = np.where(sampled, 1.0 / np.minimum(count, limits.MOMENT_FRAMES), 0.0)[:, None, None]
+    add_moments = np.where(sampled, 1.0 / np.minimum(count, MOMENT_FRAMES), 0.0)[:, None, None]
     return Light(
         np.where(sampled, np.minimum(count, frames_max), history.frames),
         history.light + add * (samples - history.light),
@@ -169,7 +176,7 @@ def accumulated(
 
 def variances(seen: Seen, history: Light) -> Doubles:
     """Of the mean over frames of each pixel, shape (pixels, 2); 0 where there is no history."""
-    young = history.frames < limits.YOUNG_FRAMES
+    young = history.frames < YOUNG_FRAMES
     each = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
     moments, variance, count = np.zeros_like(history.moments), np.zeros_like(each), np.zeros(len(each))
     for row, column, taps, inside in neighbours(seen, 3):
@@ -207,9 +214,9 @@ def smoothed(
         cosine = np.where(counts, (seen.normal * seen.normal[taps]).sum(axis=1), 0.0)
         across = per_distance * ((seen.position[taps] - seen.position) * seen.normal).sum(axis=1)
         weight = counts * np.maximum(cosine, 0.0) ** power * falloff(np.where(counts, across, 3.0))
-        weight = np.where(weight <= limits.WEIGHT_LEAST, 0.0, weight)
+        weight = np.where(weight <= WEIGHT_LEAST, 0.0, weight)
         weight *= falloff(1.5 * (row * row + column * column) / (radius * radius + 1))
-        chance = limits.LUMINANCE_SIGMAS * np.sqrt(np.sqrt(variance * variance[taps])) + 1e-8
+        chance = LUMINANCE_SIGMAS * np.sqrt(np.sqrt(variance * variance[taps])) + 1e-8
         of_each = weight[:, None] * falloff(own * (bright[taps] - bright) / chance)
         weights += of_each
         sums += of_each[..., None] * light[taps]
