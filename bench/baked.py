@@ -30,7 +30,7 @@ import lumisplat as ls
 from bench.presets import DATA
 from bench.timing import parser
 from lumisplat.baking.joint_sh_fit import JointShFit
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from lumisplat.math.sh import sh_basis
 from lumisplat.math.tone_map import apply_tone_map
 from lumisplat.scene.ops.views import world_rays

@@ -26,7 +26,7 @@ import numpy as np
 import lumisplat as ls
 from bench.presets import DATA
 from bench.timing import parser
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.relighting.delight.delight import SURE

@@ -115,7 +115,7 @@ def compare(name: str, capture: ls.Gaussians, options: Any) -> None:
     }
     print(json.dumps(figures), flush=True)
     worst = min(result.views, key=lambda view: view.albedo_psnr)
-    from lumisplat.io.images.png import write_png
+    from lumisplat.io.images.texture import write_png
 
     rows = [np.concatenate(pair, axis=1) for pair in worst.pictures.values()]
     write_png(OUT / f"{name}.png", np.concatenate(rows, axis=0))

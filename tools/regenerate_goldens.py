@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import lumisplat as ls  # noqa: E402
-from lumisplat.io.images.png import write_png  # noqa: E402
+from lumisplat.io.images.texture import write_png  # noqa: E402
 from support.compare.goldens import CASES, FOLDER  # noqa: E402
 
 

@@ -15,7 +15,7 @@ import warp as wp
 import lumisplat as ls
 from bench.first_light.worker import Finding, Setting
 from lumisplat.demo.shapes import sphere
-from lumisplat.io.images.png import to_bytes
+from lumisplat.io.images.texture import to_bytes
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.downloads import Downloads
 from lumisplat.runtime.launcher import Launcher

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from support.files.cli_files import Workplace
 from support.files.photograph_files import change_frame, write_blender_photographs, write_transforms_photographs
 from support.scenes.raster_scenes import front_camera

@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.images.exr import write_exr
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from support.files.cli_files import Workplace
 from support.scenes.raster_scenes import random_gaussians
 

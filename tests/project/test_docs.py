@@ -111,7 +111,7 @@ def test_the_guide_shows_every_key_of_a_scene_file():
     from lumisplat.io.scene_toml import cameras as scene_cameras
     from lumisplat.io.scene_toml import lights as scene_lights
     from lumisplat.io.scene_toml import materials as scene_materials
-    from lumisplat.io.scene_toml.fields import schema
+    from lumisplat.io.scene_toml.toml_table import schema
 
     shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
     keys = {key for keys in assets.ENTRY_KEYS.values() for key in keys}

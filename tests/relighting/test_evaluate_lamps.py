@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from lumisplat.relighting.evaluation import over_black, relit_scene
 from support.files.relightable_files import painted_ball, sky, write_radiance, write_relightable_set
 

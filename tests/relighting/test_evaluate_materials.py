@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.files.relightable_files import (
     CONFIG,

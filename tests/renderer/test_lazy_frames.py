@@ -16,7 +16,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.frame.frame_data import unpremultiplied
-from lumisplat.io.images.png import to_bytes
+from lumisplat.io.images.texture import to_bytes
 from lumisplat.math.tone_map import lit_picture
 from lumisplat.renderer.film.picture import encoded_lit_pixels, encoded_pixels, picture_data, picture_of
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers

@@ -11,7 +11,7 @@ import OpenEXR
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.images import cryptomatte
+from lumisplat.frame.mattes import id_bits
 from lumisplat.io.images.exr import read_exr
 
 
@@ -82,7 +82,7 @@ def test_exr_files_hold_them_in_parts(tmp_path: Path, camera: ls.Camera) -> None
         assert [part.name() for part in file.parts] == ["rgba", "CryptoObject", "CryptoMaterial"]
         channels = file.parts[1].channels
         ids = channels["CryptoObject00.R"].pixels.view(np.uint32)
-        assert ids[0, 0] == cryptomatte.id_bits("front") and ids[0, 7] == cryptomatte.id_bits("back")
+        assert ids[0, 0] == id_bits("front") and ids[0, 7] == id_bits("back")
         assert channels["CryptoObject00.G"].pixels[0, 4] == pytest.approx(0.75)
         kinds = {value for key, value in file.header(0).items() if key.endswith("/name")}
         assert kinds >= {"CryptoObject", "CryptoMaterial"}

@@ -17,7 +17,7 @@ from lumisplat.dataset.labels import DatasetThing, DatasetView, id_images
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.images.png import write_gray_png, write_png
+from lumisplat.io.images.texture import write_gray_png, write_png
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import encode_srgb
 from lumisplat.scene.lights import Light

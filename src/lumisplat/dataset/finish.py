@@ -23,6 +23,7 @@ from lumisplat.dataset.files import LAYER_FILES, view_file, view_name
 from lumisplat.errors import FormatError
 from lumisplat.io.cameras.json_cameras import OPENGL_FROM_OPENCV
 from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import readable
 from lumisplat.math.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -182,10 +183,8 @@ def _write_shard(path: Path, folder: Path, records: Sequence[Mapping[str, Any]])
     with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
         for record in records:
             for member, file in _members(folder, record).items():
-                try:
+                with readable(file):
                     content = file.read_bytes()
-                except OSError as error:
-                    raise FormatError(file, f"cannot be read: {error.strerror or error}") from None
                 entry = tarfile.TarInfo(member)
                 entry.size, entry.mode = len(content), 0o644
                 tar.addfile(entry, io.BytesIO(content))

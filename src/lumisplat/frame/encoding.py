@@ -10,7 +10,7 @@ from collections.abc import Collection
 import numpy as np
 
 from lumisplat.frame.layers import Image
-from lumisplat.io.images.png import to_bytes, write_gray_png
+from lumisplat.io.images.texture import to_bytes, write_gray_png
 from lumisplat.math.arrays import FloatArray
 
 NOTEBOOK_PNG_PIXELS_MAX = 2**20

@@ -34,7 +34,7 @@ from lumisplat.frame.layers import (
 from lumisplat.frame.mattes import Mattes
 from lumisplat.io.files.arrays import write_npz
 from lumisplat.io.images.exr import write_exr
-from lumisplat.io.images.png import to_bytes, write_png
+from lumisplat.io.images.texture import to_bytes, write_png
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.tone_map import captured_radiance, lit_picture

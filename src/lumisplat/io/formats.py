@@ -54,7 +54,7 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 
 _READERS = {
     ".spz": "splats.spz.read_spz",
-    ".splat": "splats.splat.read_splat",
+    ".splat": "splats.ksplat.read_splat",
     ".ksplat": "splats.ksplat.read_ksplat",
     ".sog": "splats.sog.read_sog",
     ".obj": "meshes.obj.read_obj",

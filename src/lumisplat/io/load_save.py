@@ -10,9 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
-from lumisplat.errors import FormatError
 from lumisplat.io import formats
-from lumisplat.io.files.source import PathLike, references_outside
+from lumisplat.io.files.source import PathLike, readable, references_outside
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -96,19 +95,13 @@ def load(
     """
     from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
-    try:
+    with readable(path):
         with references_outside(allow_outside):
             options = formats.LoadOptions(drop_invalid, crease_angle, up, progress, incident, lod, budget)
             load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle, lod=lod, budget=budget)
             loaded = formats.read(Path(path), load_asset, options)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
-    except FormatError:
-        raise
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
-    except MemoryError:
-        raise FormatError(path, "does not fit into memory") from None
     if progress:
         progress(1.0)
     return loaded
@@ -323,7 +316,7 @@ def load_rig(path: PathLike, *, vertex_colors: bool = True, allow_outside: bool 
             weights that sum to 0, or has keys that are not finite or not in order.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
-    from lumisplat.io.gltf.rigs import read_rig
+    from lumisplat.io.gltf.animation import read_rig
 
     with references_outside(allow_outside):
         return read_rig(path, vertex_colors)

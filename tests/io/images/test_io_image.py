@@ -13,8 +13,7 @@ import pytest
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.arrays import write_npz
 from lumisplat.io.images.exr import Channel, read_exr, write_deep_exr, write_exr
-from lumisplat.io.images.png import write_png
-from lumisplat.io.images.texture import decode_texture, read_texture
+from lumisplat.io.images.texture import decode_texture, read_texture, write_png
 from support.files.image_files import read_image
 from support.files.mesh_files import TEXELS, png_bytes
 from support.files.small_disks import small_disk

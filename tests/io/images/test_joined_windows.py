@@ -12,7 +12,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.io.images.exr import read_exr, write_exr
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 
 SIZE = 71, 53
 CAMERA = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=SIZE[0], height=SIZE[1])

@@ -13,8 +13,7 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.io.images.png import write_png
-from lumisplat.io.images.texture import read_texture
+from lumisplat.io.images.texture import read_texture, write_png
 from lumisplat.io.training_images.loading import camera_target
 from support.files.photograph_files import (
     change_frame,
@@ -206,7 +205,7 @@ def test_directions_of_parallel_cameras_do_not_matter():
 
 def test_decoded_photographs_stay_within_their_memory(tmp_path, monkeypatch):
     """Those used last are kept, and others decoded again, with the same pixels; with no memory, each time."""
-    from lumisplat.io.training_images import pixels as module
+    from lumisplat.io.training_images import loading as module
 
     write_transforms_photographs(tmp_path, ring_cameras(5))
     read: list[str] = []

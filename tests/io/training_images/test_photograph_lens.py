@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.training_images.pixels import lens_points
+from lumisplat.io.training_images.loading import lens_points
 from support.files.photograph_files import photograph, ring_cameras, write_transforms_photographs
 
 FISHEYE = ls.CameraModel.FISHEYE
@@ -89,7 +89,7 @@ def test_beyond_the_fold_a_lens_shows_nothing(tmp_path):
 
 
 def _pinhole(camera: ls.Camera) -> ls.Camera:
-    from lumisplat.io.training_images.pixels import pinhole_of
+    from lumisplat.io.training_images.loading import pinhole_of
 
     return pinhole_of(camera)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from lumisplat.io.training_images.poses import LENS_MODEL
 from support.files.colmap_stub import ColmapStub
 

@@ -495,7 +495,7 @@ def test_instances_of_instances_end(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """
     path = write_usda(tmp_path / "a.usda", loop + field(name="b"))
     assert isinstance(ls.load(path), ls.Gaussians)
-    monkeypatch.setattr("lumisplat.io.usd.walk.USD_INSTANCES_MAX", 3)
+    monkeypatch.setattr("lumisplat.io.usd.stage.USD_INSTANCES_MAX", 3)
     many = loop.replace("rel prototypes = [</a>, </b>]", "rel prototypes = </b>").replace("[0, 0]", "[0, 0, 0]")
     many = many.replace("(1, 0, 0)]", "(1, 0, 0), (2, 0, 0)]")
     with pytest.raises(FormatError, match="shows more than 3 prims"):
@@ -504,7 +504,7 @@ def test_instances_of_instances_end(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_instances_of_nothing_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty instancers, each of which shows the one before ten times, the first of them something that is not seen."""
-    monkeypatch.setattr("lumisplat.io.usd.walk.USD_INSTANCES_MAX", 1000)
+    monkeypatch.setattr("lumisplat.io.usd.stage.USD_INSTANCES_MAX", 1000)
     places = ", ".join(f"({k}, 0, 0)" for k in range(10))
     body = 'def "a0" {\n}\n' + "".join(
         f"""def PointInstancer "a{k}" {{

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from lumisplat.math.transforms import quaternions_from_matrices
 
 OPENGL_FROM_OPENCV = np.diag((1.0, -1.0, -1.0, 1.0))

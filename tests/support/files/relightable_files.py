@@ -10,7 +10,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.io.images.exr import read_exr, write_exr
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.texture import write_png
 from lumisplat.math.directions import panorama_directions
 from lumisplat.relighting.evaluation import LayerRenderer, over_black, relit_scene
 from support.files.photograph_files import write_blender_photographs

@@ -13,7 +13,7 @@ import numpy as np
 
 from lumisplat.constants import BLOCK_GAUSSIANS_MAX, BLOCK_PIECE
 from lumisplat.errors import FormatError, MissingFileError
-from lumisplat.io.files.source import PathLike, check_regular, parsing
+from lumisplat.io.files.source import PathLike, check_regular, parsing, readable
 from lumisplat.io.ply import PlyElement, PlyHeader, PlyRows, read_ply_header, read_ply_rows
 from lumisplat.io.splats.columns import (
     FIELDS,
@@ -171,10 +171,8 @@ def _opened(path: Path) -> tuple[PlyHeader, PlyElement, int]:
     if not path.exists():
         raise MissingFileError(path, "no such file")
     check_regular(path, path.stat())
-    try:
+    with readable(path):
         header = read_ply_header(path)
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     if header.encoding == "ascii" or is_compressed_header(header):
         kind = "text" if header.encoding == "ascii" else "compressed"
         raise FormatError(path, f"is {kind}: a binary .ply is streamed, which lumisplat convert writes")

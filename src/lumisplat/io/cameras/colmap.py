@@ -13,7 +13,7 @@ import numpy as np
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.common import name_from_image
-from lumisplat.io.files.source import PathLike, parsing, read_bytes, read_text
+from lumisplat.io.files.source import PathLike, is_number_word, parsing, read_bytes, read_text
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.camera import Camera, CameraModel
@@ -198,15 +198,7 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
 def _is_image(line: str) -> bool:
     """Tells whether a line is of an image, and not of points: these are X, Y and a number each, without a name."""
     words = line.split(maxsplit=9)
-    return len(words) == 10 and (not _is_number(words[9].split()[0]) or len(line.split()) % 3 != 0)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+    return len(words) == 10 and (not is_number_word(words[9].split()[0]) or len(line.split()) % 3 != 0)
 
 
 def _text_lines(path: Path) -> Iterator[str]:

@@ -14,15 +14,16 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.common import name_from_image, unique_names
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.source import PathLike, named_path, parsing, read_text
+from lumisplat.io.files.source import PathLike, is_list, is_object, named_path, parsing, read_text
 from lumisplat.io.images.texture import image_size
 from lumisplat.math.arrays import finite_numbers
 from lumisplat.scene.camera import Camera, CameraModel
@@ -56,16 +57,6 @@ _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 """Keys of the lens distortion, in the order of `Camera.distortion`."""
 
 
-def is_list(value: object) -> TypeGuard[list[object]]:
-    """Whether a JSON value is an array."""
-    return isinstance(value, list)
-
-
-def is_object(value: object) -> TypeGuard[dict[str, Any]]:
-    """Whether a JSON value is an object."""
-    return isinstance(value, dict)
-
-
 def quote(value: object) -> str:
     """JSON for a message, cut short."""
     text = json.dumps(value)
@@ -79,7 +70,7 @@ def _number(values: Entry, name: str) -> float:
         SceneError: It is not a number.
     """
     value = values[name]
-    if not isinstance(value, int | float) or isinstance(value, bool):
+    if not is_number(value):
         raise SceneError(f"has {name} {quote(value)}, expected a number")
     return value
 

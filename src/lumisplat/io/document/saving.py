@@ -18,8 +18,8 @@ import numpy as np
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.document.entries import EntryKind, EntryReader, SceneEntry
 from lumisplat.io.document.tables import camera_tables, is_similarity, light_table, material_table, placement_table
-from lumisplat.io.images.png import write_png
 from lumisplat.io.images.radiance import write_radiance
+from lumisplat.io.images.texture import write_png
 from lumisplat.io.meshes.mesh_ply import write_ply_mesh
 from lumisplat.io.scene_toml.config_file import changed_settings
 from lumisplat.io.splats.splat_ply import write_splat_ply

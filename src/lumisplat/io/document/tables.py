@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from lumisplat.constants import NEAR_PLANE, SIMILARITY_TOLERANCE
-from lumisplat.io.scene_toml.fields import DEGREES, key_of
 from lumisplat.io.scene_toml.materials import MATERIAL_KINDS
-from lumisplat.io.scene_toml.toml_table import Values, plain_value
+from lumisplat.io.scene_toml.toml_table import DEGREES, Values, key_of, plain_value
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.camera_path import CameraPath

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.source import PathLike, check_expansion, check_memory, opened
+from lumisplat.io.files.source import PathLike, check_expansion, check_memory, opened, readable
 from lumisplat.math.arrays import host_array
 
 _UNREADABLE = (ValueError, LookupError, TypeError, ArithmeticError, RuntimeError, EOFError, SyntaxError)
@@ -37,7 +37,7 @@ def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[
         MissingFileError: There is no such file.
     """
     try:
-        with opened(path, largest=math.inf) as file, zipfile.ZipFile(file) as archive:
+        with readable(path), opened(path, largest=math.inf) as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             sizes = [_array_bytes(archive, member, compressed) for member in members]
             if len({member.filename for member in members}) < len(members):
@@ -50,10 +50,6 @@ def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[
             return {member.filename.removesuffix(".npy"): _read(archive, member) for member in members}
     except FormatError:
         raise
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
-    except MemoryError:
-        raise FormatError(path, "does not fit into memory") from None
     except (*_UNREADABLE, zipfile.BadZipFile, zlib.error):
         raise FormatError(path, f"is damaged, or not {kind}") from None
 

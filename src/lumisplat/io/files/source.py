@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeGuard
 
 import numpy as np
 
@@ -60,18 +60,32 @@ def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
         MissingFileError: There is no such file.
     """
     because = f" (needed by {os.fspath(wanted_by)})" if wanted_by is not None else ""
-    try:
-        with opened(path, because) as file:
-            data = file.read(os.fstat(file.fileno()).st_size)
-    except FormatError:
-        raise
-    except MemoryError:
-        raise FormatError(path, f"does not fit into memory{because}") from None
-    except OSError as error:
-        raise FormatError(path, f"cannot be read{because}: {error.strerror or error}") from None
+    with readable(path, because), opened(path, because) as file:
+        data = file.read(os.fstat(file.fileno()).st_size)
     if not data:
         raise FormatError(path, f"is empty: zero bytes{because}")
     return data
+
+
+@contextmanager
+def readable(path: PathLike, because: str = "") -> Generator[None]:
+    """Turns what the system says of a file that cannot be read inside the block into one `FormatError` about ``path``.
+
+    Args:
+        path: The file.
+        because: The end of messages.
+
+    Raises:
+        FormatError: The file cannot be read, or does not fit into memory.
+    """
+    try:
+        yield
+    except FormatError:
+        raise
+    except OSError as error:
+        raise FormatError(path, f"cannot be read{because}: {error.strerror or error}") from None
+    except MemoryError:
+        raise FormatError(path, f"does not fit into memory{because}") from None
 
 
 def opened(path: PathLike, because: str = "", largest: float | None = None) -> BinaryIO:
@@ -123,6 +137,25 @@ def decode_text(data: bytes, errors: str = "strict") -> str:
     if is_utf16 and errors == "surrogateescape":  # UTF-16 has no such bytes
         errors = "replace"
     return data.decode("utf-16" if is_utf16 else "utf-8-sig", errors)
+
+
+def is_list(value: object) -> TypeGuard[list[object]]:
+    """Returns whether a value of JSON or TOML is an array."""
+    return isinstance(value, list)
+
+
+def is_object(value: object) -> TypeGuard[dict[str, Any]]:
+    """Returns whether a value of JSON is an object, or one of TOML a table."""
+    return isinstance(value, dict)
+
+
+def is_number_word(word: str) -> bool:
+    """Returns whether a word of a text is a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def check_regular(path: PathLike, status: os.stat_result, because: str = "") -> None:

@@ -1,12 +1,13 @@
-"""Animations of glTF files as scenes that move: nodes, skins and morph targets, captures and a camera."""
+"""Reads what moves in glTF files: rigs (meshes, the nodes that move them, clips), and animations as whole scenes."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,25 +19,309 @@ from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.gaussians import GltfCaptures
 from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
 from lumisplat.io.gltf.lights import read_lights
-from lumisplat.io.gltf.materials import warn_unread
-from lumisplat.io.gltf.meshes import read_skin
-from lumisplat.io.gltf.nodes import hierarchy, node_label, scene_nodes
-from lumisplat.io.gltf.rigs import read_clips, read_skeleton, rig_of
+from lumisplat.io.gltf.materials import GltfMaterials, warn_unread
+from lumisplat.io.gltf.meshes import Influences, RawPrimitive, Skin, read_raw, read_skin, usable_colors
+from lumisplat.io.gltf.nodes import (
+    Matrix,
+    hierarchy,
+    instance_places,
+    node_columns,
+    node_label,
+    node_matrix,
+    scene_nodes,
+)
 from lumisplat.io.gltf.scene import check_extensions, placed_in
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve
-from lumisplat.math.arrays import Doubles
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, placeable_material
+from lumisplat.math.arrays import Doubles, IntArray, read_only_view
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.keyframes import Keyframes
-from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Skeleton
+from lumisplat.scene.animation.rig import (
+    Channel,
+    Clip,
+    Interpolation,
+    MorphTargets,
+    Rig,
+    RigPart,
+    RigPose,
+    RigSurface,
+    Skeleton,
+    Track,
+    join_triangles,
+)
 from lumisplat.scene.scene import Scene, SplatInstance, check_similarity
+
+if TYPE_CHECKING:
+    import pygltflib
+
+
+_log = logging.getLogger("lumisplat")
 
 ANIMATION_SAMPLES_MAX = 400_000
 """Samples of a camera or capture of a glTF animation, which are made when it is read: more than an hour. So many take a
 minute on one core, and 500 MB."""
 
-_log = logging.getLogger("lumisplat")
+_KINDS = {Channel.TRANSLATION: "VEC3", Channel.ROTATION: "VEC4", Channel.SCALE: "VEC3", Channel.WEIGHTS: "SCALAR"}
+
+
+def _read_clips(file: GltfFile) -> tuple[Clip, ...]:
+    """All animations of a file, with distinct names; an animation without a name has its number instead.
+
+    Channels without a node, and those of extensions, are left out; a log line counts the latter.
+
+    Raises:
+        FormatError: A channel or a sampler is malformed, or its keys are not finite or not in order.
+    """
+    clips: dict[str, Clip] = {}
+    for index, animation in enumerate(file.model.animations or []):
+        name = animation.name or str(index)
+        while name in clips:
+            name += f"_{index}"
+        clips[name] = Clip(name, _tracks(file, animation, f"animations[{index}]"))
+    return tuple(clips.values())
+
+
+def _tracks(file: GltfFile, animation: pygltflib.Animation, where: str) -> tuple[Track, ...]:
+    tracks: list[Track] = []
+    unread = 0
+    for k, channel in enumerate(animation.channels or []):
+        target = channel.target
+        if target is None or target.path not in {channel.value for channel in Channel}:
+            unread += 1
+        elif target.node is not None:
+            label = f"{where}.channels[{k}]"
+            sampler = _sampler(file, animation, channel.sampler, label)
+            tracks.append(_track(file, sampler, Channel(target.path), target.node, label))
+    if unread:
+        _log.warning("%s: %s: %d channels left out, they move what is not read", file.path, where, unread)
+    return tuple(tracks)
+
+
+def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, node: int, where: str) -> Track:
+    """The track of a channel that animates a property of a node."""
+    item = file.item("nodes", node, where)
+    if item.matrix is not None and kind is not Channel.WEIGHTS:
+        raise FormatError(file.path, f"{where} moves {node_label(file, node)}, which has a matrix: expected its parts")
+    if sampler.interpolation not in (None, *(way.value for way in Interpolation)):
+        ways = ", ".join(way.value for way in Interpolation)
+        raise FormatError(file.path, f"{where} has interpolation {sampler.interpolation!r}, expected one of {ways}")
+    way = Interpolation(sampler.interpolation or "LINEAR")
+    times = file.floats(sampler.input, "SCALAR", f"{where} input")[:, 0].astype(np.float64)
+    _check_times(file, times, where)
+    stored = file.floats(sampler.output, _KINDS[kind], f"{where} output").astype(np.float64)
+    invalid = stored.size - np.count_nonzero(np.isfinite(stored))
+    if invalid:
+        raise FormatError(file.path, f"{where}: {invalid:,} of {stored.size:,} key values are not finite")
+    width = _target_count(file, item, where) if kind is Channel.WEIGHTS else stored.shape[1]
+    rows = 3 if way is Interpolation.CUBICSPLINE else 1
+    if stored.size != rows * width * times.size:
+        found = f"{len(stored):,} values for {times.size:,} keys"
+        raise FormatError(file.path, f"{where} has {found}, expected {rows * width * times.size // stored.shape[1]:,}")
+    keys = stored.reshape(times.size, rows, width)
+    if kind is Channel.ROTATION:
+        keys = np.roll(keys, 1, axis=2)  # the file has the scalar last
+    values = keys[:, rows // 2]
+    if kind is Channel.ROTATION:
+        values = _unit(file, values, where)
+    return Track(node, kind, way, times, values, keys[:, ::2] if rows == 3 else None)
+
+
+def _sampler(
+    file: GltfFile, animation: pygltflib.Animation, number: int | None, where: str
+) -> pygltflib.AnimationSampler:
+    """The sampler that a channel refers to."""
+    samplers: list[pygltflib.AnimationSampler] = animation.samplers or []
+    if number is None or number not in range(len(samplers)):
+        raise FormatError(file.path, f"{where} refers to samplers[{number}], but there are {len(samplers)}")
+    return samplers[number]
+
+
+def _check_times(file: GltfFile, times: Matrix, where: str) -> None:
+    invalid = times.size - np.count_nonzero(np.isfinite(times))
+    if invalid:
+        raise FormatError(file.path, f"{where}: {invalid:,} of {times.size:,} key times are not finite")
+    falls = np.flatnonzero(np.diff(times) < 0.0)
+    if falls.size:
+        first = int(falls[0])
+        raise FormatError(
+            file.path, f"{where}: key times must rise, but {times[first + 1]:g} follows {times[first]:g} s"
+        )
+
+
+def _target_count(file: GltfFile, node: pygltflib.Node, where: str) -> int:
+    """Number of morph targets of a node's mesh."""
+    mesh = file.item("meshes", node.mesh, where)
+    count = max((len(primitive.targets or []) for primitive in mesh.primitives), default=0)
+    if not count:
+        raise FormatError(file.path, f"{where} changes morph weights of a mesh without morph targets")
+    return count
+
+
+def _unit(file: GltfFile, quaternions: Matrix, where: str) -> Matrix:
+    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    if not lengths.all():
+        raise FormatError(file.path, f"{where}: {np.count_nonzero(lengths == 0.0)} rotations have zero length")
+    return quaternions / lengths
+
+
+class _Piece(NamedTuple):
+    """A primitive of a node, as stored and as a part of the rig."""
+
+    raw: RawPrimitive
+    part: RigPart
+
+
+def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
+    """As `lumisplat.avatars.load_rig`."""
+    path = Path(path)
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected .glb or .gltf")
+    with parsing(path, "a glTF file"):
+        file = GltfFile(path)
+        check_extensions(file)
+        if not is_rigged(file):
+            raise FormatError(path, "is no rig: it has neither a skin nor an animation (load reads it as a mesh)")
+        warn_unread(file)
+        rig = _rig_of(file, _read_clips(file), scene_nodes(file), vertex_colors)
+        if rig is None:
+            raise FormatError(path, "is no rig: its scene has no triangle mesh")
+        return rig
+
+
+def _rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], vertex_colors: bool = True) -> Rig | None:
+    """The meshes of some nodes with all that moves them; None if they have no triangles.
+
+    Raises:
+        FormatError: Something in them is malformed.
+    """
+    skeleton = _read_skeleton(file)
+    groups: dict[tuple[int, bool, bool], list[_Piece]] = {}
+    for piece in _pieces(file, clips, nodes):
+        raw = piece.raw
+        key = id(raw.material), raw.uvs is None, raw.normals is None
+        groups.setdefault(key, []).append(piece)
+    if not groups:
+        return None
+    surfaces = (_surface(file, group, skeleton, vertex_colors) for group in groups.values())
+    return Rig(skeleton, _visible_surfaces(file, surfaces, skeleton), clips)
+
+
+def _visible_surfaces(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: Skeleton) -> tuple[RigSurface, ...]:
+    """The surfaces that have triangles at rest; files hide meshes by scaling them to nothing."""
+    rest = RigPose(skeleton.world_from_node(), {})
+    visible: list[RigSurface] = []
+    for surface in surfaces:
+        if surface.mesh(rest) is not None:
+            visible.append(surface)
+        else:
+            _log.warning("%s: mesh %r left out: at rest it has no triangles with an area", file.path, surface.name)
+    if not visible:
+        raise FormatError(file.path, "has no triangles with an area at rest")
+    return tuple(visible)
+
+
+def is_rigged(file: GltfFile) -> bool:
+    """Whether a file has a node with a skin, or an animation."""
+    return bool(file.model.animations) or any(node.skin is not None for node in file.model.nodes)
+
+
+def _read_skeleton(file: GltfFile) -> Skeleton:
+    """The nodes of a file, in the scene or not.
+
+    Raises:
+        FormatError: A node has two parents, is its own ancestor, or has an invalid transform.
+    """
+    tree = hierarchy(file)
+    nodes = range(len(tree.parents))
+    matrices = {index: matrix for index in nodes if (matrix := node_matrix(file, index)) is not None}
+    identity = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3)
+    columns = [identity if index in matrices else node_columns(file, index) for index in nodes]
+    translations, rotations, scales = (np.array(column) for column in zip(*columns, strict=True))
+    return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices)
+
+
+def _pieces(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_Piece]:
+    """The triangle primitives of nodes."""
+    materials = GltfMaterials(file)
+    morphed = {track.node for clip in clips for track in clip.tracks if track.channel is Channel.WEIGHTS}
+    for index in nodes:
+        node = file.model.nodes[index]
+        if node.mesh is None:
+            continue
+        mesh = file.item("meshes", node.mesh, f"nodes[{index}]")
+        weights = np.array(getattr(node, "weights", None) or mesh.weights or (), dtype=np.float64)
+        if not np.isfinite(weights).all():
+            raise FormatError(file.path, f"meshes[{node.mesh}] has morph weights that are not finite")
+        # Without a skin, the node itself is the only joint, of each of its instances.
+        if node.skin is None:
+            skins = [Skin((index,), place[None]) for place in instance_places(file, index)]
+        else:
+            skins = [read_skin(file, node.skin)]
+        raws = read_raw(
+            file,
+            node.mesh,
+            materials,
+            joint_count=None if node.skin is None else len(skins[0].joints),
+            targets=None if index in morphed else set(np.flatnonzero(weights).tolist()),
+        )
+        for raw in raws:
+            for skin in skins:
+                yield _Piece(raw, _part(raw, skin, index, weights))
+
+
+def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart:
+    """A primitive as a part of the rig; without influences, all vertices follow the first joint."""
+    count = len(raw.positions)
+    influences = raw.influences or Influences(np.zeros((count, 1), np.int32), np.ones((count, 1), np.float32))
+    return RigPart(
+        positions=raw.positions,
+        normals=raw.normals,
+        nodes=np.array(skin.joints, dtype=np.int32),
+        joint_from_bind=skin.joint_from_bind,
+        joints=influences.joints,
+        weights=influences.weights,
+        morphs=_morphs(raw, node, weights),
+    )
+
+
+def _morphs(raw: RawPrimitive, node: int, weights: Doubles) -> MorphTargets | None:
+    """The morph targets of a primitive, zero where a target has no offsets; None if there are no targets."""
+    numbers = sorted(raw.morph_positions.keys() | raw.morph_normals.keys())
+    if not numbers:
+        return None
+    count = max(numbers[-1] + 1, weights.size)
+    positions, normals = (np.zeros((count, *raw.positions.shape), np.float32) for _ in range(2))
+    for number, offsets in raw.morph_positions.items():
+        positions[number] = offsets
+    for number, offsets in raw.morph_normals.items():
+        normals[number] = offsets
+    at_rest = np.zeros(count)
+    at_rest[: weights.size] = weights
+    return MorphTargets(node, at_rest, positions, normals if raw.morph_normals else None)
+
+
+def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_colors: bool) -> RigSurface:
+    """One surface from pieces that have the same material and attributes."""
+    first = pieces[0].raw
+    triangles: list[IntArray] = []
+    for raw, part in pieces:
+        usable = ((raw.triangles >= 0) & (raw.triangles < len(part.positions))).all(axis=1)
+        if not usable.all():
+            _log.warning("%s: %d triangles with an index that is no vertex left out", file.path, (~usable).sum())
+        triangles.append(raw.triangles[usable].astype(np.int32))
+    parts = [piece.part for piece in pieces]
+    colors = None
+    if vertex_colors and any(raw.colors is not None for raw, _ in pieces):
+        per_piece = [np.ones_like(raw.positions) if raw.colors is None else raw.colors for raw, _ in pieces]
+        advice = "leave it out (vertex_colors = false)"
+        colors = usable_colors(file.path, read_only_view(np.concatenate(per_piece)), first.material, first.name, advice)
+    uv_parts = [raw.uvs for raw, _ in pieces if raw.uvs is not None]
+    uvs = read_only_view(np.concatenate(uv_parts)) if uv_parts else None
+    material = placeable_material(file.path, first.material, uvs, first.name)
+    indices = join_triangles(parts, triangles, skeleton)
+    return RigSurface(tuple(parts), indices, material, uvs, colors, first.name)
+
 
 _FPS = 25.0
 """Frames a second: glTF has none."""
@@ -65,7 +350,7 @@ def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation
         file = GltfFile(path)
         check_extensions(file)
         warn_unread(file)
-        clips = read_clips(file)
+        clips = _read_clips(file)
         if not clips:
             raise FormatError(path, "has no animation: lumisplat render shows it, a scene.toml can move it")
         clip = clips[0]
@@ -91,7 +376,7 @@ class _Moving:
 
     def __init__(self, file: GltfFile, clip: Clip, drop_invalid: bool) -> None:
         self._file, self._clip, self._drop_invalid = file, clip, drop_invalid
-        self._skeleton: Skeleton = read_skeleton(file)
+        self._skeleton: Skeleton = _read_skeleton(file)
         self._nodes = list(scene_nodes(file))
         self._moved = _moved_nodes(file, clip)
 
@@ -108,7 +393,7 @@ class _Moving:
         if lit:
             named = ", ".join(node_label(file, index) for index in lit[:3])
             _log.warning("%s: lights that move stay where they are at rest (%s)", os.fspath(file.path), named)
-        rig = rig_of(file, (self._clip,), deformed)
+        rig = _rig_of(file, (self._clip,), deformed)
         actors = [Actor(rig, loop=False)] if rig is not None else []
         actors += self._captures(deformed)
         scene = replace(scene, lights=read_lights(file, self._nodes, rest), up="y-up")

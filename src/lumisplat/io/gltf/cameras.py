@@ -18,8 +18,16 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.common import BOX, pose_of_node, size_of_aspect
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfDocument, GltfFile
-from lumisplat.io.gltf.extras import CAMERAS, own_extras, with_extras
-from lumisplat.io.gltf.nodes import Matrix, node_item, node_label, scene_nodes, world_transforms
+from lumisplat.io.gltf.nodes import (
+    CAMERAS,
+    Matrix,
+    node_item,
+    node_label,
+    own_extras,
+    scene_nodes,
+    with_extras,
+    world_transforms,
+)
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.scene import Scene
 

@@ -15,8 +15,7 @@ from lumisplat.constants import KERNEL_DEGREE, SH_C0, SH_DEGREE_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, check_expansion
 from lumisplat.io.gltf.container import GltfDocument, GltfFile, GltfPrimitive
-from lumisplat.io.gltf.extras import OURS, instance_settings, own_extras
-from lumisplat.io.gltf.nodes import Matrix, instance_places, node_label
+from lumisplat.io.gltf.nodes import OURS, Matrix, instance_places, instance_settings, node_label, own_extras
 from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns, look_like_logits, mirror_axes
 from lumisplat.io.splats.orientation import orientation_of, orientation_values
 from lumisplat.math.arrays import FloatArray

@@ -16,9 +16,8 @@ import numpy as np
 from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfDocument, GltfFile
-from lumisplat.io.gltf.extras import light_extras, light_settings, own_extras, with_extras
-from lumisplat.io.gltf.nodes import Matrix, node_item
-from lumisplat.scene.lights import Light, LightDirectional, LightPoint, LightSphere, LightSpot
+from lumisplat.io.gltf.nodes import Matrix, light_extras, light_settings, node_item, own_extras, with_extras
+from lumisplat.scene.lights import LIGHT_KINDS, AimedLight, Light, LightPoint, LightSphere, LightSpot, PlacedLight
 
 _log = logging.getLogger("lumisplat")
 
@@ -27,10 +26,11 @@ EXTENSION = "KHR_lights_punctual"
 _CONE_EDGE = 1e-3
 """Width of the edge of a cone that begins where it ends, radians."""
 
-PunctualLight = LightPoint | LightSpot | LightDirectional
+_PUNCTUAL = {kind: light for kind, light in LIGHT_KINDS.items() if light.unit in ("cd", "lux")}
+"""Lights of the extension by their type in files, which is ours: those without an area."""
 
 
-def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matrix]) -> list[PunctualLight]:
+def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matrix]) -> list[Light]:
     """The lights of ``nodes``, in order, in world space; named after the node, else after the light.
 
     Scales of nodes move lights, but change neither intensity nor range. Lights of nodes that are scaled to nothing are
@@ -40,7 +40,7 @@ def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matr
         FormatError: An index is invalid, a type is unknown, or a value is out of range; names the light.
     """
     definitions = (file.model.extensions or {}).get(EXTENSION, {}).get("lights", [])
-    lights: list[PunctualLight] = []
+    lights: list[Light] = []
     for index in nodes:
         node = file.model.nodes[index]
         reference = (node.extensions or {}).get(EXTENSION)
@@ -81,24 +81,23 @@ def _within_limits(file: GltfFile, definition: dict[str, Any], label: str) -> di
     return definition
 
 
-def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> PunctualLight:
+def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> Light:
     kind = definition.get("type")
+    light = _PUNCTUAL.get(kind) if isinstance(kind, str) else None
+    if light is None:
+        raise SceneError(f"type is {kind!r}, expected {', '.join([*_PUNCTUAL][:-1])} or {[*_PUNCTUAL][-1]}")
     values: dict[str, Any] = {key: definition[key] for key in ("color", "intensity") if key in definition}
-    values["name"] = name
-    own = own_extras(definition)
-    position, direction = world_from_light[:3, 3], -world_from_light[:3, 2]
-    if kind == "directional":
-        return LightDirectional(direction, **values, **light_settings(own, LightDirectional))
-    values["range"] = definition.get("range", math.inf)
-    if kind == "point":
-        return LightPoint(position, **values, **light_settings(own, LightPoint))
-    if kind == "spot":
+    values |= {"name": name, **light_settings(own_extras(definition), light)}
+    if issubclass(light, AimedLight):
+        values["direction"] = -world_from_light[:3, 2]
+    if issubclass(light, PlacedLight):
+        values |= {"position": world_from_light[:3, 3], "range": definition.get("range", math.inf)}
+    if light is LightSpot:
         cone = definition.get("spot", {})
         values |= {
             f"{side}_angle": cone[f"{side}ConeAngle"] for side in ("inner", "outer") if f"{side}ConeAngle" in cone
         }
-        return LightSpot(position, direction, **values, **light_settings(own, LightSpot))
-    raise SceneError(f"type is {kind!r}, expected point, spot or directional")
+    return light(**values)
 
 
 def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> int | None:
@@ -111,25 +110,22 @@ def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> 
         light = LightPoint(
             light.position, light.color, candela, radius=light.radius, casts_shadow=light.casts_shadow, name=light.name
         )
-    if not isinstance(light, PunctualLight):
+    if light.kind not in _PUNCTUAL:
         return None
     strongest = max(light.color)
     item: dict[str, Any] = {"name": light.name} if light.name else {}
     item["color"] = [channel / strongest for channel in light.color] if strongest > 1.0 else list(light.color)
-    item["intensity"] = light.intensity * max(strongest, 1.0)
+    item |= {"intensity": light.intensity * max(strongest, 1.0), "type": light.kind}
     matrix = np.eye(4)
-    if isinstance(light, LightDirectional):
-        item["type"] = "directional"
-        matrix[:3, :3] = _shining_along(light.direction)
-    else:
-        item["type"] = "point"
+    if isinstance(light, PlacedLight):
         matrix[:3, 3] = light.position
-        if math.isfinite(light.range):
-            item["range"] = light.range
+    if isinstance(light, AimedLight):
+        matrix[:3, :3] = _shining_along(light.direction)
+    if isinstance(light, LightPoint | LightSpot) and math.isfinite(light.range):
+        item["range"] = light.range
     if isinstance(light, LightSpot):
         outer = min(light.outer_angle, math.pi / 2.0)
-        item |= {"type": "spot", "spot": {"innerConeAngle": light.inner_angle, "outerConeAngle": outer}}
-        matrix[:3, :3] = _shining_along(light.direction)
+        item["spot"] = {"innerConeAngle": light.inner_angle, "outerConeAngle": outer}
     number = document.add_light(with_extras(item, light_extras(light)))
     node = node_item(file_from_world @ matrix, light.name) | {"extensions": document.use(EXTENSION, light=number)}
     return document.add("nodes", node)

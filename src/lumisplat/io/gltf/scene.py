@@ -16,7 +16,6 @@ from lumisplat.errors import FormatError, LumisplatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.cameras import add_camera, camera_losses
 from lumisplat.io.gltf.container import GltfDocument, GltfFile
-from lumisplat.io.gltf.extras import instance_extras, instance_settings, own_extras, with_extras
 from lumisplat.io.gltf.gaussians import CAPTURE_FROM_FILE, GltfCaptures, add_gaussians, alone, holds_gaussians
 from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
 from lumisplat.io.gltf.lights import add_light, read_lights
@@ -25,10 +24,14 @@ from lumisplat.io.gltf.meshes import TRIANGLE_MODES, add_mesh, read_meshes, read
 from lumisplat.io.gltf.nodes import (
     INSTANCING,
     Matrix,
+    instance_extras,
     instance_places,
+    instance_settings,
     node_item,
     node_label,
+    own_extras,
     scene_nodes,
+    with_extras,
     world_transforms,
 )
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from lumisplat.errors import ConfigError, FormatError, MissingExtraError, SceneError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.images.png import to_bytes
+from lumisplat.io.images.texture import to_bytes
 
 if TYPE_CHECKING:
     from PIL import Image

@@ -11,7 +11,7 @@ import numpy as np
 
 from lumisplat.constants import CREASE_ANGLE
 from lumisplat.errors import FormatError
-from lumisplat.io.files.source import TextureBytes, parsing, read_reference, read_text, referenced_file
+from lumisplat.io.files.source import TextureBytes, is_number_word, parsing, read_reference, read_text, referenced_file
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import (
     TriangleSieve,
@@ -258,14 +258,6 @@ def _without_options(argument: str) -> str:
     words = argument.split(" ")
     while len(words) > 1 and words[0].startswith("-"):
         words.pop(0)
-        while len(words) > 1 and (words[0] in ("", "on", "off") or _is_number(words[0])):
+        while len(words) > 1 and (words[0] in ("", "on", "off") or is_number_word(words[0])):
             words.pop(0)
     return " ".join(words)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.gltf.animation import is_rigged, read_rig
 from lumisplat.io.gltf.container import GltfFile
-from lumisplat.io.gltf.rigs import is_rigged, read_rig
 from lumisplat.io.scene_toml.placement import (
     PLACEMENT,
     STANDING,

@@ -34,9 +34,18 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.common import unique_names
-from lumisplat.io.scene_toml.fields import with_radians
 from lumisplat.io.scene_toml.placement import DIRECTION, PLACEMENT, placement, scene_up
-from lumisplat.io.scene_toml.toml_table import COEFFICIENTS, NUMBER, TABLES, TEXT, VECTOR, WHOLE, TomlTable, Values
+from lumisplat.io.scene_toml.toml_table import (
+    COEFFICIENTS,
+    NUMBER,
+    TABLES,
+    TEXT,
+    VECTOR,
+    WHOLE,
+    TomlTable,
+    Values,
+    with_radians,
+)
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.up import Vector, up_vector

@@ -19,8 +19,17 @@ from typing import TypeVar
 from lumisplat.config.checks import suggestion
 from lumisplat.errors import SceneError
 from lumisplat.io.images.radiance import read_radiance
-from lumisplat.io.scene_toml.fields import required_keys, schema, with_radians
-from lumisplat.io.scene_toml.toml_table import PAIR, TEXT, VECTOR, Kind, TomlTable, Values
+from lumisplat.io.scene_toml.toml_table import (
+    PAIR,
+    TEXT,
+    VECTOR,
+    Kind,
+    TomlTable,
+    Values,
+    required_keys,
+    schema,
+    with_radians,
+)
 from lumisplat.scene.lights import LIGHT_KINDS, Light, LightEnvironment, LightSpot
 
 _Light = TypeVar("_Light", bound=Light)

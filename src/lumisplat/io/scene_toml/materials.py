@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 
 from lumisplat.errors import SceneError
 from lumisplat.io.images.texture import read_texture
-from lumisplat.io.scene_toml.fields import schema
-from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, is_table, suggestion
+from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, is_object, schema, suggestion
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 
 MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
@@ -96,7 +95,7 @@ def entry_material(entry: TomlTable, named: Mapping[str, MaterialTable]) -> Mate
     given = entry.values.get("material")
     if given is None:
         return None
-    if is_table(given):
+    if is_object(given):
         return _read_material(entry.table("material"))
     if given not in named:
         meant = suggestion(given, named) if named else f"there is no [materials.{given}]"

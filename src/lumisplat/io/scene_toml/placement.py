@@ -22,7 +22,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError, LumisplatError, SceneError
 from lumisplat.io.files.source import BLOCKS, STREAMED_SOG, format_of, parsing, read_bytes
 from lumisplat.io.gltf.container import GltfFile
-from lumisplat.io.gltf.extras import own_extras
+from lumisplat.io.gltf.nodes import own_extras
 from lumisplat.io.gltf.scene import read_gltf
 from lumisplat.io.ply import read_ply_header
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, TEXT, VECTOR, Kind, TomlTable, is_list

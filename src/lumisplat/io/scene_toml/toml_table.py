@@ -1,15 +1,19 @@
 """Reads TOML tables with values of known kinds, and writes tables as TOML that ``tomllib`` reads back to equal values.
 
 Errors name the line, the key and what was probably meant. ``tomllib`` gives no line numbers; they are found here.
+
+Keys of scene dataclasses are the names of their fields; angles are in degrees.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import reprlib
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, Field
 from enum import Enum
 from pathlib import Path
 from types import UnionType
@@ -17,9 +21,10 @@ from typing import Any, NamedTuple, TypeGuard, cast
 
 import numpy as np
 
-from lumisplat.config.checks import suggestion
+from lumisplat.config.checks import is_number, is_whole, suggestion
+from lumisplat.config.setting import Setting, settings_of
 from lumisplat.errors import FormatError, LumisplatError
-from lumisplat.io.files.source import PathLike, TextureBytes, named_path, read_text
+from lumisplat.io.files.source import PathLike, TextureBytes, is_list, is_object, named_path, read_text
 
 TOML_KEY_PARTS_MAX = 32
 """Parts of a dotted key of a TOML file; scene files have up to three. Python's parser takes their number squared."""
@@ -161,15 +166,7 @@ class Kind(NamedTuple):
 
 
 def _is_number_or_false(value: object) -> bool:
-    return value is False or _is_number(value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+    return value is False or is_number(value)
 
 
 def _is_instance(kind: type | UnionType) -> Callable[[object], bool]:
@@ -177,41 +174,31 @@ def _is_instance(kind: type | UnionType) -> Callable[[object], bool]:
 
 
 def _is_name_or_number(value: object) -> bool:
-    return isinstance(value, str) or _is_whole(value)
+    return isinstance(value, str) or is_whole(value)
 
 
 def _is_vector(count: int) -> Callable[[object], bool]:
-    return lambda value: is_list(value) and len(value) == count and all(map(_is_number, value))
+    return lambda value: is_list(value) and len(value) == count and all(map(is_number, value))
 
 
 def _is_color(value: object) -> bool:
-    return _is_number(value) or _is_vector(3)(value)
-
-
-def is_list(value: object) -> TypeGuard[list[object]]:
-    """Whether a value is an array."""
-    return isinstance(value, list)
-
-
-def is_table(value: object) -> TypeGuard[dict[str, object]]:
-    """Whether a value is a table."""
-    return isinstance(value, dict)
+    return is_number(value) or _is_vector(3)(value)
 
 
 def _is_array_of_tables(value: object) -> TypeGuard[list[dict[str, object]]]:
     """Whether a value is an array of tables, which may be empty."""
-    return is_list(value) and all(map(is_table, value))
+    return is_list(value) and all(map(is_object, value))
 
 
 TEXT = Kind("a string", _is_instance(str))
 
 FLAG = Kind("true or false", _is_instance(bool))
 
-NUMBER = Kind("a number", _is_number)
+NUMBER = Kind("a number", is_number)
 
 NUMBER_OR_FALSE = Kind("a number or false", _is_number_or_false)
 
-WHOLE = Kind("a whole number", _is_whole)
+WHOLE = Kind("a whole number", is_whole)
 
 VECTOR = Kind("three numbers", _is_vector(3))
 
@@ -223,7 +210,7 @@ QUATERNION = Kind("four numbers, w x y z", _is_vector(4))
 
 COLOR = Kind("a number or three", _is_color)
 
-TABLE = Kind("a table", is_table)
+TABLE = Kind("a table", is_object)
 
 TABLES = Kind("tables, written with double brackets", _is_array_of_tables)
 
@@ -363,7 +350,7 @@ class TomlTable:
         values = self.values.get(key, {})
         if _is_array_of_tables(values):
             raise self.error(f"{key} is there once only: write it with single brackets, [{key}]", key)
-        if not is_table(values):
+        if not is_object(values):
             raise self.wrong(key, f"a table, [{key}]")
         return TomlTable(values, self._source, (*self._where, key))
 
@@ -421,3 +408,56 @@ def toml_text(values: Mapping[str, Any]) -> str:
     import tomlkit  # 20 ms that readers need not wait for
 
     return tomlkit.dumps(plain_value(values))
+
+
+_KINDS: dict[str, Kind] = {
+    "vector": VECTOR,
+    "color": COLOR,
+    "number": NUMBER,
+    "whole": WHOLE,
+    "flag": FLAG,
+    "text": TEXT,
+    "choice": TEXT,
+}
+_OTHERS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
+"""Kinds of values by that of a field; other fields are images, given by file names."""
+
+DEGREES = "_degrees"
+"""End of the keys of angles, whose fields are in radians."""
+
+
+def key_of(field: Setting | Field[Any]) -> str:
+    """The key of a field."""
+    return field.name + (DEGREES if field.name.endswith("angle") else "")
+
+
+def schema(kind: type) -> dict[str, Kind]:
+    """The keys of a scene dataclass in a scene file, with their kinds."""
+    return {key_of(one): _KINDS.get(one.kind, _OTHERS.get(one.name, TEXT)) for one in settings_of(kind)}
+
+
+def required_keys(kind: type) -> list[str]:
+    """The keys of a scene dataclass that have no default."""
+    return [key_of(one) for one in settings_of(kind) if one.default is MISSING]
+
+
+def with_radians(table: TomlTable, values: Mapping[str, Any], largest: float = 90.0) -> Values:
+    """Values by the names of fields, with angles in radians.
+
+    Args:
+        table: The table, for errors.
+        values: Values by key.
+        largest: Largest angle, degrees.
+
+    Raises:
+        FormatError: An angle is not within 0..``largest`` degrees.
+    """
+    named: Values = {}
+    for key, value in values.items():
+        if not key.endswith(DEGREES):
+            named[key] = value
+        elif 0.0 <= value <= largest:
+            named[key.removesuffix(DEGREES)] = math.radians(value)
+        else:
+            raise table.error(f"{key} is {value}, expected 0 to {largest:g} degrees", key)
+    return named

@@ -481,6 +481,18 @@ def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None
         )
 
 
+def warn_losses(path: PathLike, kind: str, gaussians: Gaussians) -> None:
+    """Logs what a format without comments cannot store: as of `warn_lost_materials`, and the kernel degree."""
+    warn_lost_materials(path, kind, gaussians)
+    if gaussians.kernel_degree != KERNEL_DEGREE:
+        _log.warning(
+            "%s: %s cannot store the kernel degree, %s: left out, save as .ply to keep it",
+            os.fspath(path),
+            kind,
+            gaussians.kernel_degree,
+        )
+
+
 def mirror_axes(columns: SplatColumns, signs: tuple[int, int, int]) -> SplatColumns:
     """The same Gaussians in a frame whose axes are multiplied by ``signs``.
 

@@ -1,9 +1,15 @@
-"""The ``.ksplat`` of mkkellogg's GaussianSplats3D, version 0.1: uncompressed, or at two levels of compression.
+"""Reads ``.splat`` and ``.ksplat``, the formats of viewers on the web.
 
-A header of 4,096 bytes, one of 1,024 for each section, then the sections: lengths of the buckets that are not full, the
-centres of all buckets, and a row for each Gaussian. Rows are position, scales, rotation wxyz, red, green, blue and
-opacity in bytes, and harmonics of degree 0 to 2, channel by channel within a degree. Level 0 has 32-bit floats. Level 1
-has halves, and positions in 16 bits from the centre of their bucket; full buckets come first. Level 2 has harmonics in
+``.splat``, of antimatter15's viewer, has 32 bytes a Gaussian, without a header and without harmonics: three float32 of
+the position, three of the scales (standard deviations), four bytes of red, green, blue and opacity, and four of the
+rotation, wxyz, as 128 q + 128. Axes are those of the PLY that it was made from.
+Layout: https://github.com/antimatter15/splat.
+
+``.ksplat``, of mkkellogg's GaussianSplats3D, version 0.1, is uncompressed, or at two levels of compression. A header of
+4,096 bytes, one of 1,024 for each section, then the sections: lengths of the buckets that are not full, the centres of
+all buckets, and a row for each Gaussian. Rows are position, scales, rotation wxyz, red, green, blue and opacity in
+bytes, and harmonics of degree 0 to 2, channel by channel within a degree. Level 0 has 32-bit floats. Level 1 has
+halves, and positions in 16 bits from the centre of their bucket; full buckets come first. Level 2 has harmonics in
 bytes, between two numbers of the header. Axes are those of the PLY that it was made from.
 Layout: https://github.com/mkkellogg/GaussianSplats3D, src/loaders/SplatBuffer.js.
 """
@@ -19,6 +25,33 @@ from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike, parsing, read_bytes
 from lumisplat.io.splats.columns import Floats, SplatColumns, joined_columns
+
+_ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("wxyz", "u1", 4)])
+
+
+def read_splat(path: PathLike) -> SplatColumns:
+    """Reads a ``.splat``.
+
+    Raises:
+        FormatError: The file cannot be read, or is no whole number of rows.
+    """
+    data = read_bytes(path)
+    if len(data) % _ROW.itemsize:
+        raise FormatError(
+            path, f"truncated, or no .splat: {len(data):,} bytes are no whole number of {_ROW.itemsize} a Gaussian"
+        )
+    rows = np.frombuffer(data, _ROW)
+    rgba = rows["rgba"] / np.float32(255.0)
+    return SplatColumns(
+        means=rows["mean"],
+        rotations_wxyz=(rows["wxyz"].astype(np.float32) - 128.0) / 128.0,
+        log_scales=np.abs(rows["scale"]),
+        opacities=rgba[:, 3],
+        sh=((rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)),
+        scales_are_logarithms=False,
+        opacities_are_logits=False,
+    )
+
 
 _HEADER = struct.Struct("<BB2xI4xI4xH14x2f")
 """Version, numbers of sections and of Gaussians, level, least and largest coefficient of level 2."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lumisplat.errors import FormatError, MissingFileError
-from lumisplat.io.files.source import PathLike
+from lumisplat.io.files.source import PathLike, readable
 from lumisplat.scene.animation.sequence import GaussianSequence
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
@@ -39,16 +39,12 @@ def _frame_paths(folder: Path) -> list[Path]:
         FormatError: The folder holds no frame, or holds frames with different extensions.
         MissingFileError: There is no such folder.
     """
-    try:
+    with readable(folder):
         if not folder.exists():
             raise MissingFileError(folder, "no such folder")
         if not folder.is_dir():
             raise FormatError(folder, "is a file, expected a folder of frames")
         files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
-    except FormatError:
-        raise
-    except OSError as error:
-        raise FormatError(folder, f"cannot be read: {error.strerror or error}") from None
     kinds = {path: kind for path in files if (kind := _extension(path))}
     found = sorted(set(kinds.values()))
     if not found:

@@ -31,7 +31,6 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import PathLike, check_expansion, check_gaussian_count, parsing, read_bytes
@@ -40,7 +39,7 @@ from lumisplat.io.splats.columns import (
     SplatColumns,
     pack_smallest_three,
     unpack_smallest_three,
-    warn_lost_materials,
+    warn_losses,
 )
 from lumisplat.io.splats.orientation import orientation_of, orientation_values
 from lumisplat.scene.editing.morton import morton_order
@@ -341,7 +340,7 @@ def write_sog(path: PathLike, gaussians: Gaussians) -> None:
     Raises:
         FormatError: There are too many Gaussians for an image, or a file cannot be written.
     """
-    warn_losses(path, gaussians)
+    warn_losses(path, "SOG", gaussians)
     if gaussians.count > _IMAGE_SIDE_MAX**2:
         raise FormatError(path, f"{gaussians.count:,} Gaussians are more than a SOG holds, {_IMAGE_SIDE_MAX**2:,}")
     steps = coarse_steps(gaussians)
@@ -354,17 +353,6 @@ def write_sog(path: PathLike, gaussians: Gaussians) -> None:
     with atomic_write(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in contents.items():
             bundle.writestr(zipfile.ZipInfo(name, _FILE_TIME), data)
-
-
-def warn_losses(path: PathLike, gaussians: Gaussians) -> None:
-    """Logs what of a capture SOG cannot store."""
-    warn_lost_materials(path, "SOG", gaussians)
-    if gaussians.kernel_degree != KERNEL_DEGREE:
-        _log.warning(
-            "%s: SOG cannot store the kernel degree, %s: left out, save as .ply to keep it",
-            os.fspath(path),
-            gaussians.kernel_degree,
-        )
 
 
 def remove_file(path: Path) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from lumisplat.constants import KERNEL_DEGREE, SH_DEGREE_MAX
+from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike, check_gaussian_count, read_bytes
@@ -31,7 +31,7 @@ from lumisplat.io.splats.columns import (
     mirror_axes,
     pack_smallest_three,
     unpack_smallest_three,
-    warn_lost_materials,
+    warn_losses,
 )
 from lumisplat.io.splats.orientation import UNSTATED, Orientation, orientation_of_text, orientation_values
 from lumisplat.scene.gaussians import Gaussians
@@ -369,13 +369,7 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
     Raises:
         FormatError: A position does not fit into 24-bit fixed point, or the file cannot be written.
     """
-    warn_lost_materials(path, "SPZ", gaussians)
-    if gaussians.kernel_degree != KERNEL_DEGREE:
-        _log.warning(
-            "%s: SPZ cannot store the kernel degree, %s: left out, save as .ply to keep it",
-            os.fspath(path),
-            gaussians.kernel_degree,
-        )
+    warn_losses(path, "SPZ", gaussians)
     columns = replace(columns_from_gaussians(gaussians), opacities=gaussians.opacities, opacities_are_logits=False)
     columns = mirror_axes(columns, _rdf_signs("RUB"))
     _warn_clamped(path, columns)

@@ -20,7 +20,7 @@ import numpy as np
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write, written_together
 from lumisplat.io.files.source import STREAMED_SOG, PathLike, parsing, read_bytes, referenced_file
-from lumisplat.io.splats.columns import REQUIRED, SplatColumns, joined_columns
+from lumisplat.io.splats.columns import REQUIRED, SplatColumns, joined_columns, warn_losses
 from lumisplat.io.splats.orientation import orientation_of, orientation_values
 from lumisplat.io.splats.sog import (
     OURS,
@@ -29,7 +29,6 @@ from lumisplat.io.splats.sog import (
     remove_file,
     sog_contents,
     warn_coarse_positions,
-    warn_losses,
     write_folder,
 )
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
@@ -236,7 +235,7 @@ def write_streamed_sog(path: PathLike, gaussians: Gaussians) -> None:
         FormatError: A file cannot be written.
     """
     path = Path(path)
-    warn_losses(path, gaussians)
+    warn_losses(path, "SOG", gaussians)
     remove_file(path)
     with written_together(path.parent) as written:
         _write_all(path, gaussians, written)

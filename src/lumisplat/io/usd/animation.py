@@ -13,12 +13,10 @@ from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.cameras import cameras_of
-from lumisplat.io.usd.layers import check_loaded
-from lumisplat.io.usd.library import pxr, reading_usd
+from lumisplat.io.usd.library import check_loaded, pxr, reading_usd
 from lumisplat.io.usd.process import Remote, read_apart
 from lumisplat.io.usd.scene import Reading, shape_codes
-from lumisplat.io.usd.stage import UsdFile, open_usd
-from lumisplat.io.usd.walk import Placed, prim_name
+from lumisplat.io.usd.stage import Placed, UsdFile, open_usd, prim_name
 from lumisplat.math.arrays import Doubles, matrix_4x4
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation, Deforming, Instance

@@ -16,11 +16,9 @@ from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.common import pose_of_node, size_of_aspect
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.usd.layers import check_loaded
-from lumisplat.io.usd.library import pxr, reading_usd
+from lumisplat.io.usd.library import check_loaded, pxr, reading_usd
 from lumisplat.io.usd.process import read_apart
-from lumisplat.io.usd.stage import StageWriter, UsdFile, number, open_usd, shortest, value
-from lumisplat.io.usd.walk import Placed, placed_prims
+from lumisplat.io.usd.stage import Placed, StageWriter, UsdFile, number, open_usd, placed_prims, shortest, value
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 

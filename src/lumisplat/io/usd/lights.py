@@ -27,8 +27,17 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.images.radiance import read_radiance, write_radiance
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.stage import StageWriter, UsdFile, asset_bytes, asset_name, hints_of, number, shortest, value
-from lumisplat.io.usd.walk import Placed
+from lumisplat.io.usd.stage import (
+    Placed,
+    StageWriter,
+    UsdFile,
+    asset_bytes,
+    asset_name,
+    hints_of,
+    number,
+    shortest,
+    value,
+)
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.transforms import quaternions_from_matrices, rotation_matrix

@@ -1,4 +1,7 @@
-"""Reads UsdPreviewSurface and its textures as `MaterialPbr`, and writes materials as networks of it."""
+"""Reads UsdPreviewSurface and its textures as `MaterialPbr`, and writes materials as networks of it.
+
+An input of a shader is a value, a primvar or a texture with its placement.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +16,172 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import TextureBytes
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.usd.library import pxr
-from lumisplat.io.usd.shaders import Placement, PreviewSurface, TextureInput, surface_of
-from lumisplat.io.usd.stage import StageWriter, UsdFile, asset_bytes, asset_name, value
-from lumisplat.io.usd.walk import prim_name
+from lumisplat.io.usd.stage import StageWriter, UsdFile, asset_bytes, asset_name, prim_name, shortest, value
+from lumisplat.math.arrays import Doubles, FloatArray, finite_numbers
 from lumisplat.math.color import encode_srgb
 from lumisplat.scene.materials import AlphaMode, Material, MaterialPbr, MaterialSimple, wraps_of
 from lumisplat.scene.textures import Texture, TextureWrap, WrapPair
+
+_WRAP_MODES = {"repeat": TextureWrap.REPEAT, "mirror": TextureWrap.MIRROR, "clamp": TextureWrap.CLAMP}
+"""Others are black beyond the edges, or left to the image, which says nothing."""
+_CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
+
+
+class Placement(NamedTuple):
+    """Where texture coordinates come from: a primvar, scaled, turned, then moved, with (0, 0) at the bottom left."""
+
+    primvar: str = "st"
+    scale: tuple[float, float] = (1.0, 1.0)
+    rotation: float = 0.0
+    """Radians, counter-clockwise."""
+    translation: tuple[float, float] = (0.0, 0.0)
+
+    def transform(self, uvs: FloatArray) -> FloatArray:
+        """Coordinates, shape (V, 2), as stored."""
+        if self == Placement(self.primvar):
+            return uvs
+        cos, sin = np.cos(self.rotation), np.sin(self.rotation)
+        turn = np.array([[cos, -sin], [sin, cos]])
+        return ((uvs * self.scale) @ turn.T + self.translation).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TextureInput:
+    """A texture that feeds an input: ``texel * scale + bias``, four channels each."""
+
+    asset: Any
+    channel: int | None
+    """0..3; None: all three colours."""
+    placement: Placement
+    wraps: WrapPair
+    scale: Doubles
+    bias: Doubles
+    color_space: str
+    label: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ShaderInput:
+    """What feeds an input: a value, a texture, or a primvar of the mesh."""
+
+    value: Any = None
+    texture: _TextureInput | None = None
+    primvar: str = ""
+
+
+class _PreviewSurface:
+    """The inputs of a material's UsdPreviewSurface.
+
+    Args:
+        file: The open file.
+        shader: The shader.
+    """
+
+    def __init__(self, file: UsdFile, shader: Any) -> None:
+        self._file, self._shader = file, shader
+
+    def read(self, name: str) -> _ShaderInput:
+        """An input; one that has neither a value nor a connection that is known has value None."""
+        return _read_input(self._file, self._shader.GetInput(name))
+
+    def number(self, name: str, default: float, low: float = 0.0, high: float = 1.0) -> float:
+        """The value of an input within limits; the default if it is none, or fed by a texture."""
+        found = self.read(name).value
+        held = finite_numbers(found, ())
+        return default if held is None else float(np.clip(shortest(float(held)), low, high))
+
+    def color(self, name: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
+        """The same of three values, at least 0."""
+        held = finite_numbers(self.read(name).value, (3,))
+        if held is None:
+            return default
+        red, green, blue = (max(shortest(float(one)), 0.0) for one in held)
+        return red, green, blue
+
+
+def _surface_of(file: UsdFile, material: Any, remark: bool) -> _PreviewSurface | None:
+    """The UsdPreviewSurface of a material; None, perhaps with a remark, if it has none."""
+    shader = material.ComputeSurfaceSource()[0]
+    if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
+        if remark:
+            file.remarks.add("materials without a UsdPreviewSurface", str(material.GetPath()))
+        return None
+    return _PreviewSurface(file, shader)
+
+
+def _read_input(file: UsdFile, given: Any) -> _ShaderInput:
+    px = pxr()
+    if not given:
+        return _ShaderInput()
+    sources = given.GetValueProducingAttributes()
+    if not sources:
+        return _ShaderInput(given.Get(file.time))
+    source = sources[0]
+    if px.UsdShade.Utils.GetType(source.GetName()) != px.UsdShade.AttributeType.Output:
+        return _ShaderInput(source.Get(file.time))
+    shader = px.UsdShade.Shader(source.GetPrim())
+    kind, output = str(shader.GetIdAttr().Get()), px.UsdShade.Output(source).GetBaseName()
+    if kind == "UsdUVTexture":
+        return _ShaderInput(texture=_read_texture(file, shader, str(output)))
+    if kind.startswith("UsdPrimvarReader"):
+        return _ShaderInput(primvar=str(_read_input(file, shader.GetInput("varname")).value or ""))
+    file.remarks.add(f"shader nodes of kind {kind}", str(shader.GetPath()))
+    return _ShaderInput()
+
+
+def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | None:
+    asset = _read_input(file, shader.GetInput("file")).value
+    name = str(getattr(asset, "path", asset or ""))
+    if not name or "<UDIM>" in name:
+        file.remarks.add("textures without a file, or of UDIM tiles", str(shader.GetPath()))
+        return None
+
+    def four(key: str, default: float) -> Doubles:
+        held = finite_numbers(_read_input(file, shader.GetInput(key)).value, (4,))
+        return np.full(4, default) if held is None else np.array([shortest(float(one)) for one in held])
+
+    def wrap(key: str) -> TextureWrap:
+        return _WRAP_MODES.get(str(_read_input(file, shader.GetInput(key)).value), TextureWrap.REPEAT)
+
+    return _TextureInput(
+        asset=asset,
+        channel=_CHANNELS.get(output),
+        placement=_read_placement(file, shader.GetInput("st")),
+        wraps=(wrap("wrapS"), wrap("wrapT")),
+        scale=four("scale", 1.0),
+        bias=four("bias", 0.0),
+        color_space=str(_read_input(file, shader.GetInput("sourceColorSpace")).value or "auto"),
+        label=str(shader.GetPath()),
+    )
+
+
+def _read_placement(file: UsdFile, st: Any) -> Placement:
+    """The coordinates of a texture: through a UsdTransform2d, if there is one."""
+    px = pxr()
+    sources = st.GetValueProducingAttributes() if st else ()
+    if not sources:
+        return Placement()
+    shader = px.UsdShade.Shader(sources[0].GetPrim())
+    if shader.GetIdAttr().Get() != "UsdTransform2d":
+        return Placement(_read_input(file, st).primvar or "st")
+    primvar = _read_placement(file, shader.GetInput("in")).primvar
+
+    def pair(key: str, default: float) -> tuple[float, float]:
+        held = finite_numbers(_read_input(file, shader.GetInput(key)).value, (2,))
+        return (default, default) if held is None else (float(held[0]), float(held[1]))
+
+    turn = finite_numbers(_read_input(file, shader.GetInput("rotation")).value, ())
+    return Placement(
+        primvar, pair("scale", 1.0), 0.0 if turn is None else float(np.radians(turn)), pair("translation", 0.0)
+    )
+
 
 GREY = 0.18
 """Base colour of what has no material: the diffuse colour of a UsdPreviewSurface that says nothing."""
 
 _Texels = npt.NDArray[np.uint8]
 
-_WRAPS = {TextureWrap.REPEAT: "repeat", TextureWrap.MIRROR: "mirror", TextureWrap.CLAMP: "clamp"}
+_WRAP_NAMES = {wrap: name for name, wrap in _WRAP_MODES.items()}
 _LOST = {
     "specular": ("the strength of reflections (specular)", 1.0),
     "thin_walled": ("thin walls", False),
@@ -76,7 +232,7 @@ class UsdMaterials:
         own = material.GetPrim()
         key = str((own.GetPrimInPrototype() if own.IsInstanceProxy() else own).GetPath())
         if key not in self._known:
-            surface = surface_of(self._file, material, remark)
+            surface = _surface_of(self._file, material, remark)
             try:
                 self._known[key] = surface and _Decoder(self, surface).decode(prim_name(own))
             except FormatError:
@@ -93,7 +249,7 @@ class UsdMaterials:
             self._one_sided[id(material)] = replace(material, double_sided=False)
         return self._one_sided[id(material)]
 
-    def texels(self, texture: TextureInput) -> _Texels:
+    def texels(self, texture: _TextureInput) -> _Texels:
         """The texels of a texture as stored, shape (H, W, 3 or 4)."""
         name = str(getattr(texture.asset, "resolvedPath", "")) or asset_name(texture.asset)
         if name not in self._images:
@@ -109,7 +265,7 @@ class UsdMaterials:
 class _Decoder:
     """One material, while it is decoded."""
 
-    def __init__(self, materials: UsdMaterials, surface: PreviewSurface) -> None:
+    def __init__(self, materials: UsdMaterials, surface: _PreviewSurface) -> None:
         self._materials, self._surface = materials, surface
         self._values: dict[str, Any] = {}
         self._placement: Placement | None = None
@@ -144,7 +300,7 @@ class _Decoder:
             MaterialPbr(**self._values, **self._wrap_values(), name=name), self._placement or Placement(), primvar
         )
 
-    def _take(self, name: str) -> TextureInput | None:
+    def _take(self, name: str) -> _TextureInput | None:
         """The texture of an input, unless its coordinates are others than those of the textures before it."""
         texture = self._surface.read(name).texture
         if texture is None:
@@ -156,7 +312,7 @@ class _Decoder:
             return None
         return texture
 
-    def _set(self, name: str, texture: TextureInput, texels: Texture) -> None:
+    def _set(self, name: str, texture: _TextureInput, texels: Texture) -> None:
         self._values[name], self._wraps[name] = texels, texture.wraps
 
     def _base_color(self) -> None:
@@ -171,7 +327,7 @@ class _Decoder:
             self._values["emissive"] = tuple(np.maximum(texture.scale[:3], 0.0).tolist())
             self._set("emissive_texture", texture, self._colors(texture))
 
-    def _colors(self, texture: TextureInput) -> Texture:
+    def _colors(self, texture: _TextureInput) -> Texture:
         """Texels in sRGB, three channels."""
         texels = self._materials.texels(texture)
         texels = texels[:, :, :3] if texture.channel is None else np.repeat(_channel(texels, texture)[:, :, None], 3, 2)
@@ -207,7 +363,7 @@ class _Decoder:
                 both[:, :, 2 if 1 in planes else 1] = 255
             self._values["metallic_roughness_texture"] = both
 
-    def _plane(self, texture: TextureInput, wanted: int) -> _Texels:
+    def _plane(self, texture: _TextureInput, wanted: int) -> _Texels:
         """Three channels, of which one, at ``wanted``, feeds the input: those of the image, if that is how it is."""
         texels, channel = self._materials.texels(texture), texture.channel or 0
         if channel == wanted:
@@ -252,7 +408,7 @@ class _Decoder:
             self._values["alpha"] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
             self._add_alpha(texture)
 
-    def _add_alpha(self, texture: TextureInput) -> None:
+    def _add_alpha(self, texture: _TextureInput) -> None:
         """The texels of the base colour with those of opacity as their fourth channel."""
         plane = _channel(self._materials.texels(texture), texture)
         colors = self._values.get("base_color_texture")
@@ -273,7 +429,7 @@ class _Decoder:
         return {"wrap_u": first[0], "wrap_v": first[1], "texture_wraps": others or None}
 
 
-def _channel(texels: _Texels, texture: TextureInput) -> _Texels:
+def _channel(texels: _Texels, texture: _TextureInput) -> _Texels:
     """The channel of a texture that feeds an input, shape (H, W); opaque where an image has no alpha."""
     channel = texture.channel or 0
     return texels[:, :, channel] if channel < texels.shape[2] else np.full(texels.shape[:2], 255, np.uint8)
@@ -458,7 +614,7 @@ class _Network:
         if any(bias):
             self._set(node, "bias", "Float4", px.Gf.Vec4f(*bias))
         for key, wrap in zip(("wrapS", "wrapT"), wraps_of(material, f"{field_name}_texture"), strict=True):
-            self._set(node, key, "Token", _WRAPS[wrap])
+            self._set(node, key, "Token", _WRAP_NAMES[wrap])
         coordinates = self._coordinates().CreateOutput("result", px.Sdf.ValueTypeNames.Float2)
         node.CreateInput("st", px.Sdf.ValueTypeNames.Float2).ConnectToSource(coordinates)
         return node

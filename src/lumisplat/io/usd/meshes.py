@@ -12,8 +12,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.materials import GREY, ReadMaterial, UsdMaterials
-from lumisplat.io.usd.stage import UsdFile, array, hints_of, number, rows, value, whole_numbers
-from lumisplat.io.usd.walk import Placed
+from lumisplat.io.usd.stage import Placed, UsdFile, array, hints_of, number, rows, value, whole_numbers
 from lumisplat.math.arrays import Flags, FloatArray, IntArray, Rows, read_only_view
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh

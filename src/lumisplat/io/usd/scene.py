@@ -14,15 +14,13 @@ from lumisplat.io.files.source import PathLike, with_present_keys
 from lumisplat.io.gltf.gaussians import alone
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.io.splats.columns import gaussians_from_columns
-from lumisplat.io.usd.layers import check_loaded
-from lumisplat.io.usd.library import pxr, reading_usd
+from lumisplat.io.usd.library import check_loaded, pxr, reading_usd
 from lumisplat.io.usd.lights import is_light, read_light
 from lumisplat.io.usd.materials import UsdMaterials
 from lumisplat.io.usd.meshes import UsdMeshes
 from lumisplat.io.usd.particles import is_field, read_particles
 from lumisplat.io.usd.process import read_apart
-from lumisplat.io.usd.stage import UsdFile, hints_of, open_usd
-from lumisplat.io.usd.walk import Placed, placed_prims
+from lumisplat.io.usd.stage import Placed, UsdFile, hints_of, open_usd, placed_prims
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.editing.transform import under_affine
 from lumisplat.scene.gaussians import Gaussians

@@ -21,8 +21,7 @@ from lumisplat.frame.frame import Frame
 from lumisplat.io import save
 from lumisplat.io.files.atomic import atomic_write, check_can_be_written
 from lumisplat.io.images.radiance import write_radiance
-from lumisplat.io.training_images.loading import Photographs, load_photographs
-from lumisplat.io.training_images.pixels import is_bent
+from lumisplat.io.training_images.loading import Photographs, is_bent, load_photographs
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import albedo_in_range, decode_srgb
 from lumisplat.math.sh import even_directions

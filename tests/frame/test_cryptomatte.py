@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from lumisplat.io.images import cryptomatte
+from lumisplat.frame.mattes import id_floats, matte_channels, matte_metadata, murmur3_32
 
 
 @pytest.mark.parametrize(
@@ -25,16 +25,16 @@ from lumisplat.io.images import cryptomatte
 )
 def test_hashes_are_murmur3(name: str, expected: int) -> None:
     """Values of the package mmh3 5.2 with seed 0, of all lengths of the last block."""
-    assert cryptomatte.murmur3_32(name) == expected
+    assert murmur3_32(name) == expected
 
 
 def test_ids_are_ordinary_floats() -> None:
     """Neither denormal nor infinite nor NaN, whatever the name: those would be changed by what reads them."""
     names = [f"thing {number}" for number in range(20_000)]
-    hashes = np.array([cryptomatte.murmur3_32(name) for name in names], dtype=np.uint32)
+    hashes = np.array([murmur3_32(name) for name in names], dtype=np.uint32)
     exponents = hashes >> 23 & 255
     assert np.isin(exponents, (0, 255)).sum() > 50  # there are such among them
-    ids = cryptomatte.id_floats(names)
+    ids = id_floats(names)
     assert np.isfinite(ids).all() and (np.abs(ids) >= np.finfo(np.float32).tiny).all()
     turned = ids.view(np.uint32) ^ hashes
     assert set(turned[np.isin(exponents, (0, 255))]) == {1 << 23} and not turned[~np.isin(exponents, (0, 255))].any()
@@ -42,13 +42,13 @@ def test_ids_are_ordinary_floats() -> None:
 
 def test_channels_hold_two_ranks_each() -> None:
     """Id and share in R and G, then in B and A; the manifest leads from names to ids."""
-    ids = cryptomatte.id_floats(["a", "b", "c"])[:, None, None] * np.ones((3, 2, 2), np.float32)
+    ids = id_floats(["a", "b", "c"])[:, None, None] * np.ones((3, 2, 2), np.float32)
     shares = np.array([0.5, 0.3, 0.2], np.float32)[:, None, None] * np.ones((3, 2, 2), np.float32)
-    named = cryptomatte.channels("CryptoObject", ids, shares)
+    named = matte_channels("CryptoObject", ids, shares)
     assert list(named) == [f"CryptoObject{group}" for group in ("00.R", "00.G", "00.B", "00.A", "01.R", "01.G")]
     assert (named["CryptoObject00.B"] == ids[1]).all() and (named["CryptoObject01.G"] == shares[2]).all()
-    header = cryptomatte.metadata("CryptoObject", ["a", "é"])
-    key = f"cryptomatte/{cryptomatte.murmur3_32('CryptoObject'):08x}"[: len("cryptomatte/") + 7]
+    header = matte_metadata("CryptoObject", ["a", "é"])
+    key = f"cryptomatte/{murmur3_32('CryptoObject'):08x}"[: len("cryptomatte/") + 7]
     assert header[f"{key}/name"] == "CryptoObject" and header[f"{key}/conversion"] == "uint32_to_float32"
     manifest = json.loads(header[f"{key}/manifest"])
-    assert int(manifest["é"], 16) == int(cryptomatte.id_floats(["é"]).view(np.uint32)[0])
+    assert int(manifest["é"], 16) == int(id_floats(["é"]).view(np.uint32)[0])
