@@ -304,11 +304,7 @@ def _take_kind(  # noqa: PLR0911
 
 
 def _span(value: object, name: str, limits: Range, kind: type, error: type[LumisplatError]) -> Any:
-    """Returns the least and the largest value as plain numbers; a single number is both.
-
-    Raises:
-        LumisplatError: They are no pair within the limits.
-    """
+    """Returns the least and the largest value as plain numbers; a single number is both."""
     single = plain(value)
     pair = (single, single) if isinstance(single, int | float) else single
     ends = [plain(end) for end in cast("list[object]", pair)] if isinstance(pair, tuple | list | np.ndarray) else []

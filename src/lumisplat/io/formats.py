@@ -231,10 +231,6 @@ def _read_ply(path: Path, progress: Callable[[float], None] | None, *, incident:
         path: The file.
         progress: As of `lumisplat.io.load`.
         incident: As of `lumisplat.io.load`.
-
-    Raises:
-        FormatError: It is neither, or damaged.
-        OSError: It cannot be read.
     """
     from lumisplat.io.ply import read_ply_header
     from lumisplat.io.splats.compressed_ply import is_compressed_header, read_compressed_ply

@@ -315,12 +315,7 @@ def write_blocks(
 
 
 def _made(place: Path) -> bool:
-    """Makes the folder, and removes what a run that was killed has left in it; whether there was none.
-
-    Raises:
-        FormatError: There is something else in it.
-        OSError: It cannot be made.
-    """
+    """Makes the folder, and removes what a run that was killed has left in it; whether there was none."""
     if (place / _INDEX).exists():
         raise FormatError(place, "holds a complete capture in blocks: give another folder, or delete this one")
     if place.is_dir() and writers_of(place / _INDEX):

@@ -64,11 +64,7 @@ def quote(value: object) -> str:
 
 
 def _number(values: Entry, name: str) -> float:
-    """The number called ``name``.
-
-    Raises:
-        SceneError: It is not a number.
-    """
+    """The number called ``name``."""
     value = values[name]
     if not is_number(value):
         raise SceneError(f"has {name} {quote(value)}, expected a number")
@@ -76,11 +72,7 @@ def _number(values: Entry, name: str) -> float:
 
 
 def _number_array(values: object, shape: tuple[int, ...], name: str) -> Matrix:
-    """Finite numbers in an array of the given shape.
-
-    Raises:
-        SceneError: The values are not as many finite numbers.
-    """
+    """Finite numbers in an array of the given shape."""
     array = finite_numbers(values, shape)
     if array is None:
         raise SceneError(f"has {name} {quote(values)}, expected {' x '.join(map(str, shape))} finite numbers")
@@ -88,11 +80,7 @@ def _number_array(values: object, shape: tuple[int, ...], name: str) -> Matrix:
 
 
 def _rigid_pose(matrix: Matrix) -> Matrix:
-    """A pose, shape (3 or 4, 4), as a rigid transform, shape (4, 4), with rounding errors of its rotation removed.
-
-    Raises:
-        SceneError: The matrix is singular, scaled, sheared or mirrored.
-    """
+    """A pose, shape (3 or 4, 4), as a rigid transform, shape (4, 4), with rounding errors of its rotation removed."""
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, (0.0, 0.0, 0.0, 1.0)])
     u, singular_values, v = np.linalg.svd(matrix[:3, :3])
@@ -123,10 +111,6 @@ def _path_camera(shared: Entry, frame: Entry) -> Camera:
     Args:
         shared: The top of the file.
         frame: An entry of ``camera_path``.
-
-    Raises:
-        KeyError: A value is missing.
-        SceneError: A value is invalid.
     """
     kind: Any = shared.get("camera_type", "perspective")
     if kind not in _PATH_MODELS:
@@ -152,11 +136,7 @@ def _path_camera(shared: Entry, frame: Entry) -> Camera:
 
 
 def _path_rate(content: Entry) -> float:
-    """Frames a second of the file, 24 if it does not say.
-
-    Raises:
-        SceneError: It is not a positive number.
-    """
+    """Frames a second of the file, 24 if it does not say."""
     fps = _number(content, "fps") if "fps" in content else 24.0
     if not 0.0 < fps < math.inf:
         raise SceneError(f"has fps {fps}, expected a positive number")
@@ -164,12 +144,7 @@ def _path_rate(content: Entry) -> float:
 
 
 def _inria_camera(entry: Entry) -> Camera:
-    """The camera of one entry.
-
-    Raises:
-        KeyError: A value is missing.
-        SceneError: A value is invalid.
-    """
+    """The camera of one entry."""
     width, height = _number(entry, "width"), _number(entry, "height")
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3] = _number_array(entry["rotation"], (3, 3), "rotation")
@@ -277,11 +252,7 @@ def _refuse_lenses(cameras: Sequence[Camera]) -> None:
 
 
 def _model(values: Entry) -> CameraModel:
-    """The camera model of a frame.
-
-    Raises:
-        SceneError: The file names another model.
-    """
+    """The camera model of a frame."""
     key = "camera_model" if "camera_model" in values else "camera_type"
     name = "OPENCV_FISHEYE" if values.get("is_fisheye") else values.get(key, "OPENCV")
     if not isinstance(name, str) or name.upper() not in _MODELS:

@@ -432,12 +432,7 @@ class _Listing:
 
 
 def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _Listing:
-    """Files as entries: those of a scene file, and one for each other file, whose place may be that of its file.
-
-    Raises:
-        ConfigError: There are two scene files, or no file at all.
-        FormatError: The scene file cannot be read.
-    """
+    """Files as entries: those of a scene file, and one for each other file, whose place may be that of its file."""
     scene_files = [file for file in files if file.suffix.lower() == ".toml"]
     if len(scene_files) > 1:
         raise ConfigError(f"{scene_files[0]} and {scene_files[1]} are both scene files: list in one what both list")
@@ -464,11 +459,7 @@ def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _
 
 
 def _reader_of(listing: _Listing, load: Callable[[Path], Gaussians | Mesh | Scene]) -> EntryReader:
-    """What reads the entries of a listing, whose ``up`` is then said.
-
-    Raises:
-        FormatError: ``up`` is no direction.
-    """
+    """What reads the entries of a listing, whose ``up`` is then said."""
     top = listing.top
     named = {kind: [table for other, table in listing.tables if other == kind] for kind in ("splats", "actors")}
     top["up"] = list(scene_up(TomlTable.of(listing.file, {**named, **top})))
@@ -476,11 +467,7 @@ def _reader_of(listing: _Listing, load: Callable[[Path], Gaussians | Mesh | Scen
 
 
 def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEntry], list[str]]:
-    """The entries of a listing, and a line for each that cannot be read.
-
-    Raises:
-        FormatError: None of them can.
-    """
+    """The entries of a listing, and a line for each that cannot be read."""
     entries: dict[int, SceneEntry] = {}
     problems: list[str] = []
     numbered = list(enumerate(listing.tables))
@@ -502,11 +489,7 @@ def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEnt
 def _read_entry(
     reader: EntryReader, number: int, kind: EntryKind, table: Mapping[str, Any], around: Scene | None = None
 ) -> SceneEntry:
-    """One entry; ``around`` as of `EntryReader.read`.
-
-    Raises:
-        FormatError: It is invalid, or a file cannot be read.
-    """
+    """One entry; ``around`` as of `EntryReader.read`."""
     with parsing(reader.file, "a scene file"):
         return reader.read(number, kind, table, around)
 

@@ -113,11 +113,7 @@ def _folder_of(target: Path) -> Generator[None]:
 
 
 def _target(path: PathLike) -> Path:
-    """The file to write: that to which a symbolic link leads.
-
-    Raises:
-        FormatError: Something that is no regular file is in its place, or no file can have this name.
-    """
+    """The file to write: that to which a symbolic link leads."""
     try:
         with suppress(FileNotFoundError):
             os.lstat(path)
@@ -205,11 +201,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _remove_unless_locked(path: str) -> None:
-    """Removes a file on which no process holds a lock; locks end with the process that holds them.
-
-    Raises:
-        OSError: The file is locked, or cannot be removed.
-    """
+    """Removes a file on which no process holds a lock; locks end with the process that holds them."""
     assert fcntl is not None
     descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     try:

@@ -69,9 +69,6 @@ def _read_clips(file: GltfFile) -> tuple[Clip, ...]:
     """All animations of a file, with distinct names; an animation without a name has its number instead.
 
     Channels without a node, and those of extensions, are left out; a log line counts the latter.
-
-    Raises:
-        FormatError: A channel or a sampler is malformed, or its keys are not finite or not in order.
     """
     clips: dict[str, Clip] = {}
     for index, animation in enumerate(file.model.animations or []):
@@ -190,11 +187,7 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
 
 
 def _rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], vertex_colors: bool = True) -> Rig | None:
-    """The meshes of some nodes with all that moves them; None if they have no triangles.
-
-    Raises:
-        FormatError: Something in them is malformed.
-    """
+    """The meshes of some nodes with all that moves them; None if they have no triangles."""
     skeleton = _read_skeleton(file)
     groups: dict[tuple[int, bool, bool], list[_Piece]] = {}
     for piece in _pieces(file, clips, nodes):
@@ -227,11 +220,7 @@ def is_rigged(file: GltfFile) -> bool:
 
 
 def _read_skeleton(file: GltfFile) -> Skeleton:
-    """The nodes of a file, in the scene or not.
-
-    Raises:
-        FormatError: A node has two parents, is its own ancestor, or has an invalid transform.
-    """
+    """The nodes of a file, in the scene or not."""
     tree = hierarchy(file)
     nodes = range(len(tree.parents))
     matrices = {index: matrix for index in nodes if (matrix := node_matrix(file, index)) is not None}

@@ -126,11 +126,7 @@ class GltfFile:
         return values.astype(np.int64)
 
     def _count(self, decoded_bytes: int) -> None:
-        """Counts values that are read: many primitives may have one accessor, each with a copy of it.
-
-        Raises:
-            FormatError: All of them together are more than the file can hold.
-        """
+        """Counts values that are read: many primitives may have one accessor, each with a copy of it."""
         self._decoded_bytes += decoded_bytes
         check_expansion(self.path, "its accessors", self._decoded_bytes, self.stored_bytes)
 

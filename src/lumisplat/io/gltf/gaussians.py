@@ -101,10 +101,6 @@ def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> 
     Args:
         primitive: One for which `holds_gaussians` is true.
         drop_invalid: As of `lumisplat.io.load`.
-
-    Raises:
-        FormatError: The kernel or the colour space is unknown, Gaussians are compressed, an attribute is missing or
-            malformed, or values are invalid.
     """
     is_linear = _check_extension(primitive)
     means = primitive.floats("POSITION", "VEC3")
@@ -138,11 +134,7 @@ def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> 
 
 
 def _check_extension(primitive: GltfPrimitive) -> bool:
-    """Checks what the extension says of a primitive; whether its colours are linear.
-
-    Raises:
-        FormatError: It is not drawn as points, compressed, or of an unknown kernel or colour space.
-    """
+    """Checks what the extension says of a primitive; whether its colours are linear."""
     item: Any = primitive.item
     extension: dict[str, Any] = item.extensions[_EXTENSION]
     if primitive.item.mode != 0:
@@ -193,11 +185,7 @@ def _opacities(primitive: GltfPrimitive, count: int, with_logarithms: bool) -> t
 
 
 def _harmonics(primitive: GltfPrimitive, count: int) -> FloatArray:
-    """The spherical harmonics of a primitive, shape (N, K, 3).
-
-    Raises:
-        FormatError: A degree is incomplete or too high, or a coefficient is malformed.
-    """
+    """The spherical harmonics of a primitive, shape (N, K, 3)."""
     matches = [match for name in vars(primitive.item.attributes) if (match := _COEFFICIENT.fullmatch(name))]
     degree = max((int(match[1]) for match in matches), default=0)
     if degree > SH_DEGREE_MAX:
@@ -212,11 +200,7 @@ def _harmonics(primitive: GltfPrimitive, count: int) -> FloatArray:
 
 
 def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatArray:
-    """An attribute of the extension, shape (N, components).
-
-    Raises:
-        FormatError: It is missing, or has other numbers or another count than it must have.
-    """
+    """An attribute of the extension, shape (N, components)."""
     full = f"{_EXTENSION}:{layout.name}"
     values = primitive.floats(full, layout.kind)
     if values is None:
@@ -311,11 +295,7 @@ class GltfCaptures:
         return self._read[mesh_index]
 
     def _instance(self, gaussians: Gaussians, index: int, world_from_node: Matrix, name: str) -> SplatInstance:
-        """A capture where a node has it.
-
-        Raises:
-            SceneError: The node moves or scales it beyond all measure.
-        """
+        """A capture where a node has it."""
         linear = world_from_node[:3, :3]
         with np.errstate(invalid="ignore", divide="ignore"):
             volume = np.linalg.det(linear / np.linalg.norm(linear, axis=0))

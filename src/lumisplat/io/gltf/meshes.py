@@ -257,10 +257,6 @@ def _read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: i
         primitive: The primitive.
         vertex_count: Its number of vertices, V.
         joint_count: Number of joints of the skin.
-
-    Raises:
-        FormatError: There is no set, a set is incomplete, a joint is not in the skin, or the weights of a vertex are
-            negative, not finite or all 0.
     """
     sets: list[Influences] = []
     while (one := _read_set(primitive, len(sets), vertex_count)) is not None:

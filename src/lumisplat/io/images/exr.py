@@ -75,11 +75,7 @@ def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _planes(channels: Mapping[str, Channel]) -> dict[str, Channel]:
-    """Pixels as they are stored, one array a channel: given (H, W, 3), OpenEXR would name its channels .R .G .B.
-
-    Raises:
-        SceneError: There is no channel, or shapes differ.
-    """
+    """Pixels as they are stored, one array a channel: given (H, W, 3), OpenEXR would name its channels .R .G .B."""
     shapes = {np.shape(host_array(pixels)) for pixels in channels.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
         raise SceneError(f"EXR channels must share one shape (H, W), got {sorted(shapes) or 'no channel'}")

@@ -209,11 +209,7 @@ def join_windows(path: PathLike, windows: Mapping[Window, PathLike]) -> None:
 
 
 def _in_rows(windows: Mapping[Window, PathLike]) -> list[list[Window]]:
-    """The windows row by row, each from left to right.
-
-    Raises:
-        SceneError: They leave gaps, overlap, or differ in height within a row.
-    """
+    """The windows row by row, each from left to right."""
     if not windows:
         raise SceneError("a picture needs a window")
     rows = [

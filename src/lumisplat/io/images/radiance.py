@@ -169,12 +169,7 @@ class _RunError(Exception):
 
 
 def _read_row(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], int]:
-    """The RGBE bytes of the row that begins at byte ``at``, and the byte at which the next row begins.
-
-    Raises:
-        IndexError: The data end before the row does.
-        _RunError: A run crosses the end of the row.
-    """
+    """The RGBE bytes of the row that begins at byte ``at``, and the byte at which the next row begins."""
     encoded = data[at] == 2 == data[at + 1] and (data[at + 2] << 8 | data[at + 3]) == width
     if encoded and width in _ENCODED_WIDTHS:
         return _read_channels(data, at + 4, width)

@@ -112,12 +112,6 @@ def _write_video(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) ->
         path: The file to write. It appears complete or not at all.
         frames: Display-referred values, 0..1, each of the same shape (H, W, 3).
         fps: Frames per second, above 0, at most 240, rounded to a fraction with a denominator of at most 1001.
-
-    Raises:
-        ConfigError: ``fps`` is out of range.
-        SceneError: There is no frame, a frame has the wrong shape, or sizes differ.
-        FormatError: The file cannot be written.
-        MissingExtraError: PyAV is not installed.
     """
     try:
         av: Any = import_module("av")  # most of its types are unknown
@@ -136,11 +130,7 @@ def _write_video(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) ->
 
 
 def _with_equal_shapes(pictures: Iterable[_Bytes]) -> Iterator[_Bytes]:
-    """The pictures, one by one.
-
-    Raises:
-        SceneError: There is none, or their shapes are not one shape (H, W, 3).
-    """
+    """The pictures, one by one."""
     expected = "a video takes pictures of one shape (H, W, 3), got"
     shape: tuple[int, ...] | None = None
     for picture in pictures:

@@ -109,11 +109,7 @@ _Key = tuple[str, ...]
 
 
 def _shape_mesh(table: TomlTable, given: Values) -> Mesh:
-    """The mesh of an entry with a ``shape``: of size 1, unless ``size`` says otherwise.
-
-    Raises:
-        FormatError: There is no such shape, or the size does not suit it.
-    """
+    """The mesh of an entry with a ``shape``: of size 1, unless ``size`` says otherwise."""
     shape, size = given["shape"], given.get("size", 1.0)
     if shape not in _SHAPES:
         raise table.error(f"shape is {shape!r}, {suggestion(shape, _SHAPES)}", "shape")

@@ -64,9 +64,6 @@ def _read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
     Args:
         table: The table.
         name: Name of the material, if the table does not set one.
-
-    Raises:
-        FormatError: The type or a key is unknown, a value is invalid, a texture cannot be read, or all are too large.
     """
     type_name = table.values.get("type", "pbr")
     kind = MATERIAL_KINDS.get(type_name) if isinstance(type_name, str) else None

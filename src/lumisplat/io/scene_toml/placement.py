@@ -308,11 +308,7 @@ def _stated(table: TomlTable) -> Vector | None:
 
 
 def _direction(table: TomlTable, key: str) -> Vector:
-    """The unit vector of a key.
-
-    Raises:
-        FormatError: It is no direction.
-    """
+    """The unit vector of a key."""
     try:
         return up_vector(table.values[key])
     except SceneError as error:

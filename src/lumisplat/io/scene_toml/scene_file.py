@@ -67,11 +67,7 @@ _SHOWN = ("splats", "meshes", "actors", "lights", "environment")
 
 
 def _read_timing(document: TomlTable) -> tuple[float, AvatarLightingConfig]:
-    """Frames a second of a scene file's animation, and how its actors are lit; defaults if it has no such table.
-
-    Raises:
-        FormatError: A key of ``[animation]`` is unknown, or a value is invalid.
-    """
+    """Frames a second of a scene file's animation, and how its actors are lit; defaults if it has no such table."""
     table = document.table("animation")
     given = table.take(ANIMATION_KEYS)
     lighting = read_settings(table.table("lighting"), AvatarLightingConfig)
@@ -131,11 +127,7 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
 
 
 def _static_scene(document: TomlTable, load: Load) -> Scene:
-    """The scene of a scene file without its actors; it may be empty.
-
-    Raises:
-        FormatError: An entry is unknown or invalid, or a file is of the wrong kind.
-    """
+    """The scene of a scene file without its actors; it may be empty."""
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
     up = scene_up(document)

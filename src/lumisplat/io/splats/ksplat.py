@@ -172,11 +172,7 @@ def _row(level: int, degree: int) -> np.dtype[np.void]:
 
 
 def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
-    """The centre of each Gaussian's bucket, shape (N, 3).
-
-    Raises:
-        FormatError: The buckets do not hold as many Gaussians as the section.
-    """
+    """The centre of each Gaussian's bucket, shape (N, 3)."""
     lengths = np.frombuffer(file.data, "<u4", head.partial_count, start).astype(np.int64)
     full = head.full_count * head.bucket_size
     if head.full_count + head.partial_count != head.bucket_count or full + int(lengths.sum()) != head.gaussians:

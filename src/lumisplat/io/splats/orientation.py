@@ -160,12 +160,7 @@ def comments_with_orientation(gaussians: Gaussians, comments: tuple[str, ...]) -
 
 
 def _view_of(values: Any) -> Camera:
-    """Returns a first view.
-
-    Raises:
-        SceneError: A value is out of range.
-        KeyError: One is missing.
-    """
+    """Returns a first view."""
     return Camera.look_at(
         values["eye"],
         values["target"],

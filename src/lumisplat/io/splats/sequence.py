@@ -33,12 +33,7 @@ def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians
 
 
 def _frame_paths(folder: Path) -> list[Path]:
-    """The frames in a folder, in the natural order of their names, in which numbers are compared as numbers.
-
-    Raises:
-        FormatError: The folder holds no frame, or holds frames with different extensions.
-        MissingFileError: There is no such folder.
-    """
+    """The frames in a folder, in the natural order of their names, in which numbers are compared as numbers."""
     with readable(folder):
         if not folder.exists():
             raise MissingFileError(folder, "no such folder")

@@ -224,11 +224,7 @@ def _plain_name(path: PathLike, name: str) -> str:
 
 
 def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]:
-    """RGBA pixels of each image, shape (height, width, 4).
-
-    Raises:
-        FormatError: An image is damaged, or it, or all of them together, are larger than files of their size can be.
-    """
+    """RGBA pixels of each image, shape (height, width, 4)."""
 
     def decoded(name: str) -> Bytes:
         with _decoding(path, name):

@@ -363,11 +363,7 @@ def _harmonics_in_order(prefix: str, coefficients: int, channels: int = 3) -> li
 def _write_columns(
     path: PathLike, comments: tuple[str, ...], names: list[str], values: Mapping[str, Floats], count: int
 ) -> None:
-    """Writes a PLY of these properties; those that have no values are zeros.
-
-    Raises:
-        FormatError: The file cannot be written.
-    """
+    """Writes a PLY of these properties; those that have no values are zeros."""
     header = ply_header_bytes(comments, [("vertex", count, "float", names)])
     step = 4096
     with atomic_write(path) as temporary, temporary.open("wb") as file:

@@ -113,9 +113,6 @@ def _parse_spz_header(path: PathLike, data: bytes, versions: range, stored_bytes
         data: Bytes that begin with the header.
         versions: Versions that this container may have.
         stored_bytes: Size of the file.
-
-    Raises:
-        FormatError: The header is incomplete, or a field is out of range.
     """
     if len(data) < _HEADER.size:
         raise FormatError(path, "truncated: the SPZ header is incomplete")
@@ -229,9 +226,6 @@ def _read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, 
 
     Returns:
         Header, Gaussians in the axes of the file, and the bytes of extension records.
-
-    Raises:
-        FormatError: The file is damaged or truncated.
     """
     header = _parse_spz_header(path, _inflate(path, data, _HEADER.size), range(1, 4), len(data))
     size = sum(header.section_sizes)

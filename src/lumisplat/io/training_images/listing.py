@@ -144,11 +144,7 @@ def report_without_pose(file: Path, folder: Path, listed: Sequence[Listed]) -> N
 
 
 def _listed_mask(path: Path, name: object) -> Path | None:
-    """The mask that a frame names.
-
-    Raises:
-        FormatError: It is not there.
-    """
+    """The mask that a frame names."""
     if name is None:
         return None
     mask = referenced_file(path, str(name))
@@ -226,11 +222,7 @@ def _files_below(folder: Path) -> list[Path]:
 
 
 def _report_missing(path: Path, missing: Sequence[str], count: int, place: str) -> None:
-    """Logs which images are missing.
-
-    Raises:
-        FormatError: All are.
-    """
+    """Logs which images are missing."""
     if not missing:
         return
     names = some_names(missing)

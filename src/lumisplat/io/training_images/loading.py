@@ -571,9 +571,6 @@ def _read_mask(path: Path) -> Plane:
     """Reads a mask: 255 where the image counts, which is wherever it is not black, or transparent; shape (H, W, 1).
 
     Of a JPEG, what is darker than half is black: its black is not exact beside white.
-
-    Raises:
-        FormatError: The file cannot be read, or nothing counts.
     """
     texels = read_texture(path)
     counts = texels[..., 3:] if texels.shape[2] == 4 else texels.max(axis=2, keepdims=True)

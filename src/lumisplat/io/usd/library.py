@@ -181,11 +181,7 @@ def _marked_layer(file: Path, name: str) -> Any | None:
 
 
 def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
-    """The file that a layer names, or the package in which that is; arguments as of `check_layers`.
-
-    Raises:
-        FormatError: As of `check_layers`.
-    """
+    """The file that a layer names, or the package in which that is; arguments as of `check_layers`."""
     px = pxr()
     if px.Sdf.VariableExpression.IsExpression(name):
         raise FormatError(

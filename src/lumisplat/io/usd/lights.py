@@ -243,11 +243,7 @@ _READERS: dict[str, Callable[[UsdFile, Placed, float, dict[str, Any]], Light | N
 def _read_environment(
     file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any], shadow_distance: float
 ) -> LightEnvironment | None:
-    """A dome light as an environment; None, with a remark, if its image is no panorama.
-
-    Raises:
-        FormatError: The image is missing or damaged.
-    """
+    """A dome light as an environment; None, with a remark, if its image is no panorama."""
     prim = placed.prim
     asset, layout = (
         value(file, prim, "inputs:texture:file"),

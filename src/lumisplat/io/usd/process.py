@@ -255,11 +255,7 @@ class _Child:
         return self._limit
 
     def _take_limit(self, kind: str, value: Any) -> None:
-        """Sets the limit from now on: the process has forked, asks for a file, or has raised it for a texture.
-
-        Raises:
-            FormatError: A file is not allowed.
-        """
+        """Sets the limit from now on: the process has forked, asks for a file, or has raised it for a texture."""
         if kind == "reader":
             self._reader = value
         elif kind == "limit":
@@ -341,11 +337,7 @@ def _size_of(path: Path) -> int:
 
 
 def _checked_bytes(path: Path, file: Path) -> int:
-    """Returns the bytes of one of the files that a stage is composed of.
-
-    Raises:
-        FormatError: It is outside of the folder of ``path``, or no regular file.
-    """
+    """Returns the bytes of one of the files that a stage is composed of."""
     if leaves_folder(path, file):
         raise FormatError(path, f"names {os.fspath(file)[:200]!r}, which is not in its folder")
     status = file.stat()

@@ -490,11 +490,7 @@ class _Walk:
             yield from self.below(root, placed, inside)
 
     def _counted(self, before: int) -> int:
-        """One more.
-
-        Raises:
-            FormatError: It is too many.
-        """
+        """One more."""
         if before >= USD_INSTANCES_MAX:
             raise FormatError(self.file.path, f"shows more than {USD_INSTANCES_MAX:,} prims: instances of instances")
         return before + 1

@@ -316,11 +316,7 @@ def _shape(instance: Instance) -> dict[str, Any]:
 
 
 def _write_files(writer: StageWriter) -> None:
-    """Writes a stage; each file appears complete or not at all, the layer last.
-
-    Raises:
-        FormatError: A file cannot be written, or a package would be too large.
-    """
+    """Writes a stage; each file appears complete or not at all, the layer last."""
     path = writer.path
     if path.suffix.lower() == ".usdz":
         _write_package(writer)
